@@ -19,8 +19,7 @@ from chromium import Page, find_chromium
 from tau_dyn.files import write_atomically
 from tau_dyn.robot import Robot, list_robot_names, load_robot
 from tau_dyn.view import Placer, build_furniture
-from tau_dyn.view.placement import convert_pose
-from tau_dyn.view.scene import RobotFigure, add_floor, compute_outline, light_scene
+from tau_dyn.view.scene import RobotFigure, add_floor, compute_outline, convert_pose, light_scene
 
 WIDTH, HEIGHT, FOV = 600, 450, 0.5
 MARGIN = 1.1

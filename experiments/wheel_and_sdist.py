@@ -39,8 +39,8 @@ CARRIED = (
     ".c",
 )
 """How files of the package may end."""
-NEEDED = ("tau_dyn/py.typed", "tau_dyn/urdf/gantry_tau.urdf.xacro", "tau_dyn/report/templates/page.html.j2",
-          "tau_dyn/report/templates/notebook.css", "tau_dyn/cli/__main__.py")  # fmt: skip
+NEEDED = ("tau_dyn/py.typed", "tau_dyn/urdf/gantry_tau.urdf.xacro", "tau_dyn/render/templates/page.html.j2",
+          "tau_dyn/render/templates/notebook.css", "tau_dyn/cli/__main__.py")  # fmt: skip
 SOURCES = ("tests/test_rooms.py", "tests/packaging")
 """Tests of the checkout, not of the package."""
 

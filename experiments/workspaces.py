@@ -20,7 +20,7 @@ import pandas as pd
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.kinematics.obstacles import build_surroundings
 from tau_dyn.kinematics.workspace import PoseRequirements, find_workspace, study_workspace
-from tau_dyn.report import build_workspace_page
+from tau_dyn.render import build_page
 from tau_dyn.robot import load_robot
 
 ROBOTS = {
@@ -107,7 +107,7 @@ def row_of(name: str, out: Path, quick: bool) -> dict[str, object]:
     space, rows = found.workspace, found.catalogue.rows
     spent = time.process_time() - start
     if not quick:
-        (out / f"{name}.html").write_text(build_workspace_page(found), encoding="utf-8")
+        (out / f"{name}.html").write_text(build_page(found), encoding="utf-8")
     return {
         "robot": name,
         "volume_m3": round(space.size.value, 5),

@@ -46,7 +46,7 @@ def half_and_half(log: Log) -> float:
 
 
 def main(log_path: Path, out_dir: Path) -> pd.DataFrame:
-    from tau_dyn.report import build_modes_page
+    from tau_dyn.render import build_page
 
     if not log_path.is_file():
         sys.exit(f"{log_path} is absent; set TAU_DYN_DATA to the folder that holds daisy_robot_arm/robot_arm.dat")
@@ -55,7 +55,7 @@ def main(log_path: Path, out_dir: Path) -> pd.DataFrame:
     log.to_csv(out_dir / "robot_arm.csv")
     found = find_modes(log, *COLUMNS, sensor="acceleration")
     save_state_space(out_dir / "robot_arm_model.yaml", found.model_file([{"path": log_path.name}]))
-    (out_dir / "robot_arm.html").write_text(build_modes_page(found, logs=[(log_path.name, "")]), encoding="utf-8")
+    (out_dir / "robot_arm.html").write_text(build_page(found, logs=[(log_path.name, "")]), encoding="utf-8")
     fit, radius = in_sample(log)
     rows = [
         ("order 4, in sample", fit, f"largest pole {radius:.5f}"),

@@ -29,7 +29,7 @@ PUBLISHED = {  # kg, N, N/(m/s), %; EMPS_Description.pdf
 
 
 def main(log_path: Path, out_dir: Path) -> pd.DataFrame:
-    from tau_dyn.report import write_report
+    from tau_dyn.render import write_report
 
     if not log_path.is_file():
         sys.exit(

@@ -23,7 +23,7 @@ DATA = Path(os.environ.get("TAU_DYN_DATA", HERE.parents[1] / "shared" / "data"))
 def main(log_path: Path, out_dir: Path) -> dict[str, Diagnosis]:
     from rich.console import Console
 
-    from tau_dyn.report import print_diagnosis, write_report
+    from tau_dyn.render import print_result, write_report
 
     if not log_path.is_file():
         sys.exit(
@@ -37,7 +37,7 @@ def main(log_path: Path, out_dir: Path) -> dict[str, Diagnosis]:
         (out_dir / f"emps_diagnosis_{friction}.json").write_text(json.dumps(found[friction].to_dict(), indent=2) + "\n")
         found[friction].extended_model.save(out_dir / f"emps_extended_{friction}.yaml")
         write_report(out_dir / f"emps_diagnosis_{friction}.html", found[friction])
-        print_diagnosis(Console(), found[friction], {})
+        print_result(Console(), found[friction], {})
     return found
 
 

@@ -24,7 +24,7 @@ FIX = ()  # what was weighed, such as ("plate_link.mass=9.13+-0.05",) [kg]
 
 
 def main(log_paths: list[Path], out_dir: Path, holdout: list[Path] = ()) -> None:
-    from tau_dyn.report import write_report
+    from tau_dyn.render import write_report
 
     robot = load_robot("gantry_tau", prototype=PROTOTYPE)
     train, held = ([read_log(path, COLUMNS) for path in paths] for paths in (log_paths, holdout))

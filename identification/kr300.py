@@ -28,7 +28,7 @@ PUBLISHED = {"axis1": 4.58e6, "axis2": 7.52e6, "axis3": 4.10e6}  # [N m/rad], th
 def main(folder: Path, out_dir: Path) -> tuple[dict[str, Diagnosis], pd.DataFrame]:
     from rich.console import Console
 
-    from tau_dyn.report import print_diagnosis, write_report
+    from tau_dyn.render import print_result, write_report
 
     if not (folder / "rec_A.csv").is_file():
         sys.exit(f"{folder} holds no rec_A.csv; set TAU_DYN_DATA to the folder that holds kr300/, or name the folder")
@@ -40,7 +40,7 @@ def main(folder: Path, out_dir: Path) -> tuple[dict[str, Diagnosis], pd.DataFram
         answer = found[train + test] = diagnose_deflection(robot, logs[train], holdout=logs[test])
         (out_dir / f"kr300_{train}_{test}.json").write_text(json.dumps(answer.to_dict(), indent=2) + "\n")
         write_report(out_dir / f"kr300_{train}_{test}.html", answer)
-        print_diagnosis(Console(), answer, {})
+        print_result(Console(), answer, {})
         for reading in estimate_stiffness(build_deflection_channel(robot, [logs[train]], [logs[test]])):
             named = {"train": train, "test": test, "causes": " + ".join(reading.causes)}
             for k, joint in enumerate(reading.joints):

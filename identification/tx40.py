@@ -48,7 +48,7 @@ def weights(expression: str) -> dict[str, float]:
 
 
 def main(folder: Path, out_dir: Path) -> pd.DataFrame:
-    from tau_dyn.report import write_report
+    from tau_dyn.render import write_report
 
     if not (folder / "tx40.urdf").is_file():
         sys.exit(f"{folder} holds no tx40.urdf; set TAU_DYN_DATA to the folder that holds tx40/, or name the folder")

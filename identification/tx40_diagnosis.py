@@ -23,7 +23,7 @@ DATA = Path(os.environ.get("TAU_DYN_DATA", HERE.parents[1] / "shared" / "data"))
 def main(folder: Path, out_dir: Path) -> Diagnosis:
     from rich.console import Console
 
-    from tau_dyn.report import print_diagnosis, write_report
+    from tau_dyn.render import print_result, write_report
 
     if not (folder / "tx40.urdf").is_file():
         sys.exit(f"{folder} holds no tx40.urdf; set TAU_DYN_DATA to the folder that holds tx40/, or name the folder")
@@ -34,7 +34,7 @@ def main(folder: Path, out_dir: Path) -> Diagnosis:
     (out_dir / "tx40_diagnosis.json").write_text(json.dumps(found.to_dict(), indent=2) + "\n")
     found.extended_model.save(out_dir / "tx40_extended.yaml")
     write_report(out_dir / "tx40_diagnosis.html", found)
-    print_diagnosis(Console(), found, {})
+    print_result(Console(), found, {})
     return found
 
 

@@ -12,12 +12,12 @@ from fuzz_parts.reader import JOURNAL, JSON, YAML, Reader, axis, of, pendulum
 def _compared(path: Path) -> None:
     from tau_dyn.cli.execute import format_json
     from tau_dyn.compare import compare, read_side
-    from tau_dyn.report import build_comparison_page
+    from tau_dyn.render import build_page
 
     side = read_side(path)
     found = compare(side, side)
     format_json(found.to_dict())
-    build_comparison_page(found, command_line="tau-dyn compare a b")
+    build_page(found, command_line="tau-dyn compare a b")
 
 
 def _progress(path: Path) -> None:

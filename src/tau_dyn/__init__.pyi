@@ -11,7 +11,7 @@ from .mechanism import (
 )
 from .model import Model as Model
 from .modes import find_modes as find_modes
-from .report import write_report as write_report
+from .render import write_report as write_report
 from .robot import load_robot as load_robot
 from .simulate import simulate as simulate
 from .version import __version__ as __version__

@@ -20,8 +20,8 @@ from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.parameters import Parameters
+from tau_dyn.results import Shown
 from tau_dyn.robot import INERTIAL, Robot, load_robot_from_urdf
-from tau_dyn.shown import Shown
 
 _FORMAT = 1  # version of the model file's layout
 

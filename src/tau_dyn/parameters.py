@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.shown import Shown
+from tau_dyn.results import Shown
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.unknowns import collect
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import forward_kinematics
-from tau_dyn.report.calibration_words import describe_verdict
+from tau_dyn.render.kinds.calibration_words import describe_verdict
 from tau_dyn.robot import load_robot
 
 

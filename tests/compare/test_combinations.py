@@ -8,7 +8,7 @@ import pytest
 
 from tau_dyn.cli import main
 from tau_dyn.compare import compare, read_side
-from tau_dyn.report.fit_quality_text import list_combinations
+from tau_dyn.render.kinds.fit_quality import list_combinations
 
 
 def entry(name, value, stderr, unit="kg", **more):

@@ -230,7 +230,7 @@ def test_errors_and_findings_come_with_their_intervals(tmp_path):
     two = {"extended": {"relative_error_percent": 0.5, "relative_ci95": [0.4, 0.6]}, "findings": [cause]}
     a, b = (read_side(folder(tmp_path / n, "diagnose", **more)) for n, more in (("a", one), ("b", two)))
     found = compare(a, b)
-    assert found.errors[0].to_dict() == {
+    assert found.to_dict()["errors"][0] == {
         "name": "extended error", "unit": "%", "a": 1.0, "b": 0.5, "ci95_a": [0.9, 1.1], "ci95_b": [0.4, 0.6]
     }  # fmt: skip
     (change,) = found.findings

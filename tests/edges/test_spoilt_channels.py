@@ -11,7 +11,7 @@ from raising import raises_code
 from tau_dyn.identify import build_model, identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
-from tau_dyn.report.identification_words import describe_verdict
+from tau_dyn.render.kinds.identification import describe_verdict
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 from tau_dyn.simulate import build_named_motion
 

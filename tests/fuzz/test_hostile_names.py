@@ -18,7 +18,7 @@ from pages import taken_apart
 
 from tau_dyn.cli import main
 from tau_dyn.exceptions import InputError, format_one_line
-from tau_dyn.report import html_page
+from tau_dyn.render.page import list_scripts
 from tau_dyn.vision.pose_table import escape_formula
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(1)>\" onload=\"x' onclick='y{{7*7}}"
@@ -94,7 +94,7 @@ def check_page(folder: Path, name: str, argv: list[str], monkeypatch, capsys) ->
     page = (folder / f"{name}.html").read_text(encoding="utf-8")
     found = taken_apart(page)
     assert found.found == []
-    assert [script.strip() for script in found.scripts] == [script.strip() for script in html_page._scripts()]
+    assert [script.strip() for script in found.scripts] == [script.strip() for script in list_scripts()]
     assert len(found.data) == 1 and "alert(1)" in page and "<script>alert" not in page and "49" not in EVIL
 
 

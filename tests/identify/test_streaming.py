@@ -11,7 +11,7 @@ from raising import raises_code
 
 from tau_dyn.identify import BlockExecutor, identify
 from tau_dyn.log import Recording, log_opening, open_log, read_log
-from tau_dyn.report import write_report
+from tau_dyn.render import write_report
 
 
 @pytest.fixture

@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose
 from tau_dyn.mechanism import FlexibleModel
 from tau_dyn.modes import Mode, ShapesOnRobot, project_shapes_on_robot
 from tau_dyn.modes.on_robot import compute_mac, find_sensed_places
-from tau_dyn.report.modes_robot import draw_robot_modes
+from tau_dyn.render.kinds.modes import draw_on_robot
+from tau_dyn.render.pictures import draw_swing
 from tau_dyn.robot import Robot, load_robot
 
 AXES = ("x_tool", "y_tool", "z_tool")
@@ -70,9 +71,11 @@ def test_a_rigid_robot_has_no_shapes_of_its_own() -> None:
     )
     assert shapes is not None and shapes.pairs[0].model is None and np.isnan(shapes.pairs[0].mac)
     assert shapes.to_list() == [{"frequency_hz": 7.0, "model_frequency_hz": None, "mac": None}]
-    drawn = draw_robot_modes(shapes, [True])
-    assert len(drawn) == 1 and not drawn[0].model and "<animate " in drawn[0].measured and "arrow" in drawn[0].measured
-    assert draw_robot_modes(shapes, [False]) == [] and draw_robot_modes(None, [True]) == []
+    _, group, _ = draw_on_robot(shapes, [True])
+    (couple,) = group.blocks
+    (swing,) = map(draw_swing, couple.drawings)
+    assert couple.captions[0][0] == "measured" and "<animate " in swing and "arrow" in swing
+    assert list(draw_on_robot(shapes, [False])) == []
 
 
 def test_outputs_name_axes_and_places() -> None:

@@ -12,7 +12,7 @@ from raising import raises_code
 
 from tau_dyn.log import Log
 from tau_dyn.modes import OperationalModes, find_operational_modes
-from tau_dyn.report import build_operational_modes_page
+from tau_dyn.render import build_page
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "experiments"))
 from operational_modes import OUTPUTS, SHAPES, record_ambient
@@ -81,7 +81,7 @@ def test_what_needs_the_force_is_not_given(found):
 
 def test_it_is_shown_on_a_page_and_in_a_notebook(found):
     """The page and the notebook's view name the frequencies; the table has a row a mode."""
-    page = build_operational_modes_page(found, logs=[("ambient.csv", "0" * 64)])
+    page = build_page(found, logs=[("ambient.csv", "0" * 64)])
     assert "Stabilisation" in page and "ambient.csv" in page and "nothing has a scale" in page
     assert "Hz" in found._repr_html_() and len(found.to_pandas()) == 3
 

@@ -16,7 +16,7 @@ from chromium import Page, find_chromium
 
 from tau_dyn.robot import load_robot
 from tau_dyn.view import Viewer
-from tau_dyn.view.contents import Cloud, Findings, ViewedFinding
+from tau_dyn.view.results import Cloud, Findings, ViewedFinding
 
 pytestmark = pytest.mark.skipif(find_chromium() is None, reason="no chromium on the path")
 BAD = "<img src=x onerror='window.ran=1'><script>window.ran=1</script>{window.ran=1}"

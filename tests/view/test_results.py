@@ -13,7 +13,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import forward_kinematics
 from tau_dyn.robot import load_robot
 from tau_dyn.view import read_cloud, read_result
-from tau_dyn.view.contents import Cloud, ErrorVectors, Findings, Uncertainty
+from tau_dyn.view.results import Cloud, ErrorVectors, Findings, Uncertainty
 
 
 @pytest.fixture(scope="module")

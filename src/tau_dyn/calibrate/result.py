@@ -17,8 +17,8 @@ from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.sensitivity import compute_sensitivities
+from tau_dyn.results import Shown
 from tau_dyn.robot import Robot
-from tau_dyn.shown import Shown
 
 _MAX_RELATIVE_ERROR = 0.01
 """Held-out rms error over the poses' rms distance from their middle above which units, joints or frames are wrong; an arm out of

@@ -81,16 +81,6 @@ def accuracy(
             found = study.run(machine, rods, bounds, read, from_measured, step)
     hashes = [(name, points.sha256) for name, points in files]
 
-    def show(console, written: dict[str, str]) -> None:
-        from tau_dyn.report import print_accuracy
-
-        print_accuracy(console, found, written)
-
-    def report(command_line: str) -> str:
-        from tau_dyn.report import build_accuracy_page
-
-        return build_accuracy_page(found, files=hashes, command_line=command_line)
-
     return Outcome(
         result=found.to_dict(),
         warnings=[*machine.warnings, *(w for _, points in files for w in points.warnings), *_list_lost_poses(found)],
@@ -100,8 +90,8 @@ def accuracy(
             *hashes,
             *([places.poses] if places.poses else []),
         ],
-        show=show,
-        report=report,
+        found=found,
+        context={"files": hashes},
     )
 
 

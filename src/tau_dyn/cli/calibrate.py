@@ -111,24 +111,14 @@ def calibrate(
     if wanted is not None and corrected is not None:
         files[corrected], more = _correct(found, wanted)
 
-    def show(console, written: dict[str, str]) -> None:
-        from tau_dyn.report import print_calibration
-
-        print_calibration(console, found, written)
-
-    def report(command_line: str) -> str:
-        from tau_dyn.report import build_calibration_page
-
-        return build_calibration_page(found, poses=read, command_line=command_line)
-
     return Outcome(
         result=found.to_dict(),
         warnings=[*machine.warnings, *warnings, *found.warnings, *more],
         inputs=[*robot_options.list_files(robot), *read],
-        show=show,
         files=files,
         named={"model": out},
-        report=report,
+        found=found,
+        context={"poses": read},
     )
 
 

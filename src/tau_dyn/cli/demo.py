@@ -94,7 +94,7 @@ def demo(
         step("loading")
         from tau_dyn.diagnose import diagnose
         from tau_dyn.identify import identify
-        from tau_dyn.report import build_diagnosis_page, build_identification_page
+        from tau_dyn.render import build_page
         from tau_dyn.simulate import Sensors, build_named_motion, simulate
 
         seed = output.seed
@@ -118,8 +118,8 @@ def demo(
         step("reports")
         values = {p.name: p.value for p in made.truth.parameters}
         files = f"{made.call} {out}/monday.csv --holdout {out}/tuesday.csv"
-        page = build_diagnosis_page(found, command_line=f"tau-dyn diagnose {files}")
-        plain = build_identification_page(fit, command_line=f"tau-dyn identify {files}", truth=values)
+        page = build_page(found, command_line=f"tau-dyn diagnose {files}")
+        plain = build_page(fit, command_line=f"tau-dyn identify {files}", truth=values)
     written = {
         "report": str(out / "report.html"),
         "extended model": str(out / "extended.yaml"),
@@ -233,9 +233,9 @@ def _extend(model: Model, effects: Sequence, values: dict[str, float]) -> Model:
 
 
 def _show(console, made: Made, found, written: dict[str, str]) -> None:
-    from tau_dyn.report import print_diagnosis, say
+    from tau_dyn.render import print_result, say
 
-    print_diagnosis(console, found, written)
+    print_result(console, found, written)
     claims = " ".join(f.sentence for f in found.findings if f.status in ("confirmed", "parameter"))
     say(console, f"Hidden in the made logs: {made.said}.")
     say(console, f"Found: {claims.replace('+-', '±') or 'nothing.'}")

@@ -77,16 +77,11 @@ def diagnose(
             status = status if motion else CannotAnswer.exit_status
 
     def show(console, written: dict[str, str]) -> None:
-        from tau_dyn.report import print_diagnosis
+        from tau_dyn.render import print_result
 
-        print_diagnosis(console, found, written)
+        print_result(console, found, written)
         for note in result.get("proposal", {}).get("notes", ()):
             console.print(f"proposed: {note}", markup=False)
-
-    def report(command_line: str) -> str:
-        from tau_dyn.report import build_diagnosis_page
-
-        return build_diagnosis_page(found, command_line=command_line)
 
     return Outcome(
         result=result,
@@ -99,7 +94,7 @@ def diagnose(
         show=show,
         files=files,
         named={"extended model": out, "motion": propose if propose in files else None},
-        report=report,
+        found=found,
         exit_status=status,
     )
 

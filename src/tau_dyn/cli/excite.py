@@ -108,6 +108,7 @@ def excite(
         from tau_dyn.excitation import Noise, estimate_log_noise
         from tau_dyn.identify import build_model
         from tau_dyn.log import read_log
+        from tau_dyn.render import ExcitingMotion
 
         machine = robot_options.load(robot)
         built, noise = build_model(machine, model), None
@@ -129,21 +130,14 @@ def excite(
             shown = f"  {row['expression']:44s} {row['value']:10.4g} ± {row['stderr']:.2g} {row['unit']}"
             console.print(shown, markup=False, highlight=False)
 
-    def report(command_line: str) -> str:
-        from tau_dyn.report import build_excitation_page
-
-        made = {"seed": str(output.seed), "trials": str(trials), "method": method}
-        return build_excitation_page(
-            motion, built, condition_number, prediction=prediction, command_line=command_line, **made
-        )
-
+    made = {"seed": str(output.seed), "trials": str(trials), "method": method}
     return Outcome(
         result=result | {"out": str(out)},
         warnings=[*machine.warnings, *motion.notes],
         inputs=[*robot_options.list_files(robot), *([noise_from] if noise_from is not None else [])],
         show=show,
         files={out: motion.to_csv},
-        report=report,
+        found=ExcitingMotion(motion, built, condition_number, prediction, made),
     )
 
 

@@ -44,21 +44,46 @@ class Outcome:
         result: The command's part of the JSON result.
         warnings: Sentences.
         inputs: Files read; or pairs of path and hash, where a reader knows the hash already.
-        show: Prints the result for a person on a console; it is told what was written, by name.
+        found: What was found, which `render` prints and makes a page of; None where neither is asked.
+        context: What `render` is told besides.
+        show: Prints the result for a person instead; it is told what was written, by name.
         files: What to write: path -> text, or a function that writes to the path given.
         named: Names of files that were written, for the last line on the screen.
-        report: Makes the report page's text from the command line that repeats it; None if the command has none.
+        report: Makes the report page's text instead, from the command line that repeats it.
         exit_status: 0 where the answer stands; 3 where the data cannot tell, and `result` says so in its own `status`.
     """
 
     result: dict[str, Any] = field(default_factory=dict)
     warnings: Sequence[str] = ()
     inputs: Sequence[Path | tuple[str, str]] = ()
-    show: Callable[[Console, dict[str, str]], None] = lambda console, written: None
+    found: Any = None
+    context: Mapping[str, Any] = field(default_factory=dict)
+    show: Callable[[Console, dict[str, str]], None] | None = None
     files: Mapping[Path, str | Callable[[Path], None]] = field(default_factory=dict)
     named: Mapping[str, Path | None] = field(default_factory=dict)
     report: Callable[[str], str] | None = None
     exit_status: int = 0
+
+    def has_page(self) -> bool:
+        """Tell whether there is a report page."""
+        return self.report is not None or self.found is not None
+
+    def build_page(self, command_line: str) -> str:
+        """Return the report page's text."""
+        if self.report is not None:
+            return self.report(command_line)
+        from tau_dyn.render import build_page
+
+        return build_page(self.found, command_line=command_line, **self.context)
+
+    def print(self, console: Console, written: dict[str, str]) -> None:
+        """Print the result for a person."""
+        if self.show is not None:
+            self.show(console, written)
+        elif self.found is not None:
+            from tau_dyn.render import print_result
+
+            print_result(console, self.found, written, **self.context)
 
 
 @dataclass(frozen=True)
@@ -103,7 +128,7 @@ def execute(call: Call, own_file: str = "") -> int:
         outcome = run.call.run()
     except CannotAnswer as fault:
         refusal, outcome = fault, _build_unanswered(run.values, fault)
-    if run.page_asked and refusal is None and outcome.report is None:
+    if run.page_asked and refusal is None and not outcome.has_page():
         raise InputError("bad_option", f"tau-dyn {call.command} has no report; leave --report out")
     outcome = replace(outcome, warnings=[*outcome.warnings, *_list_changed(outcome.inputs, before)])
     written = _write(run, outcome)
@@ -159,7 +184,7 @@ def _check_destinations(run: _Run) -> dict[Path, tuple[int, int]]:
 
 def _show(outcome: Outcome, written: dict[str, str]) -> None:
     try:
-        outcome.show(_Screen(soft_wrap=False, highlight=False), written)
+        outcome.print(_Screen(soft_wrap=False, highlight=False), written)
     except BrokenPipeError:
         raise
     except OSError as fault:
@@ -223,8 +248,8 @@ def _write(run: _Run, outcome: Outcome) -> dict[str, str]:
     files: dict[Path, str | Callable[[Path], None]] = dict(outcome.files)
     _refuse_overwritten(run, files)
     named = dict(outcome.named)
-    if values["report"] is not None and outcome.report is not None:
-        files |= dict.fromkeys(_twice(values["report"], folder, 2), outcome.report(command_line))
+    if values["report"] is not None and outcome.has_page():
+        files |= dict.fromkeys(_twice(values["report"], folder, 2), outcome.build_page(command_line))
         named["report"] = values["report"]
     if values["json"] is not None:
         text = format_json(about | outcome.result | format_warnings(outcome.warnings))

@@ -70,15 +70,10 @@ def identify(
         )
 
     def show(console, written: dict[str, str]) -> None:
-        from tau_dyn.report import print_identification
+        from tau_dyn.render import print_result
 
-        print_identification(console, found, written)
+        print_result(console, found, written)
         console.print(f"estimator: {found.estimator}")
-
-    def report(command_line: str) -> str:
-        from tau_dyn.report import build_identification_page
-
-        return build_identification_page(found, command_line=command_line)
 
     return Outcome(
         result=found.to_dict(),
@@ -87,5 +82,5 @@ def identify(
         show=show,
         files={out: found.model.save} if out else {},
         named={"model": out},
-        report=report,
+        found=found,
     )

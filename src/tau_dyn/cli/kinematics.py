@@ -93,22 +93,11 @@ def ik(
 
 
 def _build_outcome(table, robot_files: list[Path], poses: Path | None, out: Path | None) -> Outcome:
-    def show(console, written: dict[str, str]) -> None:
-        from tau_dyn.report import print_poses
-
-        print_poses(console, table, written)
-
-    def report(command_line: str) -> str:
-        from tau_dyn.report import build_kinematics_page
-
-        return build_kinematics_page(table, command_line=command_line)
-
     return Outcome(
         result=table.to_dict(),
         warnings=[*table.robot.warnings, *table.warnings],
         inputs=[*robot_files, *([poses] if poses else [])],
-        show=show,
         files={out: table.to_csv()} if out else {},
         named={"table": out},
-        report=report,
+        found=table,
     )

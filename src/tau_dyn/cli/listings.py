@@ -149,20 +149,9 @@ def compare(a: Side, b: Side, /, *, output: FolderOutput = FolderOutput()) -> Ou
 
         found = compare_sides(read_side(a), read_side(b))
 
-    def show(console, written: dict[str, str]) -> None:
-        from tau_dyn.report import print_comparison
-
-        print_comparison(console, found)
-
-    def report(command_line: str) -> str:
-        from tau_dyn.report import build_comparison_page
-
-        return build_comparison_page(found, command_line=command_line)
-
     return Outcome(
         result=found.to_dict(),
         warnings=found.warnings,
         inputs=[found.a.path, found.b.path],
-        show=show,
-        report=report,
+        found=found,
     )

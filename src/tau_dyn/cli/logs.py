@@ -55,16 +55,6 @@ def check(
             step("holding the log against the robot file")
             checked = checked.with_faults(check_against_robot(machine, [read]))
 
-    def show(console, written: dict[str, str]) -> None:
-        from tau_dyn.report import print_check
-
-        print_check(console, read, checked)
-
-    def report(command_line: str) -> str:
-        from tau_dyn.report import check_page
-
-        return check_page(read, checked, robot=machine, command_line=command_line)
-
     return Outcome(
         result=checked.to_dict(),
         warnings=[*read.warnings, *(w for w in checked.warnings if get_code(w) != UNCODED)],
@@ -73,8 +63,8 @@ def check(
             *([columns] if columns else []),
             *(robot_options.list_files(robot) if robot else []),
         ],
-        show=show,
-        report=report,
+        found=checked,
+        context={"log": read, "robot": machine},
     )
 
 
@@ -161,6 +151,7 @@ def simulate(
         return _simulate_vibration(robot, robot_options, duration, sensors, vibration, out, output)
     with show_progress(output.quiet) as step:
         step("loading")
+        from tau_dyn.render import SimulatedLog
         from tau_dyn.simulate import Sensors, Trajectory, build_named_motion, simulate as simulate_model
 
         true = _build_true_model(robot, robot_options, effects, model)
@@ -187,12 +178,6 @@ def simulate(
         )
     said = f"{log.duration:.4g} s of {true.robot.name} at {log.rate_hz:g} Hz -> {out}"
 
-    def report(command_line: str) -> str:
-        from tau_dyn.report import build_simulation_page
-
-        made = {"motion": motion, "seed": str(output.seed)}
-        return build_simulation_page(log, true, sensors=built, command_line=command_line, **made)
-
     return Outcome(
         result={"n_samples": log.n_samples, "duration_s": log.duration, "rate_hz": log.rate_hz, "out": str(out)},
         warnings=[*true.robot.warnings, *log.warnings],
@@ -202,7 +187,7 @@ def simulate(
         ],
         show=lambda console, written: console.print(said, markup=False),
         files={out: log.to_csv},
-        report=report,
+        found=SimulatedLog(log, true, built, {"motion": motion, "seed": str(output.seed)}),
     )
 
 

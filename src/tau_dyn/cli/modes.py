@@ -103,25 +103,14 @@ def modes(
     def save(path: Path) -> None:
         save_state_space(path, found.model_file([{"path": name, "sha256": sha256} for name, sha256 in read]))
 
-    def show(console, written: dict[str, str]) -> None:
-        from tau_dyn.report import print_modes, print_operational_modes
-
-        (print_modes if inputs else print_operational_modes)(console, found, written)
-
-    def report(command_line: str) -> str:
-        from tau_dyn.report import build_modes_page, build_operational_modes_page
-
-        build = build_modes_page if inputs else build_operational_modes_page
-        return build(found, on_robot=on_robot, logs=read, command_line=command_line)
-
     return Outcome(
         result=found.to_dict() | ({} if on_robot is None else {"robot_modes": on_robot.to_list()}),
         warnings=[*(w for log in (*trained, *held) for w in log.warnings), *found.warnings, *warned],
         inputs=[*read, *([columns] if columns else []), *(robot_options.list_files(robot) if robot else [])],
-        show=show,
         files={out: save} if out else {},
         named={"model": out},
-        report=report,
+        found=found,
+        context={"on_robot": on_robot, "logs": read},
     )
 
 

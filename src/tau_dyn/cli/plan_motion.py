@@ -147,24 +147,13 @@ def plan_motion(
             dt=1 / rate, nodes=nodes,
         )  # fmt: skip
 
-    def show(console, written: dict[str, str]) -> None:
-        from tau_dyn.report import print_motion_plan
-
-        print_motion_plan(console, found, written)
-
-    def report(command_line: str) -> str:
-        from tau_dyn.report import build_motion_plan_page
-
-        return build_motion_plan_page(found, command_line=command_line)
-
     return Outcome(
         result=found.to_dict() | {"out": str(out)},
         warnings=[*model.robot.warnings, *found.warnings],
         inputs=[*robot_options.list_files(robot), *([Path(ends.path)] if ends.path not in (None, "line") else [])],
-        show=show,
         files={out: found.to_csv},
         named={"motion": out},
-        report=report,
+        found=found,
     )
 
 

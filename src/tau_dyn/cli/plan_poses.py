@@ -119,16 +119,11 @@ def plan_poses(
     if resume is not None:
         files[resume] = lambda path: plan.progress().save(path)
 
-    def show(console, written: dict[str, str]) -> None:
-        from tau_dyn.report import print_pose_plan
-
-        print_pose_plan(console, plan, written)
-
     return Outcome(
         result=plan.to_dict(),
         warnings=[*machine.warnings, *plan.warnings],
         inputs=[*robot_options.list_files(robot), *(p for p in (camera, tracker, obstacles) if p is not None)],
-        show=show,
+        found=plan,
         files=files,
         named={"places": out, "RAPID": rapid, "progress": resume},
     )

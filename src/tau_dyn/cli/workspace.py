@@ -105,16 +105,6 @@ def workspace(
             progress=step,
         )
 
-    def show(console, written: dict[str, str]) -> None:
-        from tau_dyn.report import print_workspace
-
-        print_workspace(console, found, written)
-
-    def report(command_line: str) -> str:
-        from tau_dyn.report import build_workspace_page
-
-        return build_workspace_page(found, command_line=command_line)
-
     def save(path: Path) -> None:
         build_points_table(found).to_csv(path, index=False, float_format="%.9g")
 
@@ -122,10 +112,9 @@ def workspace(
         result=found.to_dict(),
         warnings=[*machine.warnings, *found.warnings],
         inputs=[*robot_options.list_files(robot), *([obstacles] if obstacles else [])],
-        show=show,
         files={out: save} if out else {},
         named={"points": out},
-        report=report,
+        found=found,
     )
 
 

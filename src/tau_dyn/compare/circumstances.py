@@ -47,10 +47,6 @@ class CircumstanceDifference:
     a: Any
     b: Any
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form."""
-        return {"name": self.name, "a": self.a, "b": self.b}
-
 
 def list_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[CircumstanceDifference, ...]:
     """Return what differs between two mappings, in the first's order."""

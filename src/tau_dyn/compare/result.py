@@ -10,7 +10,7 @@ from scipy.stats import norm
 from tau_dyn.coded_warning import format_warnings
 from tau_dyn.compare.circumstances import CircumstanceDifference, InputChange
 from tau_dyn.compare.read import ComparedSide
-from tau_dyn.shown import Shown
+from tau_dyn.results import Shown, to_plain
 
 Determined = Literal["both", "first", "second", "neither"]
 
@@ -105,11 +105,6 @@ class ErrorChange(NamedTuple):
     ci95_a: tuple[float, float] | None = None
     ci95_b: tuple[float, float] | None = None
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form."""
-        intervals = {"ci95_a": _list(self.ci95_a), "ci95_b": _list(self.ci95_b)}
-        return {"name": self.name, "unit": self.unit, "a": self.a, "b": self.b, **intervals}
-
 
 @dataclass(frozen=True, eq=False)
 class Comparison(Shown):
@@ -168,19 +163,15 @@ class Comparison(Shown):
             "changes": [c.to_dict() for c in self.changes],
             "only_a": list(self.only_a),
             "only_b": list(self.only_b),
-            "errors": [e.to_dict() for e in self.errors],
+            "errors": to_plain(self.errors),
             "findings": [f.to_dict() for f in self.findings],
             "input_changes": [i.to_dict() for i in self.inputs],
-            "configuration_changes": [d.to_dict() for d in self.configuration],
-            "version_changes": [d.to_dict() for d in self.versions],
-            "number_changes": [d.to_dict() for d in self.numbers],
+            "configuration_changes": to_plain(self.configuration),
+            "version_changes": to_plain(self.versions),
+            "number_changes": to_plain(self.numbers),
             **format_warnings(self.warnings),
         }
 
 
 def _gain(gain: tuple[float, float, float] | None) -> dict[str, Any] | None:
     return None if gain is None else {"reduction_percent": gain[0], "ci95": [gain[1], gain[2]]}
-
-
-def _list(interval: tuple[float, float] | None) -> list[float] | None:
-    return None if interval is None else list(interval)

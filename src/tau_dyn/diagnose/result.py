@@ -13,7 +13,7 @@ from tau_dyn.diagnose.output_errors import Gain, OutputErrors, Step
 from tau_dyn.effects import Effect
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter
-from tau_dyn.shown import Shown
+from tau_dyn.results import Shown
 
 Verdict = Literal["named", "nothing_found", "cannot_tell", "unexplained"]
 Choice = Literal["extended", "refitted", "neither"]

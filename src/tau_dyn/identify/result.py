@@ -13,8 +13,8 @@ from tau_dyn.identify.timing import ForceOffset
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.results import Shown
 from tau_dyn.robot import NOMINAL_MASS_STDERR
-from tau_dyn.shown import Shown
 
 _Z95 = 1.959964  # 97.5 % quantile of the normal distribution
 

@@ -27,8 +27,8 @@ from tau_dyn.mechanism import (
     inverse_kinematics,
     list_configurations,
 )
+from tau_dyn.results import Shown
 from tau_dyn.robot import Robot
-from tau_dyn.shown import Shown
 
 _MAX_REACH_M = 50.0  # [m] no robot is larger, and millimetres are
 _TOLD = 1e-6  # [rad] orientation errors below this are rounding

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from tau_dyn.coded_warning import CodedWarning, get_code
-from tau_dyn.shown import Shown
+from tau_dyn.results import Shown
 
 Severity = Literal["ok", "warning", "fault"]
 

@@ -1,4 +1,4 @@
-"""Results -> tables, figures, one page; reads results, computes nothing new."""
+"""The former name of `render`, where `build_page` and `print_result` take any result."""
 
 from tau_dyn.public_names import attach_public_names
 

@@ -16,8 +16,8 @@ import pinocchio as pin
 
 from tau_dyn.exceptions import UnknownName
 from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.results import Shown
 from tau_dyn.robot.annotations import ArmNames, Spring
-from tau_dyn.shown import Shown
 
 INERTIAL = ("mass", "mx", "my", "mz", "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 _UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)

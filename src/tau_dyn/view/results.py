@@ -1,9 +1,13 @@
-"""A command's JSON result, or a table of points, as something to show on the robot."""
+"""What a result shows on the robot: read from a command's JSON or a table of points, whichever command it comes from.
+
+What the file leaves out is worked out again from the robot: coarsely, and only when asked.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +16,125 @@ import numpy as np
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
 from tau_dyn.log import MAX_MAGNITUDE, read_table
+from tau_dyn.modes import ShapesOnRobot
 from tau_dyn.robot import Robot
-from tau_dyn.view import recompute
-from tau_dyn.view.contents import Cloud, Content, ErrorVectors, Findings, Uncertainty, ViewedFinding
+
+
+@dataclass(frozen=True)
+class ViewedFinding:
+    """What a result says of some parts.
+
+    Attributes:
+        title: The cause and how sure it is.
+        sentence: What a colleague would say, or ''.
+        parts: Names of the joints, links or rods that it is about.
+    """
+
+    title: str
+    sentence: str
+    parts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Findings:
+    """All findings of a result, and the sentence above them."""
+
+    headline: str
+    rows: tuple[ViewedFinding, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points in space, with numbers to colour them by.
+
+    Attributes:
+        name: What it is.
+        points: (n, 3) [m].
+        values: What may colour them (n,), by its name with the unit.
+        note: What is to be said of it, or ''.
+        box: Two corners (2, 3) [m] around all of it, or None.
+        flat: Whether it is a section, whose points are drawn side by side.
+    """
+
+    name: str
+    points: np.ndarray
+    values: dict[str, np.ndarray] = field(default_factory=dict)
+    note: str = ""
+    box: np.ndarray | None = None
+    flat: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorVectors:
+    """Measured minus predicted places of the tool.
+
+    Attributes:
+        points: Where (n, 3) [m], in the robot's base frame.
+        models: Error vectors (n, 3) [m] by model, from the one with the file's dimensions to the chosen one.
+    """
+
+    points: np.ndarray
+    models: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """How well each part's mass is known: relative standard error by link; nan where the data cannot tell."""
+
+    links: dict[str, float]
+
+
+Content = Findings | Cloud | ErrorVectors | Uncertainty | ShapesOnRobot
+
+
+_ACROSS = 16
+"""Points along the longest side of a coarse workspace."""
+
+
+def recompute_workspace(robot: Robot, resolution: float, box: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return points (n, 3) [m] inside the workspace, and their condition number by name.
+
+    Args:
+        robot: The robot.
+        resolution: Of the result [m]; no finer one is used.
+        box: Corners (2, 3) [m] of the workspace.
+    """
+    from tau_dyn.kinematics.workspace import build_points_table, study_workspace
+
+    step = max(resolution, float(np.ptp(box, axis=0).max()) / _ACROSS)
+    table = build_points_table(study_workspace(robot, resolution=step, maps=["condition"]))
+    inside = table[table["inside"] == 1]
+    points = inside[["x_tool", "y_tool", "z_tool"]].to_numpy(float)
+    return points, {"condition number": inside["condition"].to_numpy(float)}
+
+
+def recompute_calibration(content: dict[str, Any], robot: Robot, path: Path) -> dict[str, Any]:
+    """Return the errors of the robot file's dimensions at the measured poses, its base where they are smallest.
+
+    The poses are read from where the result says they lie, and must be the same file still.
+
+    Raises:
+        InputError: They are not.
+    """
+    from tau_dyn.calibrate import align, read_poses
+    from tau_dyn.mechanism import forward_kinematics
+    from tau_dyn.robot import read_annotations
+
+    files = [i for i in content.get("inputs", []) if str(i["path"]).endswith(".csv")]
+    if not files:
+        raise InputError("mismatch", f"{path}: it names no file of measured poses")
+    mimics = read_annotations(robot.urdf, robot.source).mimics
+    poses = read_poses(Path(files[0]["path"]), robot.actuated, mimics=mimics)
+    if poses.sha256 != files[0]["sha256"]:
+        raise InputError(
+            "mismatch", f"{files[0]['path']}: changed since {path.name} was written; its errors would not be those"
+        )
+    found = forward_kinematics(robot, poses.q)
+    at, seen = found.poses.position[found.ok], poses.position[found.ok]
+    device = align(at, seen)  # the base frame where the measuring device's points fit best
+    points = seen @ np.asarray(device.rotation).T + device.translation
+    return {"points": points, "models": {"robot file": points - at}}
+
 
 _BEST = ("exact", "certified", "montecarlo", "ellipsoid", "parallelepiped", "linear")
 _MAX_POINTS = 100_000  # points of a cloud drawn at most
@@ -136,7 +256,7 @@ def _workspace(content: dict[str, Any], robot: Robot, path: Path, compute: bool)
         values = {str(k): np.array(v, float) for k, v in content["cloud"].get("values", {}).items()}
         return [Cloud("workspace", points, values, note, corners)]
     if compute:
-        points, values = recompute.recompute_workspace(robot, float(content["resolution_m"]), corners)
+        points, values = recompute_workspace(robot, float(content["resolution_m"]), corners)
         return [Cloud("workspace", points, values, note + "; points computed now, coarsely", corners)]
     return [Cloud("workspace", np.zeros((0, 3)), {}, note + "; its box. --compute adds points", corners)]
 
@@ -168,7 +288,7 @@ def _calibrate(content: dict[str, Any], robot: Robot, path: Path, compute: bool)
     findings = _diagnose(content, robot, path, compute)
     at = content.get("errors_at_poses")
     if at is None and compute:
-        at = recompute.recompute_calibration(content, robot, path)
+        at = recompute_calibration(content, robot, path)
     if at is None:
         return findings
     points = np.array(at["points"], float).reshape(-1, 3)

@@ -1,8 +1,9 @@
-"""What a robot file draws: boxes, cylinders and spheres that its joints carry, coloured by what they do.
+"""What is drawn of a robot, coloured by what it does: the file's solids, and what an eye looks for beside them.
 
 The file's visual primitives are taken as they are, in its own colours where it has some; meshes are not read (a robot file should
 not open files). A visual named `envelope` is the room that a part takes, for programs that know nothing better: here the part is
-drawn through its joints instead, where it has three or more (`furniture.py`).
+drawn through its joints instead, as the hull of balls in them, where it has three or more. A body without any visual is drawn as
+sticks from its own joint to those that it carries. Balls in joints, arms of bodies to them, and motors follow from the tree.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 import pinocchio as pin
+from scipy.spatial import ConvexHull, QhullError
 
 from tau_dyn.robot import Robot
 from tau_dyn.view.palette import ROLES, Rgb
@@ -147,3 +149,185 @@ def _primitive(item: Any) -> Shape | None:
 def _rgb(rgba: np.ndarray) -> Rgb:
     r, g, b = (round(255 * float(np.clip(c, 0, 1))) for c in rgba[:3])
     return r, g, b
+
+
+STICK = 0.012
+"""Radius of a stick, as a share of the robot's size."""
+_ROUND = 8
+"""Directions around a ball of a hull, and half as many layers."""
+_BALL, _BRACKET, _MOTOR = 1.5, 0.9, 1.5
+"""Radii, in rods' (balls, brackets) and arms' radii (motors)."""
+_MAX_DUPLICATE_DISTANCE_M = 1e-6
+"""Distance [m] below which two joints are one place."""
+_DRUM = (104, 112, 124)
+
+
+@dataclass(frozen=True, eq=False)
+class _Spot:
+    """A joint that a body holds: where, and whether it turns freely there (a ball is drawn)."""
+
+    body: int
+    place: np.ndarray
+    ball: bool
+
+
+def build_furniture(robot: Robot) -> tuple[Shape, ...]:
+    """Return everything that is drawn of a robot: the file's primitives, and its furniture."""
+    drawn, role = build_visual_shapes(robot), list_body_roles(robot)
+    spots, thin = _spots(robot, role), _thickness(robot, drawn)
+    bare = set(range(1, robot.model.njoints)) - {shape.joint for shape in drawn}
+    kept = [shape for shape in drawn if not shape.envelope]
+    for shape in (s for s in drawn if s.envelope):
+        kept.append(_hull(shape, [s.place for s in spots if s.body == shape.joint], thin) or shape)
+    furniture = [*_brackets(kept, spots, thin), *_balls(spots, thin), *_motors(robot, kept)]
+    return (*kept, *furniture, *_sticks(robot, bare, role))
+
+
+def _spots(robot: Robot, role: list[str]) -> list[_Spot]:
+    """Return which joints each body holds: those of its children that turn or are driven, ends of loops, the tool."""
+    model, driven = robot.model, {robot.model.getJointId(j) for j in robot.actuated}
+    ends = [(f, model.frames[f]) for loop in robot.loops for f in (loop.frame_a, loop.frame_b)]
+    at_rod = {loop.frame_a for loop in robot.loops}  # either end of a loop: one ball for both
+    found = [_Spot(f.parentJoint, f.placement.translation.copy(), k in at_rod) for k, f in ends]
+    for joint in range(1, model.njoints):
+        slides = model.joints[joint].shortname().startswith("JointModelP")
+        body, place = model.parents[joint], model.jointPlacements[joint].translation.copy()
+        hangs = role[joint] == "plate" and role[body] in ("frame", "plate")  # the plate's own chain holds nothing
+        own = np.linalg.norm(place) < _MAX_DUPLICATE_DISTANCE_M and body > 0  # the second axis of a universal joint
+        if not slides and not hangs and not own:
+            found.append(_Spot(body, place, role[joint] == "rod" and joint not in driven))
+    if robot.tool_frame is not None:
+        tool = model.frames[robot.tool_frame]
+        found.append(_Spot(tool.parentJoint, tool.placement.translation.copy(), False))
+    return found
+
+
+def _thickness(robot: Robot, drawn: list[Shape]) -> float:
+    """Return the radius [m] of a rod: as drawn, else by the robot's size."""
+    rods = [s.size[0] for s in drawn if s.role == "rod" and s.kind == "cylinder"]
+    return float(np.median(rods)) if rods else STICK * _size(robot) / 2
+
+
+def _size(robot: Robot) -> float:
+    """Return the longest distance [m] from a joint to one it carries or to an end of a loop on it."""
+    model = robot.model
+    frames = [model.frames[f].placement.translation for loop in robot.loops for f in (loop.frame_a, loop.frame_b)]
+    if robot.tool_frame is not None:
+        frames.append(model.frames[robot.tool_frame].placement.translation)
+    places = [p.translation for p in model.jointPlacements.tolist()]
+    return max([float(np.linalg.norm(p)) for p in (*frames, *places)] + [0.05])
+
+
+def _hull(shape: Shape, places: list[np.ndarray], thin: float) -> Shape | None:
+    """Return the hull of balls in these places, or nothing where they are on a line or fewer than three."""
+    if len(places) < 3 or np.linalg.matrix_rank(np.array(places) - np.mean(places, axis=0), tol=thin) < 2:
+        return None
+    points = np.concatenate([p + _BALL * thin * _sphere() for p in places])
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        return None
+    faces = hull.simplices.copy()
+    sides = points[faces[:, 1:]] - points[faces[:, :1]]
+    inwards = np.einsum("ij,ij->i", np.cross(sides[:, 0], sides[:, 1]), hull.equations[:, :3]) < 0
+    faces[inwards] = faces[inwards][:, ::-1]
+    number = np.full(len(points), -1)
+    number[hull.vertices] = np.arange(len(hull.vertices))
+    return replace(
+        shape, kind="hull", size=points[hull.vertices], faces=number[faces], rotation=np.eye(3), position=np.zeros(3)
+    )
+
+
+def _sphere() -> np.ndarray:
+    """Return points (n, 3) of the unit sphere."""
+    turn = 2 * np.pi * np.arange(_ROUND) / _ROUND
+    rise = np.pi * (np.arange(_ROUND // 2) / (_ROUND // 2 - 1) - 0.5)
+    t, r = (a.ravel() for a in np.meshgrid(turn, rise))
+    return np.column_stack([np.cos(r) * np.cos(t), np.cos(r) * np.sin(t), np.sin(r)])
+
+
+def _balls(spots: list[_Spot], thin: float) -> list[Shape]:
+    """Return a ball in every joint of a rod, once."""
+    seen: set[tuple[int, ...]] = set()
+    found = []
+    for spot in (s for s in spots if s.ball):
+        key = (spot.body, *(int(x) for x in np.round(1e5 * spot.place)))
+        if key not in seen:
+            seen.add(key)
+            size = np.array([_BALL * thin])
+            found.append(Shape("sphere", size, spot.body, np.eye(3), spot.place, "ball", ROLES["ball"]))
+    return found
+
+
+def _brackets(drawn: list[Shape], spots: list[_Spot], thin: float) -> list[Shape]:
+    """Return arms from what is drawn of a body to the joints beside it."""
+    found = []
+    for spot in spots:
+        own = [s for s in drawn if s.joint == spot.body and s.kind != "hull"]
+        if not own or any(s.kind == "hull" for s in drawn if s.joint == spot.body):
+            continue
+        nearest, shape = min(
+            ((s.nearest(spot.place), s) for s in own), key=lambda x: float(np.linalg.norm(x[0] - spot.place))
+        )
+        if np.linalg.norm(nearest - spot.place) > max(thin, _axis_radius(shape)):
+            found.append(
+                replace(_stick(spot.body, nearest, spot.place, _BRACKET * thin), role=shape.role, colour=shape.colour)
+            )
+    return found
+
+
+def _axis_radius(shape: Shape) -> float:
+    return float(shape.size[0]) if shape.kind == "cylinder" else 0.0
+
+
+def _motors(robot: Robot, drawn: list[Shape]) -> list[Shape]:
+    """Return a drum about every driven turn, as thick as what it turns."""
+    model, found = robot.model, []
+    for name in robot.actuated:
+        joint = model.getJointId(name)
+        arm = [s for s in drawn if s.joint == joint and s.kind == "cylinder"]
+        axis = _axis(model, joint)
+        if axis is None or not arm or not robot.loops:
+            continue
+        radius = _MOTOR * float(arm[0].size[0])
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).toRotationMatrix()
+        size = np.array([radius, 2.6 * radius])
+        found.append(Shape("cylinder", size, joint, turn, np.zeros(3), "frame", _DRUM))
+    return found
+
+
+def _axis(model: pin.Model, joint: int) -> np.ndarray | None:
+    """Return the axis (3,) of a turning joint in its own frame, None for others."""
+    if not model.joints[joint].shortname().startswith("JointModelR"):
+        return None
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    local = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL)
+    return np.asarray(local)[3:, model.joints[joint].idx_v].copy()
+
+
+def _sticks(robot: Robot, joints: set[int], role: list[str]) -> list[Shape]:
+    """Return sticks from these joints to what they carry."""
+    model = robot.model
+    ends = [f for loop in robot.loops for f in (loop.frame_a, loop.frame_b)]
+    ends += [] if robot.tool_frame is None else [robot.tool_frame]
+    reaches = {
+        j: [model.jointPlacements[c].translation for c in range(1, model.njoints) if model.parents[c] == j]
+        for j in joints
+    }
+    for frame in (model.frames[k] for k in ends):
+        if frame.parentJoint in reaches:
+            reaches[frame.parentJoint].append(frame.placement.translation)
+    radius = STICK * _size(robot)
+    return [
+        replace(_stick(j, np.zeros(3), np.asarray(p), radius), role=role[j], colour=ROLES[role[j]])
+        for j, points in reaches.items()
+        for p in points
+        if np.linalg.norm(p) > radius
+    ]
+
+
+def _stick(joint: int, start: np.ndarray, end: np.ndarray, radius: float) -> Shape:
+    length = float(np.linalg.norm(end - start))
+    along = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (end - start) / length).toRotationMatrix()
+    return Shape("cylinder", np.array([radius, length]), joint, along, (start + end) / 2)

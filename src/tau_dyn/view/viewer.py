@@ -18,12 +18,12 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError, TauDynError
 from tau_dyn.robot import Robot
-from tau_dyn.view.contents import Content
-from tau_dyn.view.furniture import build_furniture
 from tau_dyn.view.palette import format_panel
-from tau_dyn.view.placement import Placer, convert_pose
-from tau_dyn.view.playback import Playback
-from tau_dyn.view.scene import RobotFigure, add_floor, compute_outline, light_scene
+from tau_dyn.view.panels import add_content
+from tau_dyn.view.playback import Playback, Player
+from tau_dyn.view.results import Content
+from tau_dyn.view.scene import Placer, RobotFigure, add_floor, compute_outline, convert_pose, light_scene
+from tau_dyn.view.shapes import build_furniture
 
 LOOPBACK = "127.0.0.1"
 FRAME = 1 / 30
@@ -102,14 +102,10 @@ class Viewer:
 
     def play(self, playback: Playback) -> None:
         """Play a motion: time, speed, the tool's path, and a ghost where there is one."""
-        from tau_dyn.view.player import Player
-
         self.player = Player(self, playback)
 
     def add(self, contents: Iterable[Content]) -> None:
         """Show what results hold, each with its own panel."""
-        from tau_dyn.view.panels import add_content
-
         self.panels += [add_content(self, content) for content in contents]
 
     def light(self, parts: Iterable[str]) -> list[int]:

@@ -31,7 +31,11 @@ from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.kinematics import Surroundings
 from tau_dyn.kinematics.obstacles import build_surroundings
 from tau_dyn.kinematics.workspace import PoseRequirements, build_machine
-from tau_dyn.report.poses_terminal import describe_headline, describe_inputs, describe_rehearsal
+from tau_dyn.render.kinds.calibration_words import (
+    describe_plan as describe_headline,
+    describe_plan_inputs as describe_inputs,
+    describe_rehearsal,
+)
 
 LAB = build_surroundings(
     {"obstacles": [{"name": "table", "box": {"centre": [2.5, -1.7, -0.1], "size": [1.0, 0.6, 0.8]}}]}, "lab"

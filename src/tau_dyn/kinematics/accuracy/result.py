@@ -17,8 +17,8 @@ from tau_dyn.kinematics.accuracy.section import Grid
 from tau_dyn.kinematics.accuracy.study import METHODS, Accuracy, build_device, compute_positioning_errors
 from tau_dyn.kinematics.assumptions import Guideway, Orientation, Parallelism
 from tau_dyn.mechanism import Poses, Rods
+from tau_dyn.results import Shown
 from tau_dyn.robot import Robot
-from tau_dyn.shown import Shown
 
 CLOUD = 600
 """Random errors drawn for the picture of the error body."""

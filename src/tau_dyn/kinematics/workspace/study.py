@@ -19,8 +19,8 @@ from tau_dyn.kinematics.workspace.orientations import Tilt, measure_tilt, turns_
 from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 from tau_dyn.kinematics.workspace.result import Workspace
 from tau_dyn.kinematics.workspace.sections import Section, choose_usual_sections, judge_section, parse_section
+from tau_dyn.results import Shown
 from tau_dyn.robot import Robot
-from tau_dyn.shown import Shown
 
 _MAX_PLACES = 2000
 """Places of a result file at most."""

@@ -1,0 +1,214 @@
+"""A calibration, and the plan of one, in sentences."""
+
+from __future__ import annotations
+
+from math import isnan
+
+import numpy as np
+
+from tau_dyn.calibrate import Calibration, CalibrationFinding, CandidateModel
+from tau_dyn.calibrate.poses import CalibrationCampaign, compute_doubling_gain, compute_min_poses
+from tau_dyn.results import Level, Verdict, count, format_list, format_percent, format_quantity
+
+BADGES = {"good": "Ready to use", "care": "Use with care", "poor": "Not usable"}
+"""Verdicts in a word or three."""
+
+NAMES = {
+    "frames": "robot file",
+    "ideal": "parallel guideways",
+    "nonparallel": "guideways not parallel",
+    "complete": "every rod and joint",
+    "paths": "a path for every rod",
+}
+"""Structures in words."""
+
+ADDED = {
+    "periodic": "cyclic error",
+    "periodic2": "second cyclic error",
+    "piecewise": "straightness error",
+    "compliant": "cart and drive compliance",
+    "backlash": "backlash",
+    "coupling": "joint coupling",
+    "gravity": "gravity deflection",
+    "eccentric": "joint eccentricity",
+    "tool_frame": "the target moved between campaigns",
+    "base_frame": "the base moved between campaigns",
+}
+"""Additions in words."""
+
+CAUSES = {
+    "rod_length": "Rod lengths differ from the robot file",
+    "joint_placement": "Joint positions differ from the robot file",
+    "guideway_nonparallel": "Guideways are not parallel",
+    "pinion_scale": "The drive's scale is wrong",
+    "cart_tilt": "Carts turn as they travel",
+    "transmission_error": "The drive has a periodic error",
+    "guideway_not_straight": "The guideway has a straightness error",
+    "guideway_compliance": "Cart and drive are compliant",
+    "backlash": "The drive has backlash",
+    "joint_coupling": "The second joint moves the first along",
+    "gravity_deflection": "The joint yields to gravity",
+    "joint_eccentricity": "The joint's angle has an error once a turn",
+    "tool_frame": "The target moved between campaigns",
+    "base_frame": "The base moved between campaigns",
+    "device_moved": "The device moved before the held-out poses",
+    "target_moved": "The target moved before the held-out poses",
+}
+"""Causes as sentences."""
+
+_EXPLAINED = 1.5
+"""Times the predicted error above which the model lacks an effect."""
+
+
+def format_length(value: float) -> str:
+    """Return a small length, such as `17.4 µm`."""
+    return format_quantity(value, "m")
+
+
+def format_angle(value: float) -> str:
+    """Return a small angle in mrad or µrad."""
+    return format_quantity(value, "rad")
+
+
+def describe_headline(found: Calibration) -> str:
+    """Return the one sentence above everything."""
+    before, after = found.errors(found.models[0]).position_size, found.errors(found.chosen).position_size
+    text = f"The calibrated robot is {format_length(after.mean)} off on average"
+    if found.chosen is not found.models[0]:
+        text += f", {format_length(before.mean)} before"
+    turned = found.errors(found.chosen).orientation_size
+    if turned is not None and found.fit.geometry.orients:
+        start = found.errors(found.models[0]).orientation_size
+        text += f"; turned by {format_angle(turned.mean)}" + (
+            f", {format_angle(start.mean)} before" if start is not None else ""
+        )
+    return text + "."
+
+
+def describe_verdict(found: Calibration) -> Verdict:
+    """Return how far the geometry may be used."""
+    errors, expected = found.errors(found.chosen), found.predicted_error()
+    reached, turned = errors.position_size.rms, errors.orientation_size
+    if not found.fit.converged:
+        return _judge("poor", "The fit did not converge; do not use it.")
+    place = found.poses.position
+    spread = float(np.sqrt(np.mean(np.sum((place - place.mean(axis=0)) ** 2, axis=1))))
+    if found.misses_poses:
+        also = "" if turned is None else f" and {format_angle(turned.rms)}"
+        return _judge(
+            "poor",
+            f"Do not use it: the held-out RMS error is {format_length(reached)}{also}, while the poses spread over "
+            f"{format_length(spread)}. Check units, joint columns, and whether frames were moved.",
+        )
+    if found.chosen is found.models[0]:
+        return _judge("care", "No larger model has a smaller held-out error than the robot file.")
+    if expected is None:
+        return _judge(
+            "care",
+            f"Held-out RMS error {format_length(reached)}. The measurement noise is not known, so neither is whether the model "
+            f"lacks an effect: give --accuracy, columns x_tool_stderr .., or measure some poses several times.",
+        )
+    noise, angle = found.measured.orientation, found.errors(found.chosen).orientation_size
+    if noise is not None and angle is not None and angle.rms > _EXPLAINED * np.sqrt(3) * noise:
+        return _judge(
+            "care",
+            f"Held-out RMS orientation error {format_angle(angle.rms)}, expected from noise "
+            f"{format_angle(np.sqrt(3) * noise)}: "
+            f"the model lacks an effect.",
+        )
+    if reached > _EXPLAINED * expected:
+        return _judge(
+            "care",
+            f"Held-out RMS error {format_length(reached)}, expected from noise {format_length(expected)}: the model "
+            f"lacks an effect.",
+        )
+    return _judge(
+        "good", f"Held-out RMS error {format_length(reached)}, as expected from noise ({format_length(expected)})."
+    )
+
+
+def _judge(level: Level, sentence: str) -> Verdict:
+    return Verdict(level, sentence, BADGES[level])
+
+
+def describe_inputs(found: Calibration) -> str:
+    """Return what went in."""
+    what = "position and orientation" if found.poses.rotation is not None else "position"
+    judged = {
+        "given": f"evaluated on {count(_n(found), 'held-out pose')}",
+        "split": f"evaluated on {count(_n(found), 'pose')} held out at random",
+        "cross-validated": "evaluated by cross-validation (too few poses to hold out)",
+    }[found.split]
+    noise = found.fit.noise
+    seen = (
+        f"; noise {format_length(noise[0])}" + (f" and {format_angle(noise[1])}" if len(noise) > 1 else "")
+        if found.fit.kind == "forward"
+        else ""
+    )
+    return f"{count(found.poses.n, 'pose')}, {what}, {judged}; model {found.chosen.name}{seen}."
+
+
+def describe_model(model: CandidateModel, before: CandidateModel | None) -> tuple[str, str]:
+    """Return a step's name, and what it adds, in words."""
+    if before is None:
+        return NAMES[model.spec.structure], "device and target placed"
+    if model.spec.structure != before.spec.structure:
+        return NAMES[model.spec.structure], f"{count(model.fit.n_estimated, 'parameter')}"
+    added = [
+        (a, [j for j in own if j not in before.spec.additions.get(a, ())]) for a, own in model.spec.additions.items()
+    ]
+    said = [f"{ADDED[a]}" + (f" {format_list(j)}" if j and j != ["all"] else "") for a, j in added if j]
+    return f"+ {format_list(said)}", f"{count(model.fit.n_estimated, 'parameter')}"
+
+
+def describe_finding(finding: CalibrationFinding) -> str:
+    """Return a finding as a sentence."""
+    where = f" ({format_list(finding.joints)})" if finding.joints else ""
+    alike = [f"{CAUSES[cause][0].lower()}{CAUSES[cause][1:]}" for cause in finding.indistinguishable_from]
+    where += f", or {format_list(alike)}" if alike else ""
+    gain = finding.gain
+    with_it, without = format_length(gain.after), format_length(gain.before)
+    if gain.orientation_after is not None and gain.orientation_before is not None:
+        with_it += f" and {format_angle(gain.orientation_after)}"
+        without += f" and {format_angle(gain.orientation_before)}"
+    return (
+        f"{CAUSES[finding.cause]}{where}: {with_it} rms with it, {without} without "
+        f"({format_percent(gain.percent)} less, 95 % interval [{format_percent(gain.ci95[0])}, "
+        f"{format_percent(gain.ci95[1])}])."
+    )
+
+
+def _n(found: Calibration) -> int:
+    return 0 if found.holdout is None else found.holdout.n
+
+
+def describe_plan(plan: CalibrationCampaign) -> str:
+    """Return the answer in one sentence."""
+    made = plan.choice.predicted
+    turned = "" if isnan(made.turn) else f" and {format_angle(made.turn)}"
+    return (
+        f"{made.poses} poses: predicted RMS error {format_length(made.rms)}{turned} over the "
+        f"workspace, standard deviation {format_length(made.scatter)}; "
+        f"as many random poses {format_length(plan.choice.at_random)}"
+    )
+
+
+def describe_plan_inputs(plan: CalibrationCampaign) -> str:
+    """Return what was looked at."""
+    seen = f"{len(plan.visible.index)} of {plan.reachable.n} poses in reach are seen by the {plan.device.name}"
+    why = f" (mostly not: {next(iter(plan.visible.reasons))})" if plan.visible.reasons else ""
+    rank, least = plan.choice.design.found.rank, compute_min_poses(plan.choice.design)
+    return f"{seen}{why}; {rank} identifiable parameters, at least {least} poses"
+
+
+def describe_rehearsal(plan: CalibrationCampaign) -> str:
+    """Return what the simulated calibrations gave, and the tour."""
+    tried, tour = plan.rehearsal, plan.tour
+    rows = tried.to_dict()["position_rms"]
+    ways = int((tour.pose < 0).sum())
+    return (
+        f"simulated: {format_length(rows['nominal'])} before, {format_length(tried.achieved)} after "
+        f"({len(tried.after)} robots); twice as many poses "
+        f"would lower held-out errors by {100 * compute_doubling_gain(plan.choice.predicted):.0f} %; tour of "
+        f"{len(tour.q)} places" + (f", {ways} of them on the way" if ways else "")
+    )

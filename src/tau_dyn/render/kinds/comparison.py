@@ -1,0 +1,225 @@
+"""A comparison of two results: what changed, and what was different besides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from tau_dyn.compare import Change, CircumstanceDifference, Comparison, ErrorChange, FindingChange, InputChange
+from tau_dyn.render.present import flatten_rows, present_kind
+from tau_dyn.results import (
+    Bar,
+    Chapter,
+    Column,
+    Element,
+    Listing,
+    On,
+    Presentation,
+    Provenance,
+    ResultTable,
+    Row,
+    Text,
+    Verdict,
+    count,
+    format_expression,
+    format_list,
+    format_number,
+    format_unit,
+    format_with_uncertainty,
+)
+
+_MAX_ROWS = 40  # of a table on a terminal
+
+
+@present_kind.register
+def present_comparison(found: Comparison) -> Presentation:
+    """Return how a comparison is presented."""
+    tested = len(found.compared)
+    badge = "Changed" if found.changed else "Same" if tested else "Not testable"
+    level = "care" if found.changed or not tested else "good"
+    said = "A change is significant at a family-wise level of 5 % (Holm)."
+    more = [*list_findings(found), *(line for line in _list_only(found)), *found.warnings]
+    sections = [
+        *([Chapter("circumstances", "What was different", lambda: _build_circumstances(found), On.ALL)]
+          if list_circumstances(found) else []),
+        *([Chapter("quantities", "Quantities", lambda: _build_quantities(found), On.ALL)] if found.changes else []),
+        *([Chapter("errors", "Errors", lambda: _build_errors(found), On.PAGE | On.TERMINAL)] if found.errors else []),
+        *([Chapter("more", "Findings and the rest", lambda: _build_rest(found), On.ALL)] if more else []),
+    ]  # fmt: skip
+    logs = [("first", str(found.a.path), found.a.sha256), ("second", str(found.b.path), found.b.sha256)]
+    return Presentation(
+        "Comparison", f"{found.a.place} beside {found.b.place}", "comparison", describe_headline(found),
+        Verdict(level, said, badge), f"{found.a.kind} beside {found.b.kind}.", sections, found.warnings,
+        provenance=Provenance(logs=logs), data=lambda: flatten_rows([c.to_dict() for c in found.changes]), result=found,
+    )  # fmt: skip
+
+
+def _build_circumstances(found: Comparison) -> Iterator[Element]:
+    groups = list_circumstances(found)
+    yield ResultTable([Column(), Column()], [Row([title, "; ".join(lines)]) for title, lines in groups], style="plain")
+    yield Listing([f"{title}: {'; '.join(lines)}." for title, lines in groups], on=On.SCREENS)
+
+
+def _build_quantities(found: Comparison) -> Iterator[Element]:
+    rows = [_build_change(change) for change in order_changes(found)]
+    columns = [
+        Column(""), Column("first", "number"), Column("second", "number"), Column("difference ±\nstandard error", "number"),
+        Column("unit", "unit"), Column("in standard errors", "number", on=On.PAGE), Column("", "bar", "share", on=On.PAGE),
+        Column("", on=On.PAGE),
+    ]  # fmt: skip
+    if rows:
+        yield ResultTable(columns, rows, most=_MAX_ROWS, on=On.ALL)
+        yield Text(
+            "± is one standard error (1 σ) of the difference; the two results are taken as independent. A sum is "
+            "a combination of "
+            "parameters that the data of both determine, whatever its members are.",
+            "note",
+        )
+    for line in list_undetermined(found):
+        yield Text(line, "note", on=On.ALL)
+
+
+def _build_change(change: Change) -> Row:
+    z = abs(change.difference) / change.stderr if change.stderr else None
+    judged = "changed" if change.changed else "same" if change.changed is False else ""
+    state = judged or f"determined by the {change.determined_by} only"
+    cells = [
+        *list_cells(change),
+        "" if z is None else format_number(z, 2),
+        Bar(0.0 if z is None else min(1.0, z / 10)),
+        state,
+    ]
+    return Row(cells, "changed" if change.changed else "quiet")
+
+
+def _build_errors(found: Comparison) -> Iterator[Element]:
+    rows = [Row([error.name, *_error_cells(error), error.unit]) for error in found.errors]
+    columns = [Column(), Column("first", "number"), Column("second", "number"), Column("unit", "unit")]
+    yield ResultTable(columns, rows, on=On.PAGE | On.TERMINAL)
+
+
+def _build_rest(found: Comparison) -> Iterator[Element]:
+    findings, only = list_findings(found), _list_only(found)
+    yield Listing([*findings, *only, *found.warnings])
+    if findings or only:
+        yield Listing([*findings, *only], on=On.SCREENS)
+
+
+def _list_only(found: Comparison) -> list[str]:
+    return [
+        f"Only in the {where}: {format_list(map(format_expression, names), 40)}."
+        for names, where in ((found.only_a, "first"), (found.only_b, "second"))
+        if names
+    ]
+
+
+def describe_headline(found: Comparison) -> str:
+    """Return the one sentence."""
+    tested = len(found.compared)
+    if not found.changes and found.findings:
+        moved = [f for f in found.findings if f.what != "same"]
+        return f"Of {count(len(found.findings), 'finding')} {len(moved) or 'none'} changed."
+    if not tested:
+        return "No value has a standard error in both results; changes cannot be tested."
+    if not found.changed:
+        text = f"No significant change (Holm, 5 %) in {count(tested, 'value')} with a standard error"
+    else:
+        names = format_list(map(_name, found.changed), 4)
+        text = f"{len(found.changed)} of {count(tested, 'value')} with a standard error changed significantly: {names}"
+    n = len(found.neither)
+    return (
+        f"{text}; {count(n, 'more value')} {'is' if n == 1 else 'are'} not determined in either result."
+        if n
+        else f"{text}."
+    )
+
+
+def order_changes(found: Comparison) -> list[Change]:
+    """Return what changed, clearest first, then what did not, then what only one determines.
+
+    What neither determines is left out: nominal values that are alike are no sign that the robot is.
+    """
+    same = [c for c in found.changes if c.changed is False]
+    one = [c for c in found.changes if c.determined_by in ("first", "second") and c.changed is None]
+    return [*found.changed, *same, *one]
+
+
+def list_undetermined(found: Comparison) -> list[str]:
+    """Return what neither determines, so that it is not compared, and where the values kept there differ all the same."""
+    names = [_name(c) for c in found.neither]
+    other = [c for c in found.neither if abs(c.difference) > 1e-9 * max(abs(c.a), abs(c.b))]
+    kept = [f"{_name(c)} {format_number(c.a)} → {format_number(c.b)} {format_unit(c.unit)}".rstrip() for c in other]
+    lines = [f"Not determined in either result, not compared: {format_list(names)}."] if names else []
+    return [*lines, f"Of these, the kept values differ: {format_list(kept, 4)}."] if kept else lines
+
+
+def _name(change: Change) -> str:
+    return format_expression(change.name) if change.combination else change.name
+
+
+def list_cells(change: Change) -> tuple[str, str, str, str, str]:
+    """Return name, both values, their difference with its standard error, and the unit."""
+    difference = (
+        format_with_uncertainty(change.difference, change.stderr) if change.stderr else format_number(change.difference)
+    )
+    return _name(change), format_number(change.a), format_number(change.b), difference, format_unit(change.unit)
+
+
+def list_circumstances(found: Comparison) -> list[tuple[str, list[str]]]:
+    """Return what was different besides the answer, by heading: inputs, options, versions, plain numbers."""
+    inputs = [_input_line(i) for i in found.inputs if i.state != "same"]
+    if found.inputs and not inputs:
+        inputs = [f"the same {count(len(found.inputs), 'file')}"]
+    groups = [
+        ("Inputs", inputs),
+        ("Options", _difference_lines(found.configuration)),
+        ("Versions", _difference_lines(found.versions)),
+        ("Also", _difference_lines(found.numbers)),
+    ]
+    return [(title, lines) for title, lines in groups if lines]
+
+
+def _input_line(i: InputChange) -> str:
+    if i.a is None or i.b is None or i.a == i.b:
+        return f"{i.a or i.b} is {i.state}"
+    return f"{i.a} → {i.b}, {'the same' if i.same else 'other'} content"
+
+
+def _difference_lines(rows: tuple[CircumstanceDifference, ...]) -> list[str]:
+    return [f"{row.name} {_value(row.a)} → {_value(row.b)}" for row in rows]
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, float):
+        return format_number(value)
+    if isinstance(value, list):
+        return format_list(map(_value, value)) or "none"
+    return "none" if value is None or value == "" else str(value)
+
+
+def _error_cells(error: ErrorChange) -> tuple[str, str]:
+    """Return both values, each with its interval where it has one."""
+    pairs = ((error.a, error.ci95_a), (error.b, error.ci95_b))
+    first, second = (
+        format_number(x) + (f" ({format_number(ci[0], 3)} … {format_number(ci[1], 3)})" if ci else "")
+        for x, ci in pairs
+    )
+    return first, second
+
+
+def list_findings(found: Comparison) -> list[str]:
+    """Return findings that appeared, vanished or changed, then what those that stayed are worth."""
+    ordered = sorted(found.findings, key=lambda f: f.what == "same")
+    return [line for line in map(_finding_line, ordered) if line]
+
+
+def _finding_line(f: FindingChange) -> str:
+    name = f"{f.cause} {format_list(f.joints)}".strip()
+    gains = [
+        g and f"{format_number(g[0], 3)} % ({format_number(g[1], 3)} … {format_number(g[2], 3)})"
+        for g in (f.gain_a, f.gain_b)
+    ]
+    if f.what == "same":
+        return f"{name}: {f.a} in both, worth {gains[0]} → {gains[1]}" if all(gains) and f.gain_a != f.gain_b else ""
+    worth = next((f", worth {g}" for g in gains if g), "")
+    return f"{name} {f.what}: {f.a or 'not found'} → {f.b or 'not found'}{worth}"

@@ -1,0 +1,329 @@
+"""A diagnosis: what the simulation gets wrong, which cause explains it, and how much better it is then.
+
+The answer stands first, then the waterfall, one card a finding, what stays unexplained, the forces over time, the limits of
+detection, the parameters, and last why to trust it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from tau_dyn.diagnose import Diagnosis, Finding, TimeTrace, Unexplained
+from tau_dyn.render.kinds import diagnosis_words as words
+from tau_dyn.render.kinds.parameter_rows import build_extended_rows, build_parameter_table
+from tau_dyn.render.kinds.waterfall import (
+    build_output_series,
+    build_output_tables,
+    build_total_series,
+    build_total_table,
+    format_finding,
+)
+from tau_dyn.render.present import ZOOM, list_logs_used, pad_used, present_kind, warn
+from tau_dyn.results import (
+    Beside,
+    Chapter,
+    Column,
+    Curve,
+    Definitions,
+    Division,
+    Element,
+    Figures,
+    Folded,
+    Group,
+    Key,
+    Listing,
+    On,
+    Presentation,
+    Provenance,
+    ResultTable,
+    RobotPicture,
+    Row,
+    Strip,
+    Text,
+    TimeView,
+    Verdict,
+    View,
+    choose_unit,
+    end_sentence,
+    format_estimate,
+    format_estimate_interval,
+    format_list,
+    format_number,
+    format_percent,
+    replace_plus_minus,
+)
+
+PARTS = {1: "confirm", 2: "held"}
+"""How the time view shades what each part of the data served; what was trained on stays plain."""
+_MAX_PICTURED = 2
+"""Findings whose signature a notebook shows."""
+
+
+@present_kind.register
+def present_diagnosis(found: Diagnosis) -> Presentation:
+    """Return how a diagnosis is presented."""
+    robot, (level, badge) = found.model.robot, words.describe_badge(found)
+    cards = [_build_card(found, finding, k) for k, finding in enumerate(found.findings)]
+    sections = [
+        Chapter(
+            "waterfall", f"Residual as a share of the {words.describe_error_reference(found)}, by model",
+            lambda: _build_waterfall(found), On.ALL,
+        ),
+        *warn(found.warnings),
+        *cards,
+        *(_build_open_end(item, k) for k, item in enumerate(found.unexplained)),
+        *([Chapter("time", "Measured, before and after", lambda: _build_time(found))] if found.traces else []),
+        Chapter("limits", "Not detected; detection limit (95 % power)", lambda: _build_limits(found)),
+        Chapter("parameters", "Parameters of the extended model", lambda: _build_parameters(found)),
+        Chapter("trust", "Quality of fit", lambda: _build_quality(found)),
+        Chapter("uncertain", "", lambda: _list_uncertain(found), On.TERMINAL),
+    ]  # fmt: skip
+    return Presentation(
+        "Diagnosis", robot.name, f"{robot.name}: diagnosis", found.sentence,
+        Verdict(level, words.recommend_model(found).sentence, badge), words.describe_inputs(found), sections, found.warnings,
+        RobotPicture(robot, _list_joints(found)),
+        Provenance([("seed", str(found.seed))], list_logs_used(found.model.provenance), robot), lambda: _tabulate(found), found,
+        [f"{words.format_title(f)} ({f.status}): {replace_plus_minus(f.sentence)}" for f in found.findings],
+    )  # fmt: skip
+
+
+def _tabulate(found: Diagnosis) -> list[dict[str, object]]:
+    """Return one row a finding, strongest first; its gain is on data used for nothing else."""
+    rows = []
+    for f in found.findings:
+        low, high = (np.nan, np.nan) if f.gain is None else f.gain.ci95
+        rows.append(
+            {
+                "cause": f.cause, "joints": ", ".join(f.joints), "status": f.status, "score": f.score, "p_value": f.p_value,
+                "gain_percent": np.nan if f.gain is None else f.gain.reduction_percent, "gain_low": low, "gain_high": high,
+                "equation": f.equation, "sentence": f.sentence,
+            }
+        )  # fmt: skip
+    return rows
+
+
+def _list_joints(found: Diagnosis) -> tuple[str, ...]:
+    """Return the joints that the answer is about: those of confirmed causes, else of what is suspected or unexplained."""
+    confirmed = [f for f in found.findings if f.status == "confirmed"]
+    named = [j for f in (confirmed or found.findings) for j in f.joints]
+    return tuple(dict.fromkeys(named or [u.joint for u in found.unexplained]))
+
+
+def _build_waterfall(found: Diagnosis) -> Iterator[Element]:
+    whole, parts = build_total_series(found), build_output_series(found)
+    reference = words.describe_error_reference(found)
+    yield build_total_table(whole)
+    cut = " The first bar is cut." if whole.rungs and whole.rungs[0].left > whole.end else ""
+    click = " Click a cause for its evidence." if found.findings else ""
+    yield Text(
+        "Solid: residual on the test data. Hatched: reduction of the residual by this step. Bracket: 95 % "
+        "interval, from blocks of "
+        f"the data. Dashed line: noise floor.{cut} Good: the last step ends at the dashed line.{click}",
+        "note",
+    )
+    every = words.describe_all_samples(found)
+    if every:
+        yield Text(every, on=On.PAGE | On.TERMINAL)
+    if parts:
+        what = "axis" if found.channel == "tool" else "joint"
+        yield Text(f"Each {what}, in percent of its own {reference}", "heading")
+        yield Group(build_output_tables(parts), "multiples")
+    simulated = words.list_simulation_rows(found.simulation)
+    if simulated:
+        yield Text("Simulated with its controller, compared with the log", "heading")
+        columns = [Column(), Column("before", "number"), Column("after", "number", "strong")]
+        yield ResultTable(columns, [Row(row) for row in simulated], style="plain fitted")
+
+
+def _build_card(found: Diagnosis, finding: Finding, k: int) -> Chapter:
+    pictured = (
+        On.PAGE | On.NOTEBOOK if sum(f.signature is not None for f in found.findings[:k]) < _MAX_PICTURED else On.PAGE
+    )
+
+    def build() -> Iterator[Element]:
+        yield Text(end_sentence(replace_plus_minus(finding.sentence)), "lead")
+        if finding.equation:
+            yield Text(finding.equation, "law")
+        charts = [] if finding.signature is None else words.build_signature_figures(finding.signature)
+        evidence = list(_list_evidence(found, finding))
+        if not charts:
+            yield Group(evidence, "evidence solo")
+            return
+        yield Beside(evidence, [Figures(charts, "pair", on=pictured)], "evidence")
+        yield _build_key("residual with all other causes in the model", "the fitted effect.",
+                         "Good: without the cause the means follow the line; with it they lie on zero.")  # fmt: skip
+
+    said = "differs from the robot file" if finding.status == "parameter" else finding.status
+    badge = Verdict(words.STATUS_LEVEL[finding.status], "", said)
+    title = words.format_title(finding)
+    return Chapter(f"finding-{k + 1}", title, build, On.PAGE | On.NOTEBOOK, "card", badge, k + 1)
+
+
+def _build_key(cloud: str, fitted: str, reading: str) -> Element:
+    return Figures(
+        [], "none", [Key("cloud", cloud), Key("mean", "its mean"), Key("predicted", fitted), Key("", reading)]
+    )
+
+
+def _list_evidence(found: Diagnosis, finding: Finding) -> Iterator[Element]:
+    if finding.parameters:
+        columns = [
+            Column(),
+            Column("estimate ± standard error (1 σ)", "number", "strong"),
+            Column("95 % interval", "number"),
+        ]
+        rows = [Row([p.name, format_estimate(p), format_estimate_interval(p)]) for p in finding.parameters]
+        yield ResultTable(columns, rows, style="plain")
+    rows = [("Not confirmed", finding.why_not_confirmed)] if finding.why_not_confirmed else []
+    rows.append(("Gain", words.describe_gain(finding.gain, _get_unit(found, finding))))
+    if finding.confirmation:
+        rows.append(("Validation", words.describe_confirmation(finding.confirmation).removeprefix("validation: ")))
+    rows.append(("Significance", f"{words.format_p_value(finding.p_value)}, corrected for the number of tests"))
+    alike = "no other known cause"
+    if finding.indistinguishable_from:
+        alike = format_list(map(words.format_cause_name, finding.indistinguishable_from))
+        alike += f". To separate them: {end_sentence(finding.experiment)}" if finding.experiment else ""
+    yield Definitions([*rows, ("Indistinguishable from", alike)])
+
+
+def _get_unit(found: Diagnosis, finding: Finding) -> str:
+    """Return the unit of a finding's residual; empty where its outputs have several."""
+    units = {u for o, u in zip(found.outputs, found.units, strict=True) if o in finding.joints}
+    units = units or set(found.units)
+    return units.pop() if len(units) == 1 else ""
+
+
+def _build_open_end(item: Unexplained, k: int) -> Chapter:
+    def build() -> Iterator[Element]:
+        yield Text(words.describe_unexplained(item), "lead")
+        rows = [
+            ("Depends on", format_list(item.depends_on)),
+            ("Share", f"{format_percent(100 * item.share_of_residual_variance)} of the residual's variance"),
+            *([("Suggested formula", item.suggested_formula)] if item.suggested_formula else []),
+            ("Significance", words.format_p_value(item.p_value)),
+        ]
+        charts = [] if item.signature is None else words.build_signature_figures(item.signature, explained=False)
+        yield Beside([Definitions(rows)], [Figures(charts, "pair")] if charts else [], "evidence")
+        if charts:
+            yield _build_key("residual with all named causes in the model", "fitted formula.",
+                             "Good: the means lie on zero everywhere.")  # fmt: skip
+
+    badge = Verdict(words.STATUS_LEVEL[item.status], "", item.status)
+    title = f"Unexplained · {item.joint}"
+    return Chapter(f"unexplained-{k + 1}", title, build, On.PAGE, "card unexplained", badge)
+
+
+def _build_time(found: Diagnosis) -> Iterator[Element]:
+    key = [Key("measured", "measured"), Key("residual", "before (refitted)"), Key("predicted", "after (extended)"),
+           Key("confirm", "validation"), Key("held", "test"), Key("masked", "not used")]  # fmt: skip
+    views = [_build_view(found, trace, k) for trace in found.traces for k in range(len(found.outputs))]
+    yield TimeView("measured and predicted over time, before and after, and the residuals", views, key)
+    yield Text(
+        f"{ZOOM}All curves are filtered by the same low-pass. Good: blue lies on grey, and the blue residual is a "
+        "thin band without "
+        "a pattern, in the shaded parts, too. Dark grey sections (reversals, ends of the log) are not used and "
+        "may leave the scale.",
+        "note",
+    )
+
+
+def _build_view(found: Diagnosis, trace: TimeTrace, k: int) -> View:
+    """Return one output's measurement, both models, and what each leaves, in a unit that reads well."""
+    used = trace.usable[:, k]
+    three = np.column_stack([trace.measured[:, k], trace.before[:, k], trace.after[:, k]])
+    factor, unit = choose_unit(found.units[k], float(np.max(np.abs(three[used]), initial=0.0)))
+    measured, before, after = factor * three.T
+    curves = (
+        Curve("measured", "measured", measured),
+        Curve("before", "residual", before),
+        Curve("after", "predicted", after),
+    )
+    limits = pad_used(np.concatenate([x[used] for x in (measured, before, after)]))
+    above = Strip(f"{found.channel} [{unit}]", curves, limits, 270)
+    left = np.concatenate([(measured - before)[used], (measured - after)[used]])
+    rest = Curve("before", "residual", measured - before), Curve("after", "predicted", measured - after)
+    below = Strip(f"residual [{unit}]", rest, pad_used(np.concatenate([left, -left]), 0.1), 200, masked=True)
+    seen = set(np.unique(trace.part).tolist())
+    return View(trace.log, found.outputs[k], trace.t, (above, below), seen <= set(PARTS), _list_bands(trace), used)
+
+
+def _list_bands(trace: TimeTrace) -> tuple[tuple[float, float, str], ...]:
+    """Return the stretches that were kept for confirming and for measuring the gain."""
+    edges = np.flatnonzero(np.diff(trace.part)) + 1
+    starts, stops = np.concatenate([[0], edges]), np.concatenate([edges, [len(trace.t) - 1]])
+    kinds = [PARTS.get(int(trace.part[start])) for start in starts]
+    stretches = zip(trace.t[starts], trace.t[stops], kinds, strict=True)
+    return tuple((float(start), float(stop), ink) for start, stop, ink in stretches if ink)
+
+
+def _build_limits(found: Diagnosis) -> Iterator[Element]:
+    if found.limits:
+        yield Listing(words.list_limits(found.limits), style="limits")
+        yield Text(
+            "The smallest effect that these logs would have shown in 95 of 100 cases. An effect below its limit "
+            "may exist.",
+            "note",
+        )
+    else:
+        yield Text("No detection limits were computed.")
+    if found.untestable:
+        yield Text("Not testable with these logs", "heading")
+        rows = [Row([words.format_cause_name(u.cause), u.why, u.experiment]) for u in found.untestable]
+        yield ResultTable([Column("cause"), Column("why"), Column("experiment")], rows, style="plain")
+
+
+def _build_parameters(found: Diagnosis) -> list[Element]:
+    rows, scale = build_extended_rows(found.extended_model, found.model.parameters)
+    return build_parameter_table(rows, format_percent(100 * scale), before=True)
+
+
+def _build_quality(found: Diagnosis) -> Iterator[Element]:
+    whole, names = sum(found.n_parts) or 1.0, ("training", "validation", "test")
+    parts = [
+        (ink, f"{name} {format_number(s, 3)} s", s / whole)
+        for ink, name, s in zip(("train", "confirm", "held"), names, found.n_parts, strict=True)
+    ]
+    said = (
+        f"{end_sentence(found.how)} The search uses the training data alone. The validation data confirm each "
+        "cause. The test data "
+        "measure its gain."
+    )
+    data: list[Element] = [Text("Training, validation and test data", "heading"), Division(parts), Text(said)]
+    settings = [Row(row) for row in words.list_settings(found.settings)]
+    right: list[Element] = (
+        [Text("Settings", "heading"), ResultTable([Column(), Column()], settings, style="plain")] if settings else []
+    )
+    yield Beside(data, right)
+    assumed = found.model.robot.assumed
+    if assumed:
+        yield Folded("Assumed in the robot file", [Listing(list(assumed))])
+
+
+def _list_uncertain(found: Diagnosis) -> Iterator[Element]:
+    """Give what a terminal says below the bars."""
+    twins = [
+        f"{words.format_title(f)} from {format_list(map(words.format_cause_name, f.indistinguishable_from))}"
+        + (f"; to separate them: {f.experiment.rstrip('.')}" if f.experiment else "")
+        for f in found.findings
+        if f.indistinguishable_from
+    ]
+    limits = words.list_limits(found.limits)
+    reasons = words.group_by_reason(found.untestable)
+    for title, items in (
+        ("Suspected, not confirmed", [_doubt(f) for f in found.findings if f.status == "suspected"]),
+        ("Differs from the robot file", [_doubt(f) for f in found.findings if f.status == "parameter"]),
+        ("Unexplained", [words.describe_unexplained(u) for u in found.unexplained]),
+        ("These data cannot separate", twins),
+        ("Not detected; detection limit (95 % power)", [f"{', '.join(limits)}."] if limits else []),
+        ("Not testable", [f"{format_list(causes, 9)}: {why}" for why, causes in reasons]),
+    ):
+        if items:
+            yield Listing(items, title, on=On.TERMINAL)
+
+
+def _doubt(finding: Finding) -> str:
+    """Return a cause that is not confirmed, its figures, and why it is not."""
+    text = f"{words.format_title(finding)}: {', '.join(format_finding(finding))}"
+    return f"{text}. Not confirmed: {finding.why_not_confirmed}" if finding.why_not_confirmed else text

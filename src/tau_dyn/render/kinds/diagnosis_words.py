@@ -1,0 +1,243 @@
+"""A diagnosis in sentences and plots: the verdict, the evidence of a finding, detection limits, what was not testable."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.diagnose import Diagnosis, Finding, Gain, Limit, Signature, Status, Unexplained, Untestable
+from tau_dyn.results import (
+    Axis,
+    Dots,
+    Figure,
+    Level,
+    Line,
+    Verdict,
+    average_in_bins,
+    count,
+    end_sentence,
+    format_list,
+    format_number,
+    format_percent,
+    format_quantity,
+    format_unit,
+    pad_limits,
+)
+
+BADGE: dict[str, tuple[Level, str]] = {
+    "named": ("good", "Cause named"),
+    "nothing_found": ("good", "No model error detected"),
+    "cannot_tell": ("care", "Inconclusive"),
+    "unexplained": ("care", "Unexplained"),
+}
+STATUS_LEVEL: dict[Status, Level] = {"confirmed": "good", "suspected": "care", "parameter": "care"}
+MEASURED = {"force": "measured force", "tool": "measured tool position", "deflection": "measured deflection"}
+FULL_EFFECT_SHARE = 0.8
+"""Share of the predicted effect from which held-out data are said to show it all."""
+FINE = 90
+"""Steps in which the fitted effect is drawn."""
+JUMP = 4.0
+"""How many usual steps of the fitted curve make a jump at zero, where it is then broken."""
+
+
+def describe_badge(diagnosis: Diagnosis) -> tuple[Level, str]:
+    """Return the verdict's level and its few words; several causes are counted."""
+    level, text = BADGE[diagnosis.verdict]
+    n = sum(f.status == "confirmed" for f in diagnosis.findings)
+    return (level, f"{count(n, 'cause')} named") if diagnosis.verdict == "named" and n > 1 else (level, text)
+
+
+def recommend_model(diagnosis: Diagnosis) -> Verdict:
+    """Return what to do with the answer, in a sentence."""
+    level, _ = BADGE[diagnosis.verdict]
+    what, floor_ = describe_error_reference(diagnosis), format_percent(diagnosis.noise_floor.relative_error_percent)
+    before, after = (format_percent(e.relative_error_percent) for e in (diagnosis.baseline, diagnosis.extended))
+    if diagnosis.recommendation == "neither":
+        return Verdict("poor", f"Use neither model: {diagnosis.recommendation_why}.")
+    if diagnosis.recommendation == "extended":
+        text = f"Use the extended model: its error on held-out data is {after} of the {what} instead of {before}"
+        return Verdict(level, f"{text}; noise floor: {floor_}. No joint becomes worse.")
+    if diagnosis.verdict == "named" and any(f.status == "confirmed" for f in diagnosis.findings):
+        return Verdict("care", f"Use the refitted model: {diagnosis.recommendation_why}.")
+    if diagnosis.verdict == "cannot_tell":
+        return Verdict(level, f"Experiment that would separate them: {end_sentence(diagnosis.experiment)}")
+    if diagnosis.verdict == "unexplained":
+        joints = format_list(dict.fromkeys(u.joint for u in diagnosis.unexplained))
+        return Verdict(level, f"Significant unexplained structure at {joints}; see its plot.")
+    text = f"Use the refitted model: its residual is {before} of the {what}; noise floor: {floor_}."
+    if diagnosis.verdict == "named":
+        return Verdict(level, text)
+    return Verdict(level, f"{text} Detection limits are listed below.")
+
+
+def describe_all_samples(diagnosis: Diagnosis) -> str:
+    """Return the errors over all samples, and how much of them the errors above use, in a sentence; empty where not known."""
+    before, after = diagnosis.baseline.all_samples, diagnosis.extended.all_samples
+    if before is None or after is None:
+        return ""
+    more = (
+        f", of the extended model {format_percent(after.relative_error_percent)}"
+        if diagnosis.verdict == "named"
+        else ""
+    )
+    shares = diagnosis.baseline.used_shares
+    each = format_list([f"{o} {format_percent(100 * x)}" for o, x in zip(diagnosis.outputs, shares, strict=True)], 7)
+    return (
+        f"These errors are over the used samples ({each}). Over all samples, reversals and rests included, the residual of the "
+        f"refitted model is {format_percent(before.relative_error_percent)}{more}."
+    )
+
+
+def describe_inputs(diagnosis: Diagnosis) -> str:
+    """Return what went in: logs, seconds, how they were divided."""
+    logs = list(dict.fromkeys(trace.log for trace in diagnosis.traces))
+    named = f"{format_list(logs) if len(logs) <= 3 else count(len(logs), 'log')}; " if logs else ""
+    return f"{named}{describe_parts(diagnosis)}."
+
+
+def describe_parts(diagnosis: Diagnosis) -> str:
+    """Return how many seconds served what."""
+    train, confirm, judge = (f"{format_number(s, 3)} s" for s in diagnosis.n_parts)
+    return f"training {train}, validation {confirm}, test {judge}"
+
+
+def describe_error_reference(diagnosis: Diagnosis) -> str:
+    """Return what the errors are a share of."""
+    return MEASURED.get(diagnosis.channel, "measurement")
+
+
+def format_title(finding: Finding) -> str:
+    """Return a finding's heading, such as `Cyclic ripple · cart2`."""
+    name = finding.cause.replace("_", " ")
+    return f"{name[:1].upper()}{name[1:]}{' · ' if finding.joints else ''}{format_list(finding.joints)}"
+
+
+def format_cause_name(cause: str) -> str:
+    """Return a cause's name as words."""
+    return cause.replace("_", " ")
+
+
+def format_p_value(p_value: float) -> str:
+    """Return a p-value, such as `p = 0.0002`."""
+    return f"p = {p_value:.2g}" if p_value >= 1e-6 else "p < 0.000001"
+
+
+def describe_gain(gain: Gain | None, unit: str = "") -> str:
+    """Return what a cause is worth on data used for nothing else, with its interval."""
+    if gain is None:
+        return "not applicable: the refit absorbs the effect, so the error does not change"
+    low, high = (format_number(x, 2) for x in gain.ci95)
+    before, after = format_quantity(gain.rms_before, unit), format_quantity(gain.rms_after, unit)
+    return f"{format_number(gain.reduction_percent, 2)} % less residual, 95 % interval [{low}, {high}] %; {before} → {after} rms"
+
+
+def describe_confirmation(confirmation: tuple[float, float] | None) -> str:
+    """Return how much of the predicted effect the second part of the data shows."""
+    if confirmation is None:
+        return ""
+    share, sigma = (100 * x for x in confirmation)
+    text = f"validation: {share:.0f} ± {max(sigma, 1.0):.0f} % of the effect predicted from the training data"
+    return f"{text}, weaker than predicted" if share + 2 * sigma < 100 * FULL_EFFECT_SHARE else text
+
+
+def describe_unexplained(item: Unexplained) -> str:
+    """Return what is left and what it depends on, in a sentence."""
+    share = format_percent(100 * item.share_of_residual_variance)
+    text, on = f"{share} of the residual variance at {item.joint}", format_list(item.depends_on)
+    if item.indistinguishable_from:
+        on += f" (or equally on {'; or on '.join(format_list(others) for others in item.indistinguishable_from)})"
+    if item.status == "suspected":
+        return f"{text} may depend on {on}; the validation data did not confirm it."
+    return f"{text} depends on {on}; no known cause explains it."
+
+
+def list_limits(limits: Sequence[Limit]) -> list[str]:
+    """Return the detection limit of each cause."""
+    return [
+        format_unit(limit.phrase)
+        or f"{format_cause_name(limit.cause)} {format_quantity(limit.amplitude, limit.unit, 2)}"
+        for limit in limits
+    ]
+
+
+def group_by_reason(items: Sequence[Untestable]) -> list[tuple[str, list[str]]]:
+    """Return each reason why causes could not be tested, with the names of the causes that it holds for."""
+    causes: dict[str, list[str]] = {}
+    for item in items:
+        causes.setdefault(item.why, []).append(format_cause_name(item.cause))
+    return list(causes.items())
+
+
+def list_settings(settings: Mapping[str, Any], owner: str = "") -> list[tuple[str, str]]:
+    """Return settings as names and texts, those within others after their owner's name."""
+    rows: list[tuple[str, str]] = []
+    for key, value in settings.items():
+        name = f"{owner}{str(key).replace('_', ' ')}"
+        if isinstance(value, Mapping):
+            rows += list_settings(value, f"{name}: ")
+        else:
+            rows.append((name, format_value(value)))
+    return rows
+
+
+def list_simulation_rows(simulation: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
+    """Return quantity, before and after of the closed-loop simulation, whatever it compared."""
+    before, after = ((simulation or {}).get(key) for key in ("before", "after"))
+    if not isinstance(before, Mapping) or not isinstance(after, Mapping):
+        return []
+    texts = dict(list_settings(after))
+    return [(name, text, texts.get(name, "")) for name, text in list_settings(before)]
+
+
+def format_value(value: Any) -> str:
+    """Return a setting's value as text."""
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, int | np.integer):
+        return str(value)
+    if isinstance(value, float | np.floating):
+        return format_number(float(value), 4) if isfinite(value) else "none"
+    if isinstance(value, list | tuple | np.ndarray):
+        return format_list([format_value(item) for item in value], 12)
+    return "none" if value is None else str(value)
+
+
+def build_signature_figures(signature: Signature, *, explained: bool = True) -> list[Figure]:
+    """Return the plot without the cause and, where one explains it, the plot of what is left with it, in equal frames.
+
+    Args:
+        signature: What to draw.
+        explained: Whether `fitted` is a named cause; else it is only a smooth curve through unexplained structure.
+    """
+    after = signature.y - signature.fitted
+    cloud = np.quantile(np.concatenate([signature.y, after]), [0.01, 0.99])
+    _, means, _ = average_in_bins(signature.x, signature.y)
+    ylim = pad_limits(cloud, means, np.quantile(signature.fitted, [0.005, 0.995]))
+    x = Axis(format_unit(signature.x_label), pad_limits(signature.x, share=0.03))
+    y = Axis(format_unit(signature.y_label), ylim)
+    at, fitted = _trace_effect(signature)
+    before, line = _scatter(signature.x, signature.y, ylim), Line(at, np.clip(fitted, *ylim))
+    title = "without the cause" if explained else signature.output
+    charts = [Figure(x, y, (before[0], line, before[1]), title)]
+    return [*charts, Figure(x, y, _scatter(signature.x, after, ylim), "with it")] if explained else charts
+
+
+def _scatter(x: np.ndarray, y: np.ndarray, limits: tuple[float, float]) -> tuple[Dots, Dots]:
+    """Return the samples within limits, and their means."""
+    inside = (y >= limits[0]) & (y <= limits[1])
+    at, mean, _ = average_in_bins(x, y)
+    return Dots(x[inside], y[inside], "cloud"), Dots(at, np.clip(mean, *limits))
+
+
+def _trace_effect(signature: Signature) -> tuple[np.ndarray, np.ndarray]:
+    """Return the fitted effect over the horizontal axis (n,), its mean in fine steps, broken where it jumps at zero."""
+    at, mean, _ = average_in_bins(signature.x, signature.fitted, FINE)
+    change = np.flatnonzero(np.diff(np.sign(at)))
+    if change.size and len(at) > 4:
+        steps, k = np.abs(np.diff(mean)), int(change[0])
+        if steps[k] > JUMP * float(np.median(steps)):
+            at, mean = np.insert(at, k + 1, 0.0), np.insert(mean, k + 1, np.nan)
+    return at, mean

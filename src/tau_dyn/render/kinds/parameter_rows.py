@@ -1,0 +1,263 @@
+"""The parameter table as a person reads it, of an identification and of a diagnosis' extended model: one line a parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from tau_dyn.estimate import MAX_RELATIVE_STDERR
+from tau_dyn.identify import Identification
+from tau_dyn.model import Model
+from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.results import (
+    Z95,
+    Column,
+    Element,
+    IntervalBar,
+    On,
+    ResultTable,
+    Row,
+    Text,
+    format_interval,
+    format_list,
+    format_number,
+    format_percent,
+    format_unit,
+    format_with_uncertainty,
+    round_to_stderr,
+)
+from tau_dyn.robot import NOMINAL_MASS_STDERR, load_robot_from_urdf
+
+State = Literal["known", "weak", "unseen"]
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """A parameter in words.
+
+    Attributes:
+        name: Contract name.
+        group: Heading it stands under.
+        state: `known` to 30 %, `weak`, or `unseen` by itself.
+        estimate: Value ± standard error; the nominal value where it is unseen.
+        interval: 95 % interval.
+        unit: Its unit.
+        nominal: Nominal value, empty where there is no trusted one.
+        note: What a reader must know, empty where all is well.
+        bar: Picture of the interval; None where there is nothing to draw.
+        true: The true value of a simulation, empty where it is not known.
+        distance: Estimate minus true value in standard errors.
+        before: What the model without the causes says, where there is one to compare with.
+    """
+
+    name: str
+    group: str
+    state: State
+    estimate: str
+    interval: str
+    unit: str
+    nominal: str
+    note: str
+    bar: IntervalBar | None
+    true: str = ""
+    distance: str = ""
+    before: str = ""
+
+
+def build_parameter_rows(found: Identification, truth: Mapping[str, float] | None = None) -> list[ParameterRow]:
+    """Return the table's lines, in the order of `found.rows()`."""
+    raw = found.rows()
+    scale = compute_bar_scale(raw)
+    rows = [describe_row(r, scale, name_group(found.model, r["name"]), _note(found, r)) for r in raw]
+    return [
+        _compared(row, r, truth[row.name]) if truth and row.name in truth else row
+        for row, r in zip(rows, raw, strict=True)
+    ]
+
+
+def group_rows(rows: Sequence[ParameterRow]) -> list[tuple[str, list[ParameterRow]]]:
+    """Return the lines by heading, headings in the order in which they first appear."""
+    found: dict[str, list[ParameterRow]] = {}
+    for row in rows:
+        found.setdefault(row.group, []).append(row)
+    return list(found.items())
+
+
+def build_parameter_table(
+    rows: Sequence[ParameterRow], scale: str, *, truth: bool = False, before: bool = False, on: On = On.PAGE
+) -> list[Element]:
+    """Return the table and how to read it.
+
+    A terminal shows only what the data tell alone: of the others no value is an estimate.
+
+    Args:
+        rows: Its lines.
+        scale: What the ends of a bar stand for.
+        truth: Whether the true values are known.
+        before: Whether the values of the model without the causes stand beside those of the extended model.
+        on: Where the table stands.
+    """
+    page, both = On.PAGE, On.PAGE | On.NOTEBOOK
+    nominal = both if truth or not any(r.nominal for r in rows) else On.ALL
+    columns = [
+        Column("parameter", on=both),
+        Column("identifiable alone", on=On.TERMINAL),
+        Column("nominal", "number", on=nominal),
+        *([Column("without the causes", "number", "quiet", on=page)] if before else []),
+        Column("extended model ± standard error" if before else "estimate ±\nstandard error", "number", "strong"),
+        Column("unit", "unit"),
+        *([] if before else [Column("95 % interval", "number", on=both)]),
+        Column("", "interval", on=both, scale=scale),
+        *([Column("true", "number"), Column("error / standard error", "number", "far", on=page)] if truth else []),
+        Column("remark", style="remark", on=both),
+    ]
+    groups = [(title, [_build_row(r, truth, before) for r in members]) for title, members in group_rows(rows)]
+    reading = (
+        "± is one standard error (1 σ). Dot: estimate. Line: 95 % interval, relative to the nominal value (tick). Friction has "
+        "no trusted nominal value; its line shows the relative interval alone. Pale band: 95 % interval of the nominal value. "
+        "An arrow leaves the scale. Grey rows are poorly determined or not identifiable."
+    )
+    return [ResultTable(columns, groups=groups, style="parameters", on=on), Text(reading, "note")]
+
+
+def _build_row(r: ParameterRow, truth: bool, before: bool) -> Row:
+    cells = [r.name, r.name, r.nominal, *([r.before] if before else []), r.estimate, r.unit]
+    cells += [] if before else [r.interval]
+    cells += [r.bar, *([r.true, r.distance] if truth else []), r.note]
+    return Row(cells, r.state, on=On.ALL if r.interval else On.PAGE | On.NOTEBOOK)
+
+
+def compute_bar_scale(rows: list[dict[str, Any]]) -> float:
+    """Return the bars' common half-width as a share of the reference value, wide enough for what is determined."""
+    extents = [0.05]
+    for r in rows:
+        reference = r["nominal"] or r["value"]
+        if r["determined"] and reference:
+            extents.append(max(abs(x - reference) for x in r["ci95"]) / abs(reference))
+    return float(min(1.0, _round_up(1.05 * float(np.quantile(extents, 0.95)))))
+
+
+def _round_up(x: float) -> float:
+    steps = np.array([0.05, 0.1, 0.2, 0.3, 0.5, 1.0])
+    return float(steps[min(np.searchsorted(steps, x), len(steps) - 1)])
+
+
+def describe_row(r: dict[str, Any], scale: float, group: str, note: str) -> ParameterRow:
+    """Return a parameter of the contract's form in words."""
+    seen, sigma = r["stderr"] is not None, r["stderr"]
+    return ParameterRow(
+        name=r["name"],
+        group=group,
+        state="known" if r["determined"] else "weak" if seen else "unseen",
+        estimate=format_with_uncertainty(r["value"], sigma) if seen else format_number(r["value"]),
+        interval=format_interval(r["ci95"], sigma) if seen else "",
+        unit=format_unit(r["unit"]),
+        nominal="" if r["nominal"] is None else format_number(r["nominal"]),
+        note=note,
+        bar=_bar(r, scale) if seen else None,
+    )
+
+
+def _compared(row: ParameterRow, r: dict[str, Any], true: float) -> ParameterRow:
+    sigma = r["stderr"]
+    text = format_number(true) if sigma is None else round_to_stderr(true, sigma)
+    return replace(row, true=text, distance=f"{abs(r['value'] - true) / sigma:.1f}" if sigma else "")
+
+
+def name_group(model: Model, name: str) -> str:
+    """Return the heading that a parameter stands under: its joint, or the rigid body."""
+    owner = name.rsplit(".", 1)[0]
+    return "Rigid body" if name in model.robot.parameters and owner not in model.robot.actuated else owner
+
+
+def _note(found: Identification, r: dict[str, Any]) -> str:
+    if r["stderr"] is None:
+        return _unseen(r)
+    plain = found.estimate.moved.get(r["name"])
+    if plain is not None:
+        return f"constrained to be physically consistent; the unconstrained estimate is {format_number(plain, 3)}"
+    return explain_unreliable(r) or compare_with_nominal(r)
+
+
+def explain_unreliable(r: dict[str, Any]) -> str:
+    """Return why an estimate is not reliable; empty where it is."""
+    if r["at_bound"]:
+        return "at its bound"
+    if r["determined"]:
+        return ""
+    if r["ci95"][0] <= 0 <= r["ci95"][1]:
+        return "not significantly different from zero"
+    return f"poorly determined: standard error {format_percent(100 * r['stderr'] / abs(r['value']))}"
+
+
+def _unseen(r: dict[str, Any]) -> str:
+    shares = r.get("depends_on") or []
+    if not shares:
+        return "not excited, nominal value kept" if r["identifiable"] else "not identifiable, nominal value kept"
+    return f"nominal value; identifiable only in combination with {format_list(shares, 3)}"
+
+
+def compare_with_nominal(r: dict[str, Any]) -> str:
+    """Return how far an estimate is off its nominal value, where that is beyond both uncertainties."""
+    nominal, trust = r["nominal"], r["nominal_stderr"]
+    if not nominal:
+        return ""
+    change = (r["value"] - nominal) / abs(nominal)
+    if trust is None or abs(r["value"] - nominal) < Z95 * np.hypot(r["stderr"], trust):
+        return ""
+    return f"{format_percent(100 * abs(change))} {'above' if change > 0 else 'below'} nominal, significant (95 %)"
+
+
+def _bar(r: dict[str, Any], scale: float) -> IntervalBar | None:
+    reference = r["nominal"] or r["value"]
+    if not reference or abs(reference) < 1e-3 * r["stderr"]:
+        return None
+    low, high, at = ((x - reference) / abs(reference) / scale for x in (*r["ci95"], r["value"]))
+    trust = Z95 * r["nominal_stderr"] / abs(reference) / scale if r["nominal_stderr"] else 0.0
+    cut = [float(np.clip(x, -1, 1)) for x in (low, high)]
+    state = "known" if r["determined"] else "weak"
+    return IntervalBar(
+        cut[0], cut[1], float(at) if abs(at) <= 1 else None, min(1.0, trust), state, r["nominal"] is not None
+    )
+
+
+def build_extended_rows(model: Model, before: Parameters) -> tuple[list[ParameterRow], float]:
+    """Return the lines for a model beside one without its causes, and the bars' half-width as a share of the reference."""
+    robot = model.robot
+    nominal = load_robot_from_urdf(
+        robot.urdf, robot.source, actuated=robot.actuated
+    ).parameters  # of the file it carries
+    raw = [_raw(p, nominal) for p in model.parameters if p.free]
+    scale = compute_bar_scale(raw)
+    rows = [describe_row(r, scale, name_group(model, r["name"]), _note_extended(r, before)) for r in raw]
+    known = {p.name: format_with_uncertainty(p.value, p.stderr) for p in before}
+    return [replace(row, before=known.get(row.name, "")) for row in rows], scale
+
+
+def _raw(p: Parameter, nominal: Parameters) -> dict[str, Any]:
+    known = nominal[p.name] if p.name in nominal else None
+    sigma = p.stderr
+    trust = None
+    if known is not None:
+        mass = NOMINAL_MASS_STDERR * abs(known.value) if p.name.endswith(".mass") else None
+        trust = mass if known.prior_stderr is None else known.prior_stderr
+    return {
+        "name": p.name,
+        "value": p.value,
+        "unit": p.unit,
+        "stderr": sigma,
+        "ci95": None if sigma is None else [max(p.lower, p.value - Z95 * sigma), min(p.upper, p.value + Z95 * sigma)],
+        "determined": sigma is not None and bool(sigma < MAX_RELATIVE_STDERR * abs(p.value)),
+        "nominal": None if known is None else known.value,
+        "nominal_stderr": trust,
+        "at_bound": sigma is not None and p.at_bound,
+    }
+
+
+def _note_extended(r: dict[str, Any], before: Parameters) -> str:
+    if r["stderr"] is None:
+        return "identifiable only in combination; the value is one of many with the same forces"
+    return explain_unreliable(r) or ("new" if r["name"] not in before else compare_with_nominal(r))

@@ -1,0 +1,260 @@
+"""The headline picture: what each step from the nominal robot to the noise floor leaves unexplained.
+
+Errors are shown in percent of what was measured, so that joints of different size and unit compare. The interval over all
+outputs joins those of the outputs as if they were independent: with `S = sum_k n_k rms_k^2`, the upper end of S is
+`S + sqrt(sum_k n_k^2 (u_k^2 - rms_k^2)^2)` for the outputs' upper ends `u_k`, the lower end likewise (the method of
+variance estimates recovery: Zou & Donner 2008).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from tau_dyn.diagnose import Diagnosis, Finding, OutputErrors
+from tau_dyn.results import (
+    Column,
+    Element,
+    On,
+    ResultTable,
+    Row,
+    StepBar,
+    format_estimate,
+    format_list,
+    format_percent,
+    format_quantity,
+)
+
+TEST_PART = 2
+"""Which part of a trace the errors are of."""
+CUT = 2.5
+"""How many times the longest other bar the first may be before it is cut."""
+
+
+@dataclass(frozen=True)
+class WaterfallStep:
+    """One step: what it is called and what it leaves, in percent of the measured output.
+
+    Attributes:
+        label: Its name.
+        about: What it adds, in pieces that may be left out from the end.
+        kind: `start`, `cause` or `floor`.
+        finding: Number of its finding, from 1; 0 for none.
+        joints: The joints of its finding.
+        left: What it leaves [%]; NaN where nothing tells how large the output is.
+        low: Lower end of the 95 % interval [%].
+        high: Upper end [%].
+        previous: What the step before leaves [%]; NaN for the first and for the noise floor.
+        rms: The residual's rms with its unit; empty over several outputs.
+    """
+
+    label: str
+    about: tuple[str, ...]
+    kind: str
+    finding: int
+    joints: tuple[str, ...]
+    left: float
+    low: float
+    high: float
+    previous: float
+    rms: str
+
+
+@dataclass(frozen=True)
+class WaterfallSeries:
+    """All steps for one output, or for all together.
+
+    Attributes:
+        output: The output's name; empty for all.
+        rungs: The steps.
+        floor: The noise floor [%].
+        end: End of the axis [%].
+    """
+
+    output: str
+    rungs: tuple[WaterfallStep, ...]
+    floor: float
+    end: float
+
+    def draw(self, step: WaterfallStep) -> StepBar:
+        """Return a step's bar on this axis."""
+        unit = self.end if self.end > 0 else float("nan")
+        ends = step.low / unit, step.high / unit
+        return StepBar(step.left / unit, *ends, step.previous / unit, self.floor / unit, step.kind)
+
+
+@dataclass(frozen=True, eq=False)
+class OutputScale:
+    """How large the outputs are where the errors were judged: rms (m,) and number of samples (m,); NaN where unknown."""
+
+    rms: np.ndarray
+    count: np.ndarray
+
+    @classmethod
+    def of(cls, diagnosis: Diagnosis) -> OutputScale:
+        """Measure the outputs on the samples that were used for nothing but the gain."""
+        squares, count = np.zeros((2, len(diagnosis.outputs)))
+        for trace in diagnosis.traces:
+            judged = trace.usable & (trace.part == TEST_PART)[:, None]
+            squares += np.sum(np.where(judged, trace.measured, 0.0) ** 2, axis=0)
+            count += judged.sum(axis=0)
+        rms = np.sqrt(squares / np.where(count > 0, count, np.nan))
+        return cls(np.where(rms > 0, rms, np.nan), count)
+
+    def share(self, errors: OutputErrors, k: int) -> tuple[float, float, float]:
+        """Return one output's error and its 95 % interval [%]."""
+        scale = 100 / self.rms[k]
+        return scale * float(errors.rms[k]), scale * float(errors.ci95[k, 0]), scale * float(errors.ci95[k, 1])
+
+    def total(self, errors: OutputErrors) -> tuple[float, float, float]:
+        """Return the error over all outputs and its 95 % interval [%]."""
+        error, (low, high) = errors.relative_error_percent, errors.relative_ci95
+        if np.isfinite(low):
+            return error, low, high
+        n = np.where(self.count > 0, self.count, 0.0) if self.count.any() else np.ones(len(errors.rms))
+        squares = n * errors.rms**2
+        whole = float(squares.sum())
+        if not whole > 0:
+            return error, error, error
+        ends = n[:, None] * errors.ci95**2
+        below, above = np.sqrt(np.sum((ends - squares[:, None]) ** 2, axis=0))
+        return error, error * float(np.sqrt(max(0.0, 1 - below / whole))), error * float(np.sqrt(1 + above / whole))
+
+
+def build_total_series(diagnosis: Diagnosis) -> WaterfallSeries:
+    """Return the steps over all outputs."""
+    yardstick = OutputScale.of(diagnosis)
+    units = set(diagnosis.units)
+    single = len(diagnosis.outputs) == 1 and len(units) == 1
+    rungs = _rungs(diagnosis, yardstick.total, 0 if single else None)
+    return WaterfallSeries("", rungs, rungs[-1].left, _end(rungs))
+
+
+def build_output_series(diagnosis: Diagnosis) -> list[WaterfallSeries]:
+    """Return the steps of each output, all on one axis; nothing for a single output."""
+    yardstick, outputs = OutputScale.of(diagnosis), diagnosis.outputs
+    known = [k for k in range(len(outputs)) if np.isfinite(yardstick.rms[k])]
+    if len(outputs) < 2 or not known:
+        return []
+    found = {k: _rungs(diagnosis, lambda errors, k=k: yardstick.share(errors, k), k) for k in known}
+    end = max(_end(rungs) for rungs in found.values())
+    return [WaterfallSeries(outputs[k], rungs, rungs[-1].left, end) for k, rungs in found.items()]
+
+
+def _rungs(diagnosis: Diagnosis, share, k: int | None) -> tuple[WaterfallStep, ...]:
+    rungs: list[WaterfallStep] = []
+    for step in diagnosis.waterfall:
+        finding = find_step_finding(step.step, diagnosis.findings)
+        label, about, kind = _said(step.step, finding, diagnosis.findings)
+        left, low, high = share(step.errors)
+        previous = rungs[-1].left if rungs and kind != "floor" else float("nan")
+        rms = "" if k is None else format_quantity(float(step.errors.rms[k]), diagnosis.units[k], steadily=True)
+        place = 0 if finding is None else 1 + diagnosis.findings.index(finding)
+        joints = () if finding is None else finding.joints
+        rungs.append(WaterfallStep(label, about, kind, place, joints, left, low, high, previous, rms))
+    return tuple(rungs)
+
+
+def _end(rungs: tuple[WaterfallStep, ...]) -> float:
+    """Return where the axis ends: at the longest bar, or well before it where it dwarfs all others."""
+    ends = [r.high for r in rungs if np.isfinite(r.high)]
+    others = max(ends[1:], default=0.0)
+    first = ends[0] if ends else 1.0
+    return 1.45 * others if others > 0 and first > CUT * others else 1.04 * max([first, others, 1e-9])
+
+
+def find_step_finding(step: str, findings: tuple[Finding, ...]) -> Finding | None:
+    """Return the finding that a step's name stands for: its cause, then its joints; None where several could be meant."""
+    cause, *joints = re.split(r"[\s,:()+]+", step.strip(" +)")) or [""]
+    alike = [f for f in findings if f.cause == cause]
+    exact = [f for f in alike if set(f.joints) == set(joints)]
+    return exact[0] if exact else alike[0] if len(alike) == 1 else None
+
+
+def _said(step: str, finding: Finding | None, findings: tuple[Finding, ...]) -> tuple[str, tuple[str, ...], str]:
+    if step == "nominal":
+        return "nominal parameters", ("as in the robot file",), "start"
+    if step == "refitted":
+        return "refitted", ("masses and friction",), "start"
+    if step == "noise_floor":
+        return "noise floor", ("estimated error without any model error",), "floor"
+    if finding is None:
+        return f"+ {step}", (), "cause"
+    several = sum(f.cause == finding.cause for f in findings) > 1
+    return f"+ {finding.cause}{f' {format_list(finding.joints)}' if several else ''}", format_finding(finding), "cause"
+
+
+def format_finding(finding: Finding, most: int = 3) -> tuple[str, ...]:
+    """Return joints and main figures of a finding, such as `cart2`, `1.80 ± 0.10 N`, `period 20.9 mm`."""
+    owners = {p.name.rsplit(".", 1)[0] for p in finding.parameters if "." in p.name}
+    several = len([p for p in finding.parameters if p.unit == finding.parameters[0].unit]) > 1
+    parts = []
+    for k, p in enumerate(finding.parameters[:most]):
+        name = p.name if len(owners) > 1 else p.name.rsplit(".", 1)[-1]
+        parts.append(format_estimate(p) if not k and not several else f"{name} {format_estimate(p)}")
+    more = len(finding.parameters) - most
+    joints = [format_list(finding.joints, 4)] if finding.joints else []
+    return (*joints, *parts, *([f"{more} more"] if more > 0 else []))
+
+
+def build_total_table(series: WaterfallSeries) -> ResultTable:
+    """Return the steps over all outputs as a table."""
+    both, page = On.PAGE | On.TERMINAL, On.PAGE
+    columns = [
+        Column(kind="text"),
+        Column(kind="step"),
+        Column(kind="number", style="strong"),
+        Column("", "number", "quiet spread", on=page),
+        Column(style="about quiet", on=both),
+        Column(on=On.NOTEBOOK),
+    ]
+    rows = [
+        Row(
+            [r.label, series.draw(r), format_share(r.left), format_spread(r), r.about, format_list(r.joints)],
+            r.kind,
+            f"finding-{r.finding}" if r.finding else "",
+        )
+        for r in series.rungs
+    ]
+    return ResultTable(columns, rows, style="waterfall", on=On.ALL)
+
+
+def build_output_tables(parts: list[WaterfallSeries]) -> list[Element]:
+    """Return the steps of every output as small tables; the steps of an output's own causes stand out."""
+    columns = [
+        Column(),
+        Column(kind="step"),
+        Column(kind="number", style="strong"),
+        Column(kind="number", style="quiet"),
+    ]
+    return [
+        ResultTable(
+            columns,
+            [
+                Row(
+                    [r.label.replace(" parameters", ""), part.draw(r), format_share(r.left), r.rms],
+                    f"{r.kind} acts" if part.output in r.joints else r.kind,
+                    f"finding-{r.finding}" if r.finding else "",
+                )
+                for r in part.rungs
+            ],
+            style="waterfall",
+            caption=part.output,
+        )
+        for part in parts
+    ]
+
+
+def format_share(share: float) -> str:
+    """Return what a step leaves; empty where nothing tells how large the output is."""
+    return format_percent(share) if np.isfinite(share) else ""
+
+
+def format_spread(step: WaterfallStep) -> str:
+    """Return a step's 95 % interval."""
+    if not np.isfinite(step.low):
+        return ""
+    low, high = format_percent(step.low), format_percent(step.high)
+    return f"{low.removesuffix(' %')} … {high}"

@@ -1,0 +1,280 @@
+"""A workspace: size, cross-sections, the cloud with the robot in it, maps, what excludes the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from tau_dyn.kinematics.workspace import QUANTITIES, Study, build_points_table
+from tau_dyn.render.kinds import workspace_figures as figures
+from tau_dyn.render.kinds.workspace_figures import SHOWN_UNITS
+from tau_dyn.render.present import present_kind, warn
+from tau_dyn.results import (
+    Bar,
+    Beside,
+    Chapter,
+    Column,
+    Element,
+    Facts,
+    Figures,
+    Key,
+    Level,
+    On,
+    PolarPicture,
+    Presentation,
+    Provenance,
+    ResultTable,
+    RobotPicture,
+    Row,
+    SpacePicture,
+    Text,
+    Verdict,
+    capitalise,
+    count,
+    end_sentence,
+    format_list,
+    format_number,
+    format_percent,
+    replace_minus_signs,
+)
+
+_MAX_SECTIONS = 4
+"""Sections that a notebook shows."""
+MAP_WORDS = {
+    "condition": "How much better the best direction is than the worst; 1 is isotropic, large is near a singularity.",
+    "manipulability": "Product of the Jacobian's singular values: how much the tool moves for a move of the actuators.",
+    "singularity": "Least singular value of the homogenised closure: how far it is from a matrix that is singular; 0 is there.",
+    "stiffness": "Force per displacement along the direction that gives way most, the tool free to turn.",
+    "speed": "Speed that the actuators' limits allow in every direction, without turning.",
+    "force": "Force that the actuators' limits hold in every direction; gravity not counted.",
+}
+SIZE_UNITS = {"m3": "m³", "m2": "m²", "m": "m", "1": "points"}
+"""How the unit of a size is shown, by the workspace's dimension."""
+
+
+@present_kind.register
+def present_workspace(found: Study) -> Presentation:
+    """Return how a workspace is presented."""
+    robot = found.workspace.machine.robot
+    sections = [
+        *warn([end_sentence(capitalise(text)) for text in (*robot.warnings, *found.warnings)]),
+        Chapter("glance", "", lambda: [Facts(_list_facts(found), "three")]),
+        *([Chapter("space", "In space", lambda: _build_space(found))] if found.workspace.dimension == 3 else []),
+        *(
+            [Chapter("sections", "Cross-sections", lambda: _build_sections(found), On.PAGE | On.NOTEBOOK)]
+            if found.sections
+            else []
+        ),
+        Chapter("reasons", "Why not elsewhere", lambda: [_build_reasons(found)], On.ALL),
+        Chapter("catalogue", "As a catalogue would say it", lambda: _build_catalogue(found), On.PAGE | On.TERMINAL),
+        *([Chapter("maps", "Maps", lambda: _build_maps(found))] if found.sections and found.maps else []),
+    ]
+    return Presentation(
+        "Workspace of", robot.name, f"{robot.name}: workspace", describe_headline(found), describe_verdict(found),
+        describe_inputs(found), sections, found.warnings, RobotPicture(robot), Provenance(robot=robot),
+        lambda: build_points_table(found), found,
+    )  # fmt: skip
+
+
+def _list_facts(found: Study) -> list[tuple[str, str, str]]:
+    """Return what stands in large numbers: words, number, unit."""
+    space, frame = found.workspace, found.workspace.footprint
+    name, unit = space.measure
+    rows = [(name, format_number(space.size.value, 3), SIZE_UNITS[unit])]
+    if space.dimension == 3 and frame.area > 0:
+        rows.append(("workspace per footprint", format_number(space.size.value / frame.area, 2), "m³/m²"))
+        if frame.height > 0:
+            rows.append(
+                ("workspace per installation", format_number(space.size.value / frame.area / frame.height, 2), "")
+            )
+    for quantity, which, words in (("stiffness", 0, "least"), ("speed", 0, "least"), ("condition", 1, "median")):
+        if quantity in found.catalogue.rows:
+            value, _, shown_unit = format_shown_value(quantity, found.catalogue.rows[quantity][0][which]).partition(" ")
+            rows.append((f"{quantity}, {words}", value, shown_unit))
+    return rows[:6]
+
+
+def _build_space(found: Study) -> Iterator[Element]:
+    yield Figures([SpacePicture(found)], "whole")
+    walls = [o.name for o in found.workspace.judge.demands.surroundings.obstacles]
+    named = f" Outlined in colour: {', '.join(walls)} (walls without end are not drawn)." if walls else ""
+    yield Text(f"The border of the workspace with the robot at home in it; dashed: the box around it.{named}", "note")
+
+
+def _build_sections(found: Study) -> Iterator[Element]:
+    drawn = [figures.build_section_figure(found, s) for s in found.sections]
+    cart = "rods' joints on carts, at home" if found.workspace.machine.rods is not None else "base"
+    reasons = [Key(figures.get_reason_ink(kind), kind) for kind in figures.list_reasons(found)]
+    yield Figures(drawn, "row", [Key("in", "workspace"), *reasons, Key("cart", cart)])
+    yield Figures(drawn[:_MAX_SECTIONS], on=On.NOTEBOOK)
+    areas = [f"{replace_minus_signs(s.name)}: {format_number(s.area, 3)} m²" for s in found.sections]
+    yield Text(
+        "Coloured: inverse kinematics has a solution there; the colour is the first demand that is not met. "
+        "Cross: the tool at home. "
+        f"{', '.join(areas)}.",
+        "note",
+    )
+
+
+def _build_reasons(found: Study) -> ResultTable:
+    """Return the demands that are first not met, over the box that was looked at."""
+    columns = [
+        Column("first demand not met"), Column("", "bar"),
+        Column("share of the box searched", "number", on=On.PAGE | On.NOTEBOOK),
+        Column("share of box", "number", on=On.TERMINAL), Column("by", style="quiet"),
+    ]  # fmt: skip
+    rows = []
+    for r in found.workspace.counts():
+        share = format_percent(100 * r["share"])
+        by = [f"{name} ({format_percent(100 * n / r['points'])})" for name, n in list(r["culprits"].items())[:4]]
+        bar = Bar(r["share"], ink=figures.get_reason_ink(r["reason"]))
+        rows.append(Row([r["reason"], bar, share, share, ", ".join(by)]))
+    return ResultTable(columns, rows, style="reasons", on=On.ALL)
+
+
+def _build_catalogue(found: Study) -> Iterator[Element]:
+    catalogue = found.catalogue
+    titles = (("least", ""), ("median", "strong"), ("largest", ""), ("at home", ""))
+    columns = [Column("over the workspace"), *(Column(title, "number", style) for title, style in titles)]
+    rows = [
+        Row([QUANTITIES[name].words, *(format_shown_value(name, v) for v in (*spread, home))])
+        for name, (spread, home) in catalogue.rows.items()
+    ]
+    length = f" Turns count as lengths at {catalogue.length:.3g} m." if catalogue.length else ""
+    left: list[Element] = [
+        ResultTable(columns, rows, on=On.PAGE | On.TERMINAL),
+        Text(f"Stiffness: {catalogue.elasticity}.{length}", "note", on=On.PAGE | On.TERMINAL),
+    ]
+    if catalogue.stiffness_at_home is not None:
+        values, axes = catalogue.stiffness_at_home
+        main = [
+            Row([name, format_shown_value("stiffness", float(value)), f"along ({_format_axis(axis)})"])
+            for name, value, axis in zip(("softest", "between", "stiffest"), values, axes.T, strict=True)
+        ]
+        left.append(Text("Stiffness at home, by direction", "heading"))
+        left.append(ResultTable([Column(), Column(kind="number", style="strong"), Column(kind="number")], main))
+    right: list[Element] = []
+    if found.tilt is not None:
+        picture = PolarPicture(
+            found.tilt.towards, np.rad2deg(found.tilt.angle), "how far the tool leans towards each side"
+        )
+        right = [Text("How far the tool leans", "heading"), Figures([picture], "whole"),
+                 Text(_describe_tilt(found), "note", on=On.PAGE | On.TERMINAL)]  # fmt: skip
+    demands = ResultTable([Column(), Column()], [Row(row) for row in _list_demands(found)], style="plain")
+    areas = [f"{replace_minus_signs(s.name)}: {format_number(s.area, 3)} m²" for s in found.sections]
+    if areas:
+        left.append(Text(f"Cross-sections {format_list(areas)}.", on=On.TERMINAL))
+    yield Beside(left, [*right, Text("What a pose must satisfy", "heading"), demands], "two")
+
+
+def _format_axis(axis: np.ndarray) -> str:
+    return ", ".join(replace_minus_signs(f"{c:+.2f}") for c in axis)
+
+
+def _build_maps(found: Study) -> Iterator[Element]:
+    for name in found.maps:
+        quantity = QUANTITIES[name]
+        unit = SHOWN_UNITS[quantity.unit][1]
+        yield Text(capitalise(quantity.words) + (f" [{unit}]" if unit else ""), "heading")
+        yield Figures([figures.build_scale(found, name)], "whole")
+        yield Figures([figures.build_map_figure(found, s, name) for s in found.sections], "row")
+        yield Text(MAP_WORDS[name], "note")
+
+
+def _describe_tilt(found: Study) -> str:
+    assert found.tilt is not None
+    rows = found.tilt.to_dict()
+    place = ", ".join(f"{x:.3g}" for x in found.tilt.place)
+    by = format_list(sorted({r for r in found.tilt.reason if r}), 4)
+    limited = f" Stopped by {by}." if by else ""
+    return (
+        f"At ({place}) m the tool leans {rows['every_way_deg']:.0f}° towards every side and {rows['best_way_deg']:.0f}° "
+        f"towards the best.{limited}"
+    )
+
+
+def _list_demands(found: Study) -> list[tuple[str, str]]:
+    space = found.workspace
+    demands, frame = space.judge.demands, space.footprint
+    rows = [("actuators", "within the robot file's limits" if demands.actuators else "not limited")]
+    if space.judge.balls is not None:
+        limits = np.rad2deg(np.unique(space.judge.balls.limits[np.isfinite(space.judge.balls.limits)]))
+        axes = "given by the robot file" if space.judge.balls.given.all() else "the rods' directions at home"
+        rows.append(("ball joints", f"{format_list([f'{x:.4g}°' for x in limits])} from their axes, which are {axes}"))
+    apart = f"come closer than {1e3 * demands.clearance:.4g} mm" if demands.clearance else "touch"
+    pairs = (
+        f"none of {len(space.judge.pairs)} pairs of solids may {apart}" if space.judge.pairs else "no solids to test"
+    )
+    rows.append(("collisions", pairs if demands.collisions else "not asked"))
+    rows.append(("singularities", f"same side as home, condition number below {demands.condition:g}"))
+    around = demands.surroundings
+    ends = [f"{a} {lo:.4g} to {hi:.4g} m" for a, lo, hi in zip("xyz", around.lower, around.upper, strict=True)
+            if np.isfinite([lo, hi]).any()]  # fmt: skip
+    rows += [("tool", format_list(ends))] if ends else []
+    rows += [("obstacles", format_list([o.name for o in around.obstacles], 12))] if around.obstacles else []
+    rows += [("border", f"{demands.border:g} m kept")] if demands.border else []
+    size = frame.upper - frame.lower
+    if frame.area > 0:
+        rows.append(
+            (
+                "footprint",
+                f"{size[0]:.3g} × {size[1]:.3g} m = {frame.area:.3g} m², {frame.height:.3g} m high: {frame.what}",
+            )
+        )
+    return rows
+
+
+def format_shown_value(name: str, value: float, digits: int = 3) -> str:
+    """Return a quantity's value with its unit as a person would read it."""
+    if not np.isfinite(value):
+        return "–" if np.isnan(value) else "∞"
+    factor, unit = SHOWN_UNITS[QUANTITIES[name].unit]
+    return f"{format_number(factor * value, digits)} {unit}".strip()
+
+
+def describe_size(found: Study) -> str:
+    """Return the size with its bounds, such as `1.98 m³ (1.93 … 2.03)`."""
+    size, (_, unit) = found.workspace.size, found.workspace.measure
+    half = (size.high - size.low) / 2
+    digits = int(np.clip(np.ceil(-np.log10(max(half, 1e-9))) + 1, 0, 6))
+    return f"{size.value:.{digits}f} {SIZE_UNITS[unit]} ({size.low:.{digits}f} … {size.high:.{digits}f})"
+
+
+def describe_headline(found: Study) -> str:
+    """Return the one sentence above everything."""
+    space = found.workspace
+    extent = space.upper - space.lower
+    sides = " × ".join(f"{x:.2f}" for x, n in zip(extent, space.lattice.shape, strict=True) if n > 1)
+    return f"The tool reaches {describe_size(found)} within {sides} m, connected to home."
+
+
+def describe_verdict(found: Study) -> Verdict:
+    """Return how far the numbers may be relied on."""
+    space = found.workspace
+    half = (space.size.high - space.size.low) / 2 / max(space.size.value, 1e-12)
+    level: Level = "good" if half < 0.1 else "care" if half < 0.25 else "poor"
+    words = f"Bounds of its size: {format_percent(100 * half)} to either side"
+    advice = "" if level == "good" else f"; half the step of {format_number(space.lattice.step, 2)} m halves them"
+    badge = {"good": "Sharp", "care": "Rough", "poor": "Too rough"}[level]
+    return Verdict(level, f"{words}{advice}. {describe_limits(found)}", badge)
+
+
+def describe_limits(found: Study) -> str:
+    """Return what cuts the workspace most, beside the robot's reach."""
+    rows = [row for row in found.workspace.counts() if row["reason"] != "out of reach"]
+    rows.sort(key=lambda row: -row["points"])
+    if not rows:
+        return "Only the robot's reach limits it."
+    named = [f"{row['reason']} ({format_percent(100 * row['share'])})" for row in rows[:3]]
+    return f"Besides reach it is limited by {format_list(named)} of the box searched."
+
+
+def describe_inputs(found: Study) -> str:
+    """Return what was done."""
+    space = found.workspace
+    size = " × ".join(str(n) for n in space.lattice.shape)
+    return (
+        f"{size} points every {format_number(space.lattice.step, 3)} m, {count(space.judge.n_judged, 'pose')} evaluated; "
+        "the rest follows from neighbours and a random check"
+    )

@@ -1,0 +1,119 @@
+"""A presentation as one HTML page that needs no other file: offline, light and dark, on screen and on paper.
+
+Its texts are escaped by Jinja; its content security policy allows no network and no script but the two inside, which it names
+by hash.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import platform
+from collections.abc import Iterable
+from datetime import datetime
+from functools import cache
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from tau_dyn.files import write_whole
+from tau_dyn.render.markup import build_table, draw
+from tau_dyn.render.present import present
+from tau_dyn.render.sketch import build_joint_labels
+from tau_dyn.render.time_view import build_payload, select_printed
+from tau_dyn.results import Beside, Element, Folded, Group, On, Presentation, Provenance, RobotPicture, TimeView
+from tau_dyn.version import __version__
+
+
+def write_report(path: str | Path, result: Any, **options: Any) -> None:
+    """Write any result's page; it appears whole or not at all. Options are those of `build_page`."""
+    write_whole(path, build_page(result, **options))
+
+
+def build_page(result: Any, *, command_line: str = "", **options: Any) -> str:
+    """Return any result as one HTML page.
+
+    Args:
+        result: The result, or its presentation.
+        command_line: The command that repeats it, for the provenance.
+        options: What `present` may be told of such a result.
+    """
+    shown = result if isinstance(result, Presentation) else present(result, **options)
+    sections = [(section, section.list_blocks(On.PAGE)) for section in shown.sections if section.on & On.PAGE]
+    sections = [(section, blocks) for section, blocks in sections if blocks]
+    views = [view for block in _spread(b for _, blocks in sections for b in blocks) for view in block.views]
+    picture = Markup("") if shown.picture is None else draw(shown.picture)
+    return _environment().get_template("page.html.j2").render(
+        shown=shown,
+        sections=sections,
+        picture=picture,
+        joints_drawn=_list_joints_drawn(shown.picture) if picture else [],
+        panels=build_payload(views),
+        printed=select_printed(views),
+        provenance=_list_facts(shown.provenance),
+        command_line=command_line,
+        style=Markup(_read("vendor/uPlot.min.css") + _read("templates/page.css")),  # noqa: S704
+        scripts=[Markup(text) for text in list_scripts()],  # our own files, nothing of the user's
+        script_hashes=[_hash(text) for text in list_scripts()],
+        licence=_read("vendor/uPlot.LICENSE"),
+    )  # fmt: skip
+
+
+def _spread(blocks: Iterable[Element]) -> Iterable[TimeView]:
+    """Give the time views among blocks, wherever they stand."""
+    for block in blocks:
+        if isinstance(block, TimeView):
+            yield block
+        elif isinstance(block, Beside | Folded | Group):
+            yield from _spread([*block.left, *block.right] if isinstance(block, Beside) else block.blocks)
+
+
+@cache
+def _environment() -> Environment:
+    loader = PackageLoader("tau_dyn.render", "templates")
+    made = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    made.filters["together"] = lambda text: text.replace(" %", "\u00a0%").replace("± ", "±\u00a0")
+    made.filters["table"] = lambda block: build_table(block, On.PAGE)
+    made.filters["draw"] = draw
+    made.tests["kind"] = lambda block, name: type(block).__name__ == name
+    return made
+
+
+@cache
+def _read(name: str) -> str:
+    return files("tau_dyn.render").joinpath(name).read_text(encoding="utf-8")
+
+
+def list_scripts() -> list[str]:
+    """Return the scripts of a page: the plotting library and the time view."""
+    return [_read("vendor/uPlot.iife.min.js"), _read("templates/page.js")]
+
+
+def _hash(script: str) -> str:
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+
+
+def _list_joints_drawn(picture: Any) -> list[str]:
+    """Return what the numbers in a robot's picture stand for; nothing where it shows names."""
+    if not isinstance(picture, RobotPicture):
+        return []
+    names = zip(build_joint_labels(picture.robot), picture.robot.actuated, strict=True)
+    return [f"{number} {joint}" for number, joint in names if number != joint]
+
+
+def _list_facts(provenance: Provenance) -> list[tuple[str, str]]:
+    """Return versions, the robot file, what a kind adds, and when the page was made."""
+    libraries = ", ".join(f"{name} {version(name)}" for name in ("pin", "numpy", "scipy", "cvxpy"))
+    facts = [("tau_dyn", __version__), ("libraries", f"Python {platform.python_version()}, {libraries}")]
+    robot = provenance.robot
+    if robot is not None:
+        arguments = ", ".join(f"{k}:={v}" for k, v in robot.arguments.items())
+        given = f" ({arguments})" if arguments else ""
+        facts.append(("robot", f"{robot.source}{given}, actuated: {', '.join(robot.actuated)}"))
+        facts.append(("robot file, SHA-256", robot.sha256 or "not a file"))
+    made = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
+    return [*facts, *provenance.facts, ("page made", made)]

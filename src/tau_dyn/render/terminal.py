@@ -1,0 +1,209 @@
+"""A presentation in the terminal: the sentence, then the bars, then what is uncertain, then where things are.
+
+Plain text within 100 columns, a margin, bars of block characters. Nothing is markup, so that no name can style a line or steer
+the terminal; no line ends in blanks. Colour carries meaning only and disappears when the output is piped. Numbers and bars
+stay whole in a narrow terminal: columns that can be spared go, wide tables are split, only words wrap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.padding import Padding
+from rich.segment import Segment, Segments
+from rich.table import Table as Grid
+from rich.text import Text as Said
+
+from tau_dyn.render.present import present
+from tau_dyn.results import (
+    Bar,
+    Cell,
+    Column,
+    Element,
+    Listing,
+    On,
+    Presentation,
+    ResultTable,
+    Row,
+    StepBar,
+    Text,
+    Verdict,
+)
+
+MARGIN = (0, 0, 0, 2)
+GAP = 3  # columns between two of a table: two of padding, one of the box
+MIN_BAR, MAX_BAR = 4, {90: 24, 0: 16}
+"""Shortest bar, and the longest by the columns that there are at least; words take the rest."""
+LEVEL_STYLE = {"good": "green", "care": "yellow", "poor": "bold red"}
+ROW_STYLE = {"weak": "dim", "unseen": "dim", "quiet": "dim", "changed": "bold", "start": "", "cause": "", "floor": ""}
+_EIGHTHS = " ▏▎▍▌▋▊▉█"
+
+
+def print_result(console: Console, result: Any, written: Mapping[str, str] | None = None, **options: Any) -> None:
+    """Print any result for a person.
+
+    Args:
+        console: Where to.
+        result: The result, or its presentation.
+        written: What was written, such as `{"report": "m.html"}`, for the last lines.
+        options: What `present` may be told of such a result.
+    """
+    shown = result if isinstance(result, Presentation) else present(result, **options)
+    about = [shown.about] if shown.about and shown.about not in shown.summary else []
+    say(console, " · ".join([*about, *([shown.summary] if shown.summary else [])]), "dim")
+    if shown.headline:
+        say(console, shown.headline, "bold")
+    if shown.verdict is not None and shown.verdict.sentence:
+        say(console, shown.verdict.sentence, LEVEL_STYLE[shown.verdict.level])
+    for block in shown.list_blocks(On.TERMINAL):
+        _print_block(console, block)
+    if written:
+        say(console, "\n".join(f"{what} → {path}" for what, path in written.items()))
+
+
+def say(console: Console, text: str, style: str = "") -> None:
+    """Print a paragraph after an empty line."""
+    put(console, escape_control_characters(text, style))
+
+
+def put(console: Console, what: Said | Grid) -> None:
+    """Print a text or a table after an empty line, within the margin and the width there is."""
+    console.print()
+    options = console.options.update(width=measure_columns(console))
+    for line in console.render_lines(Padding(what, MARGIN, expand=False), options, pad=False):
+        console.print(Segments([*_trim(line), Segment.line()]), end="", no_wrap=True, crop=False)
+
+
+def measure_columns(console: Console) -> int:
+    """Return how many columns may be used."""
+    return min(console.width, 100)
+
+
+def escape_control_characters(text: str, style: str = "") -> Said:
+    """Return text without control characters, which a file name could use to steer the terminal."""
+    return Said("".join(c if c.isprintable() or c == "\n" else "�" for c in text), style)
+
+
+def draw_meter(share: float, width: int) -> str:
+    """Return a bar as long as a share, 0 to 1, of so many columns; an eighth of a column at least, cut where it is longer."""
+    if share > 1:
+        return f"{draw_meter(1.0, width - 4)}╱╱{draw_meter(1.0, 2)}"
+    eighths = max(1, round(8 * width * max(share, 0.0)))
+    return "█" * (eighths // 8) + (_EIGHTHS[eighths % 8] if eighths % 8 else "")
+
+
+def _print_block(console: Console, block: Element) -> None:
+    if isinstance(block, ResultTable):
+        for grid in build_grids(block, measure_columns(console)):
+            put(console, grid)
+        more = len([row for row in block.all_rows if row.on & On.TERMINAL]) - block.most
+        if block.most and more > 0:
+            say(console, f"and {more} {block.rest}", "dim")
+    elif isinstance(block, Text):
+        say(console, block.text, "dim" if block.style in ("dim", "note") else "")
+    elif isinstance(block, Listing):
+        put(console, _build_listing(block))
+
+
+def _build_listing(block: Listing) -> Said | Grid:
+    """Return a title with its single sentence behind it, or with several below."""
+    start = f"{block.title}: " if block.title else ""
+    if len(block.items) == 1 or not block.title:
+        return escape_control_characters("\n".join(f"{start}{item}" for item in block.items))
+    table = Grid(box=None, show_header=False, padding=0, pad_edge=False)
+    table.add_column(overflow="fold")
+    table.add_row(escape_control_characters(f"{block.title}:"))
+    for item in block.items:
+        table.add_row(Padding(escape_control_characters(item), MARGIN))
+    return table
+
+
+def build_grids(table: ResultTable, columns: int) -> list[Grid]:
+    """Return a table as one or more that fit into so many columns."""
+    rows = [row for row in table.all_rows if row.on & On.TERMINAL]
+    rows = rows[: table.most] if table.most else rows
+    shown = [k for k, c in enumerate(table.columns) if c.on & On.TERMINAL and c.kind != "interval"]
+    room = columns - MARGIN[3]
+    wide = {k: _measure(table.columns[k], [row.cells[k] for row in rows]) for k in shown}
+    kept = [k for k in shown if table.columns[k].kept]
+    if not kept:
+        while _sum(wide, shown) > room and any(table.columns[k].spare for k in shown):
+            shown.remove(next(k for k in reversed(shown) if table.columns[k].spare))
+        return [_build_grid(table, rows, shown, wide, room)]
+    parts: list[list[int]] = [[]]
+    for k in (k for k in shown if k not in kept):
+        if parts[-1] and _sum(wide, [*kept, *parts[-1], k]) > room:
+            parts.append([])
+        parts[-1].append(k)
+    return [_build_grid(table, rows, [*kept, *part], wide, room) for part in parts]
+
+
+def _sum(wide: Mapping[int, int], shown: Sequence[int]) -> int:
+    return sum(wide[k] for k in shown) + GAP * (len(shown) - 1)
+
+
+def _measure(column: Column, cells: Sequence[Cell]) -> int:
+    """Return how wide a column has to be; pieces of text and bars take what is left."""
+    if column.kind in ("bar", "step"):
+        return max(MIN_BAR, len(column.title))
+    words = [x.badge if isinstance(x, Verdict) else x if isinstance(x, str) else "" for x in cells]
+    return max((len(line) for text in (column.title, *words) for line in text.split("\n")), default=0)
+
+
+def _build_grid(
+    table: ResultTable, rows: Sequence[Row], shown: Sequence[int], wide: Mapping[int, int], room: int
+) -> Grid:
+    grid = Grid(box=box.SIMPLE_HEAD, padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False, header_style="dim")
+    columns = [table.columns[k] for k in shown]
+    grid.show_header = any(c.title for c in columns)
+    for n, column in enumerate(columns):
+        words = column.kind == "text" and (n > 0 or _sum(wide, shown) > room)
+        head = escape_control_characters(column.title, "dim")
+        justify = "right" if column.kind == "number" else "left"
+        grid.add_column(head, justify=justify, no_wrap=not words, overflow="fold")
+    left = room - _sum(wide, shown)
+    longest = next(bar for least, bar in MAX_BAR.items() if room >= least)
+    bar = int(np.clip(MIN_BAR + left, MIN_BAR, longest))
+    left -= bar - MIN_BAR if any(c.kind in ("bar", "step") for c in columns) else 0
+    for row in rows:
+        cells = (_write(row.cells[k], c, bar, left, row) for k, c in zip(shown, columns, strict=True))
+        grid.add_row(*cells)
+    return grid
+
+
+def _write(cell: Cell, column: Column, bar: int, left: int, row: Row) -> Said:
+    style = ROW_STYLE.get(row.style, "")
+    if isinstance(cell, Bar | StepBar):
+        if not np.isfinite(cell.share):
+            return Said("")
+        ink = "" if isinstance(cell, Bar) else "cyan" if cell.kind == "cause" else "dim"
+        return escape_control_characters(draw_meter(cell.share, bar), ink)
+    if isinstance(cell, Verdict):
+        return escape_control_characters(cell.badge, LEVEL_STYLE[cell.level])
+    if isinstance(cell, tuple):
+        return escape_control_characters(_fit(cell, left), "dim")
+    text = cell if isinstance(cell, str) else ""
+    return escape_control_characters(text, style or {"strong": "bold", "quiet": "dim"}.get(column.style, ""))
+
+
+def _fit(pieces: Sequence[str], columns: int) -> str:
+    """Return as many pieces as fit, each whole."""
+    text = ""
+    for piece in pieces:
+        longer = f"{text}, {piece}" if text else piece
+        if len(longer) > columns:
+            break
+        text = longer
+    return text
+
+
+def _trim(line: list[Segment]) -> list[Segment]:
+    """Return a line without the blanks at its end."""
+    line = list(line)
+    while line and not line[-1].text.strip():
+        line.pop()
+    return [*line[:-1], Segment(line[-1].text.rstrip(), line[-1].style)] if line else []

@@ -1,0 +1,116 @@
+"""The zoomable time view of a page: strips that share a time axis, as data for the script and as drawings for paper.
+
+Series are thinned so that peaks survive (the smallest and the largest sample of each bin, in the order they came) and packed
+as 16-bit numbers. Samples lie on an even grid; where a recording has none, its values are NaN and the curves break.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from tau_dyn.render.chart import Chart
+from tau_dyn.results import Line, Spans, View
+
+TOTAL_POINTS = 120_000  # points in a page at most, which keeps it below some MB
+VIEW_POINTS = 8_000  # points of one view at most, several a pixel
+PAPER_POINTS = 1_200  # points of a printed view at most, what paper resolves
+PRINTED_VIEWS = 12  # views printed at most
+WIDE = 1000  # width of a drawing in its own units
+THICKNESS = {"measured": 3.0, "predicted": 1.2, "residual": 1.0}
+"""Line widths by the colour's name in the style sheet: the reference lies thick and pale under what follows it."""
+
+
+def build_payload(views: Sequence[View]) -> list[dict[str, Any]]:
+    """Return what the page's script draws, as plain data for JSON."""
+    total = sum(len(s.curves) for view in views for s in view.strips)
+    most = int(np.clip(TOTAL_POINTS / max(1, total), 400, VIEW_POINTS))
+    return [_build_payload(view, most) for view in views]
+
+
+def _build_payload(view: View, most: int) -> dict[str, Any]:
+    t, thinned = _thin(view, most)
+    step = float(t[1] - t[0]) if len(t) > 1 else 1.0
+    unused = [] if view.usable is None else find_gaps(view.t, view.usable, 2 * step)
+    columns = iter(thinned.T)
+    strips = [
+        {
+            "label": s.label,
+            "limits": s.limits,
+            "height": s.height,
+            "masked": s.masked,
+            "bounds": s.bounds,
+            "curves": [
+                {"name": c.name, "ink": c.ink, "width": THICKNESS[c.ink], **encode_int16(next(columns))}
+                for c in s.curves
+            ],
+        }
+        for s in view.strips
+    ]
+    masked = [[round(a, 4), round(b, 4)] for a, b in unused]
+    return {"log": view.log, "joint": view.joint, "heldOut": view.held_out, "bands": view.bands, "masked": masked,
+            "t0": float(t[0]), "step": step, "n": len(t), "strips": strips}  # fmt: skip
+
+
+def select_printed(views: Sequence[View]) -> list[tuple[View, Markup]]:
+    """Return what paper shows: each joint once, in its first stretch, which is held out where there is one."""
+    first = {view.joint: view for view in reversed(views)}
+    return [(v, _draw(v)) for v in views if first[v.joint] is v][:PRINTED_VIEWS]
+
+
+def _draw(view: View) -> Markup:
+    t, thinned = _thin(view, PAPER_POINTS)
+    start, end = float(view.t[0]), float(view.t[-1])
+    xlim = (start, end if end > start else start + 1.0)
+    unused = [] if view.usable is None else find_gaps(view.t, view.usable, (xlim[1] - xlim[0]) / 1000)
+    columns, charts = iter(thinned.T), []
+    for k, s in enumerate(view.strips):
+        chart = Chart(WIDE, int(0.8 * s.height), xlim, s.limits, "" if k else view.joint, "time [s]", s.label)
+        lines = [Line(t, np.clip(next(columns), *s.limits), c.ink) for c in s.curves]
+        across = [Line(np.array(xlim), np.full(2, b), "limit") for b in s.bounds]
+        shades = [Spans([(low, high)], ink) for low, high, ink in view.bands]
+        charts.append(chart.render(*shades, Spans(unused if s.masked else [], "masked"), *across, *lines))
+    return Markup("").join(charts)
+
+
+def _thin(view: View, most: int) -> tuple[np.ndarray, np.ndarray]:
+    return decimate_min_max(view.t, np.column_stack([c.values for s in view.strips for c in s.curves]), most)
+
+
+def decimate_min_max(t: np.ndarray, columns: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return at most about `most` rows of time (n,) and columns (n, m): two a bin, its extremes in their order."""
+    size = int(np.ceil(2 * len(t) / most))
+    if len(t) <= most or size < 2:
+        return t, columns
+    bins = int(np.ceil(len(t) / size))
+    padded = np.concatenate([columns, np.repeat(columns[-1:], bins * size - len(t), axis=0)])
+    blocks = padded.reshape(bins, size, -1)
+    low, high = blocks.min(axis=1), blocks.max(axis=1)
+    rising = blocks.argmin(axis=1) <= blocks.argmax(axis=1)
+    out = np.stack([np.where(rising, low, high), np.where(rising, high, low)], axis=1).reshape(2 * bins, -1)
+    return t[0] + np.arange(2 * bins) * (t[1] - t[0]) * size / 2, out
+
+
+def find_gaps(t: np.ndarray, usable: np.ndarray, shortest: float = 0.0) -> list[tuple[float, float]]:
+    """Return the intervals [s] that are not usable, those closer together than `shortest` joined."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (~usable).astype(int), [0]])))
+    found: list[tuple[float, float]] = []
+    for start, stop in zip(t[edges[::2]], t[edges[1::2] - 1], strict=True):
+        if found and start - found[-1][1] < shortest:
+            found[-1] = (found[-1][0], float(stop))
+        else:
+            found.append((float(start), float(stop)))
+    return found
+
+
+def encode_int16(values: np.ndarray) -> dict[str, Any]:
+    """Return values as base64 of little-endian 16-bit numbers, `value = middle + scale * number`; -32768 stands for NaN."""
+    there = np.isfinite(values)
+    low, high = (float(values[there].min()), float(values[there].max())) if there.any() else (0.0, 0.0)
+    middle, scale = (low + high) / 2, (high - low) / 65000 or 1.0
+    numbers = np.where(there, np.round((np.where(there, values, middle) - middle) / scale), -32768).astype("<i2")
+    return {"middle": middle, "scale": scale, "data": base64.b64encode(numbers.tobytes()).decode("ascii")}

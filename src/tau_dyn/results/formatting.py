@@ -1,0 +1,172 @@
+"""Numbers in words: with their uncertainty, in the unit a person would use (20.9 mm rather than 0.0209 m), and lists.
+
+`±` is a standard error (`95.14 ± 0.20 kg`); minus signs are true ones. Results and files stay in SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import floor, isfinite, log10
+from typing import Protocol
+
+Z95 = 1.959964  # two-sided 95 % point of the normal distribution
+_MAX_STDERR = 1e300
+"""A standard error beyond this has no decimals that a float could say."""
+PREFIXED = ("m", "m/s", "rad", "rad/s", "s")
+"""Units that take a prefix where the number is small."""
+
+
+class Estimated(Protocol):
+    """A number with its unit and, where it was estimated, its standard error: a `Parameter`."""
+
+    @property
+    def value(self) -> float:
+        """The number [unit]."""
+        ...
+
+    @property
+    def stderr(self) -> float | None:
+        """Its standard error [unit]; None for none."""
+        ...
+
+    @property
+    def unit(self) -> str:
+        """Its unit."""
+        ...
+
+
+def format_number(value: float, digits: int = 4) -> str:
+    """Return a number with so many significant digits and a true minus sign."""
+    text = f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
+    return replace_minus_signs(text if not _tiny_or_huge(value) else f"{value:.{digits - 1}e}")
+
+
+def format_limit(limit: float, digits: int = 3) -> str:
+    """Return a limit as a number; `none` where there is none."""
+    return format_number(limit, digits) if isfinite(limit) else "none"
+
+
+def format_fixed_digits(value: float) -> str:
+    """Return a number with three significant digits, zeros at its end kept, so that a column reads evenly."""
+    return (
+        format_number(value, 3)
+        if _tiny_or_huge(value) or not value
+        else replace_minus_signs(f"{value:#.3g}".rstrip("."))
+    )
+
+
+def format_percent(value: float) -> str:
+    """Return a percentage with two significant digits, such as `3.0 %`."""
+    if not isfinite(value):
+        return "more than 100 %"
+    return f"{value:.0f} %" if value >= 9.95 else f"{value:.1f} %" if value >= 0.995 else f"{value:.2g} %"
+
+
+def choose_decimals(stderr: float) -> int:
+    """Return how many decimals show two significant digits of an uncertainty; negative above 100."""
+    if not 0 < stderr < _MAX_STDERR:
+        return 3
+    decimals = 1 - floor(log10(stderr))
+    return decimals - 1 if round(stderr, decimals) >= 10.0 ** (2 - decimals) else decimals
+
+
+def round_to_stderr(value: float, stderr: float) -> str:
+    """Return a value to the digits that its uncertainty leaves."""
+    decimals = choose_decimals(stderr)
+    if decimals > 7 or _tiny_or_huge(max(abs(value), stderr)):
+        return format_number(value)
+    shown = round(value, decimals)
+    return replace_minus_signs(f"{shown if shown else 0.0:.{max(decimals, 0)}f}")
+
+
+def format_with_uncertainty(value: float, stderr: float | None, unit: str = "") -> str:
+    """Return `95.14 ± 0.20 kg`: two digits of the standard error, the value to the same decimal."""
+    tail = f" {format_unit(unit)}" if unit else ""
+    if stderr is None or not stderr > 0:
+        return format_number(value) + tail
+    decimals = choose_decimals(stderr)
+    if decimals > 7 or _tiny_or_huge(max(abs(value), stderr)):
+        return f"{round_to_stderr(value, stderr)} ± {round_to_stderr(stderr, stderr)}{tail}"
+    return f"{round_to_stderr(value, stderr)} ± {round(stderr, decimals):.{max(decimals, 0)}f}{tail}"
+
+
+def format_unit(unit: str) -> str:
+    """Return a unit with raised exponents."""
+    return unit.replace("^2", "²").replace("^3", "³")
+
+
+def format_expression(text: str) -> str:
+    """Return a combination of parameters with dots for its products: `a.izz + 0.16 · b.mass`."""
+    return text.replace("*", " · ")
+
+
+def format_list(items: Iterable[str], most: int = 6) -> str:
+    """Return `a, b and c`, or the first few and how many more."""
+    items = list(items)
+    if len(items) > most:
+        return f"{', '.join(items[:most])} and {len(items) - most} more"
+    return " and ".join([", ".join(items[:-1]), items[-1]]) if len(items) > 1 else "".join(items)
+
+
+def count(n: int, noun: str) -> str:
+    """Return `1 log`, `3 logs`."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
+def _tiny_or_huge(value: float) -> bool:
+    return value != 0 and not 1e-4 <= abs(value) < 1e7
+
+
+def replace_minus_signs(text: str) -> str:
+    """Return a text of numbers with true minus signs."""
+    return text.replace("-", "−")
+
+
+def choose_unit(unit: str, size: float) -> tuple[float, str]:
+    """Return the factor and the unit in which a quantity of this size [unit] reads best."""
+    if unit in PREFIXED and 0 < abs(size) < 0.1:
+        return (1e3, f"m{unit}") if abs(size) >= 1e-4 else (1e6, f"µ{unit}")
+    return 1.0, "" if unit == "1" else format_unit(unit)
+
+
+def format_quantity(value: float, unit: str, digits: int = 3, *, steadily: bool = False) -> str:
+    """Return a value with its unit, such as `43 µm`; steadily, it keeps the zeros at its end."""
+    factor, shown = choose_unit(unit, value)
+    return (
+        f"{format_fixed_digits(factor * value) if steadily else format_number(factor * value, digits)} {shown}".strip()
+    )
+
+
+def format_estimate(p: Estimated) -> str:
+    """Return a parameter's value, standard error and unit, such as `20.90 ± 0.10 mm`."""
+    factor, shown = choose_unit(p.unit, p.value)
+    sigma = None if p.stderr is None else factor * p.stderr
+    return format_with_uncertainty(factor * p.value, sigma, shown)
+
+
+def format_estimate_interval(p: Estimated) -> str:
+    """Return a parameter's 95 % interval in the unit of `format_estimate`; empty where it has none."""
+    if p.stderr is None or not p.stderr > 0:
+        return ""
+    factor, _ = choose_unit(p.unit, p.value)
+    return format_interval([factor * (p.value + side * Z95 * p.stderr) for side in (-1, 1)], factor * p.stderr)
+
+
+def format_interval(ends: Iterable[float], stderr: float) -> str:
+    """Return an interval's ends to the digits that the standard error leaves."""
+    return " … ".join(round_to_stderr(end, stderr) for end in ends)
+
+
+def end_sentence(text: str) -> str:
+    """Return a text that ends in a full stop; nothing stays nothing."""
+    return text if not text or text.endswith((".", "!", "?")) else f"{text}."
+
+
+def capitalise(text: str) -> str:
+    """Return a text with a capital in front, the rest as it is."""
+    return text[:1].upper() + text[1:]
+
+
+def replace_plus_minus(text: str) -> str:
+    """Return a sentence of a result with the sign that a person would write."""
+    return text.replace("+-", "±")

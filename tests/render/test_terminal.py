@@ -1,0 +1,77 @@
+"""The terminal output fits, stays plain when piped, and no file name can steer the terminal."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from rich.console import Console
+
+from tau_dyn.log import check_log
+from tau_dyn.render import print_result
+from tau_dyn.render.kinds.parameter_rows import ParameterRow, build_parameter_table
+from tau_dyn.render.terminal import build_grids, put
+from tau_dyn.results import On, format_with_uncertainty
+
+
+def _printed(width: int, show, *args) -> str:
+    stream = io.StringIO()
+    show(Console(file=stream, width=width, highlight=False, soft_wrap=False), *args)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("width", [80, 100, 160])
+def test_fits_the_terminal(found, doubtful, width):
+    """No line is wider than the terminal, or than 100 columns."""
+    for result in (found, doubtful):
+        text = _printed(width, print_result, result, {"model": "m.yaml", "report": "r.html"})
+        assert max(map(len, text.splitlines())) <= min(width, 100)
+        assert "\x1b" not in text
+        assert "model → m.yaml" in text
+
+
+def test_table_keeps_its_lines_at_80_columns(found):
+    """Each parameter that the data tell alone stands on one line, whole; of the others no value looks like an estimate."""
+    lines = _printed(80, print_result, found, {}).splitlines()
+    for row in found.rows():
+        own = [x for x in lines if x.strip().startswith(row["name"] + " ") and "=" not in x]
+        assert len(own) == (row["stderr"] is not None)
+        assert all("±" in line and "…" not in line for line in own)
+
+
+def test_names_of_a_stock_arm_fit_into_80_columns():
+    """`shoulder_lift_joint.coulomb_neg`, a standard error of 8e-5 and `N m/(rad/s)` leave room for the nominal value."""
+    row = ParameterRow(
+        "shoulder_lift_joint.coulomb_neg", "", "known", format_with_uncertainty(-0.0019, 9.7e-5), "a … b", "N m/(rad/s)",
+        "0.01714", "", None,
+    )  # fmt: skip
+    text = _printed(
+        80, lambda console: put(console, build_grids(build_parameter_table([row], "5 %", on=On.ALL)[0], 80)[0])
+    )
+    assert "−0.001900 ± 0.000097" in text and "0.01714" in text and "…" not in text
+
+
+def test_colour_only_for_people(found):
+    """A terminal gets colour, a pipe does not."""
+    stream = io.StringIO()
+    print_result(Console(file=stream, width=90, force_terminal=True), found, {})
+    assert "\x1b[" in stream.getvalue()
+
+
+def test_check_says_its_verdict_first(axis_like):
+    """The judgement stands above the findings, every finding with its topic."""
+    checked = check_log(axis_like)
+    text = _printed(80, lambda console: print_result(console, checked, log=axis_like))
+    assert "\x1b" not in text and max(map(len, text.splitlines())) <= 80
+    assert "sable" in text.splitlines()[3]
+    assert all(f.topic in text for f in checked.findings)
+
+
+@pytest.fixture
+def axis_like(hostile):
+    import numpy as np
+
+    from tau_dyn.log import Log
+
+    t = np.arange(0, 10, 0.002)
+    return Log(t, {"q_a": np.sin(t), "tau_a": np.cos(t)}, hostile)
