@@ -33,6 +33,7 @@ _MAX_ITERATIONS = 60  # Newton steps, damped far from the solution
 _PATIENCE = 5  # rounds without progress after which a sample is given up
 _DONE, _NEAR = 1e-13, 1e-8
 _CLOSED = 1e-11  # [m]
+_MISSED = 1e-7  # [m] by how much a position that is asked for may be missed
 _STEP = 0.3  # largest step, of the rods' length or rad
 _WAY = 0.15  # steps on the way from home, of the rods' length or rad
 _STEPS = 40  # at most on that way
@@ -220,7 +221,10 @@ class CommandedInverse(ManifoldInverse):
     def solve(
         self, tool: Poses, signs: tuple[int, ...], walk: bool, start: np.ndarray | None = None
     ) -> tuple[np.ndarray, Poses]:
-        """Return positions (N, na) and the tool's poses there; see `ManifoldInverse.solve`."""
+        """Return positions (N, na) and the tool's poses there; see `ManifoldInverse.solve`.
+
+        A position that is not commanded must be met too, unless it is home's, as in `CommandedCoordinates.to_poses`.
+        """
         near = np.repeat(self.rods.robot.home[None], len(tool.position), axis=0) if start is None else start
         wanted = self._commanded.of(tool)
         q, reached = self._closed(wanted, tool, self.started(tool, signs, near) if start is None else near)
@@ -235,6 +239,9 @@ class CommandedInverse(ManifoldInverse):
                 at, here = self._closed(home + share * (wanted[lost] - home), here, at)
             q[lost], reached.position[lost], reached.rotation[lost] = at, *here
             good[lost] = np.isfinite(at[:, 0])
+        given = np.abs(tool.position - self._home_tool.position) > _CLOSED
+        with np.errstate(invalid="ignore"):
+            good &= ~(given & (np.abs(reached.position - tool.position) > _MISSED)).any(axis=1)
         return np.where(good[:, None], q, np.nan), reached
 
     def _closed(self, wanted: np.ndarray, tool: Poses, q: np.ndarray) -> tuple[np.ndarray, Poses]:

@@ -206,12 +206,14 @@ class _Tree:
         rods: list[RodFound] = []
         for end in ends:
             joints = self._between(end, -1)
-            if joints[-1] in self.actuated:
-                return None
-            root = int(self.model.parents[joints[0]])
-            rods += self._rows(self._name(end), joints, 0, (root, None), (plate, tip))
-            if end == plate and len(joints) > 1:
-                return None  # it is not said how the tool turns
+            if joints[-1] in self.actuated or (end == plate and len(joints) > 1):
+                return None  # it is not said how long the rod is, or how the tool turns
+            own = self._rows(self._name(end), joints, 0, (int(self.model.parents[joints[0]]), None), (plate, tip))
+            if len(own) + len(rods) > 3 and len(own) == 2:  # the tool stays in the first rod's plane
+                both = np.array([rod.base for rod in own])
+                length = float(np.sqrt(own[0].length ** 2 - np.sum((both[1] - both[0]) ** 2) / 4))
+                own = [replace(own[0], name=self._name(end), base=both.mean(axis=0), length=length)]
+            rods += own
         hinge = self._between(plate, -1)[0]
         carrier = int(self.model.parents[hinge])
         back = self.data.oMi[carrier].rotation.T

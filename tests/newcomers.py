@@ -32,7 +32,8 @@ def _joint(
 ) -> str:
     limit = f'<limit lower="{-travel}" upper="{travel}" velocity="5" effort="500"/>'
     place = f'<origin xyz="{_numbers(xyz)}" rpy="{_numbers(rpy)}"/><axis xyz="{_numbers(axis)}"/>'
-    return f'{_link(child, mass)}<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{place}{limit}</joint>'
+    ends = f'<parent link="{parent}"/><child link="{child}"/>'
+    return f'{_link(child, mass)}<joint name="{name}" type="{kind}">{ends}{place}{limit}</joint>'
 
 
 def _drive(name: str) -> str:
@@ -73,19 +74,24 @@ def _bend(shoulder: np.ndarray, tip: np.ndarray, upper: float, lower: float, sig
 UPPER, LOWER = 0.3, 0.45
 
 
-def five_bar(homes: bool = True) -> Robot:
-    """Return two arms of two links whose tips meet in the tool."""
-    tip, parts = np.array([0.15, 0.5]), []
-    for k, (x, sign) in enumerate(((0.0, -1.0), (0.3, 1.0)), 1):
-        shoulder, elbow = _bend(np.array([x, 0.0]), tip, UPPER, LOWER, sign)
+def five_bar(mirrored: bool = False) -> Robot:
+    """Return two arms of two links whose tips meet in the tool; mirrored: below the line between the elbows."""
+    tip, parts, arms = np.array([0.15, 0.5]), [], []
+    for x, sign in ((0.0, -1.0), (0.3, 1.0)):
+        shoulder, _ = _bend(np.array([x, 0.0]), tip, UPPER, LOWER, sign)
+        arms.append((x, shoulder, np.array([x + UPPER * np.cos(shoulder), UPPER * np.sin(shoulder)])))
+    if mirrored:
+        along = (arms[1][2] - arms[0][2]) / np.linalg.norm(arms[1][2] - arms[0][2])
+        tip = arms[0][2] + 2 * along * (along @ (tip - arms[0][2])) - (tip - arms[0][2])
+    for k, (x, shoulder, elbow) in enumerate(arms, 1):
+        bend = float(np.arctan2(*(tip - elbow)[::-1])) - shoulder
         parts += [
             _joint(f"motor{k}", "revolute", "base", f"upper{k}", (0, 0, 1), (x, 0, 0)),
-            _joint(f"elbow{k}", "revolute", f"upper{k}", f"lower{k}", (0, 0, 1), (UPPER, 0, 0)),
-            _drive(f"motor{k}"), _home(f"motor{k}", shoulder), _home(f"elbow{k}", elbow) if homes else "",
+            _joint(f"elbow{k}", "revolute", f"upper{k}", f"lower{k}", (0, 0, 1), (UPPER, 0, 0), travel=6.0),
+            _drive(f"motor{k}"), _home(f"motor{k}", shoulder), _home(f"elbow{k}", bend),
         ]  # fmt: skip
-    return _robot(
-        "five_bar", [*parts, _tool("lower1", (LOWER, 0, 0)), _ball("lower1", "lower2", (LOWER, 0, 0), (LOWER, 0, 0))]
-    )
+    ball = _ball("lower1", "lower2", (LOWER, 0, 0), (LOWER, 0, 0))
+    return _robot("five_bar", [*parts, _tool("lower1", (LOWER, 0, 0)), ball])
 
 
 def _planar_corners() -> tuple[np.ndarray, np.ndarray]:
