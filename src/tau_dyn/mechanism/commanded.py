@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.mechanism.plate_arrays import log_of
 from tau_dyn.mechanism.poses import Poses
+from tau_dyn.mechanism.rotations import log_of
 
 _NAMES = ("x", "y", "z", "rx", "ry", "rz")
 _RANK = 1e-6  # singular values relative to the largest; less moves nothing

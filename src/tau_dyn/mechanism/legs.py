@@ -16,10 +16,10 @@ import pinocchio as pin
 
 from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.mechanism import chains, rod_dimensions
-from tau_dyn.mechanism.plate_arrays import rotate_by_vector
 from tau_dyn.mechanism.poses import Poses
 from tau_dyn.mechanism.positions import require_positions
 from tau_dyn.mechanism.rod_dimensions import RodDimensions
+from tau_dyn.mechanism.rotations import rotate_by_vector
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 

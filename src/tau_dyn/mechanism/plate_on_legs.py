@@ -16,10 +16,9 @@ from tau_dyn.mechanism.free_plate import FreePlate
 from tau_dyn.mechanism.kinematics import Kinematics, Singularity
 from tau_dyn.mechanism.kinematics_result import OK, ForwardResult, InverseResult, InverseSolutions
 from tau_dyn.mechanism.legs import Legs
-from tau_dyn.mechanism.plate_arrays import solve_with_lapack
 from tau_dyn.mechanism.poses import Poses, require_poses
 from tau_dyn.mechanism.positions import require_positions
-from tau_dyn.mechanism.pseudo_inverse import measure_rank_distance
+from tau_dyn.mechanism.pseudo_inverse import measure_rank_distance, solve_with_lapack
 from tau_dyn.mechanism.read_dimensions import read_dimensions
 from tau_dyn.mechanism.recognise import NotRods, recognise
 from tau_dyn.mechanism.rod_inverse import RodInverse
