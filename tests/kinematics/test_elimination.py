@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from tau_dyn.mechanism.elimination import Elimination
+from tau_dyn.mechanism.small_systems import Elimination
 
 PATTERN = {(0, 0), (0, 1), (1, 1), (1, 2), (2, 0), (2, 2), (3, 3), (3, 1)}
 

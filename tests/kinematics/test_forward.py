@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.mechanism import LoopSolver, Poses, TreePose, build_rods, forward_kinematics, solve_both_forward
-from tau_dyn.mechanism.implicit import solve_implicit_forward
+from tau_dyn.mechanism.sliding_plate import solve_implicit_forward
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import load_robot
 

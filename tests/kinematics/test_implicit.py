@@ -12,7 +12,7 @@ from raising import raises_code
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.mechanism import Poses, build_rods, forward_kinematics, inverse_kinematics
-from tau_dyn.mechanism.implicit import solve_implicit_forward, solve_implicit_inverse
+from tau_dyn.mechanism.sliding_plate import solve_implicit_forward, solve_implicit_inverse
 from tau_dyn.robot import load_robot
 
 

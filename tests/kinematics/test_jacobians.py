@@ -11,10 +11,10 @@ from raising import raises_code
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.mechanism import (
-    chains,
     compute_acceleration_bias,
     compute_inverse_jacobian,
     forward_kinematics,
+    frames,
     get_rods,
     jacobian,
     measure_singularity,
@@ -102,10 +102,10 @@ def test_a_slide_on_a_turn_has_its_coriolis_acceleration(rng):
     for k, slides in enumerate((False, True, False)):
         origin, direction = rng.standard_normal((2, 3))
         rotation = Rotation.random(random_state=k).as_matrix()
-        joints.append(chains.ChainJoint(f"j{k}", parent, k, slides, origin, direction, rotation))
+        joints.append(frames.ChainJoint(f"j{k}", parent, k, slides, origin, direction, rotation))
         parent = k
-    carried = chains.Carried((2, 1), rng.standard_normal((2, 3)))
+    carried = frames.Carried((2, 1), rng.standard_normal((2, 3)))
     q, v, h = rng.standard_normal((3, 4)), rng.standard_normal((3, 4)), 1e-4
-    before, here, after = (chains.compute_points(joints, carried, q + s * h * v) for s in (-1, 0, 1))
-    bias = chains.compute_accelerations(joints, carried, chains.compute_joint_frames(joints, q), here, v)
+    before, here, after = (frames.compute_points(joints, carried, q + s * h * v) for s in (-1, 0, 1))
+    bias = frames.compute_accelerations(joints, carried, frames.compute_joint_frames(joints, q), here, v)
     assert_allclose(bias, (before - 2 * here + after) / h**2, atol=1e-5 * np.abs(bias).max())

@@ -10,7 +10,7 @@ from raising import raises_code
 
 from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.mechanism import SINGULAR, LoopSolver, TreeMechanism, build_mechanism
-from tau_dyn.mechanism.constraints import Constraints
+from tau_dyn.mechanism.loops import Constraints
 from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 KINDS = ["four_bar", "turning_four_bar", "simplified", "complete", "d1"]

@@ -17,8 +17,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.mechanism import chains, rod_dimensions
-from tau_dyn.mechanism.chains import Carried, ChainJoint
+from tau_dyn.mechanism import frames, rod_dimensions
+from tau_dyn.mechanism.frames import Carried, ChainJoint
 from tau_dyn.mechanism.legs import Legs
 from tau_dyn.mechanism.rod_dimensions import RodDimensions
 
@@ -154,13 +154,13 @@ class NewtonChain:
     def _equations(self, B: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `f` (m, N) and `df/dq` (m, m, N)."""
         joints, carried = self.numbers.joints, self.numbers.carried
-        at = chains.compute_joint_frames(joints, q)
-        places = chains.compute_points(joints, carried, q)
+        at = frames.compute_joint_frames(joints, q)
+        places = frames.compute_points(joints, carried, q)
         d = places - B
         lengths = rod_dimensions.compute_leg_lengths(self.numbers, q)
         f = 0.5 * (np.sum(d * d, axis=1) - lengths**2)
         J = np.zeros((len(f), len(self.actuators), q.shape[1]))
-        for (k, actuator), column in chains.compute_velocities(joints, carried, at, places).items():
+        for (k, actuator), column in frames.compute_velocities(joints, carried, at, places).items():
             J[k, actuator] += np.sum(column * d[k], axis=0)
         slides, rates = np.flatnonzero(self.numbers.slides >= 0), rod_dimensions.compute_leg_rates(self.numbers, q)
         for k in slides:
@@ -186,8 +186,8 @@ class NewtonChain:
     def _moved(self, B: np.ndarray, q: np.ndarray, slides: np.ndarray) -> np.ndarray:
         """Return how far slides (s, N) must go so that the points are nearest to `B`."""
         joints, carried = self.numbers.joints, self.numbers.carried
-        at, places = chains.compute_joint_frames(joints, q), chains.compute_points(joints, carried, q)
-        columns = chains.compute_velocities(joints, carried, at, places)
+        at, places = frames.compute_joint_frames(joints, q), frames.compute_points(joints, carried, q)
+        columns = frames.compute_velocities(joints, carried, at, places)
         out = np.zeros((len(slides), q.shape[1]))
         for row, slide in enumerate(slides):
             column = columns.get((0, int(slide)))
@@ -208,7 +208,7 @@ def build_chains(rods: Legs) -> list[RootChain | NewtonChain]:
 def _cut(numbers: RodDimensions, own: tuple[int, ...], actuators: tuple[int, ...]) -> RodDimensions:
     """Return the numbers of some rods, with joints and actuators numbered anew."""
     rows = list(own)
-    used = sorted({i for k in own for i in chains.list_path(numbers.joints, numbers.carried.carrier[k])})
+    used = sorted({i for k in own for i in frames.list_path(numbers.joints, numbers.carried.carrier[k])})
     index = {-1: -1} | {old: new for new, old in enumerate(used)}
     number = {old: new for new, old in enumerate(actuators)} | {-1: -1}
     joints = tuple(

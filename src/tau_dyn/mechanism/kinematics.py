@@ -9,27 +9,121 @@ tool's twist, by the positions and by the geometric parameters,
 `G_x` loses rank in a parallel (second kind) singularity, `G_q` in a serial (first kind) one: Gosselin & Angeles 1990; Merlet
 2006, ch. 5 and 6. Poses are the tool's, in the world; twists are linear first, in world axes, at the tool's origin; those of a
 plate that only translates have the linear half alone. Arrays have samples first.
+
+*Commanded coordinates* are those of a tool's six that a mechanism lets one choose. The twists that the actuators give the tool
+at home span a space of r dimensions; r coordinates are taken one by one where it reaches furthest, positions before rotations,
+at the place that turns move least (on a plate, the middle of its joints): six for a 6R arm, three positions for a plate that
+translates, three positions and a turn for a SCARA, height and two tilts for a 3-PRS. Rotations are the components of the
+rotation vector after home's orientation, in world axes (Chirikjian 2012).
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, NoReturn, Self
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism.commanded import CommandedCoordinates, choose_commanded
-from tau_dyn.mechanism.joint_limits import check_limits, refuse_beyond_limits
-from tau_dyn.mechanism.kinematics_result import ForwardResult, InverseResult, InverseSolutions
+from tau_dyn.mechanism.frames import log_of
 from tau_dyn.mechanism.legs import Legs
-from tau_dyn.mechanism.poses import Poses, require_poses
-from tau_dyn.mechanism.positions import require_positions
-from tau_dyn.mechanism.pseudo_inverse import solve_with_lapack
+from tau_dyn.mechanism.poses import (
+    ForwardResult,
+    InverseResult,
+    InverseSolutions,
+    Poses,
+    check_limits,
+    refuse_beyond_limits,
+    require_poses,
+    require_positions,
+)
+from tau_dyn.mechanism.small_systems import solve_with_lapack
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
+
+_NAMES = ("x", "y", "z", "rx", "ry", "rz")
+_RANK = 1e-6  # singular values relative to the largest; less moves nothing
+_REACHES = 0.3  # share of a position that a space of twists must hold for it to be commanded before any rotation
+
+
+@dataclass(frozen=True, eq=False)
+class CommandedCoordinates:
+    """What one commands of a tool.
+
+    Attributes:
+        index: Which of x, y, z, rx, ry, rz (k,).
+        home: The tool's pose at home (1 sample), whose other coordinates stand where none are commanded.
+    """
+
+    index: tuple[int, ...]
+    home: Poses
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names: `x y z` and `rx ry rz`."""
+        return tuple(_NAMES[k] for k in self.index)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """'m' or 'rad' each."""
+        return tuple("m" if k < 3 else "rad" for k in self.index)
+
+    @property
+    def by_position(self) -> bool:
+        """Whether all positions that the tool can be brought to are commanded: no turn stands for one."""
+        return {0, 1, 2} <= set(self.index) or not any(k > 2 for k in self.index)
+
+    def of(self, poses: Poses) -> np.ndarray:
+        """Return the commanded coordinates (N, k) [m or rad] of tool poses."""
+        turn = log_of(np.moveaxis(poses.rotation @ self.home.rotation[0].T, 0, 2)).T
+        return np.concatenate([poses.position, turn], axis=1)[:, list(self.index)]
+
+    def by_twist(self, poses: Poses) -> np.ndarray:
+        """Return the commanded coordinates' rates per twist (N, k, 6): of a rotation vector the inverse left Jacobian."""
+        turn = log_of(np.moveaxis(poses.rotation @ self.home.rotation[0].T, 0, 2)).T
+        half = np.linalg.norm(turn, axis=1) / 2
+        K = np.cross(np.eye(3), turn[:, None, :]).transpose(0, 2, 1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = np.where(half < 1e-4, 1 / 12, (1 - half / np.tan(half)) / (4 * half**2))
+        out = np.zeros((len(turn), 6, 6))
+        out[:, :3, :3], out[:, 3:, 3:] = np.eye(3), np.eye(3) - K / 2 + share[:, None, None] * (K @ K)
+        return out[:, list(self.index)]
+
+    def to_poses(self, values: np.ndarray) -> Poses:
+        """Return tool poses with these coordinates (N, k); what is not commanded is home's."""
+        values = np.atleast_2d(np.asarray(values, float))
+        all_six = np.zeros((len(values), 6))
+        all_six[:, :3] = self.home.position
+        all_six[:, list(self.index)] = values
+        turned = Rotation.from_rotvec(all_six[:, 3:]).as_matrix() @ self.home.rotation[0]
+        return Poses(all_six[:, :3], turned)
+
+
+def choose_commanded(twists: np.ndarray, home: Poses, length: float) -> CommandedCoordinates:
+    """Choose coordinates at home.
+
+    Args:
+        twists: Per actuated speed (6, na), linear first, of the point whose place tells turns from shifts.
+        home: The tool's pose (1 sample).
+        length: What a turn counts [m] beside a shift.
+    """
+    scaled = twists * np.array([1.0, 1.0, 1.0, length, length, length])[:, None]
+    u, s, _ = np.linalg.svd(scaled, full_matrices=False)
+    left = u[:, : int(np.sum(s > _RANK * s[0]))]
+    chosen: list[int] = []
+    for _ in range(left.shape[1]):
+        reach = np.linalg.norm(left, axis=1)
+        k = int(np.argmax(np.round(reach[:3], 6)))
+        if reach[k] < _REACHES:
+            k = int(np.argmax(np.round(reach, 6)))
+        chosen.append(k)
+        way = left[k] / reach[k]
+        left = left - np.outer(left @ way, way)
+    return CommandedCoordinates(tuple(sorted(chosen)), home)
 
 
 class Singularity(NamedTuple):

@@ -1,8 +1,19 @@
-r"""A plate on legs as points and distances: `|A_k(q) - B_k(X)| = L_k` (thesis (4.4), (4.14); Merlet 2006, ch. 2).
+"""Legs.
+
+A plate on legs as points and distances: `|A_k(q) - B_k(X)| = L_k` (thesis (4.4), (4.14); Merlet 2006, ch. 2).
 
 Actuated chains carry points A, the plate at pose X carries points B, rods hold their distance. Forward and inverse
 kinematics, Jacobians and calibration know the robot through these rows alone. Public arrays have samples first; what the
-solvers use (`chains.py`, `rod_dimensions.py`) has samples last.
+solvers use (`frames.py`, `rod_dimensions.py`) has samples last.
+
+How far rods lean in their ball joints, on the cart and on the plate.
+
+A joint's axis is the direction, in the frame of the link that holds it, of a rod in the middle of the joint's range; both
+axes are given from cart to plate. Where the robot file does not say, it is the rod's direction at home. The file may say
+
+    <tau_dyn:ball_joint rod="rod1" side="cart" axis="1 0 0" angle="0.7"/>
+
+with side cart or plate and the largest angle in rad; axis or angle may be left out.
 """
 
 from __future__ import annotations
@@ -13,13 +24,13 @@ from typing import NamedTuple, Self
 
 import numpy as np
 import pinocchio as pin
+from defusedxml.ElementTree import fromstring
 
-from tau_dyn.exceptions import LoopClosureError
-from tau_dyn.mechanism import chains, rod_dimensions
-from tau_dyn.mechanism.poses import Poses
-from tau_dyn.mechanism.positions import require_positions
+from tau_dyn.exceptions import InputError, LoopClosureError, UnknownName
+from tau_dyn.mechanism import frames, rod_dimensions
+from tau_dyn.mechanism.frames import rotate_by_vector
+from tau_dyn.mechanism.poses import Poses, require_positions
 from tau_dyn.mechanism.rod_dimensions import RodDimensions
-from tau_dyn.mechanism.rotations import rotate_by_vector
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 
@@ -94,15 +105,15 @@ class Legs:
     def base_points(self, q: np.ndarray) -> np.ndarray:
         """Return the points `A(q)` (N, n, 3) [m] at `q` (N, na)."""
         q = require_positions(self.robot, q)
-        return chains.compute_points(self.numbers.joints, self.numbers.carried, q.T).transpose(2, 0, 1)
+        return frames.compute_points(self.numbers.joints, self.numbers.carried, q.T).transpose(2, 0, 1)
 
     def base_jacobian(self, q: np.ndarray) -> np.ndarray:
         """Return `dA/dq` (N, n, 3, na)."""
         q = require_positions(self.robot, q).T
         joints, carried = self.numbers.joints, self.numbers.carried
-        at, places = chains.compute_joint_frames(joints, q), chains.compute_points(joints, carried, q)
+        at, places = frames.compute_joint_frames(joints, q), frames.compute_points(joints, carried, q)
         out = np.zeros((q.shape[1], self.n, 3, self.na))
-        for (k, actuator), column in chains.compute_velocities(joints, carried, at, places).items():
+        for (k, actuator), column in frames.compute_velocities(joints, carried, at, places).items():
             out[:, k, :, actuator] = np.broadcast_to(column, (3, q.shape[1])).T
         return out
 
@@ -139,9 +150,9 @@ class Legs:
         carried, start = self.numbers.carried, self.ride.start
         ends = carried.local[:2]
         axis, foot = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]), ends.mean(axis=0)
-        at = chains.WORLD
+        at = frames.WORLD
         if carried.carrier[0] >= 0:
-            at = chains.compute_joint_frames(self.numbers.joints, q.T)[carried.carrier[0]]
+            at = frames.compute_joint_frames(self.numbers.joints, q.T)[carried.carrier[0]]
         rotation = np.moveaxis(np.broadcast_to(at.rotation, (3, 3, len(q))), 2, 0)
         arm = np.einsum("nji,nj->ni", rotation, tool.position - at.origin.T) - foot
         angle = np.arctan2(np.cross(start, arm) @ axis, arm @ start - (arm @ axis) * (start @ axis))
@@ -176,8 +187,8 @@ class Legs:
         q = require_positions(self.robot, q)
         unit = self.rod_directions(q, plate).transpose(1, 2, 0)
         qt = q.T
-        at = chains.compute_joint_frames(self.numbers.joints, qt)
-        places = chains.compute_points(self.numbers.joints, self.numbers.carried, qt)
+        at = frames.compute_joint_frames(self.numbers.joints, qt)
+        places = frames.compute_points(self.numbers.joints, self.numbers.carried, qt)
         rotation = np.moveaxis(np.asarray(plate.rotation), 0, 2)
         column = {name: k for k, name in enumerate(self.geometry.names)}
         out = np.zeros((len(q), self.n, len(column)))
@@ -219,7 +230,7 @@ class Legs:
 
     def _actuators_of(self, rod: int) -> list[int]:
         joints = self.numbers.joints
-        own = [joints[i].actuator for i in chains.list_path(joints, self.numbers.carried.carrier[rod])]
+        own = [joints[i].actuator for i in frames.list_path(joints, self.numbers.carried.carrier[rod])]
         return own + ([int(self.numbers.slides[rod])] if self.numbers.slides[rod] >= 0 else [])
 
     def _closed_at_home(self) -> Poses:
@@ -245,3 +256,122 @@ class Legs:
     def __getstate__(self) -> dict[str, object]:
         """Return the geometry alone: a copy, or one sent to another process, starts without solvers."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+SIDES = ("cart", "plate")
+DEFAULT_ANGLE = np.deg2rad(45.0)
+_TAG = "{urn:tau_dyn}ball_joint"
+
+
+@dataclass(frozen=True, eq=False)
+class BallJoints:
+    """The ball joints of a robot's rods.
+
+    Attributes:
+        rods: The robot.
+        axes: Unit vectors (2, n, 3): of the joints on carts, in the carts' frames, then on the plate, in its frame.
+        limits: Largest angles (2, n) [rad]; inf where there is no ball joint.
+        given: Whether the file gives the axis (2, n).
+    """
+
+    rods: Legs
+    axes: np.ndarray
+    limits: np.ndarray
+    given: np.ndarray
+
+    def angles(self, q: np.ndarray, plate: Poses) -> np.ndarray:
+        """Return the angles (N, 2, n) [rad] between rods and joint axes at positions `q` (N, na) and the plate's poses."""
+        along = -self.rods.rod_directions(q, plate)
+        cart, rotation = _in_carts(self.rods, q, along), np.swapaxes(plate.rotation, 1, 2)
+        local = np.stack([cart, np.einsum("nij,nkj->nki", rotation, along)], axis=1)
+        return np.arctan2(
+            np.linalg.norm(np.cross(self.axes, local), axis=-1), np.einsum("ski,nski->nsk", self.axes, local)
+        )
+
+
+def find_ball_joints(rods: Legs, *, angle: float | None = None) -> BallJoints:
+    """Return a robot's ball joints.
+
+    Args:
+        rods: The robot.
+        angle: Largest angle [rad] of every joint; by default the file's, and 45 degrees where it gives none.
+
+    Raises:
+        InputError: A hint of the robot file is at fault.
+    """
+    home = rods.robot.home[None]
+    along = -rods.rod_directions(home, rods.home)
+    axes = np.stack([_in_carts(rods, home, along)[0], along[0] @ rods.home.rotation[0]])
+    limits, given = np.full((2, rods.n), DEFAULT_ANGLE), np.zeros((2, rods.n), bool)
+    for side, k, axis, most in _hints(rods):
+        if axis is not None:
+            axes[side, k], given[side, k] = axis, True
+        if most is not None:
+            limits[side, k] = most
+    if angle is not None:
+        limits[:] = angle
+    limits[0, _hinged(rods)] = np.inf
+    return BallJoints(rods, axes, limits, given)
+
+
+def _hinged(rods: Legs) -> np.ndarray:
+    """Return which rods are sides of a triangle that turns about one axis on its cart: two that end in one point of the plate."""
+    same = np.linalg.norm(rods.on_plate[:, None] - rods.on_plate[None], axis=2) < 1e-9
+    stem = np.array([name.rpartition("_")[0] for name in rods.names])
+    pair = (stem[:, None] == stem[None]) & (stem != "")[:, None]
+    return (same & pair).sum(axis=1) > 1
+
+
+def _in_carts(rods: Legs, q: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Return vectors (N, n, 3) of the world in the frames of the links that carry the rods."""
+    at = frames.compute_joint_frames(rods.numbers.joints, q.T)
+    out = vectors.copy()
+    for k, carrier in enumerate(rods.numbers.carried.carrier):
+        if carrier >= 0:
+            rotation = np.broadcast_to(np.moveaxis(at[carrier].rotation, 2, 0), (len(q), 3, 3))
+            out[:, k] = np.einsum("nji,nj->ni", rotation, vectors[:, k])
+    return out
+
+
+def _hints(rods: Legs) -> list[tuple[int, int, np.ndarray | None, float | None]]:
+    where, found = rods.robot.source, []
+    for element in fromstring(rods.robot.urdf, forbid_dtd=True).findall(_TAG):
+        name, side = element.get("rod", ""), element.get("side", "")
+        if name not in rods.names:
+            raise UnknownName("rod", name, rods.names, f"{where}: <ball_joint>")
+        if side not in SIDES:
+            raise InputError(
+                "robot_structure", f"{where}: <ball_joint rod='{name}' side='{side}'>: side is cart or plate"
+            )
+        axis, most = _axis(element.get("axis"), where, name), _angle(element.get("angle"), where, name)
+        found.append((SIDES.index(side), rods.names.index(name), axis, most))
+    return found
+
+
+def _axis(text: str | None, where: str, name: str) -> np.ndarray | None:
+    if text is None:
+        return None
+    try:
+        axis = np.array([float(word) for word in text.split()])
+    except ValueError:
+        axis = np.zeros(0)
+    size = float(np.linalg.norm(axis))
+    if axis.shape != (3,) or not np.isfinite(size) or size < 1e-9:
+        raise InputError(
+            "robot_structure", f"{where}: <ball_joint rod='{name}' axis='{text}'> must hold three numbers, not all zero"
+        )
+    return axis / size
+
+
+def _angle(text: str | None, where: str, name: str) -> float | None:
+    if text is None:
+        return None
+    try:
+        angle = float(text)
+    except ValueError:
+        angle = np.nan
+    if not 0 < angle <= np.pi:
+        raise InputError(
+            "robot_structure", f"{where}: <ball_joint rod='{name}' angle='{text}'> must be between 0 and pi rad"
+        )
+    return angle

@@ -21,15 +21,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.mechanism import chains as chain_points, rod_dimensions
+from tau_dyn.mechanism import frames as chain_points, rod_dimensions
 from tau_dyn.mechanism.chain_inverse import NewtonChain, RootChain
-from tau_dyn.mechanism.commanded import CommandedCoordinates
-from tau_dyn.mechanism.least_motion import Progress, solve_least_motion_step, solve_with_pseudo_inverse
+from tau_dyn.mechanism.frames import log_of, rotate_by_vector
+from tau_dyn.mechanism.kinematics import CommandedCoordinates
 from tau_dyn.mechanism.legs import Legs
-from tau_dyn.mechanism.plate_arrays import Plate, compute_equation_rows
 from tau_dyn.mechanism.poses import Poses
-from tau_dyn.mechanism.pseudo_inverse import solve_with_lapack
-from tau_dyn.mechanism.rotations import log_of, rotate_by_vector
+from tau_dyn.mechanism.rod_dimensions import Plate, compute_equation_rows
+from tau_dyn.mechanism.small_systems import (
+    Progress,
+    solve_least_motion_step,
+    solve_with_lapack,
+    solve_with_pseudo_inverse,
+)
 
 _MAX_ITERATIONS = 60  # Newton steps, damped far from the solution
 _PATIENCE = 5  # rounds without progress after which a sample is given up

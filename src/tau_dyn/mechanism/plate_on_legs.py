@@ -1,9 +1,14 @@
-"""Kinematics of a plate on legs: forward by spheres or Newton on SE(3), inverse leg by leg, derivatives of the gaps."""
+"""Kinematics of a plate on legs: forward by spheres or Newton on SE(3), inverse leg by leg, derivatives of the gaps.
+
+Reads a recognised robot's geometry from its tree: actuated chains, the points that they carry, rods and their lengths.
+
+Kinematics of a plate on legs: forward by spheres or Newton on SE(3), inverse leg by leg, derivatives of the gaps.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
@@ -11,20 +16,97 @@ import numpy as np
 import pinocchio as pin
 
 from tau_dyn.exceptions import LoopClosureError
-from tau_dyn.mechanism import chains, rod_dimensions
+from tau_dyn.mechanism import frames, rod_dimensions
+from tau_dyn.mechanism.frames import Carried, ChainJoint, compute_subspace, remove_rounding
 from tau_dyn.mechanism.free_plate import FreePlate
 from tau_dyn.mechanism.kinematics import Kinematics, Singularity
-from tau_dyn.mechanism.kinematics_result import OK, ForwardResult, InverseResult, InverseSolutions
 from tau_dyn.mechanism.legs import Legs
-from tau_dyn.mechanism.poses import Poses, require_poses
-from tau_dyn.mechanism.positions import require_positions
-from tau_dyn.mechanism.pseudo_inverse import measure_rank_distance, solve_with_lapack
-from tau_dyn.mechanism.read_dimensions import read_dimensions
-from tau_dyn.mechanism.recognise import NotRods, recognise
+from tau_dyn.mechanism.poses import (
+    OK,
+    ForwardResult,
+    InverseResult,
+    InverseSolutions,
+    Poses,
+    require_poses,
+    require_positions,
+)
+from tau_dyn.mechanism.recognise import Found, NotRods, recognise
+from tau_dyn.mechanism.rod_dimensions import RodDimensions
 from tau_dyn.mechanism.rod_inverse import RodInverse
 from tau_dyn.mechanism.sliding_plate import SlidingPlate
+from tau_dyn.mechanism.small_systems import measure_rank_distance, solve_with_lapack
 from tau_dyn.mechanism.tree_pose import TreePose
 from tau_dyn.robot import Robot
+
+
+def read_dimensions(robot: Robot, found: Found) -> RodDimensions:
+    """Return the geometry of a robot that was recognised, by arms where its file declares them."""
+    joints, index = _chain_joints(robot, found)
+    actuator = {robot.model.getJointId(name): k for k, name in enumerate(robot.actuated)}
+    rods = found.rods
+    numbers = RodDimensions(
+        names=tuple(rod.name for rod in rods),
+        joints=tuple(joints),
+        carried=Carried(tuple(index[rod.carrier] for rod in rods), np.array([rod.base for rod in rods])),
+        lengths=np.array([rod.length for rod in rods]),
+        on_plate=np.array([rod.plate for rod in rods]),
+        slides=np.array([actuator.get(rod.slide, -1) for rod in rods]),
+        offsets=np.array([rod.offset for rod in rods]),
+        gains=np.array([rod.gain for rod in rods]),
+    )
+    return _as_arms(robot, found, numbers) if robot.arms else numbers
+
+
+def _chain_joints(robot: Robot, found: Found) -> tuple[list[ChainJoint], dict[int, int]]:
+    """Return the actuated joints that carry rods, parents first, and their indices by Pinocchio's."""
+    model = robot.model
+    wanted = sorted({j for rod in found.rods for j in model.supports[rod.carrier].tolist()[1:]})
+    index, joints = {0: -1}, []
+    for j in wanted:
+        index[j] = len(joints)
+        kind, placement = model.joints[j].shortname(), model.jointPlacements[j]
+        slides = kind.startswith("JointModelP")
+        motion = compute_subspace(model, j)
+        joints.append(
+            ChainJoint(
+                name=model.names[j],
+                parent=index[int(model.parents[j])],
+                actuator=robot.actuated.index(model.names[j]),
+                slides=slides,
+                origin=placement.translation.copy(),
+                direction=_clean(placement.rotation @ (motion[:3] if slides else motion[3:])),
+                rotation=_clean(placement.rotation),
+            )
+        )
+    return joints, index
+
+
+def _clean(x: np.ndarray) -> np.ndarray:
+    """Return numbers as `remove_rounding` does, and no negative zeros."""
+    return remove_rounding(x) + 0.0
+
+
+def _as_arms(robot: Robot, found: Found, numbers: RodDimensions) -> RodDimensions:
+    """Return the geometry by arms where the file declares a simplified Gantry-Tau and it is one."""
+    carriers = [numbers.joints[c].name if c >= 0 else "" for c in numbers.carried.carrier]
+    carts = [arm.cart_joint for arm in robot.arms]
+    alone = all(j.slides and j.parent < 0 for j in numbers.joints)
+    if not (found.translates and alone and sorted(carriers) == sorted(carts) and np.all(numbers.slides < 0)):
+        return numbers
+    joints = list(numbers.joints)
+    for k, carrier in enumerate(numbers.carried.carrier):
+        joint = joints[carrier]
+        shift = joint.rotation @ numbers.carried.local[k] - found.home.rotation @ numbers.on_plate[k]
+        joints[carrier] = joint._replace(origin=joint.origin + shift)
+    zero = np.zeros((len(carriers), 3))
+    return replace(
+        numbers,
+        joints=tuple(joints),
+        carried=Carried(numbers.carried.carrier, zero),
+        on_plate=zero,
+        arms=tuple(f"arm{carts.index(c) + 1}" for c in carriers),
+    )
+
 
 _NEARBY = 0.02  # of the rods' length or rad: where a plate that hung on a leg is compared with the tree
 _AGREE = 1e-7  # [m or 1] by how much it may differ there
@@ -160,9 +242,9 @@ class PlateOnLegs(Legs, Kinematics):
         r = self.plate_points(plate) - plate.position[:, None]
         rate = np.einsum("nkia,na->nki", self.base_jacobian(q), v) - twist[:, None, :3] - np.cross(w[:, None], r)
         joints, carried, qt = self.numbers.joints, self.numbers.carried, q.T
-        places = chains.compute_points(joints, carried, qt)
-        at = chains.compute_joint_frames(joints, qt)
-        pushed = chains.compute_accelerations(joints, carried, at, places, v.T).transpose(2, 0, 1)
+        places = frames.compute_points(joints, carried, qt)
+        at = frames.compute_joint_frames(joints, qt)
+        pushed = frames.compute_accelerations(joints, carried, at, places, v.T).transpose(2, 0, 1)
         pushed = pushed - np.cross(w[:, None], np.cross(w[:, None], r))
         d = places.transpose(2, 0, 1) - self.plate_points(plate)
         right = np.sum(rate**2, axis=2) + np.sum(d * pushed, axis=2)

@@ -1,4 +1,4 @@
-"""Inverse kinematics of a tree: Newton from home, along the way and from many starts (`tree_newton.py`); all of a 6R arm."""
+"""Inverse kinematics of a tree: Newton from home, along the way and from many starts (`tree_pose.py`); all of a 6R arm."""
 
 from __future__ import annotations
 
@@ -6,13 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tau_dyn.mechanism.joint_limits import SLACK
-from tau_dyn.mechanism.kinematics_result import BRANCH_CHANGE, NOT_A_NUMBER, OK, InverseResult, InverseSolutions
-from tau_dyn.mechanism.poses import Poses
-from tau_dyn.mechanism.rotations import log_of
+from tau_dyn.mechanism.frames import complete_axis, log_of
+from tau_dyn.mechanism.poses import BRANCH_CHANGE, NOT_A_NUMBER, OK, SLACK, InverseResult, InverseSolutions, Poses
 from tau_dyn.mechanism.six_revolute import MAX_SOLUTIONS, eliminate
-from tau_dyn.mechanism.tree_arrays import complete_axis
-from tau_dyn.mechanism.tree_newton import TreeNewton
+from tau_dyn.mechanism.tree_pose import TreeNewton
 from tau_dyn.robot import Robot
 
 _STARTS = 24  # starts drawn within the limits

@@ -13,26 +13,34 @@ from functools import cached_property
 import numpy as np
 
 from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.mechanism.frames import compute_frames, log_of, multiply_by_rotation, transform_point
 from tau_dyn.mechanism.kinematics import Kinematics, Singularity
-from tau_dyn.mechanism.kinematics_result import (
+from tau_dyn.mechanism.loop_arrays import ClosedLoops
+from tau_dyn.mechanism.poses import (
     NOT_A_NUMBER,
     OK,
     OUT_OF_REACH,
     ForwardResult,
     InverseResult,
     InverseSolutions,
+    Poses,
+    require_positions,
 )
-from tau_dyn.mechanism.loop_arrays import ClosedLoops
-from tau_dyn.mechanism.poses import Poses
-from tau_dyn.mechanism.positions import require_positions
-from tau_dyn.mechanism.pseudo_inverse import measure_rank_distance
-from tau_dyn.mechanism.rotations import log_of
-from tau_dyn.mechanism.tree_arrays import compute_frames, multiply_by_rotation, transform_point
-from tau_dyn.mechanism.tree_closure import ClosedConfigurations, TreeClosure, compute_open_rates, propagate_twists
-from tau_dyn.mechanism.tree_dimensions import Knob, TreeNumbers, TreeShape, build_rows, compute_dimensions_at, get_shape
+from tau_dyn.mechanism.small_systems import measure_rank_distance
+from tau_dyn.mechanism.tree_geometry import (
+    ClosedConfigurations,
+    Knob,
+    TreeClosure,
+    TreeNumbers,
+    TreeShape,
+    build_rows,
+    compute_dimensions_at,
+    compute_open_rates,
+    get_shape,
+    propagate_twists,
+)
 from tau_dyn.mechanism.tree_inverse import find_tree_solutions, solve_tree_inverse
-from tau_dyn.mechanism.tree_newton import TreeNewton
-from tau_dyn.mechanism.tree_pose import TreePose
+from tau_dyn.mechanism.tree_pose import TreeNewton, TreePose
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot
 

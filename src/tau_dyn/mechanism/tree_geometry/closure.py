@@ -31,11 +31,16 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.exceptions import LoopClosureError
-from tau_dyn.mechanism.loop_arrays import LoopArrays
-from tau_dyn.mechanism.loops import LoopSolver
-from tau_dyn.mechanism.pseudo_inverse import measure_column_lengths
-from tau_dyn.mechanism.tree_arrays import Frames, compute_cross_product, compute_frames, transform_point
-from tau_dyn.mechanism.tree_dimensions import Knob, TreeNumbers, TreeShape
+from tau_dyn.mechanism import (
+    Frames,
+    LoopArrays,
+    LoopSolver,
+    compute_cross_product,
+    compute_frames,
+    measure_column_lengths,
+    transform_point,
+)
+from tau_dyn.mechanism.tree_geometry.dimensions import Knob, TreeNumbers, TreeShape
 
 
 class OpenRates(NamedTuple):

@@ -28,7 +28,7 @@ import pinocchio as pin
 from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.mechanism.tree_arrays import Joint, list_joints
+from tau_dyn.mechanism import Joint, list_joints
 from tau_dyn.parameters import Parameter
 from tau_dyn.robot import Robot, read_annotations
 
