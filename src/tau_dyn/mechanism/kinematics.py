@@ -29,7 +29,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism.frames import log_of
 from tau_dyn.mechanism.legs import Legs
 from tau_dyn.mechanism.poses import (
     ForwardResult,
@@ -37,6 +36,7 @@ from tau_dyn.mechanism.poses import (
     InverseSolutions,
     Poses,
     check_limits,
+    log_of,
     refuse_beyond_limits,
     require_poses,
     require_positions,

@@ -28,8 +28,7 @@ from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError, LoopClosureError, UnknownName
 from tau_dyn.mechanism import frames, rod_dimensions
-from tau_dyn.mechanism.frames import rotate_by_vector
-from tau_dyn.mechanism.poses import Poses, require_positions
+from tau_dyn.mechanism.poses import Poses, require_positions, rotate_by_vector
 from tau_dyn.mechanism.rod_dimensions import RodDimensions
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot

@@ -23,10 +23,9 @@ import numpy as np
 
 from tau_dyn.mechanism import frames as chain_points, rod_dimensions
 from tau_dyn.mechanism.chain_inverse import NewtonChain, RootChain
-from tau_dyn.mechanism.frames import log_of, rotate_by_vector
 from tau_dyn.mechanism.kinematics import CommandedCoordinates
 from tau_dyn.mechanism.legs import Legs
-from tau_dyn.mechanism.poses import Poses
+from tau_dyn.mechanism.poses import Poses, log_of, rotate_by_vector
 from tau_dyn.mechanism.rod_dimensions import Plate, compute_equation_rows
 from tau_dyn.mechanism.small_systems import (
     Progress,

@@ -32,8 +32,8 @@ from tau_dyn.mechanism.frames import (
     compute_joint_frames,
     compute_velocities,
     list_path,
-    rotate_by_vector,
 )
+from tau_dyn.mechanism.poses import rotate_by_vector
 from tau_dyn.mechanism.small_systems import Elimination, Factor, solve_with_lapack
 from tau_dyn.parameters import Parameter, Parameters
 

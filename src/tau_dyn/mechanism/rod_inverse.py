@@ -9,11 +9,19 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism.chain_inverse import NewtonChain, RootChain, build_chains
-from tau_dyn.mechanism.frames import log_of, rotate_by_vector
 from tau_dyn.mechanism.kinematics import CommandedCoordinates
 from tau_dyn.mechanism.legs import Legs
 from tau_dyn.mechanism.manifold_inverse import CommandedInverse, ManifoldInverse
-from tau_dyn.mechanism.poses import BRANCH_CHANGE, NOT_A_NUMBER, OK, OUT_OF_REACH, InverseResult, Poses
+from tau_dyn.mechanism.poses import (
+    BRANCH_CHANGE,
+    NOT_A_NUMBER,
+    OK,
+    OUT_OF_REACH,
+    InverseResult,
+    Poses,
+    log_of,
+    rotate_by_vector,
+)
 
 _AGREE = 1e-9  # [m] what a rod may lack when its chain was solved by another one
 _WAY = 0.1  # steps from home for chains of several actuators, of the rods' length or rad

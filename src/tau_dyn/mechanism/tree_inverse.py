@@ -6,8 +6,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tau_dyn.mechanism.frames import complete_axis, log_of
-from tau_dyn.mechanism.poses import BRANCH_CHANGE, NOT_A_NUMBER, OK, SLACK, InverseResult, InverseSolutions, Poses
+from tau_dyn.mechanism.frames import complete_axis
+from tau_dyn.mechanism.poses import (
+    BRANCH_CHANGE,
+    NOT_A_NUMBER,
+    OK,
+    SLACK,
+    InverseResult,
+    InverseSolutions,
+    Poses,
+    log_of,
+)
 from tau_dyn.mechanism.six_revolute import MAX_SOLUTIONS, eliminate
 from tau_dyn.mechanism.tree_pose import TreeNewton
 from tau_dyn.robot import Robot

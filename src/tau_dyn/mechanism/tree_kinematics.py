@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.mechanism.frames import compute_frames, log_of, multiply_by_rotation, transform_point
+from tau_dyn.mechanism.frames import compute_frames, multiply_by_rotation, transform_point
 from tau_dyn.mechanism.kinematics import Kinematics, Singularity
 from tau_dyn.mechanism.loop_arrays import ClosedLoops
 from tau_dyn.mechanism.poses import (
@@ -24,6 +24,7 @@ from tau_dyn.mechanism.poses import (
     InverseResult,
     InverseSolutions,
     Poses,
+    log_of,
     require_positions,
 )
 from tau_dyn.mechanism.small_systems import measure_rank_distance

@@ -27,14 +27,12 @@ from tau_dyn.mechanism.frames import (
     compute_frames,
     compute_motion,
     list_joints,
-    log_of,
     multiply_by_rotation,
-    rotate_by_vector,
     transform_point,
 )
 from tau_dyn.mechanism.loop_arrays import ClosedLoops, LoopArrays
 from tau_dyn.mechanism.loops import LoopSolver
-from tau_dyn.mechanism.poses import NOT_A_NUMBER, OK, OUT_OF_REACH, Poses
+from tau_dyn.mechanism.poses import NOT_A_NUMBER, OK, OUT_OF_REACH, Poses, log_of, rotate_by_vector
 from tau_dyn.mechanism.small_systems import Progress, solve_least_motion_step
 from tau_dyn.robot import Robot
 
