@@ -25,7 +25,7 @@ from tau_dyn.scale import run_journaled
 ROOMS: dict[str, list[str]] = {
     "log": ["tests/log"],
     "robot": ["tests/robot"],
-    "dynamics": ["tests/dynamics"],
+    "mechanism": ["tests/mechanism"],
     "effects": ["tests/effects"],
     "model.py": ["tests/model"],
     "estimate": ["tests/estimate"],

@@ -12,10 +12,10 @@ from tau_dyn.mechanism import (
     ChainJoint,
     Poses,
     RodDimensions,
-    chains,
     compute_gap_columns,
     compute_leg_lengths,
     compute_leg_rates,
+    frames,
 )
 
 
@@ -39,8 +39,8 @@ class PlacedRods:
             self.effective[:, law.actuator] += shift.error
         self.guide_shifts = [law.guide(laws[len(drives) + k], q) for k, law in enumerate(guides)]
         self.moving = np.ascontiguousarray(self.effective.T)
-        self.frames = chains.compute_joint_frames(self.numbers.joints, self.moving)
-        self.places = chains.compute_points(self.numbers.joints, self.numbers.carried, self.moving)
+        self.frames = frames.compute_joint_frames(self.numbers.joints, self.moving)
+        self.places = frames.compute_points(self.numbers.joints, self.numbers.carried, self.moving)
         self.points = self.places.transpose(2, 0, 1) + sum(s.shift for s in self.guide_shifts)
         self.lengths = np.broadcast_to(compute_leg_lengths(self.numbers, self.moving).T, self.points.shape[:2])
 
@@ -82,7 +82,7 @@ class PlacedRods:
         """
         parent = self.frames[joint.parent].rotation if joint.parent >= 0 else np.eye(3)[:, :, None]
         frame = (
-            chains.multiply_by_constant(parent, joint.rotation)
+            frames.multiply_by_constant(parent, joint.rotation)
             if parent.shape[2] > 1
             else (parent[:, :, 0] @ joint.rotation)[:, :, None]
         )
@@ -90,7 +90,7 @@ class PlacedRods:
         turn = self.numbers.turn(joint.name) if isinstance(self.numbers, TurnedNumbers) else np.zeros(3)
         found = []
         for k, carrier in enumerate(self.numbers.carried.carrier):
-            if place in chains.list_path(self.numbers.joints, carrier):
+            if place in frames.list_path(self.numbers.joints, carrier):
                 arm = self.places[k] - origin
                 moment = np.cross(arm.T, unit[:, k])  # u . (w x arm) = w . (arm x u)
                 own = np.einsum("ijn,ni->nj", np.broadcast_to(frame, (3, 3, len(moment))), moment)
@@ -100,7 +100,7 @@ class PlacedRods:
     def by_effective_joint(self, unit: np.ndarray) -> np.ndarray:
         """Return the gaps' derivative by positions after the drives (N, n, na)."""
         out = np.zeros((*unit.shape[:2], self.q.shape[1]))
-        for (k, a), column in chains.compute_velocities(
+        for (k, a), column in frames.compute_velocities(
             self.numbers.joints, self.numbers.carried, self.frames, self.places
         ).items():
             out[:, k, a] = np.einsum("ni,in->n", unit[:, k], np.broadcast_to(column, (3, len(unit))))

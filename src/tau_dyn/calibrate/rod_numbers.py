@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.mechanism import AXES, Carried, RodDimensions, chains
+from tau_dyn.mechanism import AXES, Carried, RodDimensions, frames
 
 TURN = "turn"
 
@@ -58,7 +58,7 @@ def compute_dimensions_at(nominal: RodDimensions, values: dict[str, float]) -> R
 def right_jacobian(t: np.ndarray) -> np.ndarray:
     """Return `J_r(t)` (3, 3): `Exp(t + dt) = Exp(t) Exp(J_r dt)` (Chirikjian 2012)."""
     angle = float(np.linalg.norm(t))
-    k = chains.skew(t)
+    k = frames.skew(t)
     if angle < 1e-6:
         return np.eye(3) - 0.5 * k + k @ k / 6
     return np.eye(3) - (1 - np.cos(angle)) / angle**2 * k + (angle - np.sin(angle)) / angle**3 * (k @ k)

@@ -4,7 +4,7 @@ r"""The C99 text of inverse kinematics: in closed form, or by Newton's method on
 
 Drives that reach all six freedoms meet the whole pose and, if some motion of theirs is idle, stay near where they started.
 Others meet the place and turn as near as they can, `H = T_turn' T_turn + small`: the equations of
-`mechanism/least_motion.py` (Nocedal & Wright 2006, ch. 16). `@WORDS@` are blanks.
+`mechanism/small_systems.py` (Nocedal & Wright 2006, ch. 16). `@WORDS@` are blanks.
 """
 
 ROUNDS, ON_THE_WAY, LEGS, LEG = 40, 3, 60, 0.1

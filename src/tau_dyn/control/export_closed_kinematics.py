@@ -1,7 +1,7 @@
 r"""Kinematics in closed form on expressions: a translating plate on three rods, and drives that each move one rod of their own.
 
-Forward: three spheres met, on home's side of the plane of their centres (thesis (4.9); `mechanism/trilateration.py`).
-Inverse: chain by chain, home's root (`mechanism/chain_inverse.py`). Where a root or a side does not exist, a guard of
+Forward: three spheres met, on home's side of the plane of their centres (thesis (4.9); `mechanism/sliding_plate.py`).
+Inverse: chain by chain, home's root (`mechanism/rod_inverse.py`). Where a root or a side does not exist, a guard of
 the graph says no.
 """
 

@@ -4,7 +4,7 @@ With `d_k = A_k(q) - p - R b_k`, `l_k` the rod's length and `l0_k` that at zero,
 
     gap_k = (|d_k|^2 - l_k^2) / 2 l0_k,   G_k = [d_k' dA_k/dq - l_k l_k',  -d_k',  -(R b_k x d_k)'] / l0_k
 
-by the drives and by the plate's twist in world axes, as `mechanism/chains.py` and `plate_arrays.py` have them on arrays.
+by the drives and by the plate's twist in world axes, as `mechanism/frames.py` and `plate_arrays.py` have them on arrays.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from tau_dyn.control.export_tree import remove_rounding, turn
 from tau_dyn.control.expression_arrays import compute_cross_product
-from tau_dyn.mechanism import RodDimensions, chains
+from tau_dyn.mechanism import RodDimensions, frames
 
 
 class ExpressionFrame(NamedTuple):
@@ -63,7 +63,7 @@ def compute_chain_points(numbers: RodDimensions, q: Any) -> Points:
     for k, carrier in enumerate(numbers.carried.carrier):
         local = numbers.carried.local[k]
         places[k] = at[carrier].p + at[carrier].R @ local if carrier >= 0 else local
-        for j in chains.list_path(numbers.joints, carrier):
+        for j in frames.list_path(numbers.joints, carrier):
             joint = numbers.joints[j]
             by_q[k, :, joint.actuator] += (
                 at[j].d if joint.slides else compute_cross_product(at[j].d, places[k] - at[j].p)

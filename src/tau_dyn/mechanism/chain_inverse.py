@@ -17,10 +17,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.mechanism import chains, rod_dimensions
-from tau_dyn.mechanism.chains import Carried, ChainJoint
+from tau_dyn.mechanism import frames, rod_dimensions
+from tau_dyn.mechanism.frames import Carried, ChainJoint
+from tau_dyn.mechanism.legs import Legs
 from tau_dyn.mechanism.rod_dimensions import RodDimensions
-from tau_dyn.mechanism.rods import Rods
 
 _MAX_ITERATIONS = 30  # Newton steps; quadratic convergence needs five to eight
 _DONE = 1e-13  # m, relative to the robot's size: rounding
@@ -34,7 +34,7 @@ class RootChain:
 
     signs: tuple[int, ...]
 
-    def __init__(self, rods: Rods, own: tuple[int, ...], actuator: int) -> None:
+    def __init__(self, rods: Legs, own: tuple[int, ...], actuator: int) -> None:
         """Read the first rod's numbers, and which root is home's."""
         numbers, k = rods.numbers, own[0]
         self.rods, self.actuators, self._k = own, (actuator,), k
@@ -92,7 +92,7 @@ class NewtonChain:
     signs: tuple[int, ...] = (0,)
     home_sign = 0
 
-    def __init__(self, rods: Rods, own: tuple[int, ...], actuators: tuple[int, ...]) -> None:
+    def __init__(self, rods: Legs, own: tuple[int, ...], actuators: tuple[int, ...]) -> None:
         """Cut the chain's own joints and rods out of the robot's."""
         self.rods, self.actuators = own, actuators
         self.numbers = _cut(rods.numbers, own, actuators)
@@ -154,13 +154,13 @@ class NewtonChain:
     def _equations(self, B: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `f` (m, N) and `df/dq` (m, m, N)."""
         joints, carried = self.numbers.joints, self.numbers.carried
-        at = chains.compute_joint_frames(joints, q)
-        places = chains.compute_points(joints, carried, q)
+        at = frames.compute_joint_frames(joints, q)
+        places = frames.compute_points(joints, carried, q)
         d = places - B
         lengths = rod_dimensions.compute_leg_lengths(self.numbers, q)
         f = 0.5 * (np.sum(d * d, axis=1) - lengths**2)
         J = np.zeros((len(f), len(self.actuators), q.shape[1]))
-        for (k, actuator), column in chains.compute_velocities(joints, carried, at, places).items():
+        for (k, actuator), column in frames.compute_velocities(joints, carried, at, places).items():
             J[k, actuator] += np.sum(column * d[k], axis=0)
         slides, rates = np.flatnonzero(self.numbers.slides >= 0), rod_dimensions.compute_leg_rates(self.numbers, q)
         for k in slides:
@@ -186,8 +186,8 @@ class NewtonChain:
     def _moved(self, B: np.ndarray, q: np.ndarray, slides: np.ndarray) -> np.ndarray:
         """Return how far slides (s, N) must go so that the points are nearest to `B`."""
         joints, carried = self.numbers.joints, self.numbers.carried
-        at, places = chains.compute_joint_frames(joints, q), chains.compute_points(joints, carried, q)
-        columns = chains.compute_velocities(joints, carried, at, places)
+        at, places = frames.compute_joint_frames(joints, q), frames.compute_points(joints, carried, q)
+        columns = frames.compute_velocities(joints, carried, at, places)
         out = np.zeros((len(slides), q.shape[1]))
         for row, slide in enumerate(slides):
             column = columns.get((0, int(slide)))
@@ -196,7 +196,7 @@ class NewtonChain:
         return out
 
 
-def build_chains(rods: Rods) -> list[RootChain | NewtonChain]:
+def build_chains(rods: Legs) -> list[RootChain | NewtonChain]:
     """Return a robot's chains, in the order of its first rods."""
     found: list[RootChain | NewtonChain] = []
     for own, actuators in rods.groups:
@@ -208,7 +208,7 @@ def build_chains(rods: Rods) -> list[RootChain | NewtonChain]:
 def _cut(numbers: RodDimensions, own: tuple[int, ...], actuators: tuple[int, ...]) -> RodDimensions:
     """Return the numbers of some rods, with joints and actuators numbered anew."""
     rows = list(own)
-    used = sorted({i for k in own for i in chains.list_path(numbers.joints, numbers.carried.carrier[k])})
+    used = sorted({i for k in own for i in frames.list_path(numbers.joints, numbers.carried.carrier[k])})
     index = {-1: -1} | {old: new for new, old in enumerate(used)}
     number = {old: new for new, old in enumerate(actuators)} | {-1: -1}
     joints = tuple(

@@ -15,18 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.exceptions import LoopClosureError
-from tau_dyn.mechanism import chains, rod_dimensions
-from tau_dyn.mechanism.kinematics_result import BRANCH_CHANGE, NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR
-from tau_dyn.mechanism.plate_arrays import (
-    Plate,
-    SixRods,
-    build_dense,
-    compute_equation_rows,
-    compute_residual,
-    solve_with_lapack,
-)
-from tau_dyn.mechanism.poses import Poses
-from tau_dyn.mechanism.rods import Rods
+from tau_dyn.mechanism import frames, rod_dimensions
+from tau_dyn.mechanism.legs import Legs
+from tau_dyn.mechanism.poses import BRANCH_CHANGE, NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR, Poses
+from tau_dyn.mechanism.rod_dimensions import Plate, SixRods, build_dense, compute_equation_rows, compute_residual
+from tau_dyn.mechanism.small_systems import solve_with_lapack
 
 BLOCK = 8192  # samples at a time; arrays stay in the processor's cache
 _CELL = 0.03  # of the mean rod's length for slides; half as much again in rad for turns
@@ -58,7 +51,7 @@ class Solved(NamedTuple):
 class FreePlate:
     """Solves one robot."""
 
-    def __init__(self, rods: Rods) -> None:
+    def __init__(self, rods: Legs) -> None:
         """Close the robot at home and plan the elimination there."""
         self.rods, self.numbers = rods, rods.numbers
         self.scale = float(np.mean(rods.lengths))
@@ -174,7 +167,7 @@ class FreePlate:
         return self._six.accurate(at, sides) if self._six else solve_with_lapack(build_dense(at), sides)
 
     def _given(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        points = chains.compute_points(self.numbers.joints, self.numbers.carried, q)
+        points = frames.compute_points(self.numbers.joints, self.numbers.carried, q)
         return points, rod_dimensions.compute_leg_lengths(self.numbers, q) ** 2
 
     def _started(self, q: np.ndarray) -> Plate:

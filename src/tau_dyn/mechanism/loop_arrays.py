@@ -13,10 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.mechanism.elimination import Elimination, Entries
-from tau_dyn.mechanism.loops import LoopSolver
-from tau_dyn.mechanism.pseudo_inverse import ILL, invert_matrices
-from tau_dyn.mechanism.tree_arrays import (
+from tau_dyn.mechanism.frames import (
     FrameMotion,
     Frames,
     Joint,
@@ -27,6 +24,8 @@ from tau_dyn.mechanism.tree_arrays import (
     compute_motion,
     transform_point,
 )
+from tau_dyn.mechanism.loops import LoopSolver
+from tau_dyn.mechanism.small_systems import ILL, Elimination, Entries, invert_matrices
 
 _CELL = 0.05  # [m or rad] as far as one-by-one closures step
 _DONE = 1e-6  # [m or rad] Newton's last step may be this large; what is left after it is of the order of its square

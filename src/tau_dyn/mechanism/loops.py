@@ -1,4 +1,11 @@
-r"""The closed loops solved: from actuated positions, speeds and accelerations to those of the whole tree.
+"""The closed loops solved one sample at a time, and the passive bearings in them.
+
+What a loop says, as numbers: the gap between its two points, the gap's Jacobian, and its acceleration at rest.
+
+Pinocchio gives each joint's column of the tree's Jacobian as the spatial motion `(v_o, w)` seen at the world's origin; a point
+`p` of a link then moves with `v_o + w x p`, summed over the joints that carry the link. All in world axes, all loops at once.
+
+The closed loops solved: from actuated positions, speeds and accelerations to those of the whole tree.
 
 A loop k says that two points of the tree coincide, `c_k(q) = p_A(q) - p_B(q) = 0`. With `J_c = dc/dv_tree`, split into
 actuated and passive columns,
@@ -7,22 +14,77 @@ actuated and passive columns,
 
 where `gamma` is the constraint's acceleration at zero joint acceleration. Closure is by Newton on the passive joints, started
 where `G` points from the last configuration; the inverse of `J_p` is kept while it converges well. The first configuration is
-reached by continuation from the robot's home, which selects the assembly mode. `constraints.py` has `c`, `J_c` and `gamma`;
+reached by continuation from the robot's home, which selects the assembly mode. `loops.py` has `c`, `J_c` and `gamma`;
 `loop_arrays.py` closes many samples at once.
 Reference: Khalil & Dombre 2002, ch. 7; Featherstone 2008, ch. 8.
+
+The passive bearings of a mechanism with loops, and how fast each turns per actuated speed.
+
+A bearing lies between two bodies with mass. So passive hinges that follow each other through links without mass are one
+(a universal joint), and a cut ball is one. A chain with a passive slide in it only says where a body is (a Gantry-Tau's
+plate, counted from the base) and is no bearing. Only mechanisms with loops have passive joints.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from tau_dyn.exceptions import LoopClosureError
-from tau_dyn.mechanism.constraints import Constraints
-from tau_dyn.mechanism.pseudo_inverse import invert_matrix, measure_column_lengths
-from tau_dyn.robot import Robot
+from tau_dyn.mechanism.small_systems import invert_matrix, measure_column_lengths
+from tau_dyn.robot import Loop, Robot
+
+_CROSS = np.zeros((3, 3, 3))  # (a x b)_i = _CROSS[i, j, k] a_j b_k
+_CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]], _CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = 1.0, -1.0
+_WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+
+
+class Constraints:
+    """The loops of one tree: the first half of all points are the loops' ends A, the second half their ends B."""
+
+    def __init__(self, model: pin.Model, data: pin.Data, loops: Sequence[Loop]) -> None:
+        """Find where the points sit and which joints carry them."""
+        self.model, self.data, self._n = model, data, len(loops)
+        self._frames = [*(loop.frame_a for loop in loops), *(loop.frame_b for loop in loops)]
+        frames = [model.frames[k] for k in self._frames]
+        joints, self._at = np.unique([f.parentJoint for f in frames], return_inverse=True)
+        self._joints = joints.tolist()  # Pinocchio's vectors take Python's integers only
+        self._local = np.array([[*f.placement.translation, 1.0] for f in frames]).reshape(-1, 4, 1)
+        self._carries = np.zeros((len(frames), model.nv))
+        for row, frame in zip(self._carries, frames, strict=True):
+            for joint in model.supports[frame.parentJoint].tolist()[1:]:
+                row[model.joints[joint].idx_v :][: model.joints[joint].nv] = 1.0
+
+    def gap(self, q: np.ndarray) -> np.ndarray:
+        """Return `p_A - p_B` of all loops (3 * loops,) [m]."""
+        pin.forwardKinematics(self.model, self.data, q)
+        return self._difference(self._points()).ravel()
+
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Return the gap's derivative (3 * loops, nv)."""
+        tree = pin.computeJointJacobians(self.model, self.data, q)
+        turned = (self._points() @ _CROSS.reshape(9, 3).T).reshape(-1, 3) @ tree[3:]  # w x p
+        rows = (turned.reshape(-1, 3, self.model.nv) + tree[:3]) * self._carries[:, None]
+        return self._difference(rows).reshape(-1, self.model.nv)
+
+    def acceleration_at_rest(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the gap's acceleration (3 * loops,) [m/s^2] at velocity `v` (nv,) without joint acceleration."""
+        model, data, of = self.model, self.data, pin.getFrameClassicalAcceleration
+        pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+        return self._difference(np.array([of(model, data, k, _WORLD).linear for k in self._frames])).ravel()
+
+    def _points(self) -> np.ndarray:
+        oMi = self.data.oMi
+        places = np.array([oMi[j].homogeneous for j in self._joints])
+        return (places[self._at] @ self._local)[:, :3, 0]
+
+    def _difference(self, x: np.ndarray) -> np.ndarray:
+        return x[: self._n] - x[self._n :]
+
 
 _TOLERANCE = 1e-14  # [m] a step is the last one when it should leave no more than this
 _ROUNDED = 1e-10  # [m] what rounding may leave in a large robot
@@ -61,7 +123,7 @@ class LoopSolver:
         self._turning = np.array([self.model.joints[self.model.getJointId(j)].nq == 2 for j in robot.actuated])
         self._identity = np.zeros((self.model.nv, robot.na))
         self._identity[self.active_v, range(robot.na)] = 1.0
-        self._neutral = pin.neutral(self.model)
+        self._start = self._with_passive_home(pin.neutral(self.model))
         self._constraints = Constraints(self.model, self.data, robot.loops)
         self._inverse, self._G = np.zeros((0, 0)), self._identity
         self._last: tuple[np.ndarray, np.ndarray] | None = None
@@ -74,7 +136,7 @@ class LoopSolver:
         """
         q_a = np.asarray(q_a, float)
         if not self.robot.loops:
-            return self._with_active(self._neutral, q_a)
+            return self._with_active(self._start, q_a)
         q = None
         if self._last is not None and np.abs(q_a - self._last[0]).max() <= _STEP:
             q = self._step_to(q_a, *self._last)
@@ -133,6 +195,14 @@ class LoopSolver:
             q[index], q[index + 1] = np.cos(angle), np.sin(angle)
         return q
 
+    def _with_passive_home(self, q: np.ndarray) -> np.ndarray:
+        """Return a configuration (nq,) with the passive joints where the robot file's home has them."""
+        for name, value in self.robot.passive_home.items():
+            item = self.model.joints[self.model.getJointId(name)]
+            if item.nv == 1:  # a continuous joint's configuration is a cosine and a sine
+                q[item.idx_q : item.idx_q + item.nq] = value if item.nq == 1 else (np.cos(value), np.sin(value))
+        return q
+
     def _from_home(self, q_a: np.ndarray) -> np.ndarray:
         """Walk from home to `q_a` in small steps, so that the assembly mode is home's."""
         home = self.robot.home
@@ -141,7 +211,7 @@ class LoopSolver:
             raise LoopClosureError(
                 f"{self.robot.source}: {self._listed(q_a)} is far outside the robot; positions must be in m and rad"
             )
-        start = self._with_active(self._neutral, home)
+        start = self._with_active(self._start, home)
         self._linearise(start)
         q = self._newton(start)
         if q is None:
@@ -192,3 +262,80 @@ class LoopSolver:
     def _listed(self, q_a: np.ndarray) -> str:
         pairs = zip(self.robot.actuated, q_a, self.robot.position_units, strict=True)
         return ", ".join(f"{j} = {x:.4g} {unit}" for j, x, unit in pairs)
+
+
+class BearingPair(NamedTuple):
+    """One passive bearing.
+
+    Attributes:
+        name: Its joints' names, or the cut's.
+        weights: How each velocity of the tree turns it (nv,): 1, 0 or -1.
+        hinge: Index of its only hinge in the tree's velocity, or None for a bearing with more than one axis.
+    """
+
+    name: str
+    weights: np.ndarray
+    hinge: int | None
+
+
+def find_passive_pairs(robot: Robot, model: pin.Model) -> tuple[BearingPair, ...]:
+    """Return the passive bearings of a robot; none without loops."""
+    if not robot.loops:
+        return ()
+    pairs = [_of_chain(model, chain) for chain in _chains(robot, model) if _turns(model, chain)]
+    for loop in robot.loops:
+        a, b = (_carries(model, model.frames[k].parentJoint) for k in (loop.frame_a, loop.frame_b))
+        pairs.append(BearingPair(loop.name.replace("_link", ""), a - b, None))
+    return tuple(pairs)
+
+
+def compute_turning_rates(pairs: tuple[BearingPair, ...], jacobian: np.ndarray, G: np.ndarray) -> np.ndarray:
+    """Return angular velocities per actuated speed (n, 3, na).
+
+    Args:
+        pairs: The bearings.
+        jacobian: The tree's angular Jacobian in world axes (3, nv), each joint's own share.
+        G: Tree velocity per actuated speed (nv, na).
+    """
+    out = np.zeros((len(pairs), 3, G.shape[1]))
+    for k, pair in enumerate(pairs):
+        if pair.hinge is not None:
+            out[k, 0] = G[pair.hinge]
+        else:
+            out[k] = (jacobian * pair.weights) @ G
+    return out
+
+
+def _chains(robot: Robot, model: pin.Model) -> list[list[int]]:
+    """Return the passive joints, those joined by a link without mass together, base to tip."""
+    passive = [j for j in range(1, model.njoints) if model.names[j] not in robot.actuated]
+    heavy = {link.joint_id for link in robot.links}
+    chains: dict[int, list[int]] = {}
+    for joint in passive:
+        parent = model.parents[joint]
+        follows = parent in chains and parent not in heavy and list(model.parents).count(parent) == 1
+        chains[joint] = [*(chains.pop(parent) if follows else []), joint]
+    return list(chains.values())
+
+
+def _turns(model: pin.Model, chain: list[int]) -> bool:
+    """Return whether a chain only turns: hinges and balls."""
+    kinds = [model.joints[j].shortname() for j in chain]
+    return all(kind.startswith(("JointModelR", "JointModelSpherical")) for kind in kinds)
+
+
+def _of_chain(model: pin.Model, chain: list[int]) -> BearingPair:
+    weights = np.zeros(model.nv)
+    for j in chain:
+        weights[model.joints[j].idx_v :][: model.joints[j].nv] = 1.0
+    only = model.joints[chain[0]] if len(chain) == 1 else None
+    hinge = only.idx_v if only is not None and only.nv == 1 else None
+    return BearingPair("+".join(model.names[j] for j in chain), weights, hinge)
+
+
+def _carries(model: pin.Model, joint: int) -> np.ndarray:
+    """Return 1 for each velocity that moves a joint's link (nv,)."""
+    weights = np.zeros(model.nv)
+    for j in model.supports[joint].tolist()[1:]:
+        weights[model.joints[j].idx_v :][: model.joints[j].nv] = 1.0
+    return weights

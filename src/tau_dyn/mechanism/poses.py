@@ -1,7 +1,8 @@
-"""Poses of a tool or plate in the world, many at once, and their quaternions as logs spell them."""
+r"""Poses of a tool in the world, actuated positions as users give them, and what forward and inverse kinematics answer."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,8 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.mechanism.frames import compute_cross_product
+from tau_dyn.robot import Robot
 
 _ROTATION = 1e-6  # largest departure of R'R from identity; numbers written with seven digits pass
 _GIANT = 1e100
@@ -110,3 +113,203 @@ def _all_rotations(rotation: np.ndarray, n: int) -> np.ndarray:
             "invalid_value", f"the rotation of pose {k + 1} is not a rotation matrix: its columns must be orthonormal"
         )
     return np.broadcast_to(rotation, (n, 3, 3)) if len(rotation) == 1 else rotation
+
+
+def require_positions(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Return actuated positions as an array (N, na); one sample may come without its first axis.
+
+    Raises:
+        InputError: The array has another shape.
+    """
+    q = np.asarray(q, float)
+    q = q[None] if q.ndim == 1 else q
+    if q.ndim != 2 or q.shape[1] != robot.na:
+        raise InputError(
+            "wrong_shape",
+            f"{robot.source} has {robot.na} actuated joints ({', '.join(robot.actuated)}); "
+            f"positions must be (N, {robot.na}), not {q.shape}",
+        )
+    return q
+
+
+OK, OUT_OF_REACH, SINGULAR, BRANCH_CHANGE, NO_CONVERGENCE, JOINT_LIMIT, NOT_A_NUMBER = range(7)
+
+REASONS = np.array(
+    ["", "out of reach", "singular", "branch change", "no convergence", "joint limit", "not a number"]
+)  # fmt: skip
+"""Reasons by code.
+
+`out of reach`: no pose or no positions close the loops. `singular`: they do, but the mechanism has lost or won a freedom there.
+`branch change`: what was found lies beyond a singularity, in another assembly mode than home's or the start's. `no convergence`:
+Newton's steps did not come to rest; a solution may exist. `joint limit`: positions exist outside the file's limits.
+"""
+
+
+class _Judged:
+    """Samples with a code each."""
+
+    code: np.ndarray
+
+    @property
+    def ok(self) -> np.ndarray:
+        """Where there is an answer (N,)."""
+        return self.code == OK
+
+    @property
+    def reason(self) -> np.ndarray:
+        """Why there is none, '' where there is one (N,)."""
+        return REASONS[self.code]
+
+
+@dataclass(frozen=True, eq=False)
+class ForwardResult(_Judged):
+    """Poses from actuated positions.
+
+    Attributes:
+        poses: Of the tool, nan where there is none.
+        plate: Of the plate; for a robot without one the tool's again.
+        code: Index into `REASONS` (N,).
+    """
+
+    poses: Poses
+    plate: Poses
+    code: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class InverseResult(_Judged):
+    """Actuated positions from poses.
+
+    Attributes:
+        q: (N, na) [m or rad], nan where there are none.
+        code: Index into `REASONS` (N,).
+        position_error: How far the tool is from the pose asked for (N,) [m]; nan without positions.
+        orientation_error: By which angle it is turned from it (N,) [rad]; more than rounding only where the robot has too few
+            freedoms for the orientation asked for.
+        culprit: Actuated joints to blame, '' for none (N,).
+        unlimited: Positions before joint limits were looked at (N, na).
+        rotation: Rotation that the tool takes there (N, 3, 3), the one asked for where the robot can; nan without `unlimited`.
+    """
+
+    q: np.ndarray
+    code: np.ndarray
+    position_error: np.ndarray
+    orientation_error: np.ndarray
+    culprit: np.ndarray
+    unlimited: np.ndarray = field(repr=False)
+    rotation: np.ndarray = field(repr=False)
+
+
+class InverseSolutions(NamedTuple):
+    """Solutions of each pose.
+
+    Attributes:
+        q: Positions (N, n, na); nan where complex, or to fill up.
+        proved: Whether those of a pose are all there are (N,).
+        why: The reason, a sentence a pose.
+    """
+
+    q: np.ndarray
+    proved: np.ndarray
+    why: list[str]
+
+
+SLACK = 1e-9
+"""Rounding at a joint limit [m or rad]."""
+
+
+def unwind_turns(q: np.ndarray, turns: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return positions (N, na) with those outside their limits moved by a whole turn where that fits.
+
+    Args:
+        q: Positions (N, na) [m or rad], nan where there are none.
+        turns: Which of the joints are turns that may be moved (na,).
+        lower: Lower limits (na,).
+        upper: Upper limits (na,).
+    """
+    q = q.copy()
+    for k in np.flatnonzero(turns):
+        for turn in (2 * np.pi, -2 * np.pi):
+            outside = (q[:, k] < lower[k] - SLACK) | (q[:, k] > upper[k] + SLACK)
+            moved = q[:, k] + turn
+            fits = outside & (moved >= lower[k] - SLACK) & (moved <= upper[k] + SLACK)
+            q[fits, k] = moved[fits]
+    return q
+
+
+def check_limits(robot: Robot) -> None:
+    """Refuse limits that are the wrong way round.
+
+    Raises:
+        InputError: A lower limit is above its upper one.
+    """
+    for name, low, high in zip(robot.actuated, robot.lower, robot.upper, strict=True):
+        if low > high:
+            raise InputError(
+                "robot_structure",
+                f"{robot.source}: joint '{name}': its lower limit {low:g} is above its upper limit {high:g}",
+            )
+
+
+def refuse_beyond_limits(robot: Robot, found: InverseResult, limits: bool) -> InverseResult:
+    """Return the positions with those outside joint limits refused; a turn may be a whole one away."""
+    if not limits:
+        return found
+    turns = np.array([kind == "revolute" for kind in robot.joint_kinds])
+    q = unwind_turns(found.q, turns, robot.lower, robot.upper)
+    with np.errstate(invalid="ignore"):
+        beyond = np.any([q < robot.lower - SLACK, q > robot.upper + SLACK], axis=0)
+    bad = beyond.any(axis=1)
+    culprit = found.culprit.astype(object)
+    for k in np.flatnonzero(bad):
+        culprit[k] = " ".join(name for name, wrong in zip(robot.actuated, np.ravel(beyond[k]), strict=True) if wrong)
+    code = np.where(bad, JOINT_LIMIT, found.code).astype(np.int8)
+    allowed = np.where(bad[:, None], np.nan, q)
+    lost = np.where(bad, np.nan, 1.0)
+    return InverseResult(
+        allowed,
+        code,
+        found.position_error * lost,
+        found.orientation_error * lost,
+        culprit.astype(str),
+        q,
+        found.rotation,
+    )
+
+
+def rotate_by_vector(w: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """Return `Exp(w) R` (3, 3, N) for rotation vectors (3, N), by Rodrigues' formula."""
+    square = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
+    s, c = _sine_and_cosine(square)
+    out = np.empty(rotation.shape)
+    for k in range(3):
+        column = rotation[:, k]
+        first = compute_cross_product(w, column)
+        out[:, k] = compute_cross_product(w, first)
+        out[:, k] *= c
+        first *= s
+        out[:, k] += first
+        out[:, k] += column
+    return out
+
+
+def _sine_and_cosine(square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return `sin(x) / x` and `(1 - cos(x)) / x^2` (N,) of squared angles, by series where all are small."""
+    if np.all(square < 0.01):  # the first terms left out are below 1e-13
+        s = 1.0 - square * (1 / 6 - square * (1 / 120 - square * (1 / 5040)))
+        return s, 0.5 - square * (1 / 24 - square * (1 / 720 - square * (1 / 40320)))
+    small = square < 1e-6
+    angle = np.sqrt(square)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        s = np.where(small, 1.0 - square / 6.0, np.sin(angle) / angle)
+        c = np.where(small, 0.5 - square / 24.0, (1.0 - np.cos(angle)) / square)
+    return s, c
+
+
+def log_of(rotation: np.ndarray) -> np.ndarray:
+    """Return rotation vectors (3, N) of rotations (3, 3, N)."""
+    out = np.full((3, rotation.shape[2]), np.nan)
+    sound = np.isfinite(rotation).all(axis=(0, 1))
+    if sound.any():
+        out[:, sound] = Rotation.from_matrix(np.moveaxis(rotation[:, :, sound], 2, 0)).as_rotvec().T
+    return out

@@ -13,15 +13,15 @@ import numpy as np
 import pinocchio as pin
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism import LoopSolver
-from tau_dyn.mechanism.constraints import Constraints
+from tau_dyn.mechanism.loops import Constraints, LoopSolver, compute_turning_rates, find_passive_pairs
 from tau_dyn.mechanism.mechanism import Mechanism
-from tau_dyn.mechanism.pairs import compute_turning_rates, find_passive_pairs
 from tau_dyn.robot import Robot
 
 
 class SamplewiseTree(Mechanism):
     """Dynamics of a tree with loops, one sample after the other."""
+
+    equations = "tree"
 
     def __init__(self, robot: Robot) -> None:
         """Prepare Pinocchio's model with the robot's parameter values."""
@@ -144,7 +144,7 @@ class SamplewiseTree(Mechanism):
         return load
 
     def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
-        """Return how fast passive bearings turn (N, n, 3, na); see `Mechanism.passive_rates` and `pairs.py`."""
+        """Return how fast passive bearings turn (N, n, 3, na); see `Mechanism.passive_rates` and `loops.py`."""
         (q,) = self._checked(q)
         rest = np.zeros(self.robot.na)
         out = np.zeros((len(q), len(self._pairs), 3, self.robot.na))

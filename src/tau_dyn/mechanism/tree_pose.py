@@ -1,7 +1,19 @@
-r"""Kinematics of any tree with loops: a serial arm, a plate with joints of its own, a planar mechanism, a wrist on a plate.
+"""Poses of a tree and Newton on its joints.
+
+Kinematics of any tree with loops: a serial arm, a plate with joints of its own, a planar mechanism, a wrist on a plate.
 
 The loops are closed at `q` (`loop_arrays.py`) and the tool frame is read off; its Jacobian is `J_tree G`. The inverse is
-`tree_newton.py`. Reference: Siciliano et al. 2009, ch. 3.
+`tree_pose.py`. Reference: Siciliano et al. 2009, ch. 3.
+
+Newton on all joints of a tree at once: its loops and the tool's position closed, the orientation as near as it goes.
+
+    J_loops dx = -c,   J_p dx = p_wanted - p,   minimise |J_r dx - log(R_wanted R')|
+
+with `x` the positions of all joints, actuated and passive. No loop is closed for itself on the way, so a pose out of reach
+costs as little as one in reach: its gap stops shrinking and it is given up. Actuators that can move without the tool idle
+towards the start. Orientation in the null space of position: Siciliano et al. 2009, ch. 3.5. What motion costs falls with the
+square of the turn that is left, which keeps convergence quadratic near singularities such as a straight elbow: Yamashita &
+Fukushima 2001. Arrays of joints have samples last.
 """
 
 from __future__ import annotations
@@ -9,11 +21,7 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.exceptions import InputError, LoopClosureError
-from tau_dyn.mechanism.kinematics_result import NOT_A_NUMBER, OK, OUT_OF_REACH
-from tau_dyn.mechanism.loop_arrays import ClosedLoops, LoopArrays
-from tau_dyn.mechanism.loops import LoopSolver
-from tau_dyn.mechanism.poses import Poses
-from tau_dyn.mechanism.tree_arrays import (
+from tau_dyn.mechanism.frames import (
     Frames,
     compute_cross_product,
     compute_frames,
@@ -22,6 +30,10 @@ from tau_dyn.mechanism.tree_arrays import (
     multiply_by_rotation,
     transform_point,
 )
+from tau_dyn.mechanism.loop_arrays import ClosedLoops, LoopArrays
+from tau_dyn.mechanism.loops import LoopSolver
+from tau_dyn.mechanism.poses import NOT_A_NUMBER, OK, OUT_OF_REACH, Poses, log_of, rotate_by_vector
+from tau_dyn.mechanism.small_systems import Progress, solve_least_motion_step
 from tau_dyn.robot import Robot
 
 _BLOCK = 1024  # samples at a time; arrays stay in the processor's cache
@@ -78,6 +90,14 @@ class TreePose:
             half = len(index) // 2
             return [*self.closed(q, index[:half]), *self.closed(q, index[half:])]
 
+    def full_positions(self, q: np.ndarray) -> np.ndarray:
+        """Return all joints' positions (N, nv) at actuated ones (N, na); nan where the loops cannot be closed."""
+        rows, which = np.unique(q, axis=0, return_inverse=True)
+        x = np.full((len(rows), self.robot.model.nv), np.nan)
+        for index, closed in self.closed(rows, np.flatnonzero(np.isfinite(rows).all(axis=1))):
+            x[index] = closed.x.T
+        return x[which.ravel()]
+
     def pose(self, closed: ClosedLoops) -> Poses:
         """Return the tool's poses."""
         return self.pose_of(closed.at)
@@ -126,3 +146,161 @@ class TreePose:
             linear = linear if term is None else linear + term
         angular = np.zeros_like(arm) if dw is None else dw
         return np.concatenate([linear, angular]).T
+
+
+_NEWTON_BLOCK = 512  # samples at a time; arrays stay in the processor's cache
+_MAX_ITERATIONS = 60  # Newton steps, damped far from the solution
+_PATIENCE = 6  # rounds without progress after which a sample is given up
+_STEP = 0.4  # [m or rad] largest step of a joint
+_DONE, _NEAR = 1e-13, 1e-8  # [m or rad]
+_CLOSED = 1e-10  # [m]
+_ROUGH = 1e-2  # [m] what may stay open on a way
+_STEPS = 12  # on the way from home
+_DAMPING = 1e-4  # most that a joint's motion costs beside a turn of the tool
+_LEAST = 1e-10  # of the same, so that idle motions stay defined
+_SOFT = 1e-6  # its square times what the orientation pulls with is what the closure is off by
+_IDLE = 1e-7  # singular values relative to the largest; less moves no joint
+_NEARBY = 0.05  # [m or rad] from home, where what idles is looked for
+
+
+class TreeNewton:
+    """Solves one robot."""
+
+    def __init__(self, engine: TreePose) -> None:
+        """Find out at home which motions leave the tool where it is."""
+        self.engine, self.robot = engine, engine.robot
+        model = self.robot.model
+        ends = [(model.frames[loop.frame_a], model.frames[loop.frame_b]) for loop in self.robot.loops]
+        self._ends = [[(int(f.parentJoint), f.placement.translation.copy()) for f in pair] for pair in ends]
+        self._active = self.robot.active_v
+        self.home = self.close_loops(self.robot.home[None])
+        # home may be singular (a straight wrist), which idles nothing elsewhere: the smallest null space near by counts
+        near = np.random.default_rng(0).uniform(-_NEARBY, _NEARBY, (6, self.robot.na))
+        x = self.close_loops(np.vstack([self.robot.home, self.robot.home + near]))
+        at = compute_frames(engine.joints, x[:, np.isfinite(x).all(axis=0)])
+        whole = np.concatenate([self._closure(at), self._twist(at)[:, 3:]], axis=1)
+        _, s, vt = np.linalg.svd(whole)
+        ranks = np.sum(s > _IDLE * s.max(axis=1, initial=0.0, keepdims=True), axis=1)
+        null = vt[np.argmax(ranks), ranks.max() :]
+        self.idle = len(null) if np.abs(null[:, self._active]).max(initial=0.0) > _IDLE else 0
+
+    def close_loops(self, q: np.ndarray) -> np.ndarray:
+        """Return all joints' positions (nv, N) at actuated ones (N, na); nan where the loops cannot be closed."""
+        return np.ascontiguousarray(self.engine.full_positions(q).T)
+
+    def solve(
+        self, poses: Poses, x: np.ndarray, toward: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return positions (N, na), codes (N,), errors of position [m] and orientation [rad] (N, 2), the tool's rotations.
+
+        Args:
+            poses: Of the tool.
+            x: All joints' positions to start from (nv, N).
+            toward: Actuated positions (N, na) to idle towards.
+        """
+        sound = np.isfinite(poses.position).all(axis=1) & np.isfinite(poses.rotation).all(axis=(1, 2))
+        n = len(toward)
+        q, error, rotation = np.full(toward.shape, np.nan), np.full((n, 2), np.nan), np.full((n, 3, 3), np.nan)
+        for first in range(0, n, _NEWTON_BLOCK):
+            part = np.arange(first, min(first + _NEWTON_BLOCK, n))
+            found, error[part] = self._found(poses.take(part), x[:, part], toward[part])
+            q[part] = found[self._active].T
+            rotation[part] = self.engine.pose_at(found).rotation
+        code = np.where(np.isfinite(q).all(axis=1), OK, OUT_OF_REACH).astype(np.int8)
+        code[~sound] = NOT_A_NUMBER
+        return q, code, error, rotation
+
+    def _found(self, poses: Poses, x: np.ndarray, toward: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return `newton`'s answer; where idling keeps it from coming to rest, the tool is brought there first."""
+        found, error = self.newton(poses, x, toward)
+        lost = np.flatnonzero(~np.isfinite(found[0])) if self.idle else np.zeros(0, int)
+        if lost.size:
+            part = poses.take(lost)
+            there, off = self.newton(part, x[:, lost], None)
+            nearer, missed = self.newton(part, there, toward[lost])
+            idled = np.isfinite(nearer[0])
+            found[:, lost], error[lost] = np.where(idled, nearer, there), np.where(idled[:, None], missed, off)
+        return found, error
+
+    def way(self, poses: Poses) -> np.ndarray:
+        """Return where the straight way from home leads (nv, N); nan where it is barred."""
+        home = self.engine.pose_at(self.home)
+        n = len(poses.position)
+        turn = np.nan_to_num(log_of(np.moveaxis(poses.rotation @ home.rotation[0].T, 0, 2)))
+        base = np.repeat(np.moveaxis(home.rotation, 0, 2), n, axis=2)
+        x, toward = np.repeat(self.home, n, axis=1), np.repeat(self.robot.home[None], n, axis=0)
+        for share in np.linspace(0, 1, _STEPS + 1)[1:-1]:
+            wanted = np.moveaxis(rotate_by_vector(share * turn, base), 2, 0)
+            here = Poses(home.position + share * (poses.position - home.position), wanted)
+            for first in range(0, n, _NEWTON_BLOCK):
+                part = slice(first, first + _NEWTON_BLOCK)
+                x[:, part] = self.newton(here.take(part), x[:, part], toward[part], rounds=4)[0]
+        return x
+
+    def newton(
+        self, poses: Poses, x: np.ndarray, toward: np.ndarray | None, rounds: int = _MAX_ITERATIONS
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return closed positions (nv, N), nan where there are none, and the tool's errors (N, 2).
+
+        With few `rounds`, on a way, what is nearly closed is good enough; without `toward` nothing idles.
+        """
+        x, error = x.copy(), np.full((x.shape[1], 2), np.nan)
+        sound = np.isfinite(poses.position).all(axis=1) & np.isfinite(poses.rotation).all(axis=(1, 2))
+        left = np.flatnonzero(sound & np.isfinite(x).all(axis=0))
+        closed, progress = np.zeros(x.shape[1], bool), Progress(x.shape[1], _PATIENCE)
+        for _ in range(rounds):
+            if not left.size:
+                break
+            dx, gap, error[left] = self._step(poses.take(left), x[:, left], None if toward is None else toward[left])
+            size = np.abs(dx).max(axis=1)
+            x[:, left] += (dx * np.minimum(1.0, _STEP / np.maximum(size, 1e-300))[:, None]).T
+            tight = gap < _CLOSED
+            closed[left] = (tight & (size < 1e-6)) if rounds == _MAX_ITERATIONS else gap < _ROUGH
+            over = (tight & progress.rests(left, size, _DONE, _NEAR)) | (progress.stalled(left, gap) & ~tight)
+            left = left[~over & np.isfinite(size)]
+        x[:, ~closed], error[~closed] = np.nan, np.nan
+        return x, error
+
+    def _step(
+        self, poses: Poses, x: np.ndarray, toward: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the step (N, nv), the largest gap (N,) [m] and the tool's errors (N, 2)."""
+        at = compute_frames(self.engine.joints, x)
+        here, C, T = self.engine.pose_of(at), self._closure(at), self._twist(at)[:, 3:]
+        away = here.position - poses.position
+        gap = np.concatenate(
+            [*[(transform_point(at, *a) - transform_point(at, *b)).T for a, b in self._ends], away], axis=1
+        )
+        turn = log_of(np.moveaxis(poses.rotation @ np.swapaxes(here.rotation, 1, 2), 0, 2)).T
+        pull = np.zeros((x.shape[1], x.shape[0]))
+        if self.idle and toward is not None:
+            vt = np.linalg.svd(np.concatenate([C, T], axis=1))[2][:, -self.idle :]
+            pull[:, self._active] = toward - x[self._active].T
+            pull = np.einsum("nki,nkj,nj->ni", vt, vt, pull)
+        left = np.sum(turn**2, axis=1, keepdims=True)
+        dx = solve_least_motion_step(C, gap, T, turn, np.clip(left, _LEAST, _DAMPING), pull, _SOFT)
+        error = np.stack([np.linalg.norm(away, axis=1), np.linalg.norm(turn, axis=1)], axis=1)
+        return dx, np.abs(gap).max(axis=1), error
+
+    def _closure(self, at: Frames) -> np.ndarray:
+        """Return the derivatives of loops and tool position by all joints (N, 3 * loops + 3, nv)."""
+        twist = self._twist(at)
+        C = np.zeros((len(twist), 3 * len(self._ends) + 3, twist.shape[2]))
+        for (r, c), value in self.engine.loops.entries(at).items():
+            C[:, r, c] = value
+        C[:, -3:] = twist[:, :3]
+        return C
+
+    def _twist(self, at: Frames) -> np.ndarray:
+        """Return the tool's twist by all joints (N, 6, nv)."""
+        engine = self.engine
+        place = engine.place_of(at)
+        out = np.zeros((place.shape[1], 6, self.robot.model.nv))
+        for joint in engine.carriers:
+            z: np.ndarray = at.axis[joint.index]
+            if joint.slides:
+                out[:, :3, joint.v] = z.T
+            else:
+                arm: np.ndarray = place - at.origin[joint.index]
+                out[:, :3, joint.v], out[:, 3:, joint.v] = compute_cross_product(z, arm).T, z.T
+        return out

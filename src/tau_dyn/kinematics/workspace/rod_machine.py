@@ -101,4 +101,7 @@ class RodMachine:
         pad = np.where(np.ptp(A, axis=0).max(axis=1) > 0, 0.02 * np.ptp(A, axis=0).max(axis=1), 0.0)
         far = (L + (0.0 if rods.translates else lever) + pad)[:, None]
         shift = (rods.tool.translation - rods.on_plate) @ rods.rotation.T if rods.translates else 0.0
-        return (A.min(axis=0) - far + shift).max(axis=0), (A.max(axis=0) + far + shift).min(axis=0)
+        lower, upper = (A.min(axis=0) - far + shift).max(axis=0), (A.max(axis=0) + far + shift).min(axis=0)
+        for k in set(range(3)) - set(rods.commanded.index):  # the tool cannot be brought elsewhere
+            lower[k] = upper[k] = self.home.position[0, k]
+        return lower, upper

@@ -1,0 +1,10 @@
+"""A robot whose springs yield: linearised about a pose, natural modes, linear systems to simulate."""
+
+from .linear_system import (
+    L1_DRIVES as L1_DRIVES,
+    ContinuousModel as ContinuousModel,
+    PositionDrives as PositionDrives,
+    SampledModel as SampledModel,
+    Stepper as Stepper,
+)
+from .model import FlexibleModel as FlexibleModel, Linearised as Linearised, NaturalMode as NaturalMode

@@ -1,0 +1,296 @@
+r"""Many small linear systems at once: inverses and pseudo-inverses, planned elimination, closing with least motion.
+
+Pseudo-inverses scale columns to length one first, since angles and lengths stand side by side (Golub & Van Loan 2013, ch. 5.5).
+
+A loop's passive Jacobian is sparse, and its pattern is that of the mechanism. So pivots are chosen once, by Markowitz' count
+among entries that are large at a reference sample, and every step is an operation on N numbers; LAPACK on each little matrix
+takes ten times as long. Pivots that suit the reference may not suit a sample: `residual` tells, and the caller then solves
+those otherwise (Duff, Erisman & Reid 2017).
+
+Newton's step of an underdetermined problem closes first, then turns, then moves no more than needed,
+
+    C y = -g,   minimise |T y - t|^2 + damping |(y - p) / s|^2
+
+by its Karush-Kuhn-Tucker equations (Nocedal & Wright 2006, ch. 16); a small diagonal gives least squares where `C` loses rows.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dgetrf, dgetri
+
+ILL = 1e8
+"""Conditioning above which an inverse comes from singular values."""
+_ROUNDING = 1e-10
+"""Singular values and columns smaller than this beside the largest are rounding."""
+
+
+def invert_matrix(J: np.ndarray) -> np.ndarray:
+    """Return the inverse (n, m) of a matrix (m, n) by LU; of one that is singular or not square, the pseudo-inverse."""
+    if J.shape[0] == J.shape[1]:
+        lu, pivots, fault = dgetrf(J)
+        if fault == 0:
+            found = dgetri(lu, pivots)[0]
+            if np.abs(J).sum(axis=0).max() * np.abs(found).sum(axis=0).max() < ILL:
+                return found
+    lengths = measure_column_lengths(J)
+    u, s, vt = np.linalg.svd(J / lengths, full_matrices=False)
+    keep = s > _ROUNDING * s[0]  # a rod's free spin has no influence on anything we report: least norm
+    return (vt[keep].T / s[keep]) @ u[:, keep].T / lengths[:, None]
+
+
+def invert_matrices(J: np.ndarray) -> np.ndarray:
+    """Return inverses (N, n, m) of matrices (N, m, n); of one that is singular or not square, the pseudo-inverse.
+
+    Pseudo-inverses are those of unit columns, as of `invert_matrix`.
+    """
+    if J.shape[1] != J.shape[2]:
+        return _pseudo_inverses(J)
+    try:
+        out = np.linalg.inv(J)
+    except np.linalg.LinAlgError:
+        return _pseudo_inverses(J)
+    with np.errstate(all="ignore"):
+        size = np.abs(J).sum(axis=1).max(axis=1) * np.abs(out).sum(axis=1).max(axis=1)
+    ill = ~(size < ILL)
+    if ill.any():
+        out[ill] = _pseudo_inverses(J[ill])
+    return out
+
+
+def _pseudo_inverses(J: np.ndarray) -> np.ndarray:
+    out = np.full((len(J), J.shape[2], J.shape[1]), np.nan)
+    sound = np.isfinite(J).all(axis=(1, 2))
+    out[sound] = _sound_pseudo_inverses(J[sound])
+    return out
+
+
+def _sound_pseudo_inverses(J: np.ndarray) -> np.ndarray:
+    lengths = measure_column_lengths(J)
+    u, s, vt = np.linalg.svd(J / lengths[:, None, :], full_matrices=False)
+    kept = s > _ROUNDING * s[:, :1]  # a rod's free spin has no influence on anything we report: least norm
+    weight = np.divide(1.0, s, out=np.zeros_like(s), where=kept)
+    return (vt.transpose(0, 2, 1) * weight[:, None, :]) @ u.transpose(0, 2, 1) / lengths[:, :, None]
+
+
+def measure_column_lengths(J: np.ndarray) -> np.ndarray:
+    """Return the columns' lengths (..., n) of matrices (..., m, n), 1 for those that are zero but for rounding."""
+    lengths = np.linalg.norm(J, axis=-2)
+    return np.where(lengths > _ROUNDING * lengths.max(axis=-1, keepdims=True, initial=0.0), lengths, 1.0)
+
+
+def measure_rank_distance(matrices: np.ndarray) -> np.ndarray:
+    """Return the smallest singular value by the largest (N,); nan where a matrix is not finite."""
+    out = np.full(len(matrices), np.nan)
+    sound = np.isfinite(matrices).all(axis=(1, 2))
+    if sound.any():
+        s = np.linalg.svd(matrices[sound], compute_uv=False)
+        out[sound] = s[:, -1] / s[:, 0]
+    return out
+
+
+def solve_with_lapack(matrices: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return least-squares solutions (c, ..., N) of matrices (N, n, c) and right sides (n, ..., N); nan where there is none."""
+    sides = np.moveaxis(b.reshape(len(b), -1, b.shape[-1]), 2, 0)
+    out = np.full((len(matrices), matrices.shape[2], sides.shape[2]), np.nan)
+    sound = np.flatnonzero(np.isfinite(matrices).all(axis=(1, 2)) & np.isfinite(sides).all(axis=(1, 2)))
+    if sound.size:
+        try:
+            if matrices.shape[1] != matrices.shape[2]:
+                raise np.linalg.LinAlgError
+            out[sound] = np.linalg.solve(matrices[sound], sides[sound])
+        except np.linalg.LinAlgError:
+            out[sound] = np.linalg.pinv(matrices[sound], rcond=1e-12) @ sides[sound]
+    return np.moveaxis(out, 0, 2).reshape(matrices.shape[2], *b.shape[1:])
+
+
+Entries = dict[tuple[int, int], np.ndarray]
+"""Nonzero entries of a matrix by row and column, each (N,)."""
+
+_LARGE = 0.1
+"""A pivot has at least this share of the largest entry of its row."""
+
+
+class _Step(NamedTuple):
+    """One pivot, the rows it is taken out of, and the columns of its row that are left."""
+
+    row: int
+    column: int
+    rows: tuple[int, ...]
+    columns: tuple[int, ...]
+
+
+class Elimination:
+    """The plan for one pattern."""
+
+    def __init__(self, steps: list[_Step]) -> None:
+        """Keep the steps; `plan` finds them."""
+        self.steps = steps
+
+    @classmethod
+    def plan(cls, pattern: set[tuple[int, int]], reference: np.ndarray) -> Elimination | None:
+        """Choose pivots for a pattern at a reference matrix (n, n); None where it is singular or not square."""
+        if reference.shape[0] != reference.shape[1]:
+            return None
+        size = len(reference)
+        A, filled = reference.copy(), {r: {c for i, c in pattern if i == r} for r in range(size)}
+        left, steps, smallest = set(range(size)), [], 1e-9 * np.abs(reference).max(initial=0.0)
+        while left:
+            chosen = _pivot(A, filled, left, smallest)
+            if chosen is None:
+                return None
+            row, column = chosen
+            left.remove(row)
+            rows = tuple(r for r in sorted(left) if column in filled[r])
+            columns = tuple(sorted(filled[row] - {column}))
+            for r in rows:
+                A[r] -= A[r, column] / A[row, column] * A[row]
+                filled[r] = (filled[r] | set(columns)) - {column}
+            steps.append(_Step(row, column, rows, columns))
+        return cls(steps)
+
+    def factor(self, entries: Entries) -> Factor:
+        """Return the factors of matrices with these entries."""
+        work, multipliers, inverses = dict(entries), {}, {}
+        with np.errstate(all="ignore"):  # a singular sample shows in the residual
+            for step in self.steps:
+                inverse = inverses[step.row] = 1.0 / work[step.row, step.column]
+                for r in step.rows:
+                    m = multipliers[r, step.row] = work[r, step.column] * inverse
+                    for c in step.columns:
+                        change = m * work[step.row, c]
+                        work[r, c] = work[r, c] - change if (r, c) in work else -change
+        return Factor(self.steps, entries, work, multipliers, inverses)
+
+
+class Factor(NamedTuple):
+    """Factored matrices; right-hand sides are (n, ..., N)."""
+
+    steps: list[_Step]
+    entries: Entries
+    upper: Entries
+    multipliers: Entries
+    inverses: dict[int, np.ndarray]
+
+    def solve(self, b: np.ndarray) -> np.ndarray:
+        """Return `A^-1 b`."""
+        b, x = b.copy(), np.empty_like(b)
+        with np.errstate(all="ignore"):
+            for step in self.steps:
+                for r in step.rows:
+                    b[r] -= self.multipliers[r, step.row] * b[step.row]
+            for step in reversed(self.steps):
+                rest = b[step.row]
+                for c in step.columns:
+                    rest = rest - self.upper[step.row, c] * x[c]
+                x[step.column] = rest * self.inverses[step.row]
+        return x
+
+    def solve_transposed(self, b: np.ndarray) -> np.ndarray:
+        """Return `A'^-1 b`."""
+        b, x = b.copy(), np.empty_like(b)
+        with np.errstate(all="ignore"):
+            for step in self.steps:
+                x[step.row] = b[step.column] * self.inverses[step.row]
+                for c in step.columns:
+                    b[c] -= self.upper[step.row, c] * x[step.row]
+            for step in reversed(self.steps):
+                for r in step.rows:
+                    x[step.row] -= self.multipliers[r, step.row] * x[r]
+        return x
+
+    def residual(self, x: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Return the largest entry (N,) of `A x - b` relative to those of `A`, `x` and `b`."""
+        rest = -b
+        with np.errstate(all="ignore"):
+            for (r, c), value in self.entries.items():
+                rest[r] += value * x[c]
+            scale = np.max(np.abs(np.stack(list(self.entries.values()))), axis=0)
+            axes = tuple(range(x.ndim - 1))
+            return np.abs(rest).max(axis=axes) / (scale * np.abs(x).max(axis=axes) + np.abs(b).max(axis=axes) + 1e-300)
+
+
+def _pivot(A: np.ndarray, filled: dict[int, set[int]], left: set[int], smallest: float) -> tuple[int, int] | None:
+    """Return row and column of the entry that is large enough and fills in least."""
+    best, chosen = np.inf, None
+    for r in sorted(left):
+        largest = max((abs(A[r, c]) for c in filled[r]), default=0.0)
+        for c in sorted(filled[r]):
+            if abs(A[r, c]) < max(_LARGE * largest, smallest):
+                continue
+            count = (len(filled[r]) - 1) * (sum(c in filled[other] for other in left) - 1) - 1e-3 * abs(
+                A[r, c]
+            ) / largest
+            if count < best:
+                best, chosen = count, (r, c)
+    return chosen
+
+
+def solve_least_motion_step(
+    C: np.ndarray,
+    gap: np.ndarray,
+    turning: np.ndarray,
+    turn: np.ndarray,
+    weight: np.ndarray,
+    pull: np.ndarray,
+    softness: float,
+) -> np.ndarray:
+    """Return the steps `y` (N, m).
+
+    Args:
+        C: Derivatives of the closure (N, n, m).
+        gap: Closure (N, n).
+        turning: Derivatives `T` of the tool's rotation (N, 3, m), or of nothing (N, 0, m).
+        turn: Rotation `t` that is left (N, 3 or 0) [rad].
+        weight: What motion costs (m,), or (N, m or 1), small beside 1; 0 where `T` sees all of it.
+        pull: Motion `p` that costs nothing (N, m).
+        softness: Square root of what lost rows are worth beside the others.
+    """
+    n, rows, m = C.shape
+    K = np.zeros((n, m + rows, m + rows))
+    K[:, :m, :m] = np.swapaxes(turning, 1, 2) @ turning
+    index = np.arange(m)
+    K[:, index, index] += weight
+    K[:, m:, :m], K[:, :m, m:] = C, np.swapaxes(C, 1, 2)
+    index = np.arange(m, m + rows)
+    K[:, index, index] = -(softness**2)
+    right = np.empty((n, m + rows))
+    right[:, :m] = np.einsum("nij,ni->nj", turning, turn) + weight * pull
+    right[:, m:] = -gap
+    return solve_with_pseudo_inverse(K, right)[:, :m]
+
+
+def solve_with_pseudo_inverse(K: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return `K^-1 b` (N, m); of a singular matrix what its pseudo-inverse gives, nan where numbers are missing."""
+    out = np.full(right.shape, np.nan)
+    sound = np.isfinite(K).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+    K, right = (K, right) if sound.all() else (K[sound], right[sound])
+    try:
+        out[sound] = np.linalg.solve(K, right[:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:
+        out[sound] = np.einsum("nij,nj->ni", np.linalg.pinv(K, rcond=1e-13), right)
+    return out
+
+
+class Progress:
+    """Which samples still close: one whose gap has not shrunk for some rounds is given up, one at rest is done."""
+
+    def __init__(self, n: int, patience: int) -> None:
+        """Watch `n` samples."""
+        self._reference, self._since = np.full(n, np.inf), np.zeros(n, int)
+        self._patience, self._size = patience, np.full(n, np.inf)
+
+    def stalled(self, index: np.ndarray, gap: np.ndarray) -> np.ndarray:
+        """Return which of the samples at `index` have a gap (k,) that stopped shrinking (k,)."""
+        better = gap < 0.6 * self._reference[index]
+        self._reference[index] = np.where(better, gap, self._reference[index])
+        self._since[index] = np.where(better, 0, self._since[index] + 1)
+        return self._since[index] > self._patience
+
+    def rests(self, index: np.ndarray, size: np.ndarray, done: float, near: float) -> np.ndarray:
+        """Return whose step (k,) is below `done`, or below `near` and no longer shrinking: rounding (k,)."""
+        floor = (size < near) & (size > 0.5 * self._size[index])
+        self._size[index] = size
+        return (size < done) | floor
