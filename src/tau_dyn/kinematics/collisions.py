@@ -15,9 +15,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.kinematics.bodies import Body
 from tau_dyn.kinematics.obstacles import Obstacle
-from tau_dyn.kinematics.shapes import Capsule, Cylinder, HalfSpace, Shape, Sphere
+from tau_dyn.kinematics.solids import Body, Capsule, Cylinder, HalfSpace, Shape, Sphere
 
 _COVERS = (0.6, 0.15, 0.04)  # [m] sizes of covering spheres, coarse first: most poses are settled by few of them
 _BATCH = 4000  # poses at a time, tens of MB

@@ -8,11 +8,11 @@ import pytest
 from tau_dyn.kinematics.accuracy import (
     Section,
     choose_default_section,
-    default_poses,
     lay_default_grid,
     sample_default_motion,
+    section,
 )
-from tau_dyn.kinematics.accuracy.default_poses import ENOUGH_POINTS
+from tau_dyn.kinematics.accuracy.section import ENOUGH_POINTS
 from tau_dyn.mechanism import forward_kinematics, get_rods
 from tau_dyn.robot import list_robot_names, load_robot
 
@@ -87,7 +87,7 @@ def test_another_section_is_taken_where_the_first_is_hardly_reached(tmp_path, mo
     file.write_text(PLANAR)
     robot = load_robot(file)
     tool = forward_kinematics(robot, robot.home[None]).poses
-    monkeypatch.setattr(default_poses, "choose_default_section", lambda *_: Section(1, float(tool.position[0, 1])))
+    monkeypatch.setattr(section, "choose_default_section", lambda *_: Section(1, float(tool.position[0, 1])))
     grid = lay_default_grid(robot, None, tool, 9)
     assert grid.section.axis == 2 and grid.ok.sum() > 9
 

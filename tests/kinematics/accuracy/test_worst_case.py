@@ -14,14 +14,11 @@ from tau_dyn.kinematics.accuracy import (
     RodError,
     build_device,
     build_isotropic_error,
-    certified as certified_bound,
     compute_positioning_errors,
-    ellipsoids,
-    parallelepiped,
+    shells,
 )
-from tau_dyn.kinematics.accuracy.monte_carlo import draw, monte_carlo
-from tau_dyn.kinematics.accuracy.rod_device import Moved, State
-from tau_dyn.kinematics.accuracy.worst_case import bound_first_order, solve_worst_case
+from tau_dyn.kinematics.accuracy.device import Moved, State
+from tau_dyn.kinematics.accuracy.worst_case import bound_first_order, draw, monte_carlo, solve_worst_case
 from tau_dyn.mechanism import Poses, build_rods, forward_kinematics
 from tau_dyn.robot import load_robot
 
@@ -106,7 +103,7 @@ def test_parallelepiped_is_the_brute_force_over_corners_for_small_errors() -> No
     first, corners = bound_first_order(device.sensitivity(state), device.balls, True)
     assert np.isclose(first.size[0], max(reach), rtol=2e-4)
     assert np.isclose(solve_worst_case(device, state, corners).size[0], max(reach), rtol=1e-9)
-    edges = parallelepiped.compute_half_edges(device, state)[0]
+    edges = shells.compute_half_edges(device, state)[0]
     assert np.isclose(max(np.linalg.norm(edges @ s) for s in product((1, -1), repeat=3)), first.size[0], rtol=1e-12)
 
 
@@ -132,14 +129,14 @@ def test_thesis_ellipsoids_are_exact_for_balls_and_too_thin_otherwise() -> None:
         errors = ErrorBounds(actuators)
         device = build_device(rods.robot, rods, errors)
         state = device.state(q, tool)
-        shifts, count = ellipsoids.find_corners(device, state)
+        shifts, count = shells.find_corners(device, state)
         exact = compute_positioning_errors(device, errors, q, tool, methods=["exact"]).largest["exact"]
-        h, thin = parallelepiped.compute_half_heights(device, state), ellipsoids.compute_shell_heights(device, state)
+        h, thin = shells.compute_half_heights(device, state), shells.compute_shell_heights(device, state)
         assert np.all(thin <= h * (1 + 1e-12)) and count.max() < 8
         if equal:
-            assert np.allclose(ellipsoids.measure_largest(shifts), exact, rtol=1e-9) and np.allclose(thin, h)
+            assert np.allclose(shells.measure_largest(shifts), exact, rtol=1e-9) and np.allclose(thin, h)
         else:
-            share = ellipsoids.measure_largest(shifts) / exact
+            share = shells.measure_largest(shifts) / exact
             assert np.all(share < 0.99) and np.all(share > 0.9)
 
 
@@ -270,6 +267,6 @@ def test_bad_requests_are_refused() -> None:
     with raises_code("invalid_value", "finite"):
         compute_positioning_errors(device, errors, q * np.nan, tool)
     assert (
-        certified_bound.explain_inapplicable(device) == ""
+        shells.explain_no_certificate(device) == ""
         and monte_carlo(device, device.state(q, tool), 5, 0).lost[0] == 0
     )

@@ -9,12 +9,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.accuracy.error_bounds import ErrorBounds
-from tau_dyn.kinematics.accuracy.error_scaling import Growth, scale_errors
-from tau_dyn.kinematics.accuracy.monte_carlo import draw
-from tau_dyn.kinematics.accuracy.parallelepiped import compute_half_edges
+from tau_dyn.kinematics.accuracy.errors import ErrorBounds
 from tau_dyn.kinematics.accuracy.section import Grid
-from tau_dyn.kinematics.accuracy.study import METHODS, Accuracy, build_device, compute_positioning_errors
+from tau_dyn.kinematics.accuracy.shells import compute_half_edges
+from tau_dyn.kinematics.accuracy.study import (
+    METHODS,
+    Accuracy,
+    Growth,
+    build_device,
+    compute_positioning_errors,
+    scale_errors,
+)
+from tau_dyn.kinematics.accuracy.worst_case import draw
 from tau_dyn.kinematics.assumptions import Guideway, Orientation, Parallelism
 from tau_dyn.mechanism import Poses, Rods
 from tau_dyn.robot import Robot

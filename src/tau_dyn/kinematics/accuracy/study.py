@@ -1,21 +1,26 @@
-"""How far the tool may be from where it should be: every method on the same errors, at many poses."""
+"""How far the tool may be from where it should be: every method on the same errors, at many poses, and on enlarged ones."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.accuracy import certified, ellipsoids, parallelepiped
-from tau_dyn.kinematics.accuracy.error_bounds import ErrorBounds
-from tau_dyn.kinematics.accuracy.monte_carlo import monte_carlo
-from tau_dyn.kinematics.accuracy.rod_device import RodDevice, State
-from tau_dyn.kinematics.accuracy.serial_device import SerialDevice
-from tau_dyn.kinematics.accuracy.sources import build_rod_sources
-from tau_dyn.kinematics.accuracy.worst_case import bound_first_order, solve_worst_case
+from tau_dyn.kinematics.accuracy.device import RodDevice, SerialDevice, State
+from tau_dyn.kinematics.accuracy.errors import MAX_ERROR_SIZE, ErrorBounds, build_rod_sources
+from tau_dyn.kinematics.accuracy.shells import (
+    bound_displacement,
+    compute_face_areas,
+    compute_half_edges,
+    explain_no_certificate,
+    explain_no_ellipsoids,
+    find_corners,
+    measure_largest,
+)
+from tau_dyn.kinematics.accuracy.worst_case import bound_first_order, monte_carlo, solve_worst_case
 from tau_dyn.mechanism import Poses, Rods
 from tau_dyn.robot import Robot
 
@@ -142,8 +147,8 @@ def _why_not(device: Any, method: str) -> str:
     if method in ("ellipsoid", "certified") and not isinstance(device, RodDevice):
         return "it is for a plate held by rods"
     if method == "ellipsoid":
-        return ellipsoids.explain_inapplicable(device)
-    return certified.explain_inapplicable(device) if method == "certified" else ""
+        return explain_no_ellipsoids(device)
+    return explain_no_certificate(device) if method == "certified" else ""
 
 
 def _some(device: Any, state: State, methods: Sequence[str], samples: int, seed: int) -> dict[str, np.ndarray]:
@@ -154,15 +159,15 @@ def _some(device: Any, state: State, methods: Sequence[str], samples: int, seed:
     if "parallelepiped" in methods or "exact" in methods:
         out |= _by_corners(device, state, methods, turns)
     if "ellipsoid" in methods:
-        out["ellipsoid"] = ellipsoids.measure_largest(ellipsoids.find_corners(device, state)[0])
+        out["ellipsoid"] = measure_largest(find_corners(device, state)[0])
     if "certified" in methods:
-        out["certified"] = certified.bound_displacement(device, state)
+        out["certified"] = bound_displacement(device, state)
     if "montecarlo" in methods:
         drawn = monte_carlo(device, state, samples, seed)
         out |= {"montecarlo": drawn.largest, "usual": drawn.usual}
         out |= {"montecarlo turn": drawn.turn_largest} if turns else {}
     if isinstance(device, RodDevice) and device.freedoms == 3:
-        out["faces"] = parallelepiped.compute_face_areas(parallelepiped.compute_half_edges(device, state))
+        out["faces"] = compute_face_areas(compute_half_edges(device, state))
     return out
 
 
@@ -191,3 +196,40 @@ def _by_corners(device: Any, state: State, methods: Sequence[str], turns: bool) 
             out[f"exact{name}"] = worst.size
             out |= {} if name else {"worst": worst.e, "direction": worst.direction}
     return out
+
+
+FACTORS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)
+
+
+class Growth(NamedTuple):
+    """Errors enlarged at one pose.
+
+    Attributes:
+        factors: By how much (k,).
+        largest: Largest displacement by method, each (k,) [m]; nan where there is none.
+    """
+
+    factors: np.ndarray
+    largest: dict[str, np.ndarray]
+
+    def holds_to(self, method: str, share: float) -> float:
+        """Return the largest factor, of those tried, up to which a method is within a share of the exact; nan for none."""
+        with np.errstate(all="ignore"):
+            off = np.abs(self.largest[method] / self.largest["exact"] - 1)
+        good = np.cumprod(off <= share).astype(bool)
+        return float(self.factors[good][-1]) if good.any() else float("nan")
+
+
+def scale_errors(
+    robot: Robot, rods: Rods | None, errors: ErrorBounds, q: np.ndarray, tool: Poses, methods: Sequence[str],
+    factors: Sequence[float] = FACTORS,
+) -> Growth:  # fmt: skip
+    """Return the methods' largest displacements at one pose (q (na,), tool 1 sample) for enlarged errors."""
+    kept = [f for f in factors if errors.largest * f <= MAX_ERROR_SIZE]
+    rows: list[Accuracy] = []
+    for factor in kept:
+        more = errors.scaled(factor)
+        rows.append(
+            compute_positioning_errors(build_device(robot, rods, more), more, q[None], tool, methods=methods, samples=1)
+        )
+    return Growth(np.array(kept), {m: np.array([r.largest[m][0] for r in rows]) for m in rows[0].largest})

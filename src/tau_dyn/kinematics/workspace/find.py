@@ -8,21 +8,22 @@ import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.kinematics.collisions import measure_thickness
-from tau_dyn.kinematics.workspace.footprint import build_footprint
-from tau_dyn.kinematics.workspace.lattice import INSIDE, ClassifiedLattice, Lattice, build_lattice, classify_lattice
-from tau_dyn.kinematics.workspace.machine import WorkspaceModel
-from tau_dyn.kinematics.workspace.machines import build_machine
-from tau_dyn.kinematics.workspace.measure import (
+from tau_dyn.kinematics.workspace.lattice import (
+    INSIDE,
+    ClassifiedLattice,
+    Lattice,
     Size,
     bound_missed_size,
+    build_lattice,
+    classify_lattice,
     compute_bounding_box,
     erode_by_margin,
     find_connected,
     measure_size,
 )
-from tau_dyn.kinematics.workspace.pose_check import PoseChecker
-from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
-from tau_dyn.kinematics.workspace.result import Workspace
+from tau_dyn.kinematics.workspace.machine import WorkspaceModel, build_machine
+from tau_dyn.kinematics.workspace.pose_check import PoseChecker, PoseRequirements
+from tau_dyn.kinematics.workspace.result import Workspace, build_footprint
 from tau_dyn.mechanism import Poses, require_poses
 from tau_dyn.robot import Robot
 

@@ -1,11 +1,12 @@
-r"""A parallel robot with errors: where its plate goes, and how sensitive it is, for many poses at once.
+"""A robot with errors: where its tool goes, and how sensitive it is, for many poses at once.
 
 With rods `w_k = B_k - A_k`, `u_k = w_k / |w_k|` and the plate's motion (dp, phi), the constraint `|w_k| = L_k` (4.4) gives
 
     u_k . (dp + phi x R b_k) = u_k . dA_k - u_k . R db_k + dL_k,
 
 one scalar a rod: `C X = G e`. So an error of a base point counts by its component along the rod alone, and like one of the rod's
-length (A.3). `closed` solves the constraints themselves by Newton; it does not step over a singularity unnoticed.
+length (A.3). `closed` solves the constraints themselves by Newton; it does not step over a singularity unnoticed. Without
+rods the same questions go through the whole tree.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.accuracy.sources import Sources
-from tau_dyn.mechanism import Poses, Rods
+from tau_dyn.kinematics.accuracy.errors import ErrorBounds, Sources
+from tau_dyn.mechanism import Poses, Rods, forward_kinematics, jacobian
+from tau_dyn.robot import Robot
 
 _TOLERANCE = 1e-12
 """[m and rad] After a step this small the next one, a quadratic one, would be rounding."""
@@ -188,3 +190,56 @@ def _limited(step: np.ndarray, L: np.ndarray) -> np.ndarray:
     size = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
     with np.errstate(all="ignore"):
         return step * np.minimum(1.0, most / np.maximum(size, 1e-300))
+
+
+class SerialDevice:
+    """A mechanism known by its tree alone; each actuator errs within an interval along its own motion."""
+
+    def __init__(self, robot: Robot, errors: ErrorBounds) -> None:
+        """Prepare.
+
+        Raises:
+            InputError: An error is asked of a rod, or across a joint's motion.
+        """
+        if errors.rods:
+            raise InputError(
+                "unsupported",
+                f"{robot.source}: no rods between chains and a plate are known here; give errors of actuators only",
+            )
+        for joint, error in errors.actuators.items():
+            if error.axes is not None:
+                raise InputError(
+                    "unsupported",
+                    f"{joint}: x, y and z are for carts that carry rods; give one number, its own motion's",
+                )
+        self.robot = robot
+        self.along = np.array([errors.actuators[j].along if j in errors.actuators else 0.0 for j in robot.actuated])
+        erring = np.flatnonzero(self.along)
+        self.labels = tuple(robot.actuated[j] for j in erring)
+        self.m, self.balls = len(erring), tuple(slice(k, k + 1) for k in range(len(erring)))
+        self._actuator = np.zeros((robot.na, self.m))
+        self._actuator[erring, range(self.m)] = self.along[erring]
+
+    def state(self, q: np.ndarray, tool: Poses) -> State:
+        """Return the state at actuated positions (N, na) and the tool's poses there."""
+        return State(q, tool.position, tool.rotation, tool)
+
+    def by_actuators(self, state: State) -> np.ndarray:
+        """Return `d(tool) / dq` (N, 3 or 6, na)."""
+        return jacobian(self.robot, state.q, Poses(state.position, state.rotation))
+
+    def sensitivity(self, state: State, plate: Poses | None = None, e: np.ndarray | None = None) -> np.ndarray:
+        """Return `d(tool) / de` (N, 3 or 6, m)."""
+        if e is None:
+            return self.by_actuators(state) @ self._actuator
+        return jacobian(self.robot, state.q + e @ self._actuator.T, plate) @ self._actuator
+
+    def closed(self, state: State, e: np.ndarray) -> Moved:
+        """Return where errors `e` (N, m) put the tool."""
+        start = Poses(state.position, state.rotation)
+        found = forward_kinematics(self.robot, state.q + e @ self._actuator.T, start=start)
+        change = found.poses.rotation @ state.rotation.transpose(0, 2, 1)
+        ok = np.asarray(found.ok)
+        turn = np.full((len(e), 3), np.nan)
+        turn[ok] = Rotation.from_matrix(change[ok]).as_rotvec()
+        return Moved(np.where(ok[:, None], found.poses.position - state.position, np.nan), turn, found.poses, ok)
