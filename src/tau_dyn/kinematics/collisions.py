@@ -140,19 +140,6 @@ def _near(a: PlacedSolid, b: PlacedSolid, k: int, margin: float) -> bool:
     return bool(coal.collide(*a.for_coal(k), *b.for_coal(k), request, result))
 
 
-def measure_thickness(shape: Shape) -> float:
-    """Return the least extent of a solid [m], inf of a half-space: what a coarser lattice may miss."""
-    if isinstance(shape, HalfSpace):
-        return np.inf
-    if isinstance(shape, Sphere):
-        return 2 * shape.radius
-    if isinstance(shape, Capsule):
-        return 2 * shape.radius
-    if isinstance(shape, Cylinder):
-        return min(2 * shape.radius, shape.height)
-    return min(shape.size)
-
-
 def find_touched_obstacle(obstacle: Obstacle, solids: Sequence[PlacedSolid], n: int) -> np.ndarray:
     """Return at which poses (n,) any of a robot's solids comes too close to an obstacle."""
     wall, out = build_standing_solid(obstacle.shape, obstacle.placement), np.zeros(n, bool)

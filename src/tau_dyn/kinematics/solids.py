@@ -33,6 +33,11 @@ class Box:
         outside = np.sqrt(np.maximum(x, 0.0) ** 2 + np.maximum(y, 0.0) ** 2 + np.maximum(z, 0.0) ** 2)
         return outside + np.minimum(deepest, 0.0)
 
+    @property
+    def half_size(self) -> np.ndarray:
+        """Half of its extents along its own axes (3,) [m]."""
+        return np.array(self.size) / 2
+
     @cached_property
     def coal_shape(self):
         """The solid for coal."""
@@ -60,6 +65,11 @@ class Cylinder:
         along = np.abs(points[..., 2]) - self.height / 2
         return np.hypot(np.maximum(around, 0.0), np.maximum(along, 0.0)) + np.minimum(np.maximum(around, along), 0.0)
 
+    @property
+    def half_size(self) -> np.ndarray:
+        """Half of its extents along its own axes (3,) [m]."""
+        return np.array([self.radius, self.radius, self.height / 2])
+
     @cached_property
     def coal_shape(self):
         """The solid for coal."""
@@ -79,6 +89,11 @@ class Sphere:
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Return signed distances of points (..., 3) in its frame [m]."""
         return np.sqrt(np.einsum("...i,...i->...", points, points)) - self.radius
+
+    @property
+    def half_size(self) -> np.ndarray:
+        """Half of its extents along its own axes (3,) [m]."""
+        return np.full(3, self.radius)
 
     @cached_property
     def coal_shape(self):
@@ -102,6 +117,11 @@ class Capsule:
         z = points[..., 2] - np.clip(points[..., 2], -self.length / 2, self.length / 2)
         return np.sqrt(points[..., 0] ** 2 + points[..., 1] ** 2 + z**2) - self.radius
 
+    @property
+    def half_size(self) -> np.ndarray:
+        """Half of its extents along its own axes (3,) [m]."""
+        return np.array([self.radius, self.radius, self.length / 2 + self.radius])
+
     @cached_property
     def coal_shape(self):
         """The solid for coal."""
@@ -122,6 +142,11 @@ class HalfSpace:
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Return signed distances of points (..., 3) in its frame [m]."""
         return np.asarray(points[..., 2], float)
+
+    @property
+    def half_size(self) -> np.ndarray:
+        """Half of its extents along its own axes (3,) [m]."""
+        return np.full(3, np.inf)
 
     @cached_property
     def coal_shape(self):

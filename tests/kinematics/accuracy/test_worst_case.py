@@ -266,7 +266,4 @@ def test_bad_requests_are_refused() -> None:
         compute_positioning_errors(device, errors, q, tool, methods=["guess"])
     with raises_code("invalid_value", "finite"):
         compute_positioning_errors(device, errors, q * np.nan, tool)
-    assert (
-        shells.explain_no_certificate(device) == ""
-        and monte_carlo(device, device.state(q, tool), 5, 0).lost[0] == 0
-    )
+    assert shells.explain_no_certificate(device) == "" and monte_carlo(device, device.state(q, tool), 5, 0).lost[0] == 0

@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.kinematics.collisions import measure_thickness
 from tau_dyn.kinematics.workspace.lattice import (
     INSIDE,
     ClassifiedLattice,
@@ -238,7 +237,7 @@ def _warnings(machine: WorkspaceModel, judge: PoseChecker, found: ClassifiedLatt
     said = []
     coarse = found.lattice.step * found.lattice.stride
     for obstacle in judge.demands.surroundings.obstacles:
-        if measure_thickness(obstacle.shape) + 2 * obstacle.margin < coarse:
+        if 2 * (obstacle.shape.half_size.min() + obstacle.margin) < coarse:
             said.append(
                 f"obstacle '{obstacle.name}' is thinner than the coarse lattice of {coarse:.3g} m and may be missed in parts; "
                 "take a finer resolution"

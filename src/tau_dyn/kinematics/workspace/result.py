@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.kinematics.collisions import PlacedSolid
-from tau_dyn.kinematics.solids import Box, Capsule, Cylinder, HalfSpace
 from tau_dyn.kinematics.workspace.lattice import INSIDE, Lattice, Size
 from tau_dyn.kinematics.workspace.machine import WorkspaceModel, get_travel
 from tau_dyn.kinematics.workspace.pose_check import KINDS, PoseChecker, Reasons
@@ -164,15 +163,5 @@ def build_footprint(machine: WorkspaceModel) -> Footprint:
 
 def _corners(solid: PlacedSolid) -> np.ndarray:
     """Return the corners (8, 3) of a box around a solid at its first pose."""
-    shape = solid.shape
-    if isinstance(shape, Box):
-        half = np.array(shape.size) / 2
-    elif isinstance(shape, Cylinder):
-        half = np.array([shape.radius, shape.radius, shape.height / 2])
-    elif isinstance(shape, Capsule):
-        half = np.array([shape.radius, shape.radius, shape.length / 2 + shape.radius])
-    else:
-        assert not isinstance(shape, HalfSpace)
-        half = np.full(3, shape.radius)
     signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
-    return solid.position[0] + (signs * half) @ solid.rotation[0].T
+    return solid.position[0] + (signs * solid.shape.half_size) @ solid.rotation[0].T
