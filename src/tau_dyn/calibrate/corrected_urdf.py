@@ -14,8 +14,8 @@ import pinocchio as pin
 from defusedxml.ElementTree import fromstring
 
 from tau_dyn.calibrate.tree_geometry import TreeGeometry
-from tau_dyn.calibrate.tree_shape import TreeNumbers, TreeShape, compute_dimensions_at
 from tau_dyn.exceptions import InputError
+from tau_dyn.mechanism import TreeNumbers, TreeShape, compute_dimensions_at
 
 _DRAKE = ("http://drake.mit.edu", "https://drake.mit.edu")
 _OURS = "urn:tau_dyn"

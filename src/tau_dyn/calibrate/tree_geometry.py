@@ -20,19 +20,27 @@ from functools import cached_property
 import numpy as np
 
 from tau_dyn.calibrate.geometry import Predicted, WithoutClosure
-from tau_dyn.calibrate.loop_derivatives import compute_open_rates, propagate_twists
-from tau_dyn.calibrate.tree_closure import ClosedConfigurations, TreeClosure
-from tau_dyn.calibrate.tree_parameters import PRIORITY, build_rows
-from tau_dyn.calibrate.tree_shape import Knob, TreeNumbers, TreeShape, compute_dimensions_at, get_shape
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.mechanism import Poses, compute_frames, multiply_by_rotation, require_positions, transform_point
-from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.mechanism import (
+    PRIORITY,
+    ClosedConfigurations,
+    Knob,
+    Poses,
+    TreeClosure,
+    TreeDimensions,
+    TreeNumbers,
+    TreeShape,
+    compute_dimensions_at,
+    compute_frames,
+    compute_open_rates,
+    get_shape,
+    multiply_by_rotation,
+    propagate_twists,
+    require_positions,
+    transform_point,
+)
+from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
-
-_ROUNDING = 1e-10
-"""[m or rad, per m or rad] what is left of a column that is zero."""
-_UNSEEN = 1e-7
-"""Size of a column relative to the largest of its unit below which a parameter does not reach the tool."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,26 +163,5 @@ def build_tree_geometry(robot: Robot, *, tool: str | None = None) -> TreeGeometr
         InputError: A joint has several degrees of freedom, or it is not clear which frame is the tool.
         LoopClosureError: The loops cannot be closed at home.
     """
-    shape = get_shape(robot, tool)
-    rows = build_rows(shape)
-    parameters = Parameters([row.parameter for row in rows])
-    full = TreeGeometry(shape, parameters, tuple(row.knob for row in rows))
-    return replace(full, parameters=Parameters(_without_unseen(full)))
-
-
-def _without_unseen(geometry: TreeGeometry) -> list[Parameter]:
-    """Return the parameters with those fixed that do not reach the tool near home."""
-    robot = geometry.shape.robot
-    reach = np.where(np.isfinite(robot.upper - robot.lower), 0.3 * (robot.upper - robot.lower), 0.6)
-    spread = np.random.default_rng(0).uniform(-0.5, 0.5, (12, robot.na)) * np.minimum(reach, 0.6)
-    columns = geometry.tool_by_parameter(geometry.parameters.values, robot.home + spread)
-    columns = columns[np.isfinite(columns).all(axis=(1, 2))].reshape(-1, len(geometry.knobs))
-    size = np.abs(columns).max(axis=0, initial=0.0)
-    out = []
-    for p, mine in zip(geometry.parameters, size, strict=True):
-        alike = max(
-            (s for other, s in zip(geometry.parameters, size, strict=True) if other.unit == p.unit), default=0.0
-        )
-        unseen = len(columns) > 0 and mine < max(_UNSEEN * alike, _ROUNDING)
-        out.append(replace(p, free=False, origin="robot file; does not reach the tool") if unseen else p)
-    return out
+    tree = TreeDimensions(get_shape(robot, tool))
+    return TreeGeometry(tree.shape, tree.parameters, tree.knobs)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
 from tau_dyn.mechanism.joint_limits import SLACK
-from tau_dyn.mechanism.kinematics_result import BRANCH_CHANGE, NOT_A_NUMBER, OK, InverseResult
+from tau_dyn.mechanism.kinematics_result import BRANCH_CHANGE, NOT_A_NUMBER, OK, InverseResult, InverseSolutions
 from tau_dyn.mechanism.plate_arrays import log_of
 from tau_dyn.mechanism.poses import Poses
 from tau_dyn.mechanism.six_revolute import MAX_SOLUTIONS, eliminate
@@ -49,22 +48,8 @@ def solve_tree_inverse(engine: TreeNewton, poses: Poses, start: np.ndarray | Non
     return found
 
 
-class TreeSolutions(NamedTuple):
-    """Solutions of each pose, nearest to home first.
-
-    Attributes:
-        q: Positions (N, n, na); nan fills up.
-        proved: Whether those of a pose are all there are (N,).
-        why: The reason, a sentence a pose.
-    """
-
-    q: np.ndarray
-    proved: np.ndarray
-    why: list[str]
-
-
-def find_tree_solutions(engine: TreeNewton, poses: Poses) -> TreeSolutions:
-    """Return all solutions of six turning joints by elimination; where that leaves a doubt, or of others, from many starts.
+def find_tree_solutions(engine: TreeNewton, poses: Poses) -> InverseSolutions:
+    """Return all solutions, nearest to home first: of six turning joints by elimination, else from many starts.
 
     Starts are drawn until each solution of each pose was met ten times, or to a limit: the chance of meeting a new one is
     about the share of those met once (Good 1953). It is no proof that none is left.
@@ -85,7 +70,7 @@ def find_tree_solutions(engine: TreeNewton, poses: Poses) -> TreeSolutions:
         solutions.sort(key=lambda q: float(np.abs(q - robot.home).max()))
         for row, q in enumerate(solutions):
             out[k, row] = q
-    return TreeSolutions(out, proved, why)
+    return InverseSolutions(out, proved, why)
 
 
 def _search(

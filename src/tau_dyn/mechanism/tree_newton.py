@@ -58,11 +58,7 @@ class TreeNewton:
 
     def close_loops(self, q: np.ndarray) -> np.ndarray:
         """Return all joints' positions (nv, N) at actuated ones (N, na); nan where the loops cannot be closed."""
-        rows, which = np.unique(q, axis=0, return_inverse=True)
-        x = np.full((self.robot.model.nv, len(rows)), np.nan)
-        for index, closed in self.engine.closed(rows, np.flatnonzero(np.isfinite(rows).all(axis=1))):
-            x[:, index] = closed.x
-        return x[:, which.ravel()]
+        return np.ascontiguousarray(self.engine.full_positions(q).T)
 
     def solve(
         self, poses: Poses, x: np.ndarray, toward: np.ndarray

@@ -78,6 +78,14 @@ class TreePose:
             half = len(index) // 2
             return [*self.closed(q, index[:half]), *self.closed(q, index[half:])]
 
+    def full_positions(self, q: np.ndarray) -> np.ndarray:
+        """Return all joints' positions (N, nv) at actuated ones (N, na); nan where the loops cannot be closed."""
+        rows, which = np.unique(q, axis=0, return_inverse=True)
+        x = np.full((len(rows), self.robot.model.nv), np.nan)
+        for index, closed in self.closed(rows, np.flatnonzero(np.isfinite(rows).all(axis=1))):
+            x[index] = closed.x.T
+        return x[which.ravel()]
+
     def pose(self, closed: ClosedLoops) -> Poses:
         """Return the tool's poses."""
         return self.pose_of(closed.at)
