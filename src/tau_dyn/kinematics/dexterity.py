@@ -33,16 +33,19 @@ class Rates(NamedTuple):
     """The closure's derivative at many poses.
 
     Attributes:
-        tool: `J_x` (N, n, d), d = 3 for a tool that only translates (or whose turning is not asked for), else 6.
+        tool: `J_x` (N, n, d) by the components of the twist that are asked for, linear ones first: 3 for a tool that only
+            translates (or whose turning is not asked for), else up to 6.
         actuators: `J_q` (N, n, na).
         turns: Which actuators are revolute (na,).
         length: Characteristic length [m].
+        linear: Up to how many of the components are linear.
     """
 
     tool: np.ndarray
     actuators: np.ndarray
     turns: np.ndarray
     length: float
+    linear: int = 3
 
     def take(self, index: np.ndarray | slice) -> Rates:
         """Return the rates at some of the poses."""
@@ -77,11 +80,10 @@ class Dexterity(NamedTuple):
 def homogenise_jacobians(rates: Rates) -> tuple[np.ndarray, np.ndarray]:
     """Return `J_x` (N, n, d) and `J_q` (N, n, na) with turns counted as lengths; a serial arm's rows are scaled as well."""
     tool, actuators = rates.tool.copy(), rates.actuators.copy()
-    if tool.shape[2] == 6:
-        tool[:, :, 3:] /= rates.length
+    tool[:, :, rates.linear :] /= rates.length
     if is_serial(rates):  # rows of a serial arm are the twist itself
-        tool[:, 3:] *= rates.length
-        actuators[:, 3:] *= rates.length
+        tool[:, rates.linear :] *= rates.length
+        actuators[:, rates.linear :] *= rates.length
     actuators[:, :, rates.turns] /= rates.length
     return tool, actuators
 
@@ -133,9 +135,9 @@ def compute_worst_speed(rates: Rates, limits: np.ndarray) -> np.ndarray:
     `v = K d` for a unit direction `d`, so actuator i allows `limit_i / |K_i|` in its own worst direction.
     """
     sound = np.isfinite(rates.actuators).all(axis=(1, 2)) & np.isfinite(rates.tool).all(axis=(1, 2))
-    per = np.full((len(rates.tool), rates.actuators.shape[2], min(3, rates.tool.shape[2])), np.nan)
+    per = np.full((len(rates.tool), rates.actuators.shape[2], min(rates.linear, rates.tool.shape[2])), np.nan)
     if sound.any():
-        per[sound] = np.linalg.pinv(rates.actuators[sound], rcond=1e-9) @ rates.tool[sound][:, :, :3]
+        per[sound] = np.linalg.pinv(rates.actuators[sound], rcond=1e-9) @ rates.tool[sound][:, :, : rates.linear]
     with np.errstate(divide="ignore"):
         speed = (limits / np.linalg.norm(per, axis=2)).min(axis=1)
     gone = sound & (compute_dexterity(rates).serial < 1e-9)
@@ -147,7 +149,7 @@ def compute_worst_force(rates: Rates, limits: np.ndarray) -> np.ndarray:
 
     `tau = J' F`, so actuator i allows `limit_i / |J_i|` along its own column of the linear rows.
     """
-    J = compute_tool_jacobian(rates)[:, :3]
+    J = compute_tool_jacobian(rates)[:, : rates.linear]
     with np.errstate(divide="ignore"):
         return (limits / np.linalg.norm(J, axis=1)).min(axis=1)
 

@@ -1,35 +1,32 @@
-"""A robot as its workspace needs it: inverse kinematics in home's configuration, rates, solids and reach."""
+"""A mechanism as its workspace needs it: which places there are, inverse kinematics in home's configuration, rates, solids.
+
+A place is what the workspace's lattice counts: the tool's position, at one orientation; or, of a mechanism whose tool cannot
+be brought to every position nearby (a 3-PRS), its commanded coordinates, turns multiplied by a characteristic length.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.collisions import PlacedSolid, build_capsule, build_standing_solid, move_solid
 from tau_dyn.kinematics.dexterity import Rates
 from tau_dyn.kinematics.solids import Body, build_rod_body, measure_rod_radius, read_bodies
-from tau_dyn.mechanism import (
-    Frames,
-    NotRods,
-    Poses,
-    Rods,
-    TreePose,
-    build_rods,
-    compute_frames,
-    forward_kinematics,
-    get_solver,
-    inverse_kinematics,
-    jacobians,
-    list_joints,
-)
+from tau_dyn.mechanism import Frames, Kinematics, Poses, Rods, build_kinematics, compute_frames, list_joints
 from tau_dyn.robot import Robot
 
 _SAMPLES = 4000
 """Random positions from which a robot's reach is estimated."""
+_TURNED = 1e-6  # [rad] a tool turned by more than this is not in the orientation asked for
+_MAX_WAVES = 300  # in which inverse kinematics spreads from what is known
+_STILL = 1e-9  # [m/s or rad/s per actuated speed] a tool slower than this does not move
+_MAX_STEPS = 30  # of Newton's method to commanded coordinates; near ones need five
+_FOUND = 1e-10  # [m or rad] deviation from commanded coordinates
 
 
 class InverseSolution(NamedTuple):
@@ -48,36 +45,6 @@ class InverseSolution(NamedTuple):
     reason: np.ndarray
     poses: Poses
     turned: float = 0.0
-
-
-class WorkspaceModel(Protocol):
-    """What the workspace asks of a robot."""
-
-    robot: Robot
-    rods: Rods | None
-    home: Poses
-    bodies: list[Body]
-    meshes: list[str]
-
-    def solve(self, poses: Poses) -> InverseSolution:
-        """Return positions in home's configuration, whatever their limits."""
-        ...
-
-    def rates(self, q: np.ndarray, poses: Poses) -> Rates:
-        """Return the closure's rates."""
-        ...
-
-    def solids(self, q: np.ndarray, poses: Poses) -> list[PlacedSolid]:
-        """Return `bodies` at these poses."""
-        ...
-
-    def reach(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return a box (two corners) that holds every place of the tool."""
-        ...
-
-    def holders(self, rod: int) -> list[int]:
-        """Return the joints whose links hold the joints of a rod among `bodies`."""
-        ...
 
 
 def get_travel(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
@@ -113,122 +80,9 @@ def draw_positions(robot: Robot) -> np.ndarray:
     return lower + share * (upper - lower)
 
 
-def compute_joint_frames(robot: Robot, joints: list, q: np.ndarray) -> Frames:
-    """Return the frames of all joints at actuated positions `q` (N, na) of a tree without loops to close."""
-    x = np.zeros((robot.model.nv, len(q)))
-    x[robot.active_v] = q.T
-    return compute_frames(joints, x)
-
-
-def place_body(body: Body, at: Frames | None) -> PlacedSolid:
-    """Return a body where its joint is, or where it stands."""
-    if body.joint == 0 or at is None:
-        return build_standing_solid(body.shape, body.placement)
-    rotation = np.ascontiguousarray(np.moveaxis(at.rotation[body.joint], 2, 0))
-    return move_solid(body, rotation, at.origin[body.joint].T)
-
-
-_TURNED = 1e-6  # [rad] a tool turned by more than this is not in the orientation asked for
-
-
-class RodMachine:
-    """A plate held by rods."""
-
-    def __init__(self, rods: Rods) -> None:
-        """Prepare."""
-        self.rods: Rods | None = rods
-        self._rods, self.robot = rods, rods.robot
-        self.home = rods.tool_poses(rods.home)
-        self._joints = list_joints(self.robot.model) or []
-        arm = rods.on_plate - rods.tool.translation
-        self.length = float(np.sqrt(np.mean(np.sum(arm**2, axis=1)))) or 1.0
-        drawn, self.meshes = read_bodies(self.robot)
-        self.bodies = self._bodies(drawn)
-
-    def _bodies(self, drawn: list[Body]) -> list[Body]:
-        model, robot = self.robot.model, self.robot
-        plate = model.frames[model.getFrameId(self._rods.plate)].parentJoint
-        active = [model.getJointId(j) for j in robot.actuated]
-        chain = [j for j in range(model.njoints) if all(i in active for i in model.supports[j].tolist()[1:])]
-        kept = [b for b in drawn if b.joint in (0, plate) or (b.joint in chain and self._joints)]
-        self._plate = plate
-        self._sides = self._real_rods()
-        nominal = self._rods.leg_lengths(robot.home)[0]
-        for k, (name, members) in enumerate(self._sides):
-            kept.append(build_rod_body(name, measure_rod_radius(drawn, name), float(nominal[members[0]]), k))
-        return kept
-
-    def _real_rods(self) -> list[tuple[str, list[int]]]:
-        """Return the rods that are there: both sides of a triangle on one hinge are one body from the hinge's middle."""
-        rods, out = self._rods, {}
-        for k, name in enumerate(rods.names):
-            stem = name.rpartition("_")[0]
-            twin = [i for i, other in enumerate(rods.names) if stem and other.rpartition("_")[0] == stem
-                    and np.linalg.norm(rods.on_plate[i] - rods.on_plate[k]) < 1e-9]  # fmt: skip
-            out.setdefault(tuple(twin) if len(twin) > 1 else (k,), stem if len(twin) > 1 else name)
-        return [(name, list(members)) for members, name in out.items()]
-
-    def solve(self, poses: Poses) -> InverseSolution:
-        """Return positions in home's configuration, whatever their limits."""
-        found = inverse_kinematics(self._rods, poses, limits=False)
-        turned = float(np.nanmax(np.where(found.ok, found.orientation_error, 0.0), initial=0.0))
-        if turned > _TURNED:
-            poses = Poses(poses.position, np.where(found.ok[:, None, None], found.rotation, poses.rotation))
-        return InverseSolution(found.q, found.ok, found.reason, poses, turned)
-
-    def holders(self, rod: int) -> list[int]:
-        """Return the joints whose links hold the joints of a rod among `bodies`."""
-        carrier = self._rods.numbers.carried.carrier[self._sides[rod][1][0]]
-        name = self._rods.numbers.joints[carrier].name if carrier >= 0 else ""
-        return [self._plate, self.robot.model.getJointId(name) if name else 0]
-
-    def rates(self, q: np.ndarray, poses: Poses) -> Rates:
-        """Return the closure's rates about the tool."""
-        rods, plate = self._rods, self._rods.plate_poses(poses)
-        unit = rods.rod_directions(q, plate)
-        tool = unit
-        if not rods.translates:
-            arms = rods.plate_points(plate) - poses.position[:, None]
-            tool = np.concatenate([unit, np.cross(arms, unit)], axis=2)
-        turns = np.array([kind == "revolute" for kind in self.robot.joint_kinds])
-        return Rates(tool, rods.gap_by_q(q, plate), turns, self.length)
-
-    def solids(self, q: np.ndarray, poses: Poses) -> list[PlacedSolid]:
-        """Return `bodies` at these poses."""
-        rods, plate = self._rods, self._rods.plate_poses(poses)
-        start, end = rods.base_points(q), rods.plate_points(plate)
-        at = compute_joint_frames(self.robot, self._joints, q) if self._joints else None
-        out = []
-        for body in self.bodies:
-            if body.rod >= 0:
-                members, capsule = self._sides[body.rod][1], body.shape
-                out.append(
-                    build_capsule(capsule.radius, capsule.length, start[:, members].mean(axis=1), end[:, members[0]])
-                )
-            elif body.joint == self._plate:
-                out.append(move_solid(body, np.asarray(plate.rotation), plate.position))
-            else:
-                out.append(place_body(body, at))
-        return out
-
-    def reach(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return a box that holds every place of the tool: each rod's joint is within its length of the cart's travel."""
-        rods, q = self._rods, draw_positions(self.robot)
-        A, L = rods.base_points(q), rods.leg_lengths(q).max(axis=0)
-        lever = np.linalg.norm(rods.on_plate - rods.tool.translation, axis=1)
-        pad = np.where(np.ptp(A, axis=0).max(axis=1) > 0, 0.02 * np.ptp(A, axis=0).max(axis=1), 0.0)
-        far = (L + (0.0 if rods.translates else lever) + pad)[:, None]
-        shift = (rods.tool.translation - rods.on_plate) @ rods.rotation.T if rods.translates else 0.0
-        return (A.min(axis=0) - far + shift).max(axis=0), (A.max(axis=0) + far + shift).min(axis=0)
-
-
-_WAVES = 300
-"""Most waves in which a tree's inverse kinematics spreads from what is known."""
-
-
 @dataclass(eq=False)
-class _Start:
-    """Positions found so far, to start the next ones nearby."""
+class _Known:
+    """Places whose positions were found, to start the next ones nearby."""
 
     place: list[np.ndarray] = field(default_factory=list)
     q: list[np.ndarray] = field(default_factory=list)
@@ -244,7 +98,272 @@ class _Start:
         return np.concatenate(self.q)[index], away
 
 
-def _spacing(places: np.ndarray) -> float:
+class WorkspaceModel:
+    """Any mechanism; its inverse kinematics are home's carried on from neighbour to neighbour.
+
+    Attributes:
+        kinematics: The mechanism.
+        robot: The robot.
+        rods: Its plate and legs, or None.
+        home: Pose of the tool at home (1 sample).
+        bodies: Solids of its links.
+        meshes: Links that are drawn by meshes alone.
+        length: Characteristic length [m].
+        by_position: Whether places are the tool's positions, not its commanded coordinates.
+        axes: Names of a place's three coordinates.
+        units: Theirs, m or rad.
+        scale: What one unit of each counts (3,) [m].
+        home_place: Home's place (3,) [m].
+    """
+
+    def __init__(self, kinematics: Kinematics) -> None:
+        """Prepare."""
+        self.kinematics, self.robot = kinematics, kinematics.robot
+        self.rods: Rods | None = None
+        self.home = kinematics.forward(self.robot.home[None]).poses
+        self.bodies, self.meshes = read_bodies(self.robot)
+        self._joints = list_joints(self.robot.model) or []
+        self._turns = np.array([kind == "revolute" for kind in self.robot.joint_kinds])
+        self.axes, self.units, self.by_position = ("x", "y", "z"), ("m", "m", "m"), True
+        self.scale, self.home_place = np.ones(3), self.home.position[0]
+        self._set_coordinates()
+        self._known, self._widest = _Known(), 0.0
+        self._known.add(self.home_place[None], self.robot.home[None])
+        at_home = self.rates(self.robot.home[None], self.home).actuators
+        square = at_home.shape[1] == at_home.shape[2]
+        self._sign = float(np.sign(np.linalg.det(at_home))[0]) if square else 0.0
+
+    def _set_coordinates(self) -> None:
+        """Choose the rows of the twist that are asked for, what a turn counts, and what a place is."""
+        q = draw_positions(self.robot)[: 2 ** min(self.robot.na, 8) + 50]
+        J, commanded = self.kinematics.jacobian(q), self.kinematics.commanded
+        J = J[np.isfinite(J).all(axis=(1, 2))]
+        moves = [k for k in range(6) if np.abs(J[:, k]).max(initial=0.0) > _STILL]
+        linear = [k for k in moves if k < 3]
+        at_home = self.kinematics.jacobian(self.robot.home[None])[0]
+        self.by_position = commanded.by_position or set(linear) <= set(commanded.index)
+        self.length = _measure_lever(at_home[:, self._turns] if self.by_position else at_home)
+        if self.by_position:
+            self._rows = linear if self.robot.na <= max(len(linear), 3) else moves
+            return
+        self._rows = list(commanded.index)
+        self.axes = (*commanded.names, "", "")[:3]
+        self.units = (*commanded.units, "m", "m")[:3]
+        self.scale = np.array([self.length if unit == "rad" else 1.0 for unit in self.units])
+        self.home_place = self._place_of(self.home)[0]
+
+    def place(self, places: np.ndarray, rotation: np.ndarray) -> Poses:
+        """Return the tool's poses at places (N, 3) [m]; `rotation` (3, 3) is the tool's where places are positions."""
+        if self.by_position:
+            return Poses(places, np.broadcast_to(rotation, (len(places), 3, 3)))
+        commanded = self.kinematics.commanded
+        values = np.repeat(commanded.of(self.home), len(places), axis=0)
+        k = min(3, values.shape[1])
+        values[:, :k] = places[:, :k] / self.scale[:k]
+        return commanded.to_poses(values)
+
+    def _place_of(self, poses: Poses) -> np.ndarray:
+        """Return the places (N, 3) [m] of poses; the inverse of `place`."""
+        if self.by_position:
+            return poses.position
+        values = self.kinematics.commanded.of(poses)
+        values = np.concatenate([values, np.zeros((len(values), 2))], axis=1)[:, :3]
+        return values * self.scale
+
+    def solve(self, poses: Poses) -> InverseSolution:
+        """Return positions in home's configuration, whatever their limits."""
+        place = self._place_of(poses)
+        n = len(place)
+        q, code = np.full((n, self.robot.na), np.nan), np.full(n, "out of reach", dtype=object)
+        tried, turned = np.full(n, np.inf), 0.0
+        if n > 1:
+            self._widest = max(self._widest, _measure_spacing(place))
+        reach = 2.0 * self._widest if n > 1 else np.inf
+        for _ in range(_MAX_WAVES):
+            lost = np.flatnonzero(code != "")
+            start, away = self._known.near(place[lost])
+            go = (away < reach) & (away < 0.99 * tried[lost])
+            if not go.any():
+                break
+            tried[lost[go]] = away[go]
+            turned = max(turned, self._try(poses, place, lost[go], start[go], q, code))
+        if not self.by_position:
+            there = np.isfinite(q).all(axis=1)
+            found = self.kinematics.forward(np.where(there[:, None], q, self.robot.home)).poses
+            poses = Poses(np.where(there[:, None], found.position, poses.position),
+                          np.where(there[:, None, None], found.rotation, poses.rotation))  # fmt: skip
+        return InverseSolution(q, code == "", code, poses, turned)
+
+    def _try(
+        self, poses: Poses, place: np.ndarray, index: np.ndarray, start: np.ndarray, q: np.ndarray, code: np.ndarray
+    ) -> float:
+        """Solve some of the poses from known neighbours, write what was found, return how far the tool is turned."""
+        here = poses.take(index)
+        if self.by_position:
+            inverse = self.kinematics.inverse(here, start=start, limits=False)
+            found, ok, turned = inverse.q, inverse.ok, inverse.orientation_error
+        else:
+            found, ok = self._solve_commanded(here, start)
+            turned = np.zeros(len(ok))
+        same = ok.copy()
+        if self._sign and same.any():
+            rates = self.rates(found[same], here.take(same))
+            same[same] = np.sign(np.linalg.det(rates.actuators)) == self._sign
+        better = same | (ok & (code[index] == "out of reach"))
+        q[index[better]] = found[better]
+        code[index[better]] = np.where(same[better], "", "branch change")
+        self._known.add(place[index][same], found[same])
+        return float(np.max(turned[same], initial=0.0))
+
+    def _solve_commanded(self, poses: Poses, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions (N, na) with these commanded coordinates, by Newton's method, and where it arrived (N,)."""
+        commanded, q = self.kinematics.commanded, start.copy()
+        wanted, ok, left = commanded.of(poses), np.zeros(len(start), bool), np.arange(len(start))
+        for _ in range(_MAX_STEPS):
+            found = self.kinematics.forward(q[left])
+            left, here = left[found.ok], found.poses.take(found.ok)
+            gap = wanted[left] - commanded.of(here)
+            done = np.abs(gap).max(axis=1, initial=0.0) < _FOUND
+            ok[left[done]] = True
+            left, here, gap = left[~done], here.take(~done), gap[~done]
+            if not left.size:
+                break
+            J = self.kinematics.jacobian(q[left])
+            J[:, 3:] = _rotation_vector_rates(here.rotation @ self.home.rotation[0].T) @ J[:, 3:]
+            q[left] += (np.linalg.pinv(J[:, self._rows]) @ gap[:, :, None])[:, :, 0]
+        return q, ok
+
+    def holders(self, rod: int) -> list[int]:
+        """Return the joints whose links hold the joints of a rod among `bodies`."""
+        return []
+
+    def rates(self, q: np.ndarray, poses: Poses) -> Rates:
+        """Return the closure's derivatives about the tool as rates; of a tree the rows of the twist that are asked for."""
+        rows = self._rows
+        tool = -self.kinematics.closure_by_pose(q, poses)[:, rows][:, :, rows]
+        linear = sum(k < 3 for k in rows)
+        return Rates(tool, self.kinematics.closure_by_q(q, poses)[:, rows], self._turns, self.length, linear)
+
+    def solids(self, q: np.ndarray, poses: Poses) -> list[PlacedSolid]:
+        """Return `bodies` at these poses."""
+        at = compute_frames(self._joints, self.kinematics.full_positions(q).T)
+        return [_place_body(body, at) for body in self.bodies]
+
+    def reach(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return a box around the places that random positions reach, with room to every side."""
+        found = self.kinematics.forward(draw_positions(self.robot))
+        place = self._place_of(found.poses.take(found.ok))
+        low, high = place.min(axis=0), place.max(axis=0)
+        room = 0.06 * (high - low)
+        return low - room, high + room
+
+
+class LegsWorkspaceModel(WorkspaceModel):
+    """A plate on legs: inverse kinematics leg by leg, legs that may touch, reach from their lengths."""
+
+    def __init__(self, kinematics: Kinematics, legs: Rods) -> None:
+        """Prepare."""
+        self._legs = legs
+        super().__init__(kinematics)
+        self.rods = legs
+        self.home = legs.tool_poses(legs.home)
+        self.home_place = self.home.position[0]
+        self.bodies = self._list_bodies(self.bodies)
+
+    def _set_coordinates(self) -> None:
+        arm = self._legs.on_plate - self._legs.tool.translation
+        self.length = float(np.sqrt(np.mean(np.sum(arm**2, axis=1)))) or 1.0
+
+    def _list_bodies(self, drawn: list[Body]) -> list[Body]:
+        """Return frame, plate, what actuated joints alone carry, and the legs."""
+        model, robot, legs = self.robot.model, self.robot, self._legs
+        self._plate = model.frames[model.getFrameId(legs.plate)].parentJoint
+        active = [model.getJointId(j) for j in robot.actuated]
+        chain = [j for j in range(model.njoints) if all(i in active for i in model.supports[j].tolist()[1:])]
+        kept = [b for b in drawn if b.joint in (0, self._plate) or (b.joint in chain and self._joints)]
+        self._sides = _list_real_legs(legs)
+        nominal = legs.leg_lengths(robot.home)[0]
+        for k, (name, members) in enumerate(self._sides):
+            kept.append(build_rod_body(name, measure_rod_radius(drawn, name), float(nominal[members[0]]), k))
+        return kept
+
+    def solve(self, poses: Poses) -> InverseSolution:
+        """Return positions in home's configuration, whatever their limits."""
+        found = self.kinematics.inverse(poses, limits=False)
+        turned = float(np.nanmax(np.where(found.ok, found.orientation_error, 0.0), initial=0.0))
+        if turned > _TURNED:
+            poses = Poses(poses.position, np.where(found.ok[:, None, None], found.rotation, poses.rotation))
+        return InverseSolution(found.q, found.ok, found.reason, poses, turned)
+
+    def rates(self, q: np.ndarray, poses: Poses) -> Rates:
+        """Return the closure's derivatives about the tool as rates, a row a leg."""
+        by_pose, by_q = self.kinematics.closure_by_pose(q, poses), self.kinematics.closure_by_q(q, poses)
+        return Rates(-by_pose, by_q, self._turns, self.length)
+
+    def holders(self, rod: int) -> list[int]:
+        """Return the joints whose links hold the joints of a rod among `bodies`."""
+        numbers = self._legs.numbers
+        carrier = numbers.carried.carrier[self._sides[rod][1][0]]
+        name = numbers.joints[carrier].name if carrier >= 0 else ""
+        return [self._plate, self.robot.model.getJointId(name) if name else 0]
+
+    def solids(self, q: np.ndarray, poses: Poses) -> list[PlacedSolid]:
+        """Return `bodies` at these poses."""
+        legs, plate = self._legs, self._legs.plate_poses(poses)
+        start, end = legs.base_points(q), legs.plate_points(plate)
+        x = np.zeros((self.robot.model.nv, len(q)))  # only what actuated joints alone carry is placed by the tree
+        x[self.robot.active_v] = q.T
+        at = compute_frames(self._joints, x) if self._joints else None
+        out = []
+        for body in self.bodies:
+            if body.rod >= 0:
+                members, capsule = self._sides[body.rod][1], body.shape
+                middle = start[:, members].mean(axis=1)
+                out.append(build_capsule(capsule.radius, capsule.length, middle, end[:, members[0]]))
+            elif body.joint == self._plate:
+                out.append(move_solid(body, np.asarray(plate.rotation), plate.position))
+            else:
+                out.append(_place_body(body, at))
+        return out
+
+    def reach(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return a box that holds every place of the tool: each leg's joint is within its length of the cart's travel."""
+        legs, q = self._legs, draw_positions(self.robot)
+        A, L = legs.base_points(q), legs.leg_lengths(q).max(axis=0)
+        lever = np.linalg.norm(legs.on_plate - legs.tool.translation, axis=1)
+        pad = 0.02 * np.ptp(A, axis=0).max(axis=1)
+        far = (L + (0.0 if legs.translates else lever) + pad)[:, None]
+        shift = (legs.tool.translation - legs.on_plate) @ legs.rotation.T if legs.translates else 0.0
+        return (A.min(axis=0) - far + shift).max(axis=0), (A.max(axis=0) + far + shift).min(axis=0)
+
+
+def build_machine(robot: Robot | Kinematics) -> WorkspaceModel:
+    """Return a robot as its workspace needs it."""
+    kinematics = build_kinematics(robot)
+    legs = kinematics.legs
+    return WorkspaceModel(kinematics) if legs is None else LegsWorkspaceModel(kinematics, legs)
+
+
+def _list_real_legs(legs: Rods) -> list[tuple[str, list[int]]]:
+    """Return the legs that are there: both sides of a triangle on one hinge are one body from the hinge's middle."""
+    out = {}
+    for k, name in enumerate(legs.names):
+        stem = name.rpartition("_")[0]
+        twin = [i for i, other in enumerate(legs.names) if stem and other.rpartition("_")[0] == stem
+                and np.linalg.norm(legs.on_plate[i] - legs.on_plate[k]) < 1e-9]  # fmt: skip
+        out.setdefault(tuple(twin) if len(twin) > 1 else (k,), stem if len(twin) > 1 else name)
+    return [(name, list(members)) for members, name in out.items()]
+
+
+def _place_body(body: Body, at: Frames | None) -> PlacedSolid:
+    """Return a body where its joint is, or where it stands."""
+    if body.joint == 0 or at is None:
+        return build_standing_solid(body.shape, body.placement)
+    rotation = np.ascontiguousarray(np.moveaxis(at.rotation[body.joint], 2, 0))
+    return move_solid(body, rotation, at.origin[body.joint].T)
+
+
+def _measure_spacing(places: np.ndarray) -> float:
     """Return the distance [m] at which places (N, 3) stand from each other, inf for one alone."""
     if len(places) < 2:
         return np.inf
@@ -252,100 +371,15 @@ def _spacing(places: np.ndarray) -> float:
     return float(np.median(away[:, 1]))
 
 
-class TreeMachine:
-    """A serial arm, or a mechanism whose loops are solved by its tree."""
-
-    def __init__(self, robot: Robot) -> None:
-        """Prepare."""
-        self.robot = robot
-        self.rods: Rods | None = None
-        self.home = forward_kinematics(robot, robot.home[None]).poses
-        engine = get_solver(robot)
-        assert isinstance(engine, TreePose)
-        self._engine = engine
-        self.bodies, self.meshes = read_bodies(robot)
-        self._turns = np.array([kind == "revolute" for kind in robot.joint_kinds])
-        self._start, self._widest = _Start(), 0.0
-        self._start.add(self.home.position, robot.home[None])
-        self.length = 1.0
-        J = self._jacobian(robot.home[None], self.home)[0][:, self._turns]
-        if J.size and np.linalg.norm(J[3:]) > 1e-9:
-            self.length = float(np.linalg.norm(J[:3]) / np.linalg.norm(J[3:])) or 1.0
-        self._rows = _rows(self._jacobian(draw_positions(robot)[: 2 ** min(robot.na, 8) + 50], None), robot.na)
-        square = len(self._rows) == robot.na
-        at_home = self._jacobian(robot.home[None], self.home)[:, self._rows]
-        self._sign = float(np.sign(np.linalg.det(at_home))[0]) if square else 0.0
-
-    def _jacobian(self, q: np.ndarray, poses: Poses | None) -> np.ndarray:
-        return jacobians.jacobian(self.robot, q, poses)
-
-    def solve(self, poses: Poses) -> InverseSolution:
-        """Return positions that are home's carried on from neighbour to neighbour, from home outwards."""
-        n = len(poses.position)
-        q, code = np.full((n, self.robot.na), np.nan), np.full(n, "out of reach", dtype=object)
-        tried, turned = np.full(n, np.inf), 0.0
-        if n > 1:
-            self._widest = max(self._widest, _spacing(poses.position))
-        reach = 2.0 * self._widest if n > 1 else np.inf
-        for _ in range(_WAVES):
-            lost = np.flatnonzero(code != "")
-            start, away = self._start.near(poses.position[lost])
-            go = (away < reach) & (away < 0.99 * tried[lost])
-            if not go.any():
-                break
-            tried[lost[go]] = away[go]
-            turned = max(turned, self._try(poses, lost[go], start[go], q, code))
-        return InverseSolution(q, code == "", code, poses, turned)
-
-    def _try(self, poses: Poses, index: np.ndarray, start: np.ndarray, q: np.ndarray, code: np.ndarray) -> float:
-        """Solve some of the poses from known neighbours, write what was found, return how far the tool is turned."""
-        here = Poses(poses.position[index], np.asarray(poses.rotation)[index])
-        found = inverse_kinematics(self.robot, here, start=start, limits=False)
-        same = found.ok.copy()
-        if self._sign and same.any():
-            rates = self.rates(found.q[same], here.take(same))
-            same[same] = np.sign(np.linalg.det(rates.actuators)) == self._sign
-        better = same | (found.ok & (code[index] == "out of reach"))
-        q[index[better]] = found.q[better]
-        code[index[better]] = np.where(same[better], "", "branch change")
-        self._start.add(here.position[same], found.q[same])
-        return float(np.max(found.orientation_error[same], initial=0.0))
-
-    def holders(self, rod: int) -> list[int]:
-        """Return nothing: a tree has no rods of its own."""
-        return []
-
-    def rates(self, q: np.ndarray, poses: Poses) -> Rates:
-        """Return the Jacobian as rates, `J_x = 1`; up to three actuators by the tool's translation alone."""
-        J = self._jacobian(q, poses)[:, self._rows]
-        one = np.broadcast_to(np.eye(len(self._rows)), (len(q), len(self._rows), len(self._rows))).copy()
-        return Rates(one, J, self._turns, self.length)
-
-    def solids(self, q: np.ndarray, poses: Poses) -> list[PlacedSolid]:
-        """Return `bodies` at these poses."""
-        at = self._engine.loops.close(q).at
-        return [place_body(body, at) for body in self.bodies]
-
-    def reach(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return a box around the places that random positions reach, with room to every side."""
-        found = forward_kinematics(self.robot, draw_positions(self.robot))
-        place = found.poses.position[found.ok]
-        low, high = place.min(axis=0), place.max(axis=0)
-        room = 0.06 * (high - low)
-        return low - room, high + room
+def _measure_lever(J: np.ndarray) -> float:
+    """Return how far a tool moves per turn [m] with twists (6, n), 1 where nothing turns it."""
+    turn = float(np.linalg.norm(J[3:]))
+    return float(np.linalg.norm(J[:3])) / turn or 1.0 if turn > _STILL else 1.0
 
 
-def _rows(J: np.ndarray, na: int) -> list[int]:
-    """Return which components of the twist are asked for: what the tool can do, of translations first."""
-    J = J[np.isfinite(J).all(axis=(1, 2))]
-    moves = [k for k in range(6) if np.abs(J[:, k]).max(initial=0.0) > 1e-9]
-    linear = [k for k in moves if k < 3]
-    return linear if na <= len(linear) or na <= 3 else list(range(6))
-
-
-def build_machine(robot: Robot) -> RodMachine | TreeMachine:
-    """Return the machine of a robot."""
-    try:
-        return RodMachine(build_rods(robot))
-    except NotRods:
-        return TreeMachine(robot)
+def _rotation_vector_rates(rotation: np.ndarray) -> np.ndarray:
+    """Return the derivative (N, 3, 3) of rotation vectors by the angular velocity, both in fixed axes (Sola 2018, eq. 146)."""
+    vector = Rotation.from_matrix(rotation).as_rotvec()
+    angle = np.maximum(np.linalg.norm(vector, axis=1), 1e-6)[:, None, None]
+    cross = np.cross(np.eye(3), vector[:, None])
+    return np.eye(3) - 0.5 * cross + (1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))) * cross @ cross

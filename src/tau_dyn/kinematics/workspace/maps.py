@@ -170,9 +170,10 @@ class Quality:
         if self.elasticity.springs is None:
             raise InputError("unsupported", f"{self.machine.robot.source}: {self.elasticity.origin}")
         C = compute_compliance(rates, self.elasticity.springs)
-        if C.shape[1] in (1, 2):  # a planar arm: what does not move is rigid
+        linear = min(rates.linear, C.shape[1])
+        if linear < 3:  # a planar arm: what does not move is rigid
             wide = np.zeros((len(C), 3, 3))
-            wide[:, : C.shape[1], : C.shape[1]] = C
+            wide[:, :linear, :linear] = C[:, :linear, :linear]
             C = wide
         return find_softest(C)
 
@@ -249,7 +250,7 @@ def build_catalogue(found: Workspace, quality: Quality) -> Catalogue:
     at_home = quality.values(names, q_home, home)
     rates = machine.rates(q_home, home)
     main = quality.softest(rates) if "stiffness" in names else None
-    turning = rates.tool.shape[2] == 6 or bool(rates.turns.any())
+    turning = rates.tool.shape[2] > rates.linear or bool(rates.turns.any())
     return Catalogue(
         {name: (compute_statistics(values[name]), float(at_home[name][0])) for name in names if name in QUANTITIES},
         places,
@@ -265,7 +266,7 @@ def _evenly(found: Workspace) -> tuple[np.ndarray, np.ndarray]:
     lattice = found.lattice
     index = np.rint((found.places - lattice.low) / lattice.step).astype(int)
     even = (index % lattice.stride == 0).all(axis=1) & (found.place_codes == INSIDE)
-    even |= np.all(index == np.array(lattice.nearest(found.machine.home.position[0])), axis=1)
+    even |= np.all(index == np.array(lattice.nearest(found.machine.home_place)), axis=1)
     _, first = np.unique(index[even], axis=0, return_index=True)
     kept = np.flatnonzero(even)[first]
     return found.places[kept], found.q[kept]

@@ -55,8 +55,8 @@ class Workspace:
         code: Code of every point (lattice shape), `INSIDE` where it belongs.
         asked: Whether a point was judged itself, not filled from its neighbours (lattice shape).
         size: Volume with bounds [m^3]; area or length where the tool moves in a plane or on a line.
-        lower: Lowest coordinates of the set (3,) [m].
-        upper: Highest coordinates (3,) [m].
+        lower: Lowest coordinates of the set (3,) [m], of turns [rad].
+        upper: Highest coordinates (3,) [m], of turns [rad].
         footprint: Of the robot.
         reasons: What the codes mean.
         places: The judged points that have positions (M, 3) [m].
@@ -94,11 +94,13 @@ class Workspace:
     @property
     def measure(self) -> tuple[str, str]:
         """What its size is called, and its unit."""
-        return _MEASURES.get(self.dimension, ("points", "1"))
+        name, unit = _MEASURES.get(self.dimension, ("points", "1"))
+        wide = [u for u, n in zip(self.machine.units, self.lattice.shape, strict=True) if n > 1]
+        return name, unit if self.machine.by_position else " ".join(wide)
 
     def poses(self, points: np.ndarray) -> Poses:
         """Return poses of the tool at places (N, 3)."""
-        return Poses(points, np.broadcast_to(self.rotation, (len(points), 3, 3)))
+        return self.machine.place(points, self.rotation)
 
     def counts(self) -> list[dict[str, Any]]:
         """Return how many points each reason excludes, by kind, then by culprit; shares are of the box looked at."""
@@ -116,17 +118,21 @@ class Workspace:
     def to_dict(self) -> dict[str, Any]:
         """Return the part of the JSON result that is the workspace."""
         name, unit = self.measure
+        by_position, frame = self.machine.by_position, self.footprint
         value, low, high = self.size
-        frame = self.footprint
+        solid, last = self.dimension == 3 and by_position, np.array(self.lattice.shape) - 1
         return {
             "dimension": self.dimension,
-            "volume_m3": value if self.dimension == 3 else None,
-            "volume_bound_m3": [low, high] if self.dimension == 3 else None,
+            "volume_m3": value if solid else None,
+            "volume_bound_m3": [low, high] if solid else None,
             "size": {"name": name, "unit": unit, "value": value, "low": low, "high": high},
             "resolution_m": self.lattice.step,
             "points": {"inside": int(self.inside.sum()), "lattice": int(self.code.size), "judged": self.judge.n_judged},
             "bounding_box": {"lower": self.lower, "upper": self.upper},
-            "searched": {"lower": self.lattice.low, "upper": self.lattice.points(np.array(self.lattice.shape) - 1)},
+            "searched": {
+                "lower": self.lattice.low / self.machine.scale,
+                "upper": self.lattice.points(last) / self.machine.scale,
+            },
             "orientation": self.rotation,
             "footprint": {
                 "area_m2": frame.area,
@@ -134,13 +140,13 @@ class Workspace:
                 "upper": frame.upper,
                 "height_m": frame.height,
                 "what": frame.what,
-                "workspace_to_footprint_m": value / frame.area if self.dimension == 3 and frame.area > 0 else None,
+                "workspace_to_footprint_m": value / frame.area if solid and frame.area > 0 else None,
                 "workspace_to_installation": value / (frame.area * frame.height)
-                if self.dimension == 3 and frame.area * frame.height > 0
+                if solid and frame.area * frame.height > 0
                 else None,
             },
             "excluded": self.counts(),
-        }
+        } | ({} if by_position else {"coordinates": list(self.machine.axes)})
 
 
 def build_footprint(machine: WorkspaceModel) -> Footprint:

@@ -26,7 +26,6 @@ from tau_dyn.mechanism import Poses
 from tau_dyn.robot import Robot
 from tau_dyn.shown import Shown
 
-_AXES = "xyz"
 _MAX_SECTION_POINTS = 220
 """Points along the longer side of a section."""
 
@@ -45,6 +44,8 @@ class Section:
         code: Codes (nu, nv), 0 where a pose belongs.
         maps: Quantities by name (nu, nv), nan where a pose does not belong.
         area: Of the part that belongs [m^2].
+        axes: Names of the three coordinates.
+        units: Theirs, m or rad.
     """
 
     axis: int
@@ -56,11 +57,13 @@ class Section:
     code: np.ndarray
     area: float
     maps: dict[str, np.ndarray] = field(default_factory=dict)
+    axes: tuple[str, ...] = ("x", "y", "z")
+    units: tuple[str, ...] = ("m", "m", "m")
 
     @property
     def name(self) -> str:
         """Such as `x = 1.75 m`."""
-        return f"{_AXES[self.axis]} = {self.at:.4g} m"
+        return f"{self.axes[self.axis]} = {self.at:.4g} {self.units[self.axis]}"
 
     @property
     def inside(self) -> np.ndarray:
@@ -68,8 +71,8 @@ class Section:
         return self.code == INSIDE
 
 
-def parse_section(text: str) -> tuple[int, float]:
-    """Return axis and place of a section such as `x=1.75`.
+def parse_section(text: str, axes: Sequence[str] = ("x", "y", "z")) -> tuple[int, float]:
+    """Return axis and place of a section such as `x=1.75`, by the names of the axes.
 
     Raises:
         InputError: It is written otherwise.
@@ -79,9 +82,9 @@ def parse_section(text: str) -> tuple[int, float]:
         value = float(number)
     except ValueError:
         value = np.nan
-    if axis.strip().lower() not in tuple(_AXES) or not equals or not abs(value) < 1e6:
+    if axis.strip().lower() not in axes or not equals or not abs(value) < 1e6:
         raise InputError("invalid_value", f"a section is an axis and a place, such as x=1.75, not '{text}'")
-    return _AXES.index(axis.strip().lower()), value
+    return list(axes).index(axis.strip().lower()), value
 
 
 def judge_section(found: Workspace, axis: int, at: float, quality: Quality, names: Sequence[str] = ()) -> Section:
@@ -98,18 +101,21 @@ def judge_section(found: Workspace, axis: int, at: float, quality: Quality, name
         InputError: The plane misses what was searched, or the tool does not move in it.
     """
     across, up = [k for k in range(3) if k != axis]
+    machine, name = found.machine, found.machine.axes[axis]
     low, high = found.lattice.low, found.lattice.points(np.array(found.lattice.shape) - 1)
-    if not low[axis] - 1e-9 <= at <= high[axis] + 1e-9:
+    place, scale = at * machine.scale[axis], machine.scale[[across, up]]
+    if not low[axis] - 1e-9 <= place <= high[axis] + 1e-9:
         raise InputError(
             "unreachable",
-            f"section {_AXES[axis]}={at:g} misses the searched box, {low[axis]:.3g} to {high[axis]:.3g} m",
+            f"section {name}={at:g} misses the searched box, {low[axis] / machine.scale[axis]:.3g} to "
+            f"{high[axis] / machine.scale[axis]:.3g} {machine.units[axis]}",
         )
     if found.lattice.shape[across] < 2 or found.lattice.shape[up] < 2:
-        raise InputError("unsupported", f"the tool does not move along both axes of a section across {_AXES[axis]}")
+        raise InputError("unsupported", f"the tool does not move along both axes of a section across {name}")
     step = max(found.lattice.step, max(high[across] - low[across], high[up] - low[up]) / _MAX_SECTION_POINTS)
     u, v = (_along(low[k], high[k], step) for k in (across, up))
     places = np.zeros((len(u), len(v), 3))
-    places[..., axis], places[..., across], places[..., up] = at, u[:, None], v[None, :]
+    places[..., axis], places[..., across], places[..., up] = place, u[:, None], v[None, :]
     places = places.reshape(-1, 3)
     judged = found.judge.judge(found.poses(places))
     code = _also_of_lattice(found, places, judged.code)
@@ -120,8 +126,8 @@ def judge_section(found: Workspace, axis: int, at: float, quality: Quality, name
         maps[name][inside] = value
     shape = (len(u), len(v))
     return Section(
-        axis, at, across, up, u, v, code.reshape(shape), float(inside.sum()) * step**2,
-        {name: value.reshape(shape) for name, value in maps.items()},
+        axis, at, across, up, u / scale[0], v / scale[1], code.reshape(shape), float(inside.sum() * step**2 / scale.prod()),
+        {name: value.reshape(shape) for name, value in maps.items()}, machine.axes, machine.units,
     )  # fmt: skip
 
 
@@ -141,7 +147,7 @@ def _also_of_lattice(found: Workspace, places: np.ndarray, code: np.ndarray) -> 
 def choose_usual_sections(found: Workspace) -> list[tuple[int, float]]:
     """Return the planes through home across x, y and z, of those in which the tool moves."""
     wide = [n > 1 for n in found.lattice.shape]
-    home = found.machine.home.position[0]
+    home = found.machine.home_place / found.machine.scale
     return [(k, float(home[k])) for k in range(3) if all(wide[i] for i in range(3) if i != k)]
 
 
@@ -264,18 +270,21 @@ class Study(Shown):
         inside = np.flatnonzero(space.place_codes == INSIDE)
         chosen = inside[:: max(1, -(-len(inside) // _MAX_PLACES))]
         values = self.quality.values(self.maps, space.q[chosen], space.poses(space.places[chosen]))
-        return {"points": space.places[chosen], "values": values}
+        points = space.places[chosen]
+        if not space.machine.by_position:
+            points = space.machine.kinematics.forward(space.q[chosen]).poses.position
+        return {"points": points, "values": values}
 
     def _section(self, s: Section) -> dict[str, Any]:
         kinds = {code: kind for code, kind, _ in self.workspace.reasons.items()}
         solved = ~np.isin(s.code, [c for c, kind in kinds.items() if kind == "out of reach"])
-        cell = float(np.diff(s.u[:2])[0]) ** 2 if len(s.u) > 1 else 0.0
+        cell = float(np.diff(s.u[:2])[0] * np.diff(s.v[:2])[0]) if min(s.code.shape) > 1 else 0.0
         ends = [[float(x[0]), float(x[-1])] if len(x) else None for x in _extents(s)]
         return {
             "across": s.name,
             "area_m2": s.area,
             "area_with_inverse_kinematics_m2": float(solved.sum()) * cell,
-            "extent": dict(zip(("xyz"[s.across], "xyz"[s.up]), ends, strict=True)),
+            "extent": dict(zip((s.axes[s.across], s.axes[s.up]), ends, strict=True)),
             "points": int(s.code.size),
         }
 
@@ -316,8 +325,8 @@ def study_workspace(
     Raises:
         InputError: Some of it is at fault.
     """
-    planes = [parse_section(text) for text in sections]
     machine = build_machine(robot)
+    planes = [parse_section(text, machine.axes) for text in sections]
     quality = Quality(machine, build_elasticity(machine, rod_stiffness, actuator_stiffness))
     names = list(dict.fromkeys(maps)) or quality.available()
     unknown = next((n for n in names if n not in quality.available()), None)
@@ -357,8 +366,9 @@ def build_points_table(found: Study) -> pd.DataFrame:
     index = np.rint((space.places - space.lattice.low) / space.lattice.step).astype(int)
     _, first = np.unique(index, axis=0, return_index=True)
     places, q, codes = space.places[first], space.q[first], space.place_codes[first]
-    columns: dict[str, np.ndarray] = {f"{axis}_tool": places[:, k] for k, axis in enumerate("xyz")}
-    columns |= {f"q_{name}": q[:, k] for k, name in enumerate(space.machine.robot.actuated)}
+    machine, values = space.machine, places / space.machine.scale
+    columns: dict[str, np.ndarray] = {f"{axis}_tool": values[:, k] for k, axis in enumerate(machine.axes) if axis}
+    columns |= {f"q_{name}": q[:, k] for k, name in enumerate(machine.robot.actuated)}
     inside = codes == INSIDE
     columns["inside"] = inside.astype(int)
     words = {int(code): space.reasons.words(int(code)) for code in np.unique(codes)}
