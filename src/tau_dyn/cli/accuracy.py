@@ -204,9 +204,9 @@ def _study(args: argparse.Namespace, robot, rods, errors, measured, from_measure
     )
     slow = rods is None and bool(robot.loops)  # loops in a tree are closed one step at a time
     args.grid, args.samples = args.grid or (11 if slow else 31), args.samples or (50 if slow else 300)
-    grid, q, tool = _listed(args, robot) if args.poses else _gridded(args, robot, rods)
+    grid, q, tool = _listed(args, robot) if args.poses else _gridded(args, robot)
     return study_accuracy(
-        robot, rods, errors, q, Poses(tool.position, tool.rotation), grid=grid, methods=methods, samples=args.samples,
+        robot, errors, q, Poses(tool.position, tool.rotation), grid=grid, methods=methods, samples=args.samples,
         seed=args.seed, measured=measured, from_measured=from_measured, progress=step,
     )  # fmt: skip
 
@@ -231,7 +231,7 @@ def _listed(args: argparse.Namespace, robot):
     return None, points.q, found.poses
 
 
-def _gridded(args: argparse.Namespace, robot, rods):
+def _gridded(args: argparse.Namespace, robot):
     from tau_dyn.kinematics.accuracy import (
         choose_default_section,
         lay_default_grid,
@@ -239,17 +239,16 @@ def _gridded(args: argparse.Namespace, robot, rods):
         read_section,
         sample_default_motion,
     )
-    from tau_dyn.mechanism import Poses, forward_kinematics
+    from tau_dyn.mechanism import Poses
 
     limits, given = not args.no_limits, bool(args.section or args.range)
     if not given and (sampled := sample_default_motion(robot, args.grid)):
         return None, *sampled
-    home = forward_kinematics(robot, robot.home[None]).poses
     if given:
-        section = read_section(args.section) if args.section else choose_default_section(robot, home, rods)
-        grid = lay_grid(robot, rods, home, section.within(args.range), args.grid, limits=limits)
+        section = read_section(args.section) if args.section else choose_default_section(robot)
+        grid = lay_grid(robot, section.within(args.range), args.grid, limits=limits)
     else:
-        grid = lay_default_grid(robot, rods, home, args.grid, limits=limits)
+        grid = lay_default_grid(robot, args.grid, limits=limits)
     return grid, grid.q[grid.ok], Poses(grid.poses.position[grid.ok], grid.poses.rotation[grid.ok])
 
 

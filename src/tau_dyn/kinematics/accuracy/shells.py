@@ -28,18 +28,18 @@ from itertools import product
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.kinematics.accuracy.device import RodDevice, State, solve
+from tau_dyn.kinematics.accuracy.device import LegsDevice, State, solve
 from tau_dyn.mechanism import Poses
 
 
-def compute_half_heights(device: RodDevice, state: State) -> np.ndarray:
+def compute_half_heights(device: LegsDevice, state: State) -> np.ndarray:
     """Return `h_k` (N, n) [m]: the sum over the sources of what each can do along rod k, had the rod it alone."""
     _, G = device.tangent(state, state.plate)
     blocks = [np.linalg.norm(G[:, :, ball], axis=2) for ball in device.balls]
     return np.sum(blocks, axis=0) if blocks else np.zeros(G.shape[:2])
 
 
-def compute_half_edges(device: RodDevice, state: State) -> np.ndarray:
+def compute_half_edges(device: LegsDevice, state: State) -> np.ndarray:
     """Return the tool's displacement for each rod's largest error alone (N, 3, n) [m]: columns, half of an edge."""
     C, _ = device.tangent(state, state.plate)
     n = device.freedoms
@@ -57,14 +57,14 @@ _TOLERANCE = 1e-12
 """[m] Distance of the projections from the planes' intersection at which the iteration stops."""
 
 
-def explain_no_ellipsoids(device: RodDevice) -> str:
+def explain_no_ellipsoids(device: LegsDevice) -> str:
     """Return why the method does not apply, '' where it does: every rod needs its own ellipsoid."""
     if not device.sources.own:
         return "rods share a source of error, so that their shells are not independent"
     return "" if np.isfinite(device.sources.radii).all() else "an actuator's error is no ellipsoid of a base point"
 
 
-def find_corners(device: RodDevice, state: State) -> tuple[np.ndarray, np.ndarray]:
+def find_corners(device: LegsDevice, state: State) -> tuple[np.ndarray, np.ndarray]:
     """Return the displacements of the tool at the corners of the body (N, 2^n, 3) [m] and the iterations needed (N, 2^n).
 
     Corners without an intersection are nan.
@@ -74,7 +74,7 @@ def find_corners(device: RodDevice, state: State) -> tuple[np.ndarray, np.ndarra
     return np.stack(shifts, axis=1), np.stack(counts, axis=1)
 
 
-def _corner(device: RodDevice, state: State, sign: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _corner(device: LegsDevice, state: State, sign: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return one corner (N, 3) and its iterations (N,)."""
     A, b, L = device.ends(state.q, None)
     semi = L[:, :, None] + sign[:, None] * device.sources.radii  # (N, n, 3)
@@ -112,7 +112,7 @@ def measure_largest(displacements: np.ndarray) -> np.ndarray:
     return np.linalg.norm(displacements, axis=2).max(axis=1)
 
 
-def compute_shell_heights(device: RodDevice, state: State) -> np.ndarray:
+def compute_shell_heights(device: LegsDevice, state: State) -> np.ndarray:
     """Return to first order the half thickness of each rod's shell as the thesis' ellipsoids have it (N, n) [m]."""
     A, b, _ = device.ends(state.q, None)
     w = state.plate.position[:, None] + np.einsum("Nab,Nkb->Nka", state.plate.rotation, np.broadcast_to(b, A.shape)) - A
@@ -126,7 +126,7 @@ _MAX_BOUND_RATIO = 0.25
 _SAFE = 1 + 1e-9  # factor that outweighs rounding, so that the bound stays one
 
 
-def explain_no_certificate(device: RodDevice) -> str:
+def explain_no_certificate(device: LegsDevice) -> str:
     """Return why the bound does not apply, '' where it does."""
     rods, Q = device.rods, device.sources.actuator
     home = rods.robot.home[None]
@@ -134,7 +134,7 @@ def explain_no_certificate(device: RodDevice) -> str:
     return "an actuator's error moves its points on a curve, which the bound leaves out" if curved else ""
 
 
-def bound_displacement(device: RodDevice, state: State) -> np.ndarray:
+def bound_displacement(device: LegsDevice, state: State) -> np.ndarray:
     """Return a displacement of the tool (N,) [m] that no errors within their bounds exceed; nan where none is proved."""
     A, b, L = device.ends(state.q, None)
     s, shortest = device.sources, L.min(axis=1)

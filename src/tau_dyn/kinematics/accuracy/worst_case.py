@@ -15,12 +15,11 @@ their bounds and solves the constraints for each draw.
 from __future__ import annotations
 
 from itertools import product
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.kinematics.accuracy.device import Moved, State
-from tau_dyn.mechanism import Poses
+from tau_dyn.kinematics.accuracy.device import Device, State
 
 MAX_ITERATIONS = 12
 """Steps to first order; each doubles the digits of a direction that is not a corner already."""
@@ -29,21 +28,6 @@ MAX_SIGNED_RODS = 6
 """Rods up to which every combination of signs is tried."""
 MAX_CORNERS = 8
 """Corners that are followed with the constraints solved, the farthest to first order."""
-
-
-class Device(Protocol):
-    """A robot and its error sources; see `RodDevice`."""
-
-    balls: tuple[slice, ...]
-    m: int
-
-    def sensitivity(self, state: State, plate: Poses | None = None, e: np.ndarray | None = None) -> np.ndarray:
-        """Return `d(tool) / de` (N, 3 or 6, m)."""
-        ...
-
-    def closed(self, state: State, e: np.ndarray) -> Moved:
-        """Return where errors (N, m) put the tool."""
-        ...
 
 
 class Worst(NamedTuple):

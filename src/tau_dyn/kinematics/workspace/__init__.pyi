@@ -6,6 +6,7 @@ from .machine import (
     InverseSolution as InverseSolution,
     WorkspaceModel as WorkspaceModel,
     build_machine as build_machine,
+    commands_positions as commands_positions,
     get_travel as get_travel,
 )
 from .maps import (

@@ -24,8 +24,11 @@ _SAMPLES = 4000
 """Random positions from which a robot's reach is estimated."""
 _TURNED = 1e-6  # [rad] a tool turned by more than this is not in the orientation asked for
 _MAX_WAVES = 300  # in which inverse kinematics spreads from what is known
+_ABOUT, _PROBES = 0.25, 20  # share of the travel about home, and positions, at which the tool's twist is looked at
 _STILL = 1e-9  # [m/s or rad/s per actuated speed] a tool slower than this does not move
-_MAX_STEPS = 30  # of Newton's method to commanded coordinates; near ones need five
+_MAX_STEPS = 30  # of Newton's method to commanded coordinates; from a neighbour five do
+_SHRINKS = 0.5  # of the deviation that each of them may leave; from a neighbour it leaves far less
+_BEYOND = 0.25  # share of the travel beyond its ends up to which they are followed
 _FOUND = 1e-10  # [m or rad] deviation from commanded coordinates
 
 
@@ -78,6 +81,22 @@ def draw_positions(robot: Robot) -> np.ndarray:
         corners = np.zeros((0, robot.na))
     share = np.concatenate([corners, np.random.default_rng(0).random((_SAMPLES, robot.na))])
     return lower + share * (upper - lower)
+
+
+def commands_positions(kinematics: Kinematics) -> bool:
+    """Return whether the tool can be brought to every position nearby, so that a position asks for no turn in its stead."""
+    commanded = kinematics.commanded
+    return commanded.by_position or {k for k in _list_moving(kinematics) if k < 3} <= set(commanded.index)
+
+
+def _list_moving(kinematics: Kinematics) -> list[int]:
+    """Return the components of the tool's twist that are not zero everywhere: at none of some positions about home."""
+    robot = kinematics.robot
+    travel = np.where(np.isfinite(robot.upper - robot.lower), robot.upper - robot.lower, 1.0)
+    about = robot.home + _ABOUT * travel * np.random.default_rng(0).uniform(-1, 1, (_PROBES, robot.na))
+    J = kinematics.jacobian(np.clip(about, robot.lower, robot.upper))
+    J = J[np.isfinite(J).all(axis=(1, 2))]
+    return [k for k in range(J.shape[1]) if np.abs(J[:, k]).max(initial=0.0) > _STILL]
 
 
 @dataclass(eq=False)
@@ -135,13 +154,10 @@ class WorkspaceModel:
 
     def _set_coordinates(self) -> None:
         """Choose the rows of the twist that are asked for, what a turn counts, and what a place is."""
-        q = draw_positions(self.robot)[: 2 ** min(self.robot.na, 8) + 50]
-        J, commanded = self.kinematics.jacobian(q), self.kinematics.commanded
-        J = J[np.isfinite(J).all(axis=(1, 2))]
-        moves = [k for k in range(6) if np.abs(J[:, k]).max(initial=0.0) > _STILL]
+        commanded, moves = self.kinematics.commanded, _list_moving(self.kinematics)
         linear = [k for k in moves if k < 3]
         at_home = self.kinematics.jacobian(self.robot.home[None])[0]
-        self.by_position = commanded.by_position or set(linear) <= set(commanded.index)
+        self.by_position = commands_positions(self.kinematics)
         self.length = _measure_lever(at_home[:, self._turns] if self.by_position else at_home)
         if self.by_position:
             self._rows = linear if self.robot.na <= max(len(linear), 3) else moves
@@ -216,21 +232,31 @@ class WorkspaceModel:
         return float(np.max(turned[same], initial=0.0))
 
     def _solve_commanded(self, poses: Poses, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions (N, na) with these commanded coordinates, by Newton's method, and where it arrived (N,)."""
+        """Return positions (N, na) with these commanded coordinates, by Newton's method, and where it arrived (N,).
+
+        Positions far beyond the limits are not followed: most of them do not close.
+        """
         commanded, q = self.kinematics.commanded, start.copy()
         wanted, ok, left = commanded.of(poses), np.zeros(len(start), bool), np.arange(len(start))
+        before, (lower, upper) = np.full(len(start), np.inf), get_travel(self.robot)
+        room = _BEYOND * (upper - lower)
         for _ in range(_MAX_STEPS):
+            if not left.size:
+                break
             found = self.kinematics.forward(q[left])
-            left, here = left[found.ok], found.poses.take(found.ok)
-            gap = wanted[left] - commanded.of(here)
-            done = np.abs(gap).max(axis=1, initial=0.0) < _FOUND
-            ok[left[done]] = True
-            left, here, gap = left[~done], here.take(~done), gap[~done]
+            gap = wanted[left] - commanded.of(found.poses)
+            size = np.abs(gap).max(axis=1)
+            ok[left[size < _FOUND]] = True
+            going = found.ok & (size >= _FOUND) & (size < _SHRINKS * before[left])
+            before[left] = size
+            left, gap = left[going], gap[going]
             if not left.size:
                 break
             J = self.kinematics.jacobian(q[left])
-            J[:, 3:] = _rotation_vector_rates(here.rotation @ self.home.rotation[0].T) @ J[:, 3:]
+            turned = found.poses.rotation[going] @ self.home.rotation[0].T
+            J[:, 3:] = _rotation_vector_rates(turned) @ J[:, 3:]
             q[left] += (np.linalg.pinv(J[:, self._rows]) @ gap[:, :, None])[:, :, 0]
+            left = left[((q[left] > lower - room) & (q[left] < upper + room)).all(axis=1)]
         return q, ok
 
     def holders(self, rod: int) -> list[int]:

@@ -245,7 +245,7 @@ def build_catalogue(found: Workspace, quality: Quality) -> Catalogue:
     names, machine = quality.available(), found.machine
     places, q = _evenly(found)
     values = quality.values(names, q, found.poses(places))
-    home = found.poses(machine.home.position)
+    home = found.poses(machine.home_place[None])
     q_home = found.judge.judge(home).q
     at_home = quality.values(names, q_home, home)
     rates = machine.rates(q_home, home)

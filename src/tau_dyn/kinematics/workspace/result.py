@@ -96,7 +96,9 @@ class Workspace:
         """What its size is called, and its unit."""
         name, unit = _MEASURES.get(self.dimension, ("points", "1"))
         wide = [u for u, n in zip(self.machine.units, self.lattice.shape, strict=True) if n > 1]
-        return name, unit if self.machine.by_position else " ".join(wide)
+        if self.machine.by_position:
+            return name, unit
+        return name, " ".join(u + (str(wide.count(u)) if wide.count(u) > 1 else "") for u in dict.fromkeys(wide))
 
     def poses(self, points: np.ndarray) -> Poses:
         """Return poses of the tool at places (N, 3)."""
