@@ -19,13 +19,11 @@ from tau_dyn.mechanism import (
     REASONS,
     InverseResult,
     Poses,
+    build_kinematics,
     convert_from_quaternions,
     convert_to_quaternions,
-    find_all_solutions,
     forward_kinematics,
-    get_rods,
     inverse_kinematics,
-    list_configurations,
 )
 from tau_dyn.robot import Robot
 from tau_dyn.shown import Shown
@@ -257,11 +255,11 @@ def build_inverse_table(robot: Robot, poses: Poses, *, all_configurations: bool 
 
 
 def _all(robot: Robot, poses: Poses) -> PoseTable:
-    solved, rods = find_all_solutions(robot, poses), get_rods(robot)
+    kinematics = build_kinematics(robot)
+    solved = kinematics.solutions(poses)
     found = solved.q
-    named = rods is not None and len(list_configurations(rods)) == found.shape[1]
-    names = [_name(c) for c in list_configurations(rods)] if rods is not None and named else []
-    names = names or [str(k + 1) for k in range(found.shape[1])]
+    names = [] if kinematics.legs is None else [_name(signs) for signs in kinematics.configurations]
+    names = names if len(names) == found.shape[1] else [str(k + 1) for k in range(found.shape[1])]
     n, m = found.shape[:2]
     q, pose, name = found.reshape(n * m, -1), np.repeat(np.arange(n), m), np.array(names * n)
     there = np.isfinite(q).all(axis=1)

@@ -21,17 +21,16 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.assembly.modes import AssemblyModes, find_assembly_modes
 from tau_dyn.mechanism import (
     Frames,
+    Kinematics,
     Poses,
     Rods,
     TreePose,
+    build_kinematics,
     build_rods,
     compute_frames,
     convert_to_quaternions,
-    forward_kinematics,
     get_cached,
     get_robot,
-    get_rods,
-    get_solver,
     require_positions,
 )
 from tau_dyn.robot import Robot
@@ -191,7 +190,7 @@ class RobotModes:
         return ["home" if self.home and k == 0 else str(k + 1) for k in range(self.tool.n_samples)]
 
 
-def list_robot_modes(robot: Robot | Rods, q: np.ndarray) -> RobotModes:
+def list_robot_modes(robot: Robot | Kinematics, q: np.ndarray) -> RobotModes:
     """Return every assembly mode that is found at actuated positions (na,) [m or rad]; joint limits are not looked at.
 
     Three rods on a translating plate and serial arms in closed form, six rods on a free plate by `find_assembly_modes`,
@@ -203,49 +202,40 @@ def list_robot_modes(robot: Robot | Rods, q: np.ndarray) -> RobotModes:
     q = require_positions(get_robot(robot), q)
     if len(q) != 1 or not np.isfinite(q).all():
         raise InputError("wrong_shape", f"modes are listed at one set of finite positions; these are {np.shape(q)}")
-    rods = get_rods(robot)
-    if rods is not None and rods.n == (3 if rods.translates else 6):
-        tool, proved, why = _list_rod_modes(rods, q)
-    elif not get_robot(robot).loops:
-        tool, proved, why = forward_kinematics(robot, q).poses, True, "a tree without loops has one pose"
+    kinematics = build_kinematics(robot)
+    legs, owner = kinematics.legs, kinematics.robot
+    if legs is not None and legs.n == (3 if legs.translates else 6):
+        tool, proved, why = _list_leg_modes(legs, q)
+    elif not owner.loops:
+        tool, proved, why = kinematics.forward(q).poses, True, "a tree without loops has one pose"
     else:
-        found = search_tree_modes(_tree(robot), q[0])
+        found = search_tree_modes(get_cached(owner, "tree modes", lambda: TreePose(owner)), q[0])
         why = f"{found.n_starts} starts of Newton's method; no bound on the number of modes is known"
         why += f"; {found.n_singular} singular solutions are left out" if found.n_singular else ""
         tool, proved = found.tool, False
-    return _home_first(robot, q, tool, proved, why)
+    return _home_first(kinematics, q, tool, proved, why)
 
 
-def _list_rod_modes(rods: Rods, q: np.ndarray) -> tuple[Poses, bool, str]:
+def _list_leg_modes(legs: Rods, q: np.ndarray) -> tuple[Poses, bool, str]:
     """Return real modes of the tool, whether they are proved to be all, and why."""
     try:
-        modes = find_robot_assembly_modes(rods, q)
+        modes = find_robot_assembly_modes(legs, q)
     except InputError as fault:
         if fault.code != "unsupported":
             raise
         return Poses(np.zeros((0, 3)), np.zeros((0, 3, 3))), False, str(fault)
     complex_ones = len(modes.real) - modes.n_real
     return (
-        rods.tool_poses(select_real_poses(modes)),
+        legs.tool_poses(select_real_poses(modes)),
         modes.certified,
         f"{modes.why}; {modes.n_real} real, {complex_ones} complex",
     )
 
 
-def _tree(robot: Robot | Rods) -> TreePose:
-    """Return the solver by the joints of the tree, also of a robot that has rods."""
-    engine = get_solver(robot)
-    if isinstance(engine, TreePose):
-        return engine
-    return get_cached(get_robot(robot), "tree modes", lambda: TreePose(get_robot(robot)))
-
-
-def _home_first(robot: Robot | Rods, q: np.ndarray, tool: Poses, proved: bool, why: str) -> RobotModes:
+def _home_first(kinematics: Kinematics, q: np.ndarray, tool: Poses, proved: bool, why: str) -> RobotModes:
     """Sort modes by their distance from home's, which counts turns [rad] as metres."""
-    nominal = forward_kinematics(robot, q)
-    there = nominal.poses
-    if not nominal.ok[0]:
-        there = forward_kinematics(robot, get_robot(robot).home[None]).poses
+    nominal = kinematics.forward(q)
+    there = nominal.poses if nominal.ok[0] else kinematics.commanded.home
     away = np.linalg.norm(tool.position - there.position, axis=1)
     turned = np.abs(tool.rotation - there.rotation).max(axis=(1, 2), initial=0.0)
     order = np.argsort(np.round(away + turned, 9), kind="stable")
@@ -253,18 +243,19 @@ def _home_first(robot: Robot | Rods, q: np.ndarray, tool: Poses, proved: bool, w
     return RobotModes(tool.take(order), home, proved, why)
 
 
-def find_robot_assembly_modes(robot: Robot | Rods, q: np.ndarray) -> AssemblyModes:
+def find_robot_assembly_modes(robot: Robot | Kinematics, q: np.ndarray) -> AssemblyModes:
     """Return all poses of a robot's plate at one set of actuated positions.
 
     Args:
-        robot: The robot, or its rods.
+        robot: The robot, or its kinematics.
         q: Actuated positions (na,) [m or rad].
 
     Raises:
         NotRods: The mechanism is not one of rods between points.
         InputError: Its number of rods is not six (free plate) or three (plate that translates), or `q` does not fit.
     """
-    rods = robot if isinstance(robot, Rods) else build_rods(robot)
+    legs = build_kinematics(robot).legs
+    rods = build_rods(get_robot(robot)) if legs is None else legs  # which says what is missing
     q = require_positions(rods.robot, q)
     if len(q) != 1 or not np.isfinite(q).all():
         raise InputError(
