@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.mechanism import NotRods, Poses, build_rods, convert_from_quaternions, convert_to_quaternions
-from tau_dyn.mechanism.plate_arrays import rotate_by_vector
+from tau_dyn.mechanism.rotations import rotate_by_vector
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import load_robot
 

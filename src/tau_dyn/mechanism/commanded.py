@@ -4,7 +4,7 @@ The twists that the actuators give the tool at home span a space of r dimensions
 where the space reaches furthest, positions before rotations, the tool's place taken where a turn moves it least (on a plate,
 the middle of its joints): six for a 6R arm, three positions for a plate that translates, three positions and a turn for a
 SCARA, height and two tilts for a 3-PRS. Rotations are the components of the rotation vector after home's orientation, in
-world axes. Reference: Merlet 2006, ch. 2.
+world axes. Reference: Merlet 2006, ch. 2; Chirikjian 2012.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.mechanism.plate_arrays import log_of
 from tau_dyn.mechanism.poses import Poses
+from tau_dyn.mechanism.rotations import log_of
 
 _NAMES = ("x", "y", "z", "rx", "ry", "rz")
 _RANK = 1e-6  # singular values relative to the largest; less moves nothing
@@ -53,6 +53,17 @@ class CommandedCoordinates:
         """Return the commanded coordinates (N, k) [m or rad] of tool poses."""
         turn = log_of(np.moveaxis(poses.rotation @ self.home.rotation[0].T, 0, 2)).T
         return np.concatenate([poses.position, turn], axis=1)[:, list(self.index)]
+
+    def by_twist(self, poses: Poses) -> np.ndarray:
+        """Return the commanded coordinates' rates per twist (N, k, 6): of a rotation vector the inverse left Jacobian."""
+        turn = log_of(np.moveaxis(poses.rotation @ self.home.rotation[0].T, 0, 2)).T
+        half = np.linalg.norm(turn, axis=1) / 2
+        K = np.cross(np.eye(3), turn[:, None, :]).transpose(0, 2, 1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = np.where(half < 1e-4, 1 / 12, (1 - half / np.tan(half)) / (4 * half**2))
+        out = np.zeros((len(turn), 6, 6))
+        out[:, :3, :3], out[:, 3:, 3:] = np.eye(3), np.eye(3) - K / 2 + share[:, None, None] * (K @ K)
+        return out[:, list(self.index)]
 
     def to_poses(self, values: np.ndarray) -> Poses:
         """Return tool poses with these coordinates (N, k); what is not commanded is home's."""

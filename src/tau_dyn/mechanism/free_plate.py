@@ -18,15 +18,9 @@ from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.mechanism import chains, rod_dimensions
 from tau_dyn.mechanism.kinematics_result import BRANCH_CHANGE, NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR
 from tau_dyn.mechanism.legs import Legs
-from tau_dyn.mechanism.plate_arrays import (
-    Plate,
-    SixRods,
-    build_dense,
-    compute_equation_rows,
-    compute_residual,
-    solve_with_lapack,
-)
+from tau_dyn.mechanism.plate_arrays import Plate, SixRods, build_dense, compute_equation_rows, compute_residual
 from tau_dyn.mechanism.poses import Poses
+from tau_dyn.mechanism.pseudo_inverse import solve_with_lapack
 
 BLOCK = 8192  # samples at a time; arrays stay in the processor's cache
 _CELL = 0.03  # of the mean rod's length for slides; half as much again in rad for turns

@@ -25,9 +25,9 @@ from tau_dyn.mechanism.commanded import CommandedCoordinates, choose_commanded
 from tau_dyn.mechanism.joint_limits import check_limits, refuse_beyond_limits
 from tau_dyn.mechanism.kinematics_result import ForwardResult, InverseResult, InverseSolutions
 from tau_dyn.mechanism.legs import Legs
-from tau_dyn.mechanism.plate_arrays import solve_with_lapack
 from tau_dyn.mechanism.poses import Poses, require_poses
 from tau_dyn.mechanism.positions import require_positions
+from tau_dyn.mechanism.pseudo_inverse import solve_with_lapack
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 

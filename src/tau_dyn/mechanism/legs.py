@@ -9,23 +9,35 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import pinocchio as pin
 
 from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.mechanism import chains, rod_dimensions
-from tau_dyn.mechanism.plate_arrays import rotate_by_vector
 from tau_dyn.mechanism.poses import Poses
 from tau_dyn.mechanism.positions import require_positions
 from tau_dyn.mechanism.rod_dimensions import RodDimensions
+from tau_dyn.mechanism.rotations import rotate_by_vector
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 
 _CLOSED = 1e-12  # relative to the rods
 _MAX_ITERATIONS = 30  # Newton steps from the file's pose
 _STEP = 0.2  # of the rods' length or rad
+
+
+class Ride(NamedTuple):
+    """A tool that sits on the first leg's rod and turns with it about the rod's hinge; the plate is the point at the tool.
+
+    Attributes:
+        start: From the hinge's axis to the tool at home, in the frame of the link that carries the hinge (3,) [m].
+        rotation: The tool's rotation at home in that frame (3, 3).
+    """
+
+    start: np.ndarray
+    rotation: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +56,7 @@ class Legs:
         geometry: All geometric parameters.
         nominal_home: Pose of the plate at home with the file's geometry (1 sample).
         numbers: The same geometry as arrays.
+        ride: How the tool turns where the plate is one point, else None.
     """
 
     robot: Robot
@@ -57,6 +70,7 @@ class Legs:
     geometry: Parameters
     nominal_home: Poses
     numbers: RodDimensions
+    ride: Ride | None = None
 
     @cached_property
     def home(self) -> Poses:
@@ -117,6 +131,24 @@ class Legs:
     def tool_poses(self, plate: Poses) -> Poses:
         """Return the tool's poses from the plate's."""
         return plate.after(self.tool)
+
+    def ridden(self, q: np.ndarray, tool: Poses) -> Poses:
+        """Return the tool's poses (N) with the rotation that it takes at `q` (N, na) where it turns with a rod."""
+        if self.ride is None:
+            return tool
+        carried, start = self.numbers.carried, self.ride.start
+        ends = carried.local[:2]
+        axis, foot = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]), ends.mean(axis=0)
+        at = chains.WORLD
+        if carried.carrier[0] >= 0:
+            at = chains.compute_joint_frames(self.numbers.joints, q.T)[carried.carrier[0]]
+        rotation = np.moveaxis(np.broadcast_to(at.rotation, (3, 3, len(q))), 2, 0)
+        arm = np.einsum("nji,nj->ni", rotation, tool.position - at.origin.T) - foot
+        angle = np.arctan2(np.cross(start, arm) @ axis, arm @ start - (arm @ axis) * (start @ axis))
+        turned = np.moveaxis(
+            rotate_by_vector(np.outer(axis, angle), np.repeat(self.ride.rotation[:, :, None], len(q), axis=2)), 2, 0
+        )
+        return Poses(tool.position, rotation @ turned)
 
     def gap(self, q: np.ndarray, plate: Poses) -> np.ndarray:
         """Return `|A - B| - L` (N, n) [m]."""

@@ -61,7 +61,7 @@ class LoopSolver:
         self._turning = np.array([self.model.joints[self.model.getJointId(j)].nq == 2 for j in robot.actuated])
         self._identity = np.zeros((self.model.nv, robot.na))
         self._identity[self.active_v, range(robot.na)] = 1.0
-        self._neutral = pin.neutral(self.model)
+        self._start = self._with_passive_home(pin.neutral(self.model))
         self._constraints = Constraints(self.model, self.data, robot.loops)
         self._inverse, self._G = np.zeros((0, 0)), self._identity
         self._last: tuple[np.ndarray, np.ndarray] | None = None
@@ -74,7 +74,7 @@ class LoopSolver:
         """
         q_a = np.asarray(q_a, float)
         if not self.robot.loops:
-            return self._with_active(self._neutral, q_a)
+            return self._with_active(self._start, q_a)
         q = None
         if self._last is not None and np.abs(q_a - self._last[0]).max() <= _STEP:
             q = self._step_to(q_a, *self._last)
@@ -133,6 +133,14 @@ class LoopSolver:
             q[index], q[index + 1] = np.cos(angle), np.sin(angle)
         return q
 
+    def _with_passive_home(self, q: np.ndarray) -> np.ndarray:
+        """Return a configuration (nq,) with the passive joints where the robot file's home has them."""
+        for name, value in self.robot.passive_home.items():
+            item = self.model.joints[self.model.getJointId(name)]
+            if item.nv == 1:  # a continuous joint's configuration is a cosine and a sine
+                q[item.idx_q : item.idx_q + item.nq] = value if item.nq == 1 else (np.cos(value), np.sin(value))
+        return q
+
     def _from_home(self, q_a: np.ndarray) -> np.ndarray:
         """Walk from home to `q_a` in small steps, so that the assembly mode is home's."""
         home = self.robot.home
@@ -141,7 +149,7 @@ class LoopSolver:
             raise LoopClosureError(
                 f"{self.robot.source}: {self._listed(q_a)} is far outside the robot; positions must be in m and rad"
             )
-        start = self._with_active(self._neutral, home)
+        start = self._with_active(self._start, home)
         self._linearise(start)
         q = self._newton(start)
         if q is None:

@@ -7,6 +7,11 @@ wanted:
 
     C_w w + C_q dq = -f,   minimise |w - log(R_wanted R')|,   R <- Exp(w) R,   f_k = (|A_k - B_k|^2 - L_k^2) / 2 L_k.
 
+Where turns are commanded in place of positions (a 3-PRS: height and two tilts), the commanded coordinates are met instead,
+and all other coordinates of the tool follow (`CommandedInverse`):
+
+    G_x (x, w) + C_q dq = -f,   c(X) = c_wanted.
+
 A pose on the surface, as forward kinematics gives them, is found exactly. Where actuators can move without the plate (a
 telescopic arm on a cart) the positions nearest to a start are taken, slides measured in mean rods' lengths, turns in rad.
 A pose out of reach is given up when its gap stops shrinking. Reference: Merlet 2006, ch. 2 and 3.
@@ -18,15 +23,19 @@ import numpy as np
 
 from tau_dyn.mechanism import chains as chain_points, rod_dimensions
 from tau_dyn.mechanism.chain_inverse import NewtonChain, RootChain
+from tau_dyn.mechanism.commanded import CommandedCoordinates
 from tau_dyn.mechanism.least_motion import Progress, solve_least_motion_step, solve_with_pseudo_inverse
 from tau_dyn.mechanism.legs import Legs
-from tau_dyn.mechanism.plate_arrays import Plate, compute_equation_rows, log_of, rotate_by_vector
+from tau_dyn.mechanism.plate_arrays import Plate, compute_equation_rows
 from tau_dyn.mechanism.poses import Poses
+from tau_dyn.mechanism.pseudo_inverse import solve_with_lapack
+from tau_dyn.mechanism.rotations import log_of, rotate_by_vector
 
 _MAX_ITERATIONS = 60  # Newton steps, damped far from the solution
 _PATIENCE = 5  # rounds without progress after which a sample is given up
 _DONE, _NEAR = 1e-13, 1e-8
 _CLOSED = 1e-11  # [m]
+_MISSED = 1e-7  # [m] by how much a position that is asked for may be missed
 _STEP = 0.3  # largest step, of the rods' length or rad
 _WAY = 0.15  # steps on the way from home, of the rods' length or rad
 _STEPS = 40  # at most on that way
@@ -58,8 +67,8 @@ class ManifoldInverse:
 
     def solve(
         self, tool: Poses, signs: tuple[int, ...], walk: bool, start: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions (N, na) and the tool's rotations (N, 3, 3) there; nan where there are none.
+    ) -> tuple[np.ndarray, Poses]:
+        """Return positions (N, na) and the tool's poses there; nan where there are none.
 
         Args:
             tool: Poses wanted.
@@ -85,7 +94,7 @@ class ManifoldInverse:
                 good &= self.keeps(found, asked.position, turn, signs)
             q[lost[good]], rotation[lost[good]] = found[good], turn[good]
             lost = lost[~good]
-        return q, rotation
+        return q, Poses(tool.position, rotation)
 
     def possible(self, position: np.ndarray) -> np.ndarray:
         """Return where each rod alone could reach the tool's ball of points B, the plate turned as it may (N,)."""
@@ -165,22 +174,29 @@ class ManifoldInverse:
         self, tool: Poses, q: np.ndarray, rotation: np.ndarray, toward: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the largest gap (N,) [m], the turn (N, 3) and the actuated step (N, na)."""
-        numbers, qt = self.rods.numbers, q.T
-        points = chain_points.compute_points(numbers.joints, numbers.carried, qt)
-        lengths = rod_dimensions.compute_leg_lengths(numbers, qt)
-        at = compute_equation_rows(points, self._local, lengths**2, Plate(tool.position.T, np.moveaxis(rotation, 0, 2)))
-        f = (np.stack(at.f) / lengths).T
+        f, moments, _, by_q = self._rows(Poses(tool.position, rotation), q)
         C = np.empty((len(q), self.rods.n, self._turns + self.rods.na))
         if self._turns:
-            C[:, :, :3] = -np.stack(at.moment).transpose(2, 0, 1)
-        C[:, :, self._turns :] = rod_dimensions.compute_closure_by_q(numbers, qt, points, at.d).transpose(2, 0, 1)
-        C /= np.broadcast_to(lengths, (self.rods.n, len(q))).T[:, :, None]
+            C[:, :, :3] = -moments
+        C[:, :, self._turns :] = by_q
         if C.shape[1] == C.shape[2]:
             y = solve_with_pseudo_inverse(C, -f)
         else:
             y = self._chosen(C, f, tool.rotation, rotation, toward - q)
         w = y[:, :3] if self._turns else np.zeros((len(q), 3))
         return np.abs(f).max(axis=1), w, y[:, self._turns :]
+
+    def _rows(self, tool: Poses, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return `f` (N, n) [m], the rods' moments about the tool and directions (N, n, 3), and `C_q` (N, n, na)."""
+        numbers, qt = self.rods.numbers, q.T
+        points = chain_points.compute_points(numbers.joints, numbers.carried, qt)
+        lengths = rod_dimensions.compute_leg_lengths(numbers, qt)
+        plate = Plate(tool.position.T, np.moveaxis(tool.rotation, 0, 2))
+        at = compute_equation_rows(points, self._local, lengths**2, plate)
+        by_q = rod_dimensions.compute_closure_by_q(numbers, qt, points, at.d).transpose(2, 0, 1)
+        wide = np.broadcast_to(lengths, (self.rods.n, len(q))).T[:, :, None]
+        moments, ways = (np.stack(x).transpose(2, 0, 1) / wide for x in (at.moment, at.d))
+        return (np.stack(at.f) / lengths).T, moments, ways, by_q / wide
 
     def _chosen(
         self, C: np.ndarray, f: np.ndarray, wanted: np.ndarray, rotation: np.ndarray, away: np.ndarray
@@ -194,3 +210,68 @@ class ManifoldInverse:
             vt = np.linalg.svd(C[:, :, self._turns :] * self._unit)[2][:, -self.idle :]
             pull[:, self._turns :] = self._unit * np.einsum("nki,nkj,nj->ni", vt, vt, away / self._unit)
         return solve_least_motion_step(C, f, turning, wish, self._weight, pull, _SOFT)
+
+
+class CommandedInverse(ManifoldInverse):
+    """Solves one robot whose commanded coordinates are not all positions."""
+
+    def __init__(self, rods: Legs, chains: list[RootChain | NewtonChain], commanded: CommandedCoordinates) -> None:
+        """Keep which coordinates are met."""
+        super().__init__(rods, chains)
+        self._commanded = commanded
+
+    def solve(
+        self, tool: Poses, signs: tuple[int, ...], walk: bool, start: np.ndarray | None = None
+    ) -> tuple[np.ndarray, Poses]:
+        """Return positions (N, na) and the tool's poses there; see `ManifoldInverse.solve`.
+
+        A position that is not commanded must be met too, unless it is home's, as in `CommandedCoordinates.to_poses`.
+        """
+        near = np.repeat(self.rods.robot.home[None], len(tool.position), axis=0) if start is None else start
+        wanted = self._commanded.of(tool)
+        q, reached = self._closed(wanted, tool, self.started(tool, signs, near) if start is None else near)
+        good = self.keeps(q, reached.position, reached.rotation, signs)
+        lost = np.flatnonzero(~good & np.isfinite(wanted).all(axis=1)) if walk else np.zeros(0, int)
+        if lost.size:
+            here = Poses(*(np.repeat(x, len(lost), axis=0) for x in self._home_tool))
+            at, home = np.repeat(self.rods.robot.home[None], len(lost), axis=0), self._commanded.of(self._home_tool)
+            far = np.abs(wanted[lost] - home) / np.where(np.array(self._commanded.index) < 3, self.scale, 1.0)
+            steps = int(np.clip(np.ceil(far.max() / _WAY), 1, _STEPS))
+            for share in np.linspace(0, 1, steps + 1)[1:]:
+                at, here = self._closed(home + share * (wanted[lost] - home), here, at)
+            q[lost], reached.position[lost], reached.rotation[lost] = at, *here
+            good[lost] = np.isfinite(at[:, 0])
+        given = np.abs(tool.position - self._home_tool.position) > _CLOSED
+        with np.errstate(invalid="ignore"):
+            good &= ~(given & (np.abs(reached.position - tool.position) > _MISSED)).any(axis=1)
+        return np.where(good[:, None], q, np.nan), reached
+
+    def _closed(self, wanted: np.ndarray, tool: Poses, q: np.ndarray) -> tuple[np.ndarray, Poses]:
+        """Return closed positions and poses with these commanded coordinates (N, k), from starts; nan where there are none."""
+        q, position, rotation = q.copy(), tool.position.copy(), np.array(tool.rotation)
+        index = list(self._commanded.index)
+        left = np.flatnonzero(np.isfinite(q).all(axis=1) & np.isfinite(wanted).all(axis=1))
+        closed, progress = np.zeros(len(q), bool), Progress(len(q), _PATIENCE)
+        for _ in range(_MAX_ITERATIONS):
+            if not left.size:
+                break
+            here = Poses(position[left], rotation[left])
+            f, moments, ways, by_q = self._rows(here, q[left])
+            miss = self._commanded.of(here) - wanted[left]
+            C = np.zeros((len(left), f.shape[1] + len(index), 6 + q.shape[1]))
+            C[:, : f.shape[1], :3], C[:, : f.shape[1], 3:6], C[:, : f.shape[1], 6:] = -ways, -moments, by_q
+            C[:, f.shape[1] :, :6] = self._commanded.by_twist(here)
+            gap = np.concatenate([f, miss], axis=1)
+            y = solve_with_lapack(C, -gap.T).T
+            size = np.maximum(np.abs(y[:, :6]).max(axis=1), np.abs(y[:, 6:]).max(axis=1) / max(self.scale, 1.0))
+            y *= np.minimum(1.0, _STEP / np.maximum(size, 1e-300))[:, None]
+            position[left] += y[:, :3]
+            rotation[left] = np.moveaxis(rotate_by_vector(y[:, 3:6].T, np.moveaxis(rotation[left], 0, 2)), 2, 0)
+            q[left] += y[:, 6:]
+            open_ = np.abs(gap).max(axis=1)
+            closed[left] = (open_ < _CLOSED) & (size < 1e-7)
+            over = ((open_ < _CLOSED) & progress.rests(left, size, _DONE, _NEAR)) | progress.stalled(left, open_)
+            left = left[~over & np.isfinite(size)]
+        for x in (q, position, rotation):
+            x[~closed] = np.nan
+        return q, Poses(position, rotation)

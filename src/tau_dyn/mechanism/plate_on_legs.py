@@ -10,21 +10,25 @@ from itertools import product
 import numpy as np
 import pinocchio as pin
 
+from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.mechanism import chains, rod_dimensions
 from tau_dyn.mechanism.free_plate import FreePlate
 from tau_dyn.mechanism.kinematics import Kinematics, Singularity
-from tau_dyn.mechanism.kinematics_result import ForwardResult, InverseResult, InverseSolutions
+from tau_dyn.mechanism.kinematics_result import OK, ForwardResult, InverseResult, InverseSolutions
 from tau_dyn.mechanism.legs import Legs
-from tau_dyn.mechanism.plate_arrays import solve_with_lapack
 from tau_dyn.mechanism.poses import Poses, require_poses
 from tau_dyn.mechanism.positions import require_positions
-from tau_dyn.mechanism.pseudo_inverse import measure_rank_distance
+from tau_dyn.mechanism.pseudo_inverse import measure_rank_distance, solve_with_lapack
 from tau_dyn.mechanism.read_dimensions import read_dimensions
-from tau_dyn.mechanism.recognise import recognise
+from tau_dyn.mechanism.recognise import NotRods, recognise
 from tau_dyn.mechanism.rod_inverse import RodInverse
 from tau_dyn.mechanism.sliding_plate import SlidingPlate
 from tau_dyn.mechanism.tree_pose import TreePose
 from tau_dyn.robot import Robot
+
+_NEARBY = 0.02  # of the rods' length or rad: where a plate that hung on a leg is compared with the tree
+_AGREE = 1e-7  # [m or 1] by how much it may differ there
+_SINGULAR = 1e-6  # smallest singular value of its legs' directions by the largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +57,11 @@ class PlateOnLegs(Legs, Kinematics):
     @cached_property
     def inverse_engine(self) -> RodInverse:
         """What solves inverse kinematics."""
-        return RodInverse(self)
+        return RodInverse(self, lambda: self.commanded)
 
     def _forward(self, q: np.ndarray, start: Poses | None) -> ForwardResult:
         plate, code = self.engine.forward(q, None if start is None else self.plate_poses(start))
-        return ForwardResult(self.tool_poses(plate), plate, code)
+        return ForwardResult(self.ridden(q, self.tool_poses(plate)), plate, code)
 
     def both_forward(self, q: np.ndarray) -> np.ndarray:
         """Return both tool positions (N, 2, 3) [m]; see `Kinematics.both_forward`."""
@@ -186,7 +190,7 @@ def build_rods(robot: Robot) -> PlateOnLegs:
     found = recognise(robot)
     numbers = read_dimensions(robot, found)
     home = Poses(found.home.translation[None].copy(), found.home.rotation[None].copy())
-    return PlateOnLegs(
+    rods = PlateOnLegs(
         robot=robot,
         names=numbers.names,
         lengths=numbers.lengths,
@@ -198,7 +202,36 @@ def build_rods(robot: Robot) -> PlateOnLegs:
         geometry=rod_dimensions.build_parameters(numbers),
         nominal_home=home,
         numbers=numbers,
+        ride=found.ride,
     )
+    if found.rerooted:
+        _require_agreement(rods)
+    return rods
+
+
+def _require_agreement(rods: PlateOnLegs) -> None:
+    """Refuse legs that hold the plate otherwise than the robot's tree does, near home.
+
+    Raises:
+        NotRods: They are singular at home, or lead elsewhere.
+    """
+    robot, size = rods.robot, float(np.mean(rods.lengths))
+    unit = np.where([kind == "revolute" for kind in robot.joint_kinds], 1.0, size)
+    q = robot.home + _NEARBY * np.random.default_rng(0).uniform(-1, 1, (4, robot.na)) * unit
+    try:
+        held = measure_rank_distance(rods.gap_by_pose(robot.home[None], rods.home)[:, :, : 3 if rods.translates else 6])
+        if held[0] < _SINGULAR * min(size, 1.0):
+            raise NotRods(f"{robot.source}: the legs do not hold the plate at home")
+        tree, code = TreePose(robot).forward(q)
+        found = rods.forward(q)
+    except LoopClosureError as fault:
+        raise NotRods(str(fault)) from None
+    both = (code == OK) & found.ok
+    gap = np.concatenate(
+        [(found.poses.position - tree.position)[both], (found.poses.rotation - tree.rotation)[both].reshape(-1, 3)]
+    )
+    if not both.any() or np.any((code == OK) != found.ok) or np.abs(gap).max() > _AGREE:
+        raise NotRods(f"{robot.source}: distances do not say all that its legs do to the plate")
 
 
 def _link_of(robot: Robot, joint: int) -> str:

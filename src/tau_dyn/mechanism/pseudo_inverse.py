@@ -76,3 +76,18 @@ def measure_rank_distance(matrices: np.ndarray) -> np.ndarray:
         s = np.linalg.svd(matrices[sound], compute_uv=False)
         out[sound] = s[:, -1] / s[:, 0]
     return out
+
+
+def solve_with_lapack(matrices: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return least-squares solutions (c, ..., N) of matrices (N, n, c) and right sides (n, ..., N); nan where there is none."""
+    sides = np.moveaxis(b.reshape(len(b), -1, b.shape[-1]), 2, 0)
+    out = np.full((len(matrices), matrices.shape[2], sides.shape[2]), np.nan)
+    sound = np.flatnonzero(np.isfinite(matrices).all(axis=(1, 2)) & np.isfinite(sides).all(axis=(1, 2)))
+    if sound.size:
+        try:
+            if matrices.shape[1] != matrices.shape[2]:
+                raise np.linalg.LinAlgError
+            out[sound] = np.linalg.solve(matrices[sound], sides[sound])
+        except np.linalg.LinAlgError:
+            out[sound] = np.linalg.pinv(matrices[sound], rcond=1e-12) @ sides[sound]
+    return np.moveaxis(out, 0, 2).reshape(matrices.shape[2], *b.shape[1:])

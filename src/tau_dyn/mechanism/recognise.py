@@ -1,12 +1,15 @@
-r"""Rods read from a robot's tree: which body is the plate, which links are rods, between which points.
+r"""Legs read from a robot's tree: which body is the plate, which links are rods, between which points.
 
-The plate hangs on the world by passive joints alone: three slides (it translates) or six freedoms. A rod hangs on an
-actuated chain, the world or the plate by passive turns through one point, and is tied at its other end by a ball:
+The plate hangs on the world by passive joints alone (three slides: it translates; six freedoms), or on one of its own legs:
+then the tool's body is the plate and the path to it is a leg like the others. A leg hangs on an actuated chain, the world or
+the plate by passive turns through one point, and is tied at its other end by a ball (a cut loop, or three turns that meet):
 
     two or three turns        one distance, from the point of the turns to the ball;
     one turn (a triangle)     two distances, from two points of its axis: the ball moves on a circle, where two spheres meet;
     an actuated slide after   the distance grows with the slide (a leg of the Stewart platform, a telescopic arm).
 
+Of a planar leg, whose ends are parallel hinges, the far one counts as a ball; the other legs' circles keep the plate's plane.
+Where rods meet in the tool and nothing else holds it (a five-bar), the plate is that point and the tool turns with its rod.
 Everything is seen at home, where the loops are closed. Reference: thesis (4.3), (4.4), section 2.2; Merlet 2006, ch. 2.
 """
 
@@ -18,6 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.mechanism.legs import Ride
 from tau_dyn.mechanism.loops import LoopSolver
 from tau_dyn.robot import Robot
 
@@ -67,6 +71,8 @@ class Found:
         translates: Whether the plate keeps its rotation.
         home: Placement of the plate at home.
         tool: The tool frame in the plate's.
+        ride: The tool's turn with its rod where the plate is a point, else None.
+        rerooted: Whether the plate hangs on one of its legs in the file.
     """
 
     rods: tuple[RodFound, ...]
@@ -74,6 +80,8 @@ class Found:
     translates: bool
     home: pin.SE3
     tool: pin.SE3
+    ride: Ride | None = None
+    rerooted: bool = False
 
 
 def recognise(robot: Robot) -> Found:
@@ -86,17 +94,31 @@ def recognise(robot: Robot) -> Found:
     if not robot.loops:
         raise NotRods(f"{robot.source}: there are no loops, so no plate held by rods")
     tree = _Tree(robot)
-    plate = tree.plate()
-    translates = tree.check_plate(plate)
-    rods = [rod for loop in robot.loops for rod in tree.rods(plate, loop.frame_a, loop.frame_b)]
-    rods = _renamed(rods)
+    try:
+        plate = tree.plate()
+        return _checked(robot, tree, Found(tree.loop_rods(plate), plate, tree.check_plate(plate), *tree.places(plate)))
+    except NotRods as fault:
+        plate = tree.plate_on_leg()
+        if plate is None:
+            raise
+        try:
+            return _checked(robot, tree, tree.point(plate) or tree.rerooted(plate))
+        except NotRods:
+            raise fault from None
+
+
+def _checked(robot: Robot, tree: _Tree, found: Found) -> Found:
+    """Return what was found with rods named apart; refuse what they do not hold."""
+    rods = _renamed(list(found.rods))
     moved = {j for rod in rods for j in (*tree.path(rod.carrier), rod.slide)}
     idle = [name for name, joint in zip(robot.actuated, tree.actuated, strict=True) if joint not in moved]
     if idle:
         raise NotRods(f"{robot.source}: {', '.join(idle)} moves no rod")
-    if len(rods) < (3 if translates else 6):
-        raise NotRods(f"{robot.source}: {len(rods)} distances cannot hold a plate of {3 if translates else 6} freedoms")
-    return Found(tuple(rods), plate, translates, tree.placement(plate), tree.tool(plate))
+    if len(rods) < (3 if found.translates else 6):
+        raise NotRods(
+            f"{robot.source}: {len(rods)} distances cannot hold a plate of {3 if found.translates else 6} freedoms"
+        )
+    return replace(found, rods=tuple(rods))
 
 
 class _Tree:
@@ -150,16 +172,62 @@ class _Tree:
             "slides or six freedoms"
         )
 
-    def tool(self, plate: int) -> pin.SE3:
+    def places(self, plate: int) -> tuple[pin.SE3, pin.SE3]:
+        """Return where the plate is at home, and the tool frame in the plate's."""
         index = self.robot.tool_frame
         if index is None:
-            return pin.SE3.Identity()
+            return self.placement(plate), pin.SE3.Identity()
         frame = self.model.frames[index]
         if frame.parentJoint != plate:
             raise NotRods(f"{self.robot.source}: its tool does not sit on the plate")
-        return pin.SE3(frame.placement)
+        return self.placement(plate), pin.SE3(frame.placement)
 
-    def rods(self, plate: int, frame_a: int, frame_b: int) -> list[RodFound]:
+    def plate_on_leg(self) -> int | None:
+        """Return the joint of the tool's body where passive joints hang it on an actuated chain, else None."""
+        index = self.robot.tool_frame
+        joint = self.model.frames[index].parentJoint if index is not None else 0
+        return None if self.is_chain(joint) else int(joint)
+
+    def rerooted(self, plate: int) -> Found:
+        """Return a free plate on the leg that it hangs on in the file, and on the loops' legs."""
+        rods = (*self._own_leg(plate), *self.loop_rods(plate))
+        home, tool = self.places(plate)
+        return Found(rods, plate, False, home, tool, rerooted=True)
+
+    def point(self, plate: int) -> Found | None:
+        """Return a plate that is one point, where rods alone meet in the tool; None where they do not."""
+        frames = [self.model.frames[f] for loop in self.robot.loops for f in (loop.frame_a, loop.frame_b)]
+        tool = self.model.frames[self.robot.tool_frame]
+        tip = (self.data.oMi[plate] * tool.placement).translation
+        ends = list(dict.fromkeys([plate, *(int(frame.parentJoint) for frame in frames)]))
+        off = [(self.data.oMi[f.parentJoint] * f.placement).translation - tip for f in frames]
+        if np.abs(off).max() > _MEET or any(self.is_chain(end) for end in ends):
+            return None
+        rods: list[RodFound] = []
+        for end in ends:
+            joints = self._between(end, -1)
+            if joints[-1] in self.actuated or (end == plate and len(joints) > 1):
+                return None  # it is not said how long the rod is, or how the tool turns
+            own = self._rows(self._name(end), joints, 0, (int(self.model.parents[joints[0]]), None), (plate, tip))
+            if len(own) + len(rods) > 3 and len(own) == 2:  # the tool stays in the first rod's plane
+                both = np.array([rod.base for rod in own])
+                length = float(np.sqrt(own[0].length ** 2 - np.sum((both[1] - both[0]) ** 2) / 4))
+                own = [replace(own[0], name=self._name(end), base=both.mean(axis=0), length=length)]
+            rods += own
+        hinge = self._between(plate, -1)[0]
+        carrier = int(self.model.parents[hinge])
+        back = self.data.oMi[carrier].rotation.T
+        axis, origin = self._line(hinge)
+        rotation = self.data.oMi[plate].rotation @ tool.placement.rotation
+        ride = Ride(back @ (tip - origin - axis * (axis @ (tip - origin))), back @ rotation)
+        on_point = tuple(replace(rod, plate=np.zeros(3)) for rod in rods)
+        return Found(on_point, plate, True, pin.SE3(rotation, tip), pin.SE3.Identity(), ride, rerooted=True)
+
+    def loop_rods(self, plate: int) -> tuple[RodFound, ...]:
+        """Return the distances that the loops keep."""
+        return tuple(rod for loop in self.robot.loops for rod in self._loop(plate, loop.frame_a, loop.frame_b))
+
+    def _loop(self, plate: int, frame_a: int, frame_b: int) -> list[RodFound]:
         """Return the distances that one loop keeps."""
         ends = [self.model.frames[f] for f in (frame_a, frame_b)]
         hanging = [end for end in ends if end.parentJoint != plate and not self.is_chain(end.parentJoint)]
@@ -167,22 +235,88 @@ class _Tree:
             raise NotRods(f"{self.robot.source}: a loop ties plate and chain without a rod between them")
         rod, tied = hanging[0], next(end for end in ends if end is not hanging[0])
         joints = self._between(rod.parentJoint, plate)
-        root = self.model.parents[joints[0]]
+        root = int(self.model.parents[joints[0]])
         slide = joints.pop() if joints[-1] in self.actuated else 0
-        name = self._name(rod.parentJoint)
         tip = (self.data.oMi[rod.parentJoint] * rod.placement).translation
+        near, far = (root, None), (int(tied.parentJoint), tip)
+        if root == plate:
+            near, far = far, near
+        if not self.is_chain(near[0]) or far[0] != plate:
+            raise NotRods(
+                f"{self.robot.source}: rod {self._name(rod.parentJoint)} does not reach from a driven chain to the plate"
+            )
+        return self._rows(self._name(rod.parentJoint), joints, slide, near, far)
+
+    def _own_leg(self, plate: int) -> list[RodFound]:
+        """Return the distances that the leg keeps on which the plate hangs in the file."""
+        joints = [j for j in self.path(plate) if not self.is_chain(j)]
+        root = int(self.model.parents[joints[0]])
+        slides = [k for k, j in enumerate(joints) if j in self.actuated]
+        for split in slides or range(1, len(joints)):
+            near, far = joints[:split], joints[split + len(slides) :]
+            slide = joints[split] if slides else 0
+            if not near or not far or any(not self._turns(j) for j in (*near, *far)):
+                continue
+            name = self._name(joints[split - 1] if not slides else slide)
+            tip = self._meet(far)
+            if tip is not None and (len(far) == 3 or self._parallel(near, far)):
+                return self._rows(name, near, slide, (root, None), (plate, tip))
+            tip = self._meet(near)
+            if tip is not None and len(near) == 3 and not slide:
+                return self._rows(name, far, 0, (root, tip), (plate, None))
+        raise NotRods(f"{self.robot.source}: the plate's own leg has no ball at either end")
+
+    def _turns(self, joint: int) -> bool:
+        return joint not in self.actuated and self.model.joints[joint].shortname().startswith("JointModelR")
+
+    def _parallel(self, near: list[int], far: list[int]) -> bool:
+        """Return whether a leg is planar: one hinge at either end, parallel."""
+        if len(near) != 1 or len(far) != 1:
+            return False
+        return float(np.linalg.norm(np.cross(self._line(near[0])[0], self._line(far[0])[0]))) < _MEET
+
+    def _line(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return a turn's axis and the point of it that is nearest to the joint's origin: the origin."""
+        column = np.reshape(self.data.J, (6, -1))[:, self.model.joints[joint].idx_v]
+        return column[3:], self.data.oMi[joint].translation
+
+    def _meet(self, joints: list[int]) -> np.ndarray | None:
+        """Return the point in which turns meet, of one turn its joint's origin; None where they do not."""
+        lines = [self._line(j) for j in joints]
+        if len(lines) == 1:
+            return lines[0][1]
+        A = np.concatenate([np.eye(3) - np.outer(a, a) for a, _ in lines])
+        b = np.concatenate([o - a * (a @ o) for a, o in lines])
+        point, _, rank, _ = np.linalg.lstsq(A, b, rcond=1e-9)
+        return point if rank == 3 and np.abs(A @ point - b).max() <= _MEET else None
+
+    def _rows(
+        self,
+        name: str,
+        joints: list[int],
+        slide: int,
+        near: tuple[int, np.ndarray | None],
+        far: tuple[int, np.ndarray | None],
+    ) -> list[RodFound]:
+        """Return the distances of a rod with a ball at one end and turns at the other.
+
+        Args:
+            name: Of the rod.
+            joints: The turns.
+            slide: An actuated slide between them and the ball, 0 for none.
+            near: The joint that carries the driven end, and the ball where it is there.
+            far: The plate's joint, and the ball where it is there.
+        """
+        ball = far[1] if near[1] is None else near[1]
+        assert ball is not None
         found = []
-        hinges = self._hinges(joints, tip, name)
+        hinges = self._hinges(joints, ball, name)
         for k, hinge in enumerate(hinges):
-            length, offset, gain = self._length(hinge, tip, slide)
-            base, far = (root, hinge), (tied.parentJoint, tip)
-            if root == plate:
-                base, far = far, base
-            if not self.is_chain(base[0]) or far[0] != plate:
-                raise NotRods(f"{self.robot.source}: rod {name} does not reach from a driven chain to the plate")
+            length, offset, gain = self._length(hinge, ball, slide)
+            ends = (near[0], hinge if near[1] is None else ball), (far[0], hinge if far[1] is None else ball)
             suffix = f"_{k + 1}" if len(hinges) > 1 else ""
-            A, B = (self.data.oMi[j].actInv(p) for j, p in (base, far))
-            found.append(RodFound(name + suffix, base[0], A, B, length, slide, offset, gain))
+            A, B = (self.data.oMi[j].actInv(p) for j, p in ends)
+            found.append(RodFound(name + suffix, near[0], A, B, length, slide, offset, gain))
         return found
 
     def _between(self, joint: int, plate: int) -> list[int]:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import product
 
 import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism.chain_inverse import NewtonChain, RootChain, build_chains
+from tau_dyn.mechanism.commanded import CommandedCoordinates
 from tau_dyn.mechanism.kinematics_result import BRANCH_CHANGE, NOT_A_NUMBER, OK, OUT_OF_REACH, InverseResult
 from tau_dyn.mechanism.legs import Legs
-from tau_dyn.mechanism.manifold_inverse import ManifoldInverse
-from tau_dyn.mechanism.plate_arrays import log_of, rotate_by_vector
+from tau_dyn.mechanism.manifold_inverse import CommandedInverse, ManifoldInverse
 from tau_dyn.mechanism.poses import Poses
+from tau_dyn.mechanism.rotations import log_of, rotate_by_vector
 
 _AGREE = 1e-9  # [m] what a rod may lack when its chain was solved by another one
 _WAY = 0.1  # steps from home for chains of several actuators, of the rods' length or rad
@@ -22,12 +23,18 @@ _WAY = 0.1  # steps from home for chains of several actuators, of the rods' leng
 class RodInverse:
     """Inverse kinematics of one robot of rods."""
 
-    def __init__(self, rods: Legs) -> None:
-        """Split the robot into chains."""
+    def __init__(self, rods: Legs, commanded: Callable[[], CommandedCoordinates]) -> None:
+        """Split the robot into chains; what is commanded matters where the plate cannot take every pose."""
         self.rods, self.chains = rods, build_chains(rods)
         whole = rods.translates or rods.na == 6
         self.separate = whole and all(isinstance(c, RootChain) or len(c.rods) == len(c.actuators) for c in self.chains)
-        self.manifold = None if self.separate else ManifoldInverse(rods, self.chains)
+        self.manifold: ManifoldInverse | None = None
+        if not self.separate:
+            asked = commanded()
+            position = asked.by_position
+            self.manifold = (
+                ManifoldInverse(rods, self.chains) if position else CommandedInverse(rods, self.chains, asked)
+            )
 
     def signs(self, configuration: Sequence[int] | np.ndarray | None) -> tuple[int, ...]:
         """Return a configuration's signs, home's by default.
@@ -68,8 +75,8 @@ class RodInverse:
         """
         wanted = self._held(tool)
         if self.manifold is not None:
-            q, rotation = self.manifold.solve(wanted, signs, home, start)
-            return self._judged(tool, Poses(wanted.position, rotation), q, home)
+            q, reached = self.manifold.solve(wanted, signs, home, start)
+            return self._judged(tool, reached, q, home)
         return self._judged(tool, wanted, self._by_chains(wanted, signs, start), home)
 
     def all(self, tool: Poses) -> np.ndarray:
@@ -157,17 +164,22 @@ class RodInverse:
         if home:
             code[(code == OK) & self._beyond(q, reached)] = BRANCH_CHANGE
         code[~numbers] = NOT_A_NUMBER
+        reached = self.rods.ridden(q, reached)
+        away = np.linalg.norm(asked.position - reached.position, axis=1)
         turn = np.linalg.norm(log_of(np.moveaxis(asked.rotation @ np.swapaxes(reached.rotation, 1, 2), 0, 2)), axis=0)
         good = code == OK
         found = np.where(good[:, None], q, np.nan)
         blame[good | ~numbers] = ""
-        zero = np.where(good, 0.0, np.nan)
         turned = np.where(good[:, None, None], reached.rotation, np.nan)
-        return InverseResult(found, code, zero, np.where(good, turn, np.nan), blame.astype(str), found, turned)
+        missed = (np.where(good, x, np.nan) for x in (away, turn))
+        return InverseResult(found, code, *missed, blame.astype(str), found, turned)
 
     def _beyond(self, q: np.ndarray, tool: Poses) -> np.ndarray:
         """Return where the plate is on the other side of a parallel singularity than at home (N,)."""
         rods = self.rods
+        if rods.ride is not None:  # two spheres of the first rod's circle and one of another rod hold the point
+            here, at_home = (rods.rod_directions(*x)[:, :3] for x in ((q, tool), (rods.robot.home[None], rods.home)))
+            return np.linalg.det(np.where(np.isfinite(here), here, at_home)) * np.linalg.det(at_home) < 0
         if rods.n != (3 if rods.translates else 6):
             return np.zeros(len(q), bool)
         width = 3 if rods.translates else 6

@@ -14,8 +14,8 @@ import numpy as np
 from tau_dyn.mechanism import chains, rod_dimensions
 from tau_dyn.mechanism.kinematics_result import NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR
 from tau_dyn.mechanism.legs import Legs
-from tau_dyn.mechanism.plate_arrays import solve_with_lapack
 from tau_dyn.mechanism.poses import Poses
+from tau_dyn.mechanism.pseudo_inverse import solve_with_lapack
 from tau_dyn.mechanism.trilateration import find_side, intersect_spheres
 
 BLOCK = 8192  # samples at a time; arrays stay in the processor's cache

@@ -8,8 +8,8 @@ import numpy as np
 
 from tau_dyn.mechanism.joint_limits import SLACK
 from tau_dyn.mechanism.kinematics_result import BRANCH_CHANGE, NOT_A_NUMBER, OK, InverseResult, InverseSolutions
-from tau_dyn.mechanism.plate_arrays import log_of
 from tau_dyn.mechanism.poses import Poses
+from tau_dyn.mechanism.rotations import log_of
 from tau_dyn.mechanism.six_revolute import MAX_SOLUTIONS, eliminate
 from tau_dyn.mechanism.tree_arrays import complete_axis
 from tau_dyn.mechanism.tree_newton import TreeNewton

@@ -23,10 +23,10 @@ from tau_dyn.mechanism.kinematics_result import (
     InverseSolutions,
 )
 from tau_dyn.mechanism.loop_arrays import ClosedLoops
-from tau_dyn.mechanism.plate_arrays import log_of
 from tau_dyn.mechanism.poses import Poses
 from tau_dyn.mechanism.positions import require_positions
 from tau_dyn.mechanism.pseudo_inverse import measure_rank_distance
+from tau_dyn.mechanism.rotations import log_of
 from tau_dyn.mechanism.tree_arrays import compute_frames, multiply_by_rotation, transform_point
 from tau_dyn.mechanism.tree_closure import ClosedConfigurations, TreeClosure, compute_open_rates, propagate_twists
 from tau_dyn.mechanism.tree_dimensions import Knob, TreeNumbers, TreeShape, build_rows, compute_dimensions_at, get_shape

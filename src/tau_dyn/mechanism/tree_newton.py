@@ -15,8 +15,8 @@ import numpy as np
 
 from tau_dyn.mechanism.kinematics_result import NOT_A_NUMBER, OK, OUT_OF_REACH
 from tau_dyn.mechanism.least_motion import Progress, solve_least_motion_step
-from tau_dyn.mechanism.plate_arrays import log_of, rotate_by_vector
 from tau_dyn.mechanism.poses import Poses
+from tau_dyn.mechanism.rotations import log_of, rotate_by_vector
 from tau_dyn.mechanism.tree_arrays import Frames, compute_cross_product, compute_frames, transform_point
 from tau_dyn.mechanism.tree_pose import TreePose
 

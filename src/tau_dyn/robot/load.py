@@ -117,6 +117,7 @@ def load_robot_from_urdf(
         springs=notes.springs,
         shared_drives=notes.shared_drives,
         tool=_find_tool(model, notes, tool, source),
+        passive_home={joint: value for joint, value in notes.home.items() if joint in passive},
     )
 
 

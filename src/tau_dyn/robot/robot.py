@@ -9,7 +9,7 @@ feels (`<link>.gravity_mass`) stand behind them. We wrap `pin.Model` and never d
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
@@ -91,6 +91,8 @@ class Robot(Shown):
         springs: Joints that yield; `model` holds them locked at zero, `dynamics.FlexibleModel` frees them.
         shared_drives: Pairs of joints that the file gives one transmission.
         tool: Name of the tool frame; empty where the file has none.
+        passive_home: Positions of passive joints [m or rad] from which the loops are closed at home, zero for those not named;
+            they choose the assembly mode.
     """
 
     name: str
@@ -111,6 +113,7 @@ class Robot(Shown):
     springs: tuple[Spring, ...] = ()
     shared_drives: tuple[tuple[str, str], ...] = ()
     tool: str = ""
+    passive_home: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def coupled_pairs(self) -> tuple[tuple[str, str], ...]:

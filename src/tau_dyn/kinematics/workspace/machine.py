@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.collisions import PlacedSolid, build_capsule, build_standing_solid, move_solid
@@ -154,14 +153,19 @@ class WorkspaceModel:
 
     def _set_coordinates(self) -> None:
         """Choose the rows of the twist that are asked for, what a turn counts, and what a place is."""
-        commanded, moves = self.kinematics.commanded, _list_moving(self.kinematics)
+        moves = _list_moving(self.kinematics)
         linear = [k for k in moves if k < 3]
         at_home = self.kinematics.jacobian(self.robot.home[None])[0]
+        self.length = _measure_lever(at_home[:, self._turns] if commands_positions(self.kinematics) else at_home)
+        self._rows = linear if self.robot.na <= max(len(linear), 3) else moves
+        self._set_places()
+
+    def _set_places(self) -> None:
+        """Take commanded coordinates for places where the tool cannot be brought to every position nearby."""
         self.by_position = commands_positions(self.kinematics)
-        self.length = _measure_lever(at_home[:, self._turns] if self.by_position else at_home)
         if self.by_position:
-            self._rows = linear if self.robot.na <= max(len(linear), 3) else moves
             return
+        commanded = self.kinematics.commanded
         self._rows = list(commanded.index)
         self.axes = (*commanded.names, "", "")[:3]
         self.units = (*commanded.units, "m", "m")[:3]
@@ -204,11 +208,16 @@ class WorkspaceModel:
             tried[lost[go]] = away[go]
             turned = max(turned, self._try(poses, place, lost[go], start[go], q, code))
         if not self.by_position:
-            there = np.isfinite(q).all(axis=1)
-            found = self.kinematics.forward(np.where(there[:, None], q, self.robot.home)).poses
-            poses = Poses(np.where(there[:, None], found.position, poses.position),
-                          np.where(there[:, None, None], found.rotation, poses.rotation))  # fmt: skip
+            poses = self._reached(q, poses)
         return InverseSolution(q, code == "", code, poses, turned)
+
+    def _reached(self, q: np.ndarray, poses: Poses) -> Poses:
+        """Return the tool's poses (N) at positions (N, na), those given where there are none."""
+        there = np.flatnonzero(np.isfinite(q).all(axis=1))
+        found = self.kinematics.forward(q[there], start=poses.take(there)).poses
+        position, rotation = poses.position.copy(), np.array(poses.rotation)
+        position[there], rotation[there] = found
+        return Poses(position, rotation)
 
     def _try(
         self, poses: Poses, place: np.ndarray, index: np.ndarray, start: np.ndarray, q: np.ndarray, code: np.ndarray
@@ -253,9 +262,8 @@ class WorkspaceModel:
             if not left.size:
                 break
             J = self.kinematics.jacobian(q[left])
-            turned = found.poses.rotation[going] @ self.home.rotation[0].T
-            J[:, 3:] = _rotation_vector_rates(turned) @ J[:, 3:]
-            q[left] += (np.linalg.pinv(J[:, self._rows]) @ gap[:, :, None])[:, :, 0]
+            by_q = commanded.by_twist(found.poses.take(going)) @ J
+            q[left] += (np.linalg.pinv(by_q) @ gap[:, :, None])[:, :, 0]
             left = left[((q[left] > lower - room) & (q[left] < upper + room)).all(axis=1)]
         return q, ok
 
@@ -292,13 +300,15 @@ class LegsWorkspaceModel(WorkspaceModel):
         self._legs = legs
         super().__init__(kinematics)
         self.rods = legs
-        self.home = legs.tool_poses(legs.home)
-        self.home_place = self.home.position[0]
+        self.home = legs.ridden(self.robot.home[None], legs.tool_poses(legs.home))
+        if self.by_position:
+            self.home_place = self.home.position[0]
         self.bodies = self._list_bodies(self.bodies)
 
     def _set_coordinates(self) -> None:
         arm = self._legs.on_plate - self._legs.tool.translation
         self.length = float(np.sqrt(np.mean(np.sum(arm**2, axis=1)))) or 1.0
+        self._set_places()
 
     def _list_bodies(self, drawn: list[Body]) -> list[Body]:
         """Return frame, plate, what actuated joints alone carry, and the legs."""
@@ -316,6 +326,8 @@ class LegsWorkspaceModel(WorkspaceModel):
     def solve(self, poses: Poses) -> InverseSolution:
         """Return positions in home's configuration, whatever their limits."""
         found = self.kinematics.inverse(poses, limits=False)
+        if not self.by_position:
+            return InverseSolution(found.q, found.ok, found.reason, self._reached(found.q, poses))
         turned = float(np.nanmax(np.where(found.ok, found.orientation_error, 0.0), initial=0.0))
         if turned > _TURNED:
             poses = Poses(poses.position, np.where(found.ok[:, None, None], found.rotation, poses.rotation))
@@ -354,13 +366,18 @@ class LegsWorkspaceModel(WorkspaceModel):
 
     def reach(self) -> tuple[np.ndarray, np.ndarray]:
         """Return a box that holds every place of the tool: each leg's joint is within its length of the cart's travel."""
+        if not self.by_position:
+            return super().reach()
         legs, q = self._legs, draw_positions(self.robot)
         A, L = legs.base_points(q), legs.leg_lengths(q).max(axis=0)
         lever = np.linalg.norm(legs.on_plate - legs.tool.translation, axis=1)
         pad = 0.02 * np.ptp(A, axis=0).max(axis=1)
         far = (L + (0.0 if legs.translates else lever) + pad)[:, None]
         shift = (legs.tool.translation - legs.on_plate) @ legs.rotation.T if legs.translates else 0.0
-        return (A.min(axis=0) - far + shift).max(axis=0), (A.max(axis=0) + far + shift).min(axis=0)
+        lower, upper = (A.min(axis=0) - far + shift).max(axis=0), (A.max(axis=0) + far + shift).min(axis=0)
+        for k in set(range(3)) - set(self.kinematics.commanded.index):  # the tool cannot be brought elsewhere
+            lower[k] = upper[k] = self.home.position[0, k]
+        return lower, upper
 
 
 def build_machine(robot: Robot | Kinematics) -> WorkspaceModel:
@@ -401,11 +418,3 @@ def _measure_lever(J: np.ndarray) -> float:
     """Return how far a tool moves per turn [m] with twists (6, n), 1 where nothing turns it."""
     turn = float(np.linalg.norm(J[3:]))
     return float(np.linalg.norm(J[:3])) / turn or 1.0 if turn > _STILL else 1.0
-
-
-def _rotation_vector_rates(rotation: np.ndarray) -> np.ndarray:
-    """Return the derivative (N, 3, 3) of rotation vectors by the angular velocity, both in fixed axes (Sola 2018, eq. 146)."""
-    vector = Rotation.from_matrix(rotation).as_rotvec()
-    angle = np.maximum(np.linalg.norm(vector, axis=1), 1e-6)[:, None, None]
-    cross = np.cross(np.eye(3), vector[:, None])
-    return np.eye(3) - 0.5 * cross + (1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))) * cross @ cross
