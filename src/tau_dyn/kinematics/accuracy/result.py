@@ -242,7 +242,7 @@ def _body(device: Device, found: Accuracy, q: np.ndarray, tool: Poses, k: int, s
     if found.worst.shape[1]:
         worst = device.closed(state, found.worst[k : k + 1]).shift[0]
     corners = np.empty((0, 3))
-    if found.faces.shape[1]:
+    if found.faces.shape[1] and device.legs is not None:
         signs = np.array([(a, b, c) for a in (1, -1) for b in (1, -1) for c in (1, -1)], float)
-        corners = signs @ compute_half_edges(device, state)[0].T
+        corners = signs @ compute_half_edges(device.legs, state)[0].T
     return Body(k, cloud[np.isfinite(cloud).all(axis=1)], corners, worst)

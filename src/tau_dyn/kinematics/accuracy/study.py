@@ -21,7 +21,7 @@ from tau_dyn.kinematics.accuracy.shells import (
     measure_largest,
 )
 from tau_dyn.kinematics.accuracy.worst_case import bound_first_order, monte_carlo, solve_worst_case
-from tau_dyn.mechanism import Kinematics, Poses, build_kinematics
+from tau_dyn.mechanism import Kinematics, Poses, build_kinematics, get_rods
 from tau_dyn.robot import Robot
 
 METHODS = ("linear", "parallelepiped", "ellipsoid", "exact", "certified", "montecarlo")
@@ -84,8 +84,8 @@ def build_device(robot: Robot | Kinematics, errors: ErrorBounds) -> Device:
             "invalid_value",
             "all errors are zero, so the tool is exact; give at least one, such as --actuator-error 50e-6",
         )
-    kinematics = build_kinematics(robot)
-    return Device(kinematics, errors) if kinematics.legs is None else LegsDevice(kinematics.legs, errors)
+    legs = get_rods(robot)
+    return Device(build_kinematics(robot), errors) if legs is None else LegsDevice(legs, errors)
 
 
 def compute_positioning_errors(

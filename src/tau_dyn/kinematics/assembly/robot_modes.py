@@ -31,6 +31,7 @@ from tau_dyn.mechanism import (
     convert_to_quaternions,
     get_cached,
     get_robot,
+    get_rods,
     require_positions,
 )
 from tau_dyn.robot import Robot
@@ -203,7 +204,7 @@ def list_robot_modes(robot: Robot | Kinematics, q: np.ndarray) -> RobotModes:
     if len(q) != 1 or not np.isfinite(q).all():
         raise InputError("wrong_shape", f"modes are listed at one set of finite positions; these are {np.shape(q)}")
     kinematics = build_kinematics(robot)
-    legs, owner = kinematics.legs, kinematics.robot
+    legs, owner = get_rods(kinematics), kinematics.robot
     if legs is not None and legs.n == (3 if legs.translates else 6):
         tool, proved, why = _list_leg_modes(legs, q)
     elif not owner.loops:

@@ -16,7 +16,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.collisions import PlacedSolid, build_capsule, build_standing_solid, move_solid
 from tau_dyn.kinematics.dexterity import Rates
 from tau_dyn.kinematics.solids import Body, build_rod_body, measure_rod_radius, read_bodies
-from tau_dyn.mechanism import Frames, Kinematics, Poses, Rods, build_kinematics, compute_frames, list_joints
+from tau_dyn.mechanism import Frames, Kinematics, Poses, Rods, build_kinematics, compute_frames, get_rods, list_joints
 from tau_dyn.robot import Robot
 
 _SAMPLES = 4000
@@ -382,8 +382,7 @@ class LegsWorkspaceModel(WorkspaceModel):
 
 def build_machine(robot: Robot | Kinematics) -> WorkspaceModel:
     """Return a robot as its workspace needs it."""
-    kinematics = build_kinematics(robot)
-    legs = kinematics.legs
+    kinematics, legs = build_kinematics(robot), get_rods(robot)
     return WorkspaceModel(kinematics) if legs is None else LegsWorkspaceModel(kinematics, legs)
 
 
