@@ -28,7 +28,7 @@ from tau_dyn.kinematics.assembly import (
     find_reachable_modes,
     solve_configuration_states,
 )
-from tau_dyn.kinematics.assembly.of_robot import select_real_poses
+from tau_dyn.kinematics.assembly.robot_modes import select_real_poses
 from tau_dyn.mechanism import Poses, Rods, build_rods, inverse_kinematics
 from tau_dyn.robot import load_robot
 

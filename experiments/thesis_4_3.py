@@ -52,14 +52,14 @@ def main(out_dir: Path, grid: int, samples: int, seed: int) -> None:
     home = forward_kinematics(rods, robot.home[None]).poses
     out_dir.mkdir(parents=True, exist_ok=True)
     rows, maps, found = [], [], {}
-    every = lay_grid(robot, rods, home, Section(0, 0.0), grid, limits=False)
+    every = lay_grid(rods, Section(0, 0.0), grid, limits=False)
     left, above = guideways(rods)[:, 1].min(), guideways(rods)[:, 2].max()
     framed = (left, every.u[-1]), (every.v[0], above)
     for area, across in zip(AREAS, (framed, None), strict=True):
-        cut = lay_grid(robot, rods, home, Section(0, 0.0, across), grid, limits=False)
+        cut = lay_grid(rods, Section(0, 0.0, across), grid, limits=False)
         tool = cut.poses.take(cut.ok)
         for case, errors in CASES.items():
-            result = study_accuracy(robot, rods, errors, cut.q[cut.ok], tool, grid=cut, samples=samples, seed=seed)
+            result = study_accuracy(rods, errors, cut.q[cut.ok], tool, grid=cut, samples=samples, seed=seed)
             found[area, case] = result
             rows += summary(area, case, result)
             maps.append(pd.DataFrame({"area": area, "case": case, "y": tool.position[:, 1], "z": tool.position[:, 2]}
@@ -133,7 +133,7 @@ def faces(robot, rods, errors: ErrorBounds) -> pd.DataFrame:
     solved = inverse_kinematics(rods, tool, limits=False)
     keep = solved.ok
     found = compute_positioning_errors(
-        build_device(robot, rods, errors), errors, solved.q[keep], tool.take(keep), methods=["parallelepiped"]
+        build_device(rods, errors), errors, solved.q[keep], tool.take(keep), methods=["parallelepiped"]
     )
     columns = {f"face {k + 1}": found.faces[:, k] for k in range(3)}
     return pd.DataFrame({"y": position[keep, 1], "z": position[keep, 2]} | columns)
@@ -143,7 +143,7 @@ def enlarged(robot, rods, home: Poses) -> pd.DataFrame:
     """Return every bound at home with all errors of Table 4.2 times a factor, in mm."""
     rows = []
     for case, errors in CASES.items():
-        grown = scale_errors(robot, rods, errors, robot.home, home, METHODS[:-1])
+        grown = scale_errors(rods, errors, robot.home, home, METHODS[:-1])
         for k, factor in enumerate(grown.factors):
             rows.append({"case": case, "factor": factor} | {m: 1e3 * x[k] for m, x in grown.largest.items()})
     return pd.DataFrame(rows)
@@ -165,9 +165,7 @@ def singular(robot, rods) -> pd.DataFrame:
         values = {f"arm{k + 1}.length": {"value": float(np.linalg.norm(tool - A[k]))} for k in range(3)}
         near = rods.with_geometry(rods.geometry.update(values))
         poses = forward_kinematics(near, robot.home[None]).poses
-        found = compute_positioning_errors(
-            build_device(robot, near, errors), errors, robot.home[None], poses, samples=2000
-        )
+        found = compute_positioning_errors(build_device(near, errors), errors, robot.home[None], poses, samples=2000)
         rows.append({"height [mm]": 1e3 * abs(share * height)} | {m: 1e6 * x[0] for m, x in found.largest.items()})
     return pd.DataFrame(rows)
 

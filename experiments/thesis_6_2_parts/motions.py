@@ -7,7 +7,7 @@ import numpy as np
 
 from tau_dyn.mechanism import GantryTauMechanism
 from tau_dyn.simulate import Trajectory, concatenate
-from tau_dyn.simulate.profiles import Segment, build_speed_profile, compute_ramp_time
+from tau_dyn.simulate.trajectory import Segment, build_speed_profile, compute_ramp_time
 
 C = (1.5, -0.65, 0.62)
 WELL = (  # moves all three axes, and at frequencies of their own

@@ -211,7 +211,7 @@ def test_two_runs_say_what_was_different(tmp_path, capsys):
 
 def test_files_are_matched_by_path_then_content_then_name():
     """A log that moved is renamed, one that was recorded again is changed, one that is gone is said."""
-    from tau_dyn.compare.circumstances import list_input_changes
+    from tau_dyn.compare.run import list_input_changes
 
     found = list_input_changes({"a/m.csv": "1", "a/n.csv": "2", "x": "3"}, {"b/m.csv": "1", "b/n.csv": "4", "y": "5"})
     assert [(i.a, i.b, i.state) for i in found] == [

@@ -9,18 +9,18 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.assembly import find_assembly_modes
-from tau_dyn.kinematics.assembly.certificate import certify, select_distinct_balls
 from tau_dyn.kinematics.assembly.equations import (
     Hexapod,
     bound_magnitudes,
     build_quadrics,
     convert_to_points,
     convert_to_poses,
+    draw_general_hexapod,
     normalise_hexapod,
+    start_system,
 )
-from tau_dyn.kinematics.assembly.homotopy import track_homotopy
-from tau_dyn.kinematics.assembly.monodromy import select_distinct
-from tau_dyn.kinematics.assembly.start import draw_general_hexapod, start_system
+from tau_dyn.kinematics.assembly.homotopy import select_distinct, track_homotopy
+from tau_dyn.kinematics.assembly.modes import certify, select_distinct_balls
 
 BASE = np.array(  # Dietmaier 1998, Advances in Robot Kinematics, p. 7
     [[0, 0, 0], [1.107915, 0, 0], [0.549094, 0.756063, 0]]

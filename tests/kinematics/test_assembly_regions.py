@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.kinematics.assembly import find_reachable_modes, find_robot_assembly_modes, solve_configuration_states
 from tau_dyn.kinematics.assembly.motion import Limits, advance, interpolate_pose, measure_rod_distance, sample_at
-from tau_dyn.kinematics.assembly.of_robot import find_translating_modes, select_real_poses
+from tau_dyn.kinematics.assembly.robot_modes import find_translating_modes, select_real_poses
 from tau_dyn.mechanism import Poses, Rods, build_rods, forward_kinematics
 from tau_dyn.robot import load_robot
 

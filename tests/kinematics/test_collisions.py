@@ -17,7 +17,7 @@ from tau_dyn.kinematics import (
     build_standing_solid,
     find_collisions,
 )
-from tau_dyn.kinematics.shapes import Shape, Sphere
+from tau_dyn.kinematics.solids import Shape, Sphere
 
 SOLIDS = [Box((0.3, 0.2, 0.5)), Cylinder(0.1, 0.4), Sphere(0.15), Capsule(0.05, 0.6)]
 

@@ -9,16 +9,14 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.kinematics import Rates
 from tau_dyn.kinematics.dexterity import (
-    compute_dexterity,
-    compute_tool_jacobian,
-    compute_worst_force,
-    compute_worst_speed,
-)
-from tau_dyn.kinematics.stiffness import (
     Springs,
     combine_in_series,
     compute_compliance,
+    compute_dexterity,
     compute_stiffness_matrix,
+    compute_tool_jacobian,
+    compute_worst_force,
+    compute_worst_speed,
     find_softest,
 )
 from tau_dyn.kinematics.workspace import Quality, build_elasticity, build_machine

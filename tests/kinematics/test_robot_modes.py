@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.kinematics.assembly import list_robot_modes
-from tau_dyn.kinematics.assembly.tree_modes import search_tree_modes
+from tau_dyn.kinematics.assembly.robot_modes import search_tree_modes
 from tau_dyn.mechanism import TreePose, build_rods, forward_kinematics, solve_both_forward
 from tau_dyn.robot import load_robot
 

@@ -11,10 +11,9 @@ from scipy.ndimage import label
 from tau_dyn.calibrate import calibrate
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import simulate_poses
-from tau_dyn.kinematics.accuracy import study_accuracy
-from tau_dyn.kinematics.accuracy.error_bounds import ActuatorError, ErrorBounds
+from tau_dyn.kinematics.accuracy import ActuatorError, ErrorBounds, study_accuracy
 from tau_dyn.kinematics.workspace import PoseRequirements, find_workspace
-from tau_dyn.mechanism import build_kinematics, build_rods, get_rods
+from tau_dyn.mechanism import build_kinematics, build_rods
 from tau_dyn.mechanism.tree_pose import TreePose
 
 COUNTS = {"five_bar": 4, "three_rrr": 8, "three_rpr": 1, "six_pus": 64, "three_prs": 8}
@@ -141,9 +140,7 @@ def test_errors_of_drives_reach_the_tool(name):
     robot = kin.robot
     errors = ErrorBounds({joint: ActuatorError(1e-6) for joint in robot.actuated})
     at = kin.forward(robot.home[None]).poses
-    found = study_accuracy(
-        robot, get_rods(robot), errors, robot.home[None], at, methods=("linear", "exact"), samples=10
-    )
+    found = study_accuracy(robot, errors, robot.home[None], at, methods=("linear", "exact"), samples=10)
     largest = found.accuracy.largest
     signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * robot.na)).reshape(robot.na, -1)
     wanted = np.linalg.norm(kin.jacobian(robot.home[None])[0][:3] @ (1e-6 * signs), axis=0).max()

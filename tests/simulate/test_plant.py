@@ -13,7 +13,7 @@ from tau_dyn.effects import Effect, Motion, ReducerCoupling
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.simulate import CascadeController, CascadeLaw, SampledForces, build_named_motion, free_motion, run_plant
-from tau_dyn.simulate.slip import solve_slip
+from tau_dyn.simulate.plant import solve_slip
 
 G = 9.81  # [m/s^2], Pinocchio's
 

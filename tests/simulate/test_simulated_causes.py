@@ -20,7 +20,7 @@ from tau_dyn.simulate import (
     simulate,
     simulate_drive,
 )
-from tau_dyn.simulate.memory import EffectSurroundings, compute_warm_up
+from tau_dyn.simulate.forces import EffectSurroundings, compute_warm_up
 
 IN_THE_ROBOT = {
     "coulomb_asymmetry": {"coulomb_asymmetry": 5},

@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.kinematics.bodies import read_bodies
+from tau_dyn.kinematics.solids import read_bodies
 from tau_dyn.mechanism import LoopSolver
 from tau_dyn.robot import list_robot_names, load_robot, load_robot_from_urdf
 from tau_dyn.view import Placer, build_furniture

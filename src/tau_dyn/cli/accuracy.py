@@ -195,9 +195,9 @@ class _Study:
         slow = rods is None and bool(robot.loops)  # loops in a tree are closed one step at a time
         points, samples = self.places.grid or (11 if slow else 31), self.samples or (50 if slow else 300)
         listed = self.places.poses is not None
-        grid, q, tool = _read_poses(self.places, robot) if listed else _lay_poses(self.places, points, robot, rods)
+        grid, q, tool = _read_poses(self.places, robot) if listed else _lay_poses(self.places, points, robot)
         return study_accuracy(
-            robot, rods, errors, q, Poses(tool.position, tool.rotation), grid=grid, methods=methods, samples=samples,
+            robot, errors, q, Poses(tool.position, tool.rotation), grid=grid, methods=methods, samples=samples,
             seed=self.seed, measured=measured, from_measured=from_measured, progress=step,
         )  # fmt: skip
 
@@ -222,7 +222,7 @@ def _read_poses(places: PlaceOptions, robot):
     return None, points.q, found.poses
 
 
-def _lay_poses(places: PlaceOptions, points: int, robot, rods):
+def _lay_poses(places: PlaceOptions, points: int, robot):
     from tau_dyn.kinematics.accuracy import (
         choose_default_section,
         lay_default_grid,
@@ -230,17 +230,16 @@ def _lay_poses(places: PlaceOptions, points: int, robot, rods):
         read_section,
         sample_default_motion,
     )
-    from tau_dyn.mechanism import Poses, forward_kinematics
+    from tau_dyn.mechanism import Poses
 
     limits, given = not places.no_limits, bool(places.section or places.range)
     if not given and (sampled := sample_default_motion(robot, points)):
         return None, *sampled
-    home = forward_kinematics(robot, robot.home[None]).poses
     if given:
-        section = read_section(places.section) if places.section else choose_default_section(robot, home, rods)
-        grid = lay_grid(robot, rods, home, section.within(list(places.range)), points, limits=limits)
+        section = read_section(places.section) if places.section else choose_default_section(robot)
+        grid = lay_grid(robot, section.within(list(places.range)), points, limits=limits)
     else:
-        grid = lay_default_grid(robot, rods, home, points, limits=limits)
+        grid = lay_default_grid(robot, points, limits=limits)
     return grid, grid.q[grid.ok], Poses(grid.poses.position[grid.ok], grid.poses.rotation[grid.ok])
 
 

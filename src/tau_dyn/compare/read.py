@@ -14,8 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tau_dyn.compare.combinations import Combinations, read_combinations
-from tau_dyn.compare.quantity import MeasuredQuantity, build_measured_quantity
+from tau_dyn.compare.quantity import Combinations, MeasuredQuantity, build_measured_quantity, read_combinations
 from tau_dyn.compare.run import RESULT, RUN, RecordedRun, is_run, read_run
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes

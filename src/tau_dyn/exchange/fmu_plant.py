@@ -1,4 +1,4 @@
-"""The simulator's time step in C99: leapfrog with sharp friction, as `simulate/plant.py` and `simulate/slip.py` have it.
+"""The simulator's time step in C99: leapfrog with sharp friction, as `simulate/plant.py` and `simulate/plant.py` have it.
 
 The text is filled with the sizes of a robot; it calls `dynamics`, `friction` and `tool`, which `fmu_source.py` writes from the
 model's equations. With equal steps the trajectory is the simulator's, operation for operation but for rounding.

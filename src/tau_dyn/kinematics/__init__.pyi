@@ -14,15 +14,13 @@ from .obstacles import (
     read_surroundings as read_surroundings,
 )
 from .path_following import FollowedPath as FollowedPath, follow_path as follow_path
-from .pose_columns import (
+from .pose_table import (
+    PoseTable as PoseTable,
+    build_forward_table as build_forward_table,
+    build_inverse_table as build_inverse_table,
     pick_columns as pick_columns,
     place_home_orientation as place_home_orientation,
     read_poses as read_poses,
     read_positions as read_positions,
 )
-from .pose_table import (
-    PoseTable as PoseTable,
-    build_forward_table as build_forward_table,
-    build_inverse_table as build_inverse_table,
-)
-from .shapes import Box as Box, Capsule as Capsule, Cylinder as Cylinder, HalfSpace as HalfSpace
+from .solids import Box as Box, Capsule as Capsule, Cylinder as Cylinder, HalfSpace as HalfSpace

@@ -15,9 +15,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.kinematics.bodies import Body
 from tau_dyn.kinematics.obstacles import Obstacle
-from tau_dyn.kinematics.shapes import Capsule, Cylinder, HalfSpace, Shape, Sphere
+from tau_dyn.kinematics.solids import Body, Capsule, Cylinder, HalfSpace, Shape, Sphere
 
 _COVERS = (0.6, 0.15, 0.04)  # [m] sizes of covering spheres, coarse first: most poses are settled by few of them
 _BATCH = 4000  # poses at a time, tens of MB
@@ -139,19 +138,6 @@ def _near(a: PlacedSolid, b: PlacedSolid, k: int, margin: float) -> bool:
     request, result = coal.CollisionRequest(), coal.CollisionResult()
     request.security_margin = margin
     return bool(coal.collide(*a.for_coal(k), *b.for_coal(k), request, result))
-
-
-def measure_thickness(shape: Shape) -> float:
-    """Return the least extent of a solid [m], inf of a half-space: what a coarser lattice may miss."""
-    if isinstance(shape, HalfSpace):
-        return np.inf
-    if isinstance(shape, Sphere):
-        return 2 * shape.radius
-    if isinstance(shape, Capsule):
-        return 2 * shape.radius
-    if isinstance(shape, Cylinder):
-        return min(2 * shape.radius, shape.height)
-    return min(shape.size)
 
 
 def find_touched_obstacle(obstacle: Obstacle, solids: Sequence[PlacedSolid], n: int) -> np.ndarray:

@@ -26,7 +26,7 @@ import pinocchio as pin
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml
-from tau_dyn.kinematics.shapes import Box, Cylinder, HalfSpace, Shape, Sphere
+from tau_dyn.kinematics.solids import Box, Cylinder, HalfSpace, Shape, Sphere
 
 KINDS = ("box", "cylinder", "sphere", "half_space")
 _KEYS = {

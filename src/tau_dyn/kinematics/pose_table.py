@@ -1,4 +1,4 @@
-"""Poses and the actuated positions that belong to them, row by row, as `fk` and `ik` answer: for a file, a page, a terminal."""
+"""Actuated positions and tool poses that belong together, row by row: columns of a file in, the answers of `fk` and `ik` out."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import pandas as pd
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.assembly import list_robot_modes
-from tau_dyn.kinematics.pose_columns import TOOL
 from tau_dyn.mechanism import (
     JOINT_LIMIT,
     NOT_A_NUMBER,
@@ -20,15 +19,59 @@ from tau_dyn.mechanism import (
     REASONS,
     InverseResult,
     Poses,
+    build_kinematics,
+    convert_from_quaternions,
     convert_to_quaternions,
-    find_all_solutions,
     forward_kinematics,
-    get_rods,
     inverse_kinematics,
-    list_configurations,
 )
 from tau_dyn.results import Shown
 from tau_dyn.robot import Robot
+
+TOOL = ("x_tool", "y_tool", "z_tool", "qx_tool", "qy_tool", "qz_tool", "qw_tool")
+
+
+def read_positions(columns: dict[str, np.ndarray], robot: Robot, where: str) -> np.ndarray:
+    """Return actuated positions (N, na) from a table's columns `q_<joint>`."""
+    return pick_columns(columns, [f"q_{joint}" for joint in robot.actuated], where)
+
+
+def read_poses(columns: dict[str, np.ndarray], robot: Robot, where: str) -> Poses:
+    """Return tool poses from a table's columns `x_tool`..; without a quaternion the orientation is home's."""
+    position = pick_columns(columns, list(TOOL[:3]), where)
+    if not any(name in columns for name in TOOL[3:]):
+        return place_home_orientation(robot, position)
+    return convert_from_quaternions(position, pick_columns(columns, list(TOOL[3:]), where))
+
+
+def place_home_orientation(robot: Robot, position: np.ndarray) -> Poses:
+    """Return poses at positions (N, 3) [m] with home's orientation."""
+    home = forward_kinematics(robot, robot.home[None]).poses.rotation[0]
+    return Poses(position, np.repeat(home[None], len(position), axis=0))
+
+
+def pick_columns(columns: dict[str, np.ndarray], names: list[str], where: str) -> np.ndarray:
+    """Return columns of a table, side by side (N, n), as numbers.
+
+    Raises:
+        InputError: A column is missing, or holds text.
+    """
+    for name in names:
+        if name not in columns:
+            raise InputError("missing_column", f"{where}: no column '{name}'; there are {', '.join(columns)}")
+    return np.stack([_numbers(columns[name], f"{where}: column '{name}'") for name in names], axis=1)
+
+
+def _numbers(cells: np.ndarray, where: str) -> np.ndarray:
+    """Return cells as numbers, empty ones as nan."""
+    if cells.dtype.kind in "fiu":
+        return cells.astype(float)
+    texts = [str(cell).strip() for cell in cells]
+    try:
+        return np.array([float(text) if text else np.nan for text in texts])
+    except ValueError as fault:
+        raise InputError("bad_sample", f"{where} must hold numbers; {fault}") from fault
+
 
 _MAX_REACH_M = 50.0  # [m] no robot is larger, and millimetres are
 _TOLD = 1e-6  # [rad] orientation errors below this are rounding
@@ -212,11 +255,11 @@ def build_inverse_table(robot: Robot, poses: Poses, *, all_configurations: bool 
 
 
 def _all(robot: Robot, poses: Poses) -> PoseTable:
-    solved, rods = find_all_solutions(robot, poses), get_rods(robot)
+    kinematics = build_kinematics(robot)
+    solved = kinematics.solutions(poses)
     found = solved.q
-    named = rods is not None and len(list_configurations(rods)) == found.shape[1]
-    names = [_name(c) for c in list_configurations(rods)] if rods is not None and named else []
-    names = names or [str(k + 1) for k in range(found.shape[1])]
+    names = [] if kinematics.legs is None else [_name(signs) for signs in kinematics.configurations]
+    names = names if len(names) == found.shape[1] else [str(k + 1) for k in range(found.shape[1])]
     n, m = found.shape[:2]
     q, pose, name = found.reshape(n * m, -1), np.repeat(np.arange(n), m), np.array(names * n)
     there = np.isfinite(q).all(axis=1)

@@ -1,11 +1,19 @@
 """A model, a motion, a controller and sensors become a `Log`."""
 
-from .contact import ContactRun as ContactRun, ContactSensors as ContactSensors, run_contact as run_contact
-from .contact_arm import ServoArm as ServoArm
-from .contact_hand import Hand as Hand
+from .contact import (
+    ContactRun as ContactRun,
+    ContactSensors as ContactSensors,
+    Hand as Hand,
+    ServoArm as ServoArm,
+    run_contact as run_contact,
+)
 from .contact_work import CompliantSurface as CompliantSurface, Hole as Hole
-from .controllers import CascadeController as CascadeController, CascadeLaw as CascadeLaw, Controller as Controller
-from .effects_file import read_effects_file as read_effects_file
+from .controllers import (
+    CascadeController as CascadeController,
+    CascadeLaw as CascadeLaw,
+    Controller as Controller,
+    read_law_file as read_law_file,
+)
 from .flexible import (
     VibrationSensors as VibrationSensors,
     push_log as push_log,
@@ -13,34 +21,38 @@ from .flexible import (
     simulate_vibration_log as simulate_vibration_log,
 )
 from .forces import SampledForces as SampledForces
-from .fourier import (
-    RATE_HZ as RATE_HZ,
-    build_exciting_motion as build_exciting_motion,
-    build_fourier_motion as build_fourier_motion,
-    compute_base_condition as compute_base_condition,
-    compute_reach as compute_reach,
-    compute_top_speed as compute_top_speed,
+from .learning_plant import (
+    LearningPlant as LearningPlant,
+    Trial as Trial,
+    Unrepeatable as Unrepeatable,
+    square_path as square_path,
 )
-from .law_file import read_law_file as read_law_file
-from .learning_plant import LearningPlant as LearningPlant, Trial as Trial, Unrepeatable as Unrepeatable
 from .limits import (
     compute_condition_bound as compute_condition_bound,
     describe_exceeded_limit as describe_exceeded_limit,
 )
-from .log_replay import replay as replay
+from .log_replay import Replay as Replay, replay as replay
 from .motions import (
     ACCELERATION as ACCELERATION,
     MOTIONS as MOTIONS,
+    RATE_HZ as RATE_HZ,
+    build_exciting_motion as build_exciting_motion,
+    build_fourier_motion as build_fourier_motion,
     build_multisine_on_stroke as build_multisine_on_stroke,
     build_named_motion as build_named_motion,
     build_random_binary_motion as build_random_binary_motion,
     build_slow_motion as build_slow_motion,
     build_stroke_motion as build_stroke_motion,
+    compute_base_condition as compute_base_condition,
+    compute_reach as compute_reach,
+    compute_top_speed as compute_top_speed,
 )
 from .plant import PlantRun as PlantRun, free_motion as free_motion, run_plant as run_plant
-from .profiles import MotionProfile as MotionProfile
-from .replay_result import Replay as Replay
 from .sensors import Sensors as Sensors, measure as measure
-from .simulation import simulate as simulate, simulate_drive as simulate_drive
-from .square import square_path as square_path
-from .trajectory import Trajectory as Trajectory, concatenate as concatenate, move as move
+from .simulation import read_effects_file as read_effects_file, simulate as simulate, simulate_drive as simulate_drive
+from .trajectory import (
+    MotionProfile as MotionProfile,
+    Trajectory as Trajectory,
+    concatenate as concatenate,
+    move as move,
+)

@@ -2,32 +2,138 @@
 
 The controller sees `q_ref_J` of the log and the simulated positions; the plant starts from the log's first position and
 speed. What is compared is what the log holds: positions and forces as they are, the following error `q_ref - q`, and speeds
-and accelerations, both sides low-passed alike and differentiated by central differences (`replay_result.py`).
+and accelerations, both sides low-passed alike and differentiated by central differences:
+
+    error = 100 |simulated - measured| / |measured| [%],
+
+norms over all samples, nothing masked, as the published errors of EMPS are given (Janot, Gautier & Brunot 2019).
 
 Timing is a drive's: position k is read, force k follows from it and is held until sample k + 1. The plant's step runs from half
 a sample before to half a sample after, so it is given the mean of the last two forces, which is that hold exactly. The loop
 runs at the log's rate, or at a whole multiple of it; between the log's samples the reference is a cubic spline that does not
 swing around a step. Encoders do not round here, but they read beside the load, forces are logged late and friction follows the
-log's temperature where the model says so (`log_effects.py`, `memory.py`).
+log's temperature where the model says so (`sensors.py`, `forces.py`).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
+from tau_dyn.coded_warning import format_warnings
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import ROOM_TEMPERATURE, Log, differentiate, ensure_even, find_motion_band
+from tau_dyn.log import ROOM_TEMPERATURE, Log, differentiate, ensure_even, find_motion_band, lowpass
 from tau_dyn.model import Model
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw
-from tau_dyn.simulate.forces import SampledForces
-from tau_dyn.simulate.log_effects import EncoderErrors, record_run
-from tau_dyn.simulate.memory import EffectSurroundings
+from tau_dyn.simulate.forces import EffectSurroundings, SampledForces
 from tau_dyn.simulate.plant import OFTEN_AT_LIMIT, Plant, PlantRun, Progress
-from tau_dyn.simulate.replay_result import Replay, get_signals
+from tau_dyn.simulate.sensors import EncoderErrors, record_run
 from tau_dyn.simulate.trajectory import Trajectory
+
+SIGNALS = ("position", "speed", "acceleration", "force", "following")
+"""What is compared; `following` is the reference minus the position."""
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """A simulated repetition beside its recording.
+
+    Attributes:
+        joints: Actuated joints, in the order of the columns.
+        units: Unit of each joint's position and of its force, as pairs.
+        t: Time (N,) [s], the log's.
+        measured: By signal (`SIGNALS`), what the log says (N, na); [m or rad], per s, per s^2, [N or N m].
+        simulated: The same of the simulation.
+        cutoff_hz: Zero-phase low-pass on positions before speeds and accelerations are taken [Hz]; inf for none.
+        rate_hz: Rate of the simulated control loop [Hz].
+        at_limit: Share of the samples in which the controller's limit held (na,).
+        stuck: Share of the samples in which friction held a joint (na,).
+        warnings: What is doubtful, one sentence each.
+    """
+
+    joints: tuple[str, ...]
+    units: tuple[tuple[str, str], ...]
+    t: np.ndarray
+    measured: Mapping[str, np.ndarray]
+    simulated: Mapping[str, np.ndarray]
+    cutoff_hz: float
+    rate_hz: float
+    at_limit: np.ndarray
+    stuck: np.ndarray
+    warnings: tuple[str, ...] = ()
+
+    def residual(self, signal: str) -> np.ndarray:
+        """Return measured minus simulated (N, na) of a signal."""
+        return self.measured[signal] - self.simulated[signal]
+
+    def relative_error_percent(self, signal: str) -> np.ndarray:
+        """Return `100 |simulated - measured| / |measured|` (na,) [%]; nan where nothing but zeros was measured.
+
+        A position's error is relative to the distance from the joint's zero, so it says little about a joint that works far
+        from it; `following` does not depend on where zero is.
+        """
+        size = np.linalg.norm(self.measured[signal], axis=0)
+        away = np.linalg.norm(self.residual(signal), axis=0)
+        return np.divide(100 * away, size, out=np.full(len(size), np.nan), where=size > 0)
+
+    def with_cutoff(self, cutoff_hz: float) -> Replay:
+        """Return the same replay with speeds and accelerations behind another low-pass [Hz], or none (inf)."""
+        sides = []
+        for side in (self.measured, self.simulated):
+            q = side["position"]
+            sides.append(get_signals(self.t, side["following"] + q, q, side["force"], cutoff_hz))
+        return replace(self, measured=sides[0], simulated=sides[1], cutoff_hz=cutoff_hz)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return errors and how they were found, as plain numbers for JSON; null where nothing but zeros was measured."""
+        errors: dict[str, Any] = {}
+        for signal in SIGNALS:
+            rms = np.sqrt(np.mean(self.residual(signal) ** 2, axis=0))
+            rows = zip(self.joints, self.relative_error_percent(signal), rms, self.units, strict=True)
+            errors[signal] = {
+                joint: {
+                    "relative_error_percent": None if np.isnan(percent) else float(percent),
+                    "rms": float(size),
+                    "unit": _unit(signal, *unit),
+                }
+                for joint, percent, size, unit in rows
+            }
+        return {
+            "errors": errors,
+            "cutoff_hz": self.cutoff_hz if np.isfinite(self.cutoff_hz) else None,
+            "control_rate_hz": self.rate_hz,
+            "seconds": float(self.t[-1] - self.t[0]),
+            "share_at_limit": dict(zip(self.joints, self.at_limit.tolist(), strict=True)),
+            "share_stuck": dict(zip(self.joints, self.stuck.tolist(), strict=True)),
+            **format_warnings(self.warnings),
+        }
+
+
+def get_signals(
+    t: np.ndarray, q_ref: np.ndarray, q: np.ndarray, tau: np.ndarray, cutoff_hz: float
+) -> dict[str, np.ndarray]:
+    """Return all signals of one side, in the order of `SIGNALS`.
+
+    Args:
+        t: Even times (N,) [s].
+        q_ref: References (N, na) [m or rad].
+        q: Positions (N, na) [m or rad].
+        tau: Forces (N, na) [N or N m].
+        cutoff_hz: Zero-phase low-pass on positions before central differences give speeds and accelerations; inf for none.
+    """
+    dt = (t[-1] - t[0]) / (len(t) - 1)
+    v = differentiate(lowpass(q, cutoff_hz, 1 / dt) if np.isfinite(cutoff_hz) else q, dt)
+    return dict(zip(SIGNALS, (q, v, differentiate(v, dt), tau, q_ref - q), strict=True))
+
+
+def _unit(signal: str, position: str, force: str) -> str:
+    suffix = {"speed": "/s", "acceleration": "/s^2"}.get(signal, "")
+    return force if signal == "force" else position + suffix
+
 
 CONTROL_HZ = 1000.0
 """A loop is not taken to run more slowly than this [Hz], however few samples the log keeps."""

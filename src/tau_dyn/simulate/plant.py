@@ -1,4 +1,4 @@
-r"""The robot in motion: actuated coordinates, a fixed step, friction that stops sharply.
+"""The robot in motion: actuated coordinates, a fixed step, friction that stops sharply.
 
 Velocities `w` live at half steps, positions at full steps (leapfrog). With the velocity extrapolated to the sample,
 `v_k = w_{k-1/2} + dt/2 a_{k-1}`,
@@ -7,10 +7,18 @@ Velocities `w` live at half steps, positions at full steps (leapfrog). With the 
 
 So `tau_k` acts from half a step before its sample to half a step after it: a log of (q_k, tau_k) has no delay, and central
 differences of its positions satisfy the equation of motion to second order. `h` sees the extrapolated velocity, which errs
-by `dt/2 (a_k - a_{k-1})`; friction, which feels it more, is taken again at the velocity that results. Friction obeys the
-sign of `w_{k+1/2}` and holds a joint exactly still (`slip.py`); the one sample in which a joint reverses or stops mixes both
-directions. Passive joints are closed by the mechanism at every position, so loops cannot drift. Reference: Hairer, Lubich &
-Wanner 2003 (leapfrog); Moreau 1988 (sharp friction).
+by `dt/2 (a_k - a_{k-1})`; friction, which feels it more, is taken again at the velocity that results. Passive joints are
+closed by the mechanism at every position, so loops cannot drift.
+
+Friction obeys the sign of `w_{k+1/2}` and holds a joint exactly still; the one sample in which a joint reverses or stops mixes
+both directions. With `u` the velocity after the step, `f` the friction force, `A = dt M^-1` and `free` the velocity
+without friction,
+
+    u = free - A f,   f_i = upper_i where u_i > 0,   f_i = lower_i where u_i < 0,   lower_i <= f_i <= upper_i where u_i = 0.
+
+This box complementarity problem has one solution where A is symmetric and positive definite. Mostly the old direction of
+motion is the answer; else projected Gauss-Seidel finds who sticks, and a linear solve makes those velocities exactly zero.
+Reference: Hairer, Lubich & Wanner 2003 (leapfrog); Moreau 1988; Stewart & Trinkle 1996; Jourdan, Alart & Jean 1998.
 """
 
 from __future__ import annotations
@@ -18,16 +26,63 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.model import Model
 from tau_dyn.simulate.controllers import Controller
-from tau_dyn.simulate.forces import SampledForces
-from tau_dyn.simulate.memory import EffectSurroundings
-from tau_dyn.simulate.slip import Slip, solve_slip
+from tau_dyn.simulate.forces import EffectSurroundings, SampledForces
 from tau_dyn.simulate.trajectory import Trajectory
+
+_SWEEPS = 500  # Gauss-Seidel sweeps over the contacts at most; tens are usual
+_TOLERANCE = 1e-11  # of the largest friction force
+
+
+class Slip(NamedTuple):
+    """Velocities after the step (na,), friction forces (na,) [N or N m], and who stands still (na,)."""
+
+    u: np.ndarray
+    force: np.ndarray
+    stuck: np.ndarray
+
+
+def solve_slip(A: np.ndarray, free: np.ndarray, lower: np.ndarray, upper: np.ndarray, guess: np.ndarray) -> Slip:
+    """Solve the step; `lower <= upper` (na,), and `guess` (na,) is a friction force near the answer."""
+    u = free - A @ guess
+    wrong = ((u > 0) & (guess != upper)) | ((u < 0) & (guess != lower)) | ((u == 0) & (lower < upper))
+    if not wrong.any():
+        return Slip(u, guess, np.zeros(len(u), dtype=bool))
+    force = np.array(_gauss_seidel(A.tolist(), free.tolist(), lower.tolist(), upper.tolist(), guess.tolist()))
+    stuck = (force > lower) & (force < upper)
+    if stuck.any():
+        sliding = ~stuck
+        rest = free[stuck] - A[np.ix_(stuck, sliding)] @ force[sliding]
+        force[stuck] = np.linalg.solve(A[np.ix_(stuck, stuck)], rest)
+    u = free - A @ force
+    u[stuck] = 0.0
+    return Slip(u, force, stuck)
+
+
+def _gauss_seidel(
+    A: list[list[float]], free: list[float], lower: list[float], upper: list[float], force: list[float]
+) -> list[float]:
+    """Return the forces after projected Gauss-Seidel sweeps; floats in lists are faster than arrays of three numbers."""
+    joints = range(len(free))
+    enough = _TOLERANCE * max(max(map(abs, lower)), max(map(abs, upper)), 1e-12)
+    for _ in range(_SWEEPS):
+        largest = 0.0
+        for i in joints:
+            row = A[i]
+            u = free[i] - sum(row[j] * force[j] for j in joints)
+            new = min(max(force[i] + u / row[i], lower[i]), upper[i])
+            largest = max(largest, abs(new - force[i]))
+            force[i] = new
+        if largest <= enough:
+            break
+    return force
+
 
 Progress = Callable[[float], None]
 """Called with the share of the work that is done, from 0 to 1, about a hundred times."""

@@ -8,12 +8,12 @@ import pytest
 from tau_dyn.kinematics.accuracy import (
     Section,
     choose_default_section,
-    default_poses,
     lay_default_grid,
     sample_default_motion,
+    section,
 )
-from tau_dyn.kinematics.accuracy.default_poses import ENOUGH_POINTS
-from tau_dyn.mechanism import forward_kinematics, get_rods
+from tau_dyn.kinematics.accuracy.section import ENOUGH_POINTS
+from tau_dyn.mechanism import forward_kinematics
 from tau_dyn.robot import list_robot_names, load_robot
 
 VARIANTS = [
@@ -49,8 +49,7 @@ def test_every_robot_reaches_its_default_section(name: str, given: dict[str, str
         assert (sampled[0][0, 0], sampled[0][-1, 0]) == (robot.lower[0], robot.upper[0])
         return
     assert sample_default_motion(robot, 7) is None
-    rods, home = get_rods(robot), forward_kinematics(robot, robot.home[None]).poses
-    grid = lay_default_grid(robot, rods, home, 9)
+    grid = lay_default_grid(robot, 9)
     assert grid.ok.sum() >= ENOUGH_POINTS
     found = forward_kinematics(robot, grid.q[grid.ok], start=grid.poses.take(grid.ok))
     np.testing.assert_allclose(found.poses.position[:, grid.section.axis], grid.section.value, atol=1e-7)
@@ -63,7 +62,7 @@ def test_a_planar_arm_is_cut_along_its_plane(tmp_path) -> None:
     file = tmp_path / "planar.urdf"
     file.write_text(PLANAR)
     robot = load_robot(file)
-    section = choose_default_section(robot, forward_kinematics(robot, robot.home[None]).poses, None)
+    section = choose_default_section(robot)
     assert (section.axis, section.value) == (2, 0.0)
 
 
@@ -87,8 +86,8 @@ def test_another_section_is_taken_where_the_first_is_hardly_reached(tmp_path, mo
     file.write_text(PLANAR)
     robot = load_robot(file)
     tool = forward_kinematics(robot, robot.home[None]).poses
-    monkeypatch.setattr(default_poses, "choose_default_section", lambda *_: Section(1, float(tool.position[0, 1])))
-    grid = lay_default_grid(robot, None, tool, 9)
+    monkeypatch.setattr(section, "choose_default_section", lambda *_: Section(1, float(tool.position[0, 1])))
+    grid = lay_default_grid(robot, 9)
     assert grid.section.axis == 2 and grid.ok.sum() > 9
 
 
@@ -98,5 +97,5 @@ def test_a_slide_is_looked_for_along_its_travel(tmp_path) -> None:
     text = PLANAR.replace('name="first" type="revolute"', 'name="first" type="prismatic"').replace("0 0 1", "1 0 0", 1)
     file.write_text(text.replace('lower="-0.5" upper="1.5"', 'lower="-1.5" upper="1.5"'))
     robot = load_robot(file)
-    grid = lay_default_grid(robot, None, forward_kinematics(robot, robot.home[None]).poses, 31)
+    grid = lay_default_grid(robot, 31)
     assert grid.section.axis == 2 and np.ptp(grid.u) > 2.5

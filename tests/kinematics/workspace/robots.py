@@ -120,3 +120,48 @@ def gantry_volume(travel: float, offset: float = RAIL, n: int = 400) -> float:
         low = np.where(left >= 0, np.maximum(low, home - travel + reach), 9.0)
         high = np.where(left >= 0, np.minimum(high, home + travel + reach), -9.0)
     return float(np.sum(np.maximum(high - low, 0.0)) * (y[1] - y[0]) * (z[1] - z[0]))
+
+
+PRS_BASE, PRS_PLATE, PRS_ROD = 0.5, 0.3, 0.6
+"""Radii of slides and plate joints, length of the rods [m]."""
+
+
+def three_prs(travel: float = 0.12) -> Robot:
+    """Return a 3-PRS: three slides along z, a hinge and a rod each, a plate on ball joints that the tree hangs on leg 1."""
+    away, height = PRS_BASE - PRS_PLATE, np.sqrt(PRS_ROD**2 - (PRS_BASE - PRS_PLATE) ** 2)
+    pitch, parts = float(np.arctan2(-height, -away)), []
+    for k, turn in enumerate((0.0, 2 * np.pi / 3, -2 * np.pi / 3), 1):
+        x, y = PRS_BASE * np.cos(turn), PRS_BASE * np.sin(turn)
+        slide = f'<limit lower="{-travel}" upper="{travel}" velocity="1" effort="100"/><axis xyz="0 0 1"/>'
+        ends = f'<parent link="base_link"/><child link="cart{k}_link"/><origin xyz="{x} {y} 0" rpy="0 0 {turn}"/>'
+        parts.append(f'<link name="cart{k}_link"/><joint name="slide{k}" type="prismatic">{ends}{slide}</joint>')
+        ends = f'<parent link="cart{k}_link"/><child link="rod{k}_link"/><origin rpy="0 {pitch} 0"/>'
+        hinge = '<limit lower="-3" upper="3" velocity="9" effort="9"/><axis xyz="0 1 0"/>'
+        parts.append(f'<link name="rod{k}_link"/><joint name="hinge{k}" type="revolute">{ends}{hinge}</joint>')
+        if k > 1:
+            c, at = "drake:ball_constraint", f"{PRS_PLATE * (np.cos(turn) - 1)} {PRS_PLATE * np.sin(turn)} 0"
+            bodies = f'<{c}_body_A name="rod{k}_link"/><{c}_body_B name="plate_link"/>'
+            parts.append(f'<{c}>{bodies}<{c}_p_AP value="{PRS_ROD} 0 0"/><{c}_p_BQ value="{at}"/></{c}>')
+        parts.append(drive(f"slide{k}"))
+    parent = "rod1_link"
+    for axis, child in (("1 0 0", "ball_x_link"), ("0 1 0", "ball_y_link"), ("0 0 1", "plate_link")):
+        place = f'<origin xyz="{PRS_ROD} 0 0" rpy="0 {-pitch} 0"/>' if parent == "rod1_link" else ""
+        limit = f'<limit lower="-3" upper="3" velocity="9" effort="9"/><axis xyz="{axis}"/>'
+        ends = f'<parent link="{parent}"/><child link="{child}"/>{place}'
+        parts.append(f'<link name="{child}"/><joint name="to_{child}" type="revolute">{ends}{limit}</joint>')
+        parent = child
+    return robot("three_prs", *parts, tool("plate_link", f"{-PRS_PLATE} 0 0"))
+
+
+def scara() -> Robot:
+    """Return a SCARA of two turns about z, a slide along z and a turn about z at the tool."""
+    return robot(
+        "scara",
+        joint("shoulder", "revolute", "base_link", "upper_link", "0 0 1", "0 0 0.4", lo=-2.0, hi=2.0),
+        joint("elbow", "revolute", "upper_link", "lower_link", "0 0 1", "0.4 0 0", lo=0.2, hi=2.5),
+        joint("lift", "prismatic", "lower_link", "quill_link", "0 0 -1", "0.3 0 0", lo=0.0, hi=0.2),
+        joint("wrist", "revolute", "quill_link", "hand_link", "0 0 1", lo=-3.1, hi=3.1),
+        tool("hand_link"),
+        *(drive(name) for name in ("shoulder", "elbow", "lift", "wrist")),
+        '<tau_dyn:home joint="elbow" value="1.2"/><tau_dyn:home joint="lift" value="0.1"/>',
+    )

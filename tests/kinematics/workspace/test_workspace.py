@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from raising import raises_code
+from scipy.optimize import root
+from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics.accuracy import ActuatorError, ErrorBounds, sample_default_motion, study_accuracy
 from tau_dyn.kinematics.obstacles import build_surroundings
 from tau_dyn.kinematics.workspace import PoseRequirements, build_machine, find_workspace, measure_tilt, study_workspace
-from tau_dyn.mechanism import Poses
+from tau_dyn.mechanism import Poses, forward_kinematics
 from tau_dyn.robot import load_robot
 
 
@@ -259,3 +262,59 @@ def test_judged_positions_reach_their_places(gantry) -> None:
     assert reached.ok.all()
     np.testing.assert_allclose(reached.poses.position, found.places[inside], atol=1e-9)
     assert isinstance(found.poses(found.places), Poses)
+
+
+def slides_of_three_prs(z: float, rx: float, ry: float) -> np.ndarray:
+    """Return the slides (3,) [m] on paper: plate joints in their legs' planes give x, y and the turn about z."""
+    turn = np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3])
+    out = np.stack([np.cos(turn), np.sin(turn), np.zeros(3)], axis=1)
+    across = np.stack([-np.sin(turn), np.cos(turn), np.zeros(3)], axis=1)
+
+    def joints(free: np.ndarray) -> np.ndarray:
+        x, y, rz = free
+        return [x, y, z] + robots.PRS_PLATE * out @ Rotation.from_rotvec([rx, ry, rz]).as_matrix().T
+
+    free = root(lambda free: np.sum(across * joints(free), axis=1), np.zeros(3), method="lm", tol=1e-12).x
+    away = robots.PRS_BASE - np.sum(out * joints(free), axis=1)
+    return joints(free)[:, 2] - np.sqrt(robots.PRS_ROD**2 - away**2)
+
+
+def test_a_3_prs_is_asked_for_height_and_two_tilts() -> None:
+    """Its workspace is over z, rx and ry; what belongs, and the slides there, are those on paper."""
+    robot = robots.three_prs()
+    found = find_workspace(robot, demands=FREE, resolution=0.03)
+    machine = found.machine
+    assert machine.axes == ("z", "rx", "ry") and found.measure == ("volume", "m rad2")
+    index = np.flatnonzero(found.place_codes == 0)
+    values = found.places[index] / machine.scale
+    np.testing.assert_allclose(found.q[index], [slides_of_three_prs(*x) for x in values], atol=1e-7)
+    near = np.abs(found.places[:, 1:]).max(axis=1) < 0.5 * machine.scale[1]
+    expected = [np.abs(slides_of_three_prs(*(x / machine.scale))).max() < 0.12 for x in found.places[near]]
+    np.testing.assert_array_equal(found.place_codes[near] == 0, expected)
+    written = found.to_dict()
+    assert written["coordinates"] == ["z", "rx", "ry"] and written["volume_m3"] is None
+    with raises_code("unsupported", "z, rx, ry"):
+        find_workspace(machine, demands=FREE, rotation=np.eye(3))
+
+
+def test_a_scara_is_asked_for_three_positions_and_one_angle() -> None:
+    """Its Jacobian is square, and it fills a sector of an annulus as high as its lift."""
+    machine = build_machine(robots.scara())
+    rates = machine.rates(machine.robot.home[None], machine.home)
+    assert rates.tool.shape == rates.actuators.shape == (1, 4, 4)
+    found = find_workspace(machine, demands=FREE, resolution=0.02)
+    area = 4.0 * 0.4 * 0.3 * (np.cos(0.2) - np.cos(2.5))  # shoulder's travel times half the difference of squared radii
+    assert found.size.low < 0.2 * area < found.size.high
+    np.testing.assert_allclose(found.size.value, 0.2 * area, rtol=0.02)
+
+
+def test_errors_of_a_3_prs_are_looked_for_over_its_motion() -> None:
+    """A section of positions means nothing to it; three slides that err alike lift the plate by as much."""
+    robot = robots.three_prs()
+    sampled = sample_default_motion(robot, 8)
+    assert sampled is not None and len(sampled[0]) == 8
+    home = forward_kinematics(robot, robot.home[None]).poses
+    errors = ErrorBounds({joint: ActuatorError(1e-4) for joint in robot.actuated})
+    found = study_accuracy(robot, errors, robot.home[None], home, methods=["linear", "exact"]).accuracy
+    assert found is not None and set(found.turned) == {"linear", "exact"}
+    np.testing.assert_allclose([found.largest["linear"][0], found.largest["exact"][0]], 1e-4, rtol=1e-6)

@@ -9,14 +9,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.accuracy.error_bounds import ErrorBounds
-from tau_dyn.kinematics.accuracy.error_scaling import Growth, scale_errors
-from tau_dyn.kinematics.accuracy.monte_carlo import draw
-from tau_dyn.kinematics.accuracy.parallelepiped import compute_half_edges
+from tau_dyn.kinematics.accuracy.device import Device
+from tau_dyn.kinematics.accuracy.errors import ErrorBounds
 from tau_dyn.kinematics.accuracy.section import Grid
-from tau_dyn.kinematics.accuracy.study import METHODS, Accuracy, build_device, compute_positioning_errors
+from tau_dyn.kinematics.accuracy.shells import compute_half_edges
+from tau_dyn.kinematics.accuracy.study import (
+    METHODS,
+    Accuracy,
+    Growth,
+    build_device,
+    compute_positioning_errors,
+    scale_errors,
+)
+from tau_dyn.kinematics.accuracy.worst_case import draw
 from tau_dyn.kinematics.assumptions import Guideway, Orientation, Parallelism
-from tau_dyn.mechanism import Poses, Rods
+from tau_dyn.mechanism import Kinematics, Poses, get_robot
 from tau_dyn.results import Shown
 from tau_dyn.robot import Robot
 
@@ -182,8 +189,7 @@ def _section(grid: Grid) -> dict[str, Any]:
 
 
 def study_accuracy(
-    robot: Robot,
-    rods: Rods | None,
+    robot: Robot | Kinematics,
     errors: ErrorBounds,
     q: np.ndarray,
     tool: Poses,
@@ -199,8 +205,7 @@ def study_accuracy(
     """Return the tool's errors at poses, with everything that a report shows.
 
     Args:
-        robot: The robot.
-        rods: Its rods; None for a mechanism that is not rods.
+        robot: The robot, or its kinematics.
         errors: What may be wrong.
         q: Actuated positions (N, na); of the reached points of `grid`, if there is one.
         tool: Poses of the tool there.
@@ -214,32 +219,30 @@ def study_accuracy(
     """
     if not len(q):
         raise InputError("missing_input", "there are no poses to look at")
-    device = build_device(robot, rods, errors)
+    device = build_device(robot, errors)
     found = compute_positioning_errors(
         device, errors, q, tool, methods=methods, samples=samples, seed=seed, progress=progress
     )
     progress("errors enlarged, error bodies")
     size = found.largest[found.best_method]
     worst = int(np.nanargmax(size)) if np.isfinite(size).any() else 0
-    home = int(np.argmin(np.linalg.norm(q - robot.home, axis=1)))
-    at = Poses(tool.position[worst : worst + 1], tool.rotation[worst : worst + 1])
+    home = int(np.argmin(np.linalg.norm(q - get_robot(robot).home, axis=1)))
+    at = tool.take(slice(worst, worst + 1))
     compared = [m for m in found.largest if m != "montecarlo"]
-    growth = (
-        scale_errors(robot, rods, errors, q[worst], at, compared) if "exact" in compared and len(compared) > 1 else None
-    )
+    growth = scale_errors(robot, errors, q[worst], at, compared) if "exact" in compared and len(compared) > 1 else None
     bodies = tuple(_body(device, found, q, tool, k, seed) for k in dict.fromkeys((home, worst)))
-    return AccuracyResult(robot, found, grid, growth, bodies, measured or Measured(), from_measured)
+    return AccuracyResult(get_robot(robot), found, grid, growth, bodies, measured or Measured(), from_measured)
 
 
-def _body(device: Any, found: Accuracy, q: np.ndarray, tool: Poses, k: int, seed: int) -> Body:
-    state = device.state(q[k : k + 1], Poses(tool.position[k : k + 1], tool.rotation[k : k + 1]))
+def _body(device: Device, found: Accuracy, q: np.ndarray, tool: Poses, k: int, seed: int) -> Body:
+    state = device.state(q[k : k + 1], tool.take(slice(k, k + 1)))
     e = draw(device.balls, device.m, (CLOUD,), np.random.default_rng(seed))
     cloud = device.closed(state.take(np.zeros(CLOUD, int)), e).shift
     worst = np.full(3, np.nan)
     if found.worst.shape[1]:
         worst = device.closed(state, found.worst[k : k + 1]).shift[0]
     corners = np.empty((0, 3))
-    if found.faces.shape[1]:
+    if found.faces.shape[1] and device.legs is not None:
         signs = np.array([(a, b, c) for a in (1, -1) for b in (1, -1) for c in (1, -1)], float)
-        corners = signs @ compute_half_edges(device, state)[0].T
+        corners = signs @ compute_half_edges(device.legs, state)[0].T
     return Body(k, cloud[np.isfinite(cloud).all(axis=1)], corners, worst)

@@ -1,4 +1,4 @@
-"""A flat section through the workspace: where it is, a grid over what the robot reaches of it, and the actuators there."""
+"""A flat section through the workspace, a grid over what the robot reaches of it, and where to look without being told."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism import Poses, Rods, forward_kinematics, inverse_kinematics
+from tau_dyn.kinematics.workspace import commands_positions
+from tau_dyn.mechanism import Kinematics, Poses, build_kinematics
 from tau_dyn.robot import Robot
 
 AXES = "xyz"
@@ -118,21 +119,12 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
 
 
 def lay_grid(
-    robot: Robot,
-    rods: Rods | None,
-    tool: Poses,
-    section: Section,
-    n: int,
-    *,
-    limits: bool = True,
-    reach: float | None = None,
+    robot: Robot | Kinematics, section: Section, n: int, *, limits: bool = True, reach: float | None = None
 ) -> Grid:
     """Return a grid over the part of a section that the robot reaches, with the home's orientation.
 
     Args:
-        robot: The robot.
-        rods: Its rods; None for another mechanism.
-        tool: Pose of the tool at home (1 sample).
+        robot: The robot, or its kinematics.
         section: Where.
         n: Points along the longer side.
         limits: Whether actuators must stay within their limits.
@@ -141,25 +133,24 @@ def lay_grid(
     Raises:
         InputError: The robot reaches nothing of the section.
     """
-    range_ = section.across
+    kinematics, range_ = build_kinematics(robot), section.across
+    tool = kinematics.commanded.home
     if range_ is None:
-        far = _size(robot, rods, tool) if reach is None else reach
+        far = _size(kinematics, tool) if reach is None else reach
         home = tool.position[0, list(section.others)]
         u, v = (np.linspace(h - far, h + far, COARSE) for h in home)
-        coarse = _filled(robot, rods, tool, section, u, v, limits)
-        range_ = _around(coarse, robot)
+        coarse = _filled(kinematics, tool, section, u, v, limits)
+        range_ = _around(coarse, kinematics)
     (u0, u1), (v0, v1) = range_
     step = max(u1 - u0, v1 - v0) / max(n - 1, 1)
     u, v = (np.linspace(a, b, max(2, round((b - a) / step) + 1)) for a, b in ((u0, u1), (v0, v1)))
-    grid = _filled(robot, rods, tool, Section(section.axis, section.value, range_), u, v, limits)
+    grid = _filled(kinematics, tool, Section(section.axis, section.value, range_), u, v, limits)
     if not grid.ok.any():
-        raise InputError("invalid_value", describe_unreached(robot, section, tool))
+        raise InputError("invalid_value", _describe_unreached(kinematics, section, tool))
     return grid
 
 
-def _filled(
-    robot: Robot, rods: Rods | None, tool: Poses, section: Section, u: np.ndarray, v: np.ndarray, limits: bool
-) -> Grid:
+def _filled(kinematics: Kinematics, tool: Poses, section: Section, u: np.ndarray, v: np.ndarray, limits: bool) -> Grid:
     """Solve a grid, outwards from the point nearest home; all of it where that point is not reached."""
     a, b = section.others
     position = np.empty((len(v), len(u), 3))
@@ -172,47 +163,42 @@ def _filled(
         u,
         v,
         Poses(position, rotation),
-        np.full((len(position), robot.na), np.nan),
+        np.full((len(position), kinematics.robot.na), np.nan),
         np.zeros(len(position), bool),
     )
     shape, tried = (len(v), len(u)), np.zeros((len(v), len(u)), bool)
     front = np.zeros(shape, bool)
     front.flat[int(np.argmin(np.linalg.norm(position - tool.position[0], axis=1)))] = True
     while front.any():
-        _solve(robot, rods, grid, np.flatnonzero(front), limits)
+        _solve(kinematics, grid, np.flatnonzero(front), limits)
         tried |= front
         front = binary_dilation(grid.ok.reshape(shape), np.ones((3, 3))) & ~tried if grid.ok.any() else ~tried
     return grid
 
 
-def _solve(robot: Robot, rods: Rods | None, grid: Grid, index: np.ndarray, limits: bool) -> None:
+def _solve(kinematics: Kinematics, grid: Grid, index: np.ndarray, limits: bool) -> None:
     """Fill in the grid's points at an index: positions, and the orientation that the robot really has there."""
-    which, asked = robot if rods is None else rods, grid.poses.take(index)
-    found = inverse_kinematics(which, asked, limits=limits)
+    asked = grid.poses.take(index)
+    found = kinematics.inverse(asked, limits=limits)
     there = np.flatnonzero(found.ok)
     q, asked = found.q[there], asked.take(there)
-    really = forward_kinematics(which, q, start=asked)
+    really = kinematics.forward(q, start=asked)
     near = really.ok & (np.linalg.norm(really.poses.position - asked.position, axis=1) < _REACHED)
-    if rods is not None:
-        near[near] = _same_side(rods, q[near], really.plate.take(near))
+    near[near] = _is_on_home_side(kinematics, q[near], really.poses.take(near))
     at = index[there[near]]
     grid.ok[at], grid.q[at], grid.poses.rotation[at] = True, q[near], really.poses.rotation[near]
 
 
-def _same_side(rods: Rods, q: np.ndarray, plate: Poses) -> np.ndarray:
-    """Return which poses lie on home's side of the singularities, so that they are reached without crossing one."""
-    keep = slice(0, 3) if rods.translates else slice(0, 6)
-    sides = [
-        np.sign(np.linalg.det(rods.gap_by_pose(x, p)[:, :, keep]))
-        for x, p in ((q, plate), (rods.robot.home[None], rods.home))
-    ]
-    return sides[0] == sides[1]
+def _is_on_home_side(kinematics: Kinematics, q: np.ndarray, poses: Poses) -> np.ndarray:
+    """Return which poses lie on home's side of the parallel singularities, so that they are reached without crossing one."""
+    home = kinematics.closure_by_pose(kinematics.robot.home[None], kinematics.commanded.home)
+    return np.sign(np.linalg.det(kinematics.closure_by_pose(q, poses))) == np.sign(np.linalg.det(home))
 
 
-def _around(coarse: Grid, robot: Robot) -> tuple[tuple[float, float], tuple[float, float]]:
+def _around(coarse: Grid, kinematics: Kinematics) -> tuple[tuple[float, float], tuple[float, float]]:
     picture = coarse.ok.reshape(len(coarse.v), len(coarse.u))
     if not picture.any():
-        raise InputError("invalid_value", describe_unreached(robot, coarse.section, None))
+        raise InputError("invalid_value", _describe_unreached(kinematics, coarse.section, None))
     ends = []
     for x, axis in ((coarse.u, 0), (coarse.v, 1)):
         inside, step = np.flatnonzero(picture.any(axis=axis)), x[1] - x[0]
@@ -220,23 +206,116 @@ def _around(coarse: Grid, robot: Robot) -> tuple[tuple[float, float], tuple[floa
     return ends[0], ends[1]
 
 
-def describe_unreached(robot: Robot, section: Section, tool: Poses | None) -> str:
+def _describe_unreached(kinematics: Kinematics, section: Section, tool: Poses | None) -> str:
     """Return the sentence about a section of which the robot reaches nothing."""
     axis = AXES[section.axis]
     home = "" if tool is None else f"; at home the tool is at {axis}={tool.position[0, section.axis]:.4g}"
     return (
-        f"{robot.source} reaches nothing of the section {section.words}{home}; "
+        f"{kinematics.robot.source} reaches nothing of the section {section.words}{home}; "
         "cut where it goes (without limits: --no-limits), or list --poses"
     )
 
 
-def _size(robot: Robot, rods: Rods | None, tool: Poses) -> float:
+def _size(kinematics: Kinematics, tool: Poses) -> float:
     """Return a distance from home beyond which the tool does not come [m]."""
-    if rods is None:
-        lengths = [float(np.linalg.norm(p.translation)) for p in robot.model.jointPlacements]
-        for j in np.flatnonzero(np.array(robot.joint_kinds) == "prismatic"):
-            travel = robot.upper[j] - robot.lower[j]
-            lengths.append(float(travel) if travel < UNLIMITED else 0.0)
-        return sum(lengths) + float(np.linalg.norm(tool.position[0])) * 0.1 + 0.1
-    A, L = rods.base_points(robot.home[None])[0], rods.leg_lengths(robot.home[None])[0]
-    return float(np.max(np.linalg.norm(A - tool.position[0], axis=1) + L))
+    robot, legs = kinematics.robot, kinematics.legs
+    if legs is not None:
+        A, L = legs.base_points(robot.home[None])[0], legs.leg_lengths(robot.home[None])[0]
+        return float(np.max(np.linalg.norm(A - tool.position[0], axis=1) + L))
+    lengths = [float(np.linalg.norm(p.translation)) for p in robot.model.jointPlacements]
+    travel = (robot.upper - robot.lower)[np.array(robot.joint_kinds) == "prismatic"]
+    return sum(lengths) + float(travel[travel < UNLIMITED].sum() + np.linalg.norm(tool.position[0]) * 0.1) + 0.1
+
+
+ENOUGH_POINTS = 10
+"""Reached points of a default section; with fewer the other sections through home are tried."""
+_NEARBY = 0.05  # [m or rad] from home, where directions of motion are looked for
+_STILL = 1e-9  # share of the largest speed below which the tool does not move along an axis
+_FLAT = 1e-9  # [m] extent of the tool's motion along an axis below which it stays in a plane
+
+
+def choose_default_section(robot: Robot | Kinematics) -> Section:
+    """Return the section through home across the guideways; where nothing slides, across z.
+
+    Without legs it is the plane of the tool's motion where that is one orthogonal to an axis, else across y.
+    """
+    kinematics = build_kinematics(robot)
+    owner, legs = kinematics.robot, kinematics.legs
+    if legs is None:
+        return _cut_at_home(kinematics, _find_plane(kinematics))
+    sliding = [j for j, kind in enumerate(owner.joint_kinds) if kind == "prismatic"]
+    travel = np.abs(legs.base_jacobian(owner.home[None])[0][:, :, sliding]).sum(axis=(0, 2))
+    return _cut_at_home(kinematics, int(np.argmax(travel)) if travel.any() else 2)
+
+
+def lay_default_grid(robot: Robot | Kinematics, n: int, *, limits: bool = True) -> Grid:
+    """Return a grid over the default section, or over another one through home where the robot reaches too little of that.
+
+    Args:
+        robot: The robot, or its kinematics.
+        n: Points along the longer side.
+        limits: Whether actuators must stay within their limits.
+
+    Raises:
+        InputError: The robot reaches nothing of the three sections through home.
+    """
+    kinematics = build_kinematics(robot)
+    first = choose_default_section(kinematics)
+    best: Grid | None = None
+    for section in (first, *(_cut_at_home(kinematics, axis) for axis in range(3) if axis != first.axis)):
+        try:
+            grid = lay_grid(kinematics, section, n, limits=limits)
+        except InputError:
+            continue
+        if best is None or grid.ok.sum() > best.ok.sum():
+            best = grid
+        if best.ok.sum() >= ENOUGH_POINTS:
+            return best
+    if best is None:
+        raise InputError("invalid_value", _describe_unreached(kinematics, first, kinematics.commanded.home))
+    return best
+
+
+def sample_default_motion(robot: Robot, n: int) -> tuple[np.ndarray, Poses] | None:
+    """Return at least n positions (m, na) over a robot's whole motion, and the poses of those that close.
+
+    A section crosses the curve or curved surface of one or two actuators in a few points only, and means nothing to a tool
+    whose positions are not commanded (a 3-PRS). None where a section suits: other robots with more actuators, or with two
+    that keep the tool in a plane orthogonal to an axis.
+    """
+    kinematics = build_kinematics(robot)
+    if robot.na > 2 and commands_positions(kinematics):
+        return None
+    q = sample_motion(robot, n)
+    found = kinematics.forward(q)
+    places = found.poses.position[found.ok]
+    if not len(places) or (robot.na == 2 and (np.ptp(places, axis=0) < _FLAT).any()):
+        return None
+    return q[found.ok], found.poses.take(found.ok)
+
+
+def sample_motion(robot: Robot, n: int) -> np.ndarray:
+    """Return at least n positions (m, na) [m or rad], evenly over all actuators' ranges.
+
+    An actuator without limits goes a quarter turn or 0.5 m to each side of home.
+    """
+    reach = np.where(np.array(robot.joint_kinds) == "revolute", np.pi / 2, 0.5)
+    low = np.where(np.abs(robot.lower) < UNLIMITED, robot.lower, robot.home - reach)
+    high = np.where(np.abs(robot.upper) < UNLIMITED, robot.upper, robot.home + reach)
+    each = int(np.ceil(n ** (1 / robot.na) - 1e-9))
+    ranges = [np.linspace(a, b, max(2, each)) for a, b in zip(low, high, strict=True)]
+    return np.stack([x.ravel() for x in np.meshgrid(*ranges, indexing="ij")], axis=1)
+
+
+def _cut_at_home(kinematics: Kinematics, axis: int) -> Section:
+    return Section(axis, round(float(kinematics.commanded.home.position[0, axis]), 9) + 0.0)
+
+
+def _find_plane(kinematics: Kinematics) -> int:
+    """Return the axis orthogonal to all velocities of the tool at home and near it; 1 where there is none."""
+    robot = kinematics.robot
+    near = robot.home + np.random.default_rng(0).uniform(-_NEARBY, _NEARBY, (4, robot.na))
+    J = kinematics.jacobian(np.vstack([robot.home, near]))[:, :3]
+    speeds = np.nan_to_num(np.abs(J)).max(axis=(0, 2))
+    still = np.flatnonzero(speeds < _STILL * speeds.max())
+    return int(still[0]) if len(still) == 1 else 1

@@ -1,22 +1,27 @@
-"""How far the tool may be from where it should be: every method on the same errors, at many poses."""
+"""How far the tool may be from where it should be: every method on the same errors, at many poses, and on enlarged ones."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.accuracy import certified, ellipsoids, parallelepiped
-from tau_dyn.kinematics.accuracy.error_bounds import ErrorBounds
-from tau_dyn.kinematics.accuracy.monte_carlo import monte_carlo
-from tau_dyn.kinematics.accuracy.rod_device import RodDevice, State
-from tau_dyn.kinematics.accuracy.serial_device import SerialDevice
-from tau_dyn.kinematics.accuracy.sources import build_rod_sources
-from tau_dyn.kinematics.accuracy.worst_case import bound_first_order, solve_worst_case
-from tau_dyn.mechanism import Poses, Rods
+from tau_dyn.kinematics.accuracy.device import Device, LegsDevice, State
+from tau_dyn.kinematics.accuracy.errors import MAX_ERROR_SIZE, ErrorBounds
+from tau_dyn.kinematics.accuracy.shells import (
+    bound_displacement,
+    compute_face_areas,
+    compute_half_edges,
+    explain_no_certificate,
+    explain_no_ellipsoids,
+    find_corners,
+    measure_largest,
+)
+from tau_dyn.kinematics.accuracy.worst_case import bound_first_order, monte_carlo, solve_worst_case
+from tau_dyn.mechanism import Kinematics, Poses, build_kinematics, get_rods
 from tau_dyn.robot import Robot
 
 METHODS = ("linear", "parallelepiped", "ellipsoid", "exact", "certified", "montecarlo")
@@ -68,8 +73,8 @@ class Accuracy:
             return self.largest[method] / self.largest["exact"] - 1
 
 
-def build_device(robot: Robot, rods: Rods | None, errors: ErrorBounds) -> Any:
-    """Return the robot with its error sources, through its rods where it has them.
+def build_device(robot: Robot | Kinematics, errors: ErrorBounds) -> Device:
+    """Return the robot with its error sources, of its legs too where it has them.
 
     Raises:
         InputError: Nothing errs, or an error does not fit the robot.
@@ -79,13 +84,12 @@ def build_device(robot: Robot, rods: Rods | None, errors: ErrorBounds) -> Any:
             "invalid_value",
             "all errors are zero, so the tool is exact; give at least one, such as --actuator-error 50e-6",
         )
-    if rods is not None:
-        return RodDevice(rods, build_rod_sources(rods, errors))
-    return SerialDevice(robot, errors)
+    legs = get_rods(robot)
+    return Device(build_kinematics(robot), errors) if legs is None else LegsDevice(legs, errors)
 
 
 def compute_positioning_errors(
-    device: Any,
+    device: Device,
     errors: ErrorBounds,
     q: np.ndarray,
     tool: Poses,
@@ -138,35 +142,36 @@ def compute_positioning_errors(
     )  # fmt: skip
 
 
-def _why_not(device: Any, method: str) -> str:
-    if method in ("ellipsoid", "certified") and not isinstance(device, RodDevice):
+def _why_not(device: Device, method: str) -> str:
+    if method not in ("ellipsoid", "certified"):
+        return ""
+    if device.legs is None:
         return "it is for a plate held by rods"
-    if method == "ellipsoid":
-        return ellipsoids.explain_inapplicable(device)
-    return certified.explain_inapplicable(device) if method == "certified" else ""
+    return explain_no_ellipsoids(device.legs) if method == "ellipsoid" else explain_no_certificate(device.legs)
 
 
-def _some(device: Any, state: State, methods: Sequence[str], samples: int, seed: int) -> dict[str, np.ndarray]:
+def _some(device: Device, state: State, methods: Sequence[str], samples: int, seed: int) -> dict[str, np.ndarray]:
     out: dict[str, np.ndarray] = {}
     turns = device.sensitivity(state.take(slice(0, 1))).shape[1] == 6
     if "linear" in methods:
         out |= _by_actuators(device, state, turns)
     if "parallelepiped" in methods or "exact" in methods:
         out |= _by_corners(device, state, methods, turns)
-    if "ellipsoid" in methods:
-        out["ellipsoid"] = ellipsoids.measure_largest(ellipsoids.find_corners(device, state)[0])
-    if "certified" in methods:
-        out["certified"] = certified.bound_displacement(device, state)
+    legs = device.legs
+    if legs is not None and "ellipsoid" in methods:
+        out["ellipsoid"] = measure_largest(find_corners(legs, state)[0])
+    if legs is not None and "certified" in methods:
+        out["certified"] = bound_displacement(legs, state)
     if "montecarlo" in methods:
         drawn = monte_carlo(device, state, samples, seed)
         out |= {"montecarlo": drawn.largest, "usual": drawn.usual}
         out |= {"montecarlo turn": drawn.turn_largest} if turns else {}
-    if isinstance(device, RodDevice) and device.freedoms == 3:
-        out["faces"] = parallelepiped.compute_face_areas(parallelepiped.compute_half_edges(device, state))
+    if legs is not None and legs.freedoms == 3:
+        out["faces"] = compute_face_areas(compute_half_edges(legs, state))
     return out
 
 
-def _by_actuators(device: Any, state: State, turns: bool) -> dict[str, np.ndarray]:
+def _by_actuators(device: Device, state: State, turns: bool) -> dict[str, np.ndarray]:
     """Return the catalogue's bound: actuators err along their motion only, through the Jacobian."""
     H = device.by_actuators(state) * device.along
     H = H[:, :, device.along > 0]
@@ -176,14 +181,13 @@ def _by_actuators(device: Any, state: State, turns: bool) -> dict[str, np.ndarra
     return out | ({"linear turn": bound_first_order(H[:, 3:], balls, True)[0].size if balls else zero} if turns else {})
 
 
-def _by_corners(device: Any, state: State, methods: Sequence[str], turns: bool) -> dict[str, np.ndarray]:
-    own = isinstance(device, RodDevice) and device.sources.own
+def _by_corners(device: Device, state: State, methods: Sequence[str], turns: bool) -> dict[str, np.ndarray]:
     out: dict[str, np.ndarray] = {}
     H = device.sensitivity(state)
     for name, part in (("", slice(0, 3)), (" turn", slice(3, 6))):
         if name and not turns:
             break
-        first, corners = bound_first_order(H[:, part], device.balls, own)
+        first, corners = bound_first_order(H[:, part], device.balls, device.own)
         if "parallelepiped" in methods:
             out[f"parallelepiped{name}"] = first.size
         if "exact" in methods:
@@ -191,3 +195,40 @@ def _by_corners(device: Any, state: State, methods: Sequence[str], turns: bool) 
             out[f"exact{name}"] = worst.size
             out |= {} if name else {"worst": worst.e, "direction": worst.direction}
     return out
+
+
+FACTORS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)
+
+
+class Growth(NamedTuple):
+    """Errors enlarged at one pose.
+
+    Attributes:
+        factors: By how much (k,).
+        largest: Largest displacement by method, each (k,) [m]; nan where there is none.
+    """
+
+    factors: np.ndarray
+    largest: dict[str, np.ndarray]
+
+    def holds_to(self, method: str, share: float) -> float:
+        """Return the largest factor, of those tried, up to which a method is within a share of the exact; nan for none."""
+        with np.errstate(all="ignore"):
+            off = np.abs(self.largest[method] / self.largest["exact"] - 1)
+        good = np.cumprod(off <= share).astype(bool)
+        return float(self.factors[good][-1]) if good.any() else float("nan")
+
+
+def scale_errors(
+    robot: Robot | Kinematics, errors: ErrorBounds, q: np.ndarray, tool: Poses, methods: Sequence[str],
+    factors: Sequence[float] = FACTORS,
+) -> Growth:  # fmt: skip
+    """Return the methods' largest displacements at one pose (q (na,), tool 1 sample) for enlarged errors."""
+    kept = [f for f in factors if errors.largest * f <= MAX_ERROR_SIZE]
+    rows: list[Accuracy] = []
+    for factor in kept:
+        more = errors.scaled(factor)
+        rows.append(
+            compute_positioning_errors(build_device(robot, more), more, q[None], tool, methods=methods, samples=1)
+        )
+    return Growth(np.array(kept), {m: np.array([r.largest[m][0] for r in rows]) for m in rows[0].largest})

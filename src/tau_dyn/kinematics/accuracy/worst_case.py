@@ -1,26 +1,25 @@
-r"""The largest displacement that errors within their bounds can cause: to first order, and with the constraints solved.
+"""The largest displacement that errors within their bounds can cause: to first order, with the constraints solved, and drawn.
 
 To first order the tool moves by `H e = sum_s H_s e_s` with every source `|e_s| <= 1`. Its largest length is
 
     max_e |H e| = max_{|c| = 1} sum_s |H_s' c|,
 
 reached at `e_s = H_s' c / |H_s' c|`. For three rods that err on their own this set is A.4's parallelepiped and `c` points
-along one of its four diagonals; rods that share a cart round it off. The right side is convex in `c`, so
-repeating `c <- H e(c)` climbs; it starts at every diagonal, which makes it exact where all
-sources are rods' own, and in 13 more directions otherwise.
-The same climb with the constraints solved at every step gives the true worst case; where the error sets are small against the
-rods this is the corner of the curved body S^T of A.2.
+along one of its four diagonals; rods that share a cart round it off. The right side is convex in `c`, so repeating
+`c <- H e(c)` climbs; it starts at every diagonal, which makes it exact where all sources are rods' own, and in 13 more
+directions otherwise. The same climb with the constraints solved at every step gives the true worst case; where the error
+sets are small against the rods this is the corner of the curved body S^T of A.2. Monte Carlo draws errors at random within
+their bounds and solves the constraints for each draw.
 """
 
 from __future__ import annotations
 
 from itertools import product
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.kinematics.accuracy.rod_device import Moved, State
-from tau_dyn.mechanism import Poses
+from tau_dyn.kinematics.accuracy.device import Device, State
 
 MAX_ITERATIONS = 12
 """Steps to first order; each doubles the digits of a direction that is not a corner already."""
@@ -29,21 +28,6 @@ MAX_SIGNED_RODS = 6
 """Rods up to which every combination of signs is tried."""
 MAX_CORNERS = 8
 """Corners that are followed with the constraints solved, the farthest to first order."""
-
-
-class Device(Protocol):
-    """A robot and its error sources; see `RodDevice`."""
-
-    balls: tuple[slice, ...]
-    m: int
-
-    def sensitivity(self, state: State, plate: Poses | None = None, e: np.ndarray | None = None) -> np.ndarray:
-        """Return `d(tool) / de` (N, 3 or 6, m)."""
-        ...
-
-    def closed(self, state: State, e: np.ndarray) -> Moved:
-        """Return where errors (N, m) put the tool."""
-        ...
 
 
 class Worst(NamedTuple):
@@ -174,3 +158,57 @@ def _climb(device: Device, state: State, e: np.ndarray, part: slice) -> tuple[Wo
 def _unit(v: np.ndarray) -> np.ndarray:
     size = np.linalg.norm(v, axis=-1, keepdims=True)
     return np.divide(v, size, out=np.zeros_like(v), where=size > 0)
+
+
+BLOCK = 20_000
+"""Poses solved at once."""
+
+
+class Draws(NamedTuple):
+    """What random errors do at each pose, in metres; `turn_` in radians.
+
+    Attributes:
+        largest: Largest displacement drawn (N,).
+        usual: The displacement that 95 % of the draws stay below (N,).
+        mean: (N,).
+        turn_largest: Largest change of orientation drawn (N,) [rad].
+        lost: Share of the draws for which the robot has no pose on its branch (N,).
+    """
+
+    largest: np.ndarray
+    usual: np.ndarray
+    mean: np.ndarray
+    turn_largest: np.ndarray
+    lost: np.ndarray
+
+
+def draw(balls: tuple[slice, ...], m: int, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+    """Return errors (*shape, m), each source uniform in its unit ball."""
+    e = np.empty((*shape, m))
+    for ball in balls:
+        size = ball.stop - ball.start
+        normal = rng.standard_normal((*shape, size))
+        radius = rng.random((*shape, 1)) ** (1 / size)
+        e[..., ball] = radius * normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    return e
+
+
+def monte_carlo(device: Device, state: State, samples: int, seed: int) -> Draws:
+    """Return statistics of `samples` draws at every pose, the same draws at all of them.
+
+    The same draws everywhere make a map smooth and cheap; poses are then compared on equal terms.
+    """
+    e = draw(device.balls, device.m, (samples,), np.random.default_rng(seed))
+    rows = [_draw_at(device, state.take(slice(i, i + step)), e)
+            for step in [max(1, BLOCK // samples)] for i in range(0, len(state), step)]  # fmt: skip
+    return Draws(*(np.concatenate(column) for column in zip(*rows, strict=True)))
+
+
+def _draw_at(device: Device, state: State, e: np.ndarray) -> Draws:
+    n, k = len(state), len(e)
+    moved = device.closed(state.take(np.repeat(np.arange(n), k)), np.tile(e, (n, 1)))
+    size, turn = (np.linalg.norm(x, axis=1).reshape(n, k) for x in (moved.shift, moved.turn))
+    lost = np.mean(~moved.ok.reshape(n, k), axis=1)
+    whole = lost == 0
+    size, turn = np.where(whole[:, None], size, np.nan), np.where(whole[:, None], turn, np.nan)
+    return Draws(size.max(axis=1), np.quantile(size, 0.95, axis=1), size.mean(axis=1), turn.max(axis=1), lost)

@@ -1,4 +1,4 @@
-r"""A six-rod plate as seven quadrics in eight homogeneous unknowns.
+"""A six-rod plate as seven quadrics in eight homogeneous unknowns, and how many solutions they have.
 
 With a quaternion `e` (scalar first) and `h` so that the plate's position is `T = vec(h e*) / |e|^2`, every rod's
 closure `|T + R B - A|^2 = L^2` (thesis 4.34) times `|e|^2` is a quadratic form in `x = (e, h)`, and so is Study's
@@ -9,10 +9,23 @@ condition `e . h = 0`:
 `L_A e = A e` and `R_B e = e B` being products of quaternions. `x` and `c x` are the same pose, so the quaternion's
 sign does not count twice: 40 points for the general hexapod, not 80. `e = 0` solves too and is no pose. References:
 Husty 1996 and Wampler 1996, Mechanism and Machine Theory 31, pp. 365 and 331.
+
+`start.csv` holds a general complex hexapod with its 40 solutions. A straight line from general complex numbers to any real ones
+meets no double solution before its end, with probability one, and every isolated solution is the end of a path (Morgan &
+Sommese 1989, Appl. Math. Comput. 29, 123). Rods that end in one point of the plate, or of the base, leave fewer than 40:
+
+- three in one point, two in another (3-2-1): three spheres meet in 2 points, and so does each next pair of distances: 8;
+- three in one point (3-1-1-1): 2, then three quadrics in the quaternion's projective space, at most 8: 16;
+- three pairs (2-2-2): 16 (Nanua, Waldron & Murthy 1990, IEEE Trans. Robotics and Automation 6, 438).
+
+`experiments/assembly_modes.py` measures the same numbers on random points, and 32 for two pairs (2-2-1-1; Faugere &
+Lazard 1995, Mechanism and Machine Theory 30, 765), which is not used here as a bound.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -130,3 +143,44 @@ def measure_residuals(
     d = T[:, None] + np.einsum("nij,kj->nki", R, plate) - base
     found = np.sqrt((d * d).sum(axis=2).astype(complex))  # principal root: its real part is not negative, as L
     return np.abs(found - lengths).max(axis=1)
+
+
+N_SOLUTIONS = 40
+"""Isolated solutions of the general hexapod: Ronga & Vust 1995, Lazard 1993, Mourrain 1993; an upper bound: Wampler 1996."""
+
+START_FILE = Path(__file__).with_name("start.csv")
+
+
+@lru_cache(maxsize=1)
+def start_system() -> tuple[Hexapod, np.ndarray]:
+    """Return the stored hexapod and its solutions (40, 8)."""
+    lines = [
+        line.split(",") for line in START_FILE.read_text(encoding="utf-8").splitlines() if not line.startswith("#")
+    ]
+    rods, solutions = (
+        np.array([row[1:] for row in lines if row[0] == kind], float).view(complex) for kind in ("rod", "solution")
+    )
+    return Hexapod(rods[:, :3], rods[:, 3:6], rods[:, 6]), solutions
+
+
+def draw_general_hexapod(rng: np.random.Generator) -> Hexapod:
+    """Draw a complex hexapod of size one."""
+    return Hexapod(draw_normal(rng, 6, 3), draw_normal(rng, 6, 3), draw_normal(rng, 6))
+
+
+def draw_normal(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    """Draw complex numbers of mean square one."""
+    return (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2)
+
+
+_BOUNDS = {(3, 2, 1): 8, (3, 1, 1, 1): 16, (2, 2, 2): 16}
+
+
+def count_shared_ends(points: np.ndarray) -> tuple[int, ...]:
+    """Return how many rods end in each point of (6, 3), most first; points count as one only where they are exactly equal."""
+    return tuple(sorted(np.unique(points, axis=0, return_counts=True)[1].tolist(), reverse=True))
+
+
+def bound_mode_count(base: np.ndarray, plate: np.ndarray) -> int:
+    """Return a proven bound on the number of isolated modes of rods between points (6, 3)."""
+    return min(_BOUNDS.get(count_shared_ends(points), N_SOLUTIONS) for points in (base, plate))

@@ -1,9 +1,16 @@
-r"""A motion of a parallel robot towards a pose, stopped before anything singular.
+"""On which side of its singularities a parallel robot is, and which assembly modes it can move between.
 
-The pose is led along a straight line (position) and one turn (orientation); the actuated positions follow by Newton
-steps. Between two samples the closure Jacobian `J` (`states.plate_jacobian`) may change by less than half its smallest
-singular value, so no matrix on the line between the two is singular (Weyl); the same holds for the actuators' side
-`gap_q`. Steps are halved until that is so.
+The rods' closure `gap(q, X) = 0` gives `gap_X V + gap_q v = 0`. Where `det gap_X = 0` the actuators lose hold of the plate
+(parallel singularity); where a chain's block of `gap_q` is singular, the chain is stretched or folded (serial singularity).
+A continuous motion changes a determinant's sign only through zero, so the signs name the state: the one of `gap_X` the
+assembly, those of the blocks of `gap_q` the working mode, the thesis' configuration `c` (4.2). A mode in another state
+cannot be reached without crossing a singularity.
+
+A mode in the same state is reachable if a motion to it is found. The pose is led along a straight line and one turn; the
+actuated positions follow by Newton steps. Between two samples both Jacobians may change by less than half their smallest
+singular value, so no matrix on the line between the two is singular (Weyl); steps are halved until that is so. The search
+grows two trees of poses, from home and from the mode (RRT-Connect, Kuffner & LaValle 2000). If it ends without a motion, the
+answer is unknown. References: Gosselin & Angeles 1990, IEEE Trans. Robotics and Automation 6, 281; Merlet 2006, ch. 6.
 """
 
 from __future__ import annotations
@@ -13,8 +20,78 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.kinematics.assembly.states import compute_plate_jacobian
+from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Poses, Rods
+
+_NOISE = 1e-10
+"""Smallest singular value, as a share of the largest, below which a determinant has no sign."""
+
+
+class States(NamedTuple):
+    """States at N poses.
+
+    Attributes:
+        assembly: Sign of `det gap_X` (N,); 0 on a parallel singularity.
+        working: Signs of the chains' blocks of `det gap_q` (N, n_chains), as `rods.groups`; 0 on a serial
+            singularity, and where a chain has more rods than actuators.
+        distance: Smallest singular value of the dimensionless `gap_X` (N,): 0 on a parallel singularity.
+    """
+
+    assembly: np.ndarray
+    working: np.ndarray
+    distance: np.ndarray
+
+    @property
+    def names(self) -> list[str]:
+        """Return each state as text, as `+ | + - +` (N)."""
+        sign = {1: "+", -1: "-", 0: "0"}
+        return [
+            f"{sign[int(a)]} | {' '.join(sign[int(w)] for w in row)}"
+            for a, row in zip(self.assembly, self.working, strict=True)
+        ]
+
+
+def solve_configuration_states(rods: Rods, q: np.ndarray, plate: Poses) -> States:
+    """Return the states at positions (N, na) and poses of the plate (N) that fit them.
+
+    Raises:
+        InputError: The robot has not as many rods as its plate has freedoms.
+    """
+    parallel = compute_plate_jacobian(rods, q, plate)
+    assembly, distance = _signs(parallel)
+    serial = rods.gap_by_q(q, plate)
+    working = [_signs(serial[:, list(rows)][:, :, list(columns)])[0] for rows, columns in rods.groups]
+    return States(assembly, np.array(working, dtype=int).T, distance)
+
+
+def compute_plate_jacobian(rods: Rods, q: np.ndarray, plate: Poses) -> np.ndarray:
+    """Return `gap_X` (N, n, n) by the plate's twist, turns multiplied by the rods' mean distance from the plate's centre."""
+    J = rods.gap_by_pose(q, plate)
+    freedoms = 3 if rods.translates else 6
+    if rods.n != freedoms:
+        raise InputError(
+            "unsupported",
+            f"{rods.robot.source} has {rods.n} rods; states need as many as the plate has freedoms, {freedoms}",
+        )
+    if rods.translates:
+        return J[:, :, :3]
+    centre = rods.on_plate.mean(axis=0)
+    size = np.linalg.norm(rods.on_plate - centre, axis=1).mean()
+    arm = plate.rotation @ centre
+    about = J[:, :, 3:] - np.cross(
+        arm[:, None], J[:, :, :3]
+    )  # turns about the rods' mean point, so that the frame's place is free
+    return np.concatenate([J[:, :, :3], about / size], axis=2)
+
+
+def _signs(J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the determinants' signs (N,), 0 where rounding leaves none, and the smallest singular values (N,)."""
+    if J.shape[1] != J.shape[2]:
+        return np.zeros(len(J), dtype=int), np.zeros(len(J))
+    values = np.linalg.svd(J, compute_uv=False)
+    sign = np.sign(np.linalg.det(J)).astype(int)
+    return np.where(values[:, -1] > _NOISE * values[:, 0], sign, 0), values[:, -1]
+
 
 _CLOSED = 1e-10  # [m] largest gap of a sample
 _CHORDS = 12
@@ -159,3 +236,169 @@ def _segments(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.
     t = (uv * s + vr) / vv
     s = np.where((t < 0) | (t > 1), np.clip((uv * np.clip(t, 0, 1) - ur) / uu, 0, 1), s)
     return np.linalg.norm(r + s[:, None] * u - np.clip(t, 0, 1)[:, None] * v, axis=1)
+
+
+HOME, REACHABLE, SEPARATED, UNKNOWN = "home", "reachable", "behind a singularity", "unknown"
+
+_EQUALITY_TOLERANCE = 1e-6
+"""Positions and poses closer than this are one."""
+_EXTENSION = 0.5
+"""How far a tree grows towards a random pose, in lengths of `Limits.scale` and radians."""
+
+
+class Reach(NamedTuple):
+    """Whether one mode can be reached.
+
+    Attributes:
+        verdict: `home`, `reachable`, `behind a singularity` or `unknown`.
+        why: A sentence.
+        q: Actuated positions along the motion (M, na); empty where there is none.
+        plate: Poses of the plate along it (M).
+    """
+
+    verdict: str
+    why: str
+    q: np.ndarray
+    plate: Poses
+
+
+def find_reachable_modes(
+    rods: Rods,
+    q: np.ndarray,
+    modes: Poses,
+    home: int,
+    *,
+    limits: bool = True,
+    clearance: float = 0.0,
+    n_samples: int = 200,
+    seed: int = 1,
+) -> list[Reach]:
+    """Say of each real mode at one set of actuated positions whether the robot can move there from one of them.
+
+    Args:
+        rods: A robot with as many actuators and rods as its plate has freedoms.
+        q: Actuated positions (na,).
+        modes: The real modes' poses of the plate (m).
+        home: Index of the mode in which the robot is.
+        limits: Keep the actuators' limits on the way.
+        clearance: Smallest distance between rods on the way [m]; 0 lets them cross.
+        n_samples: Random poses to try for each mode.
+        seed: Of these.
+
+    Raises:
+        InputError: The robot has more rods than actuators, or home is none of the modes.
+    """
+    q = np.asarray(q, float).ravel()
+    if rods.na != rods.n:
+        raise InputError(
+            "unsupported",
+            f"{rods.robot.source} has {rods.n} rods and {rods.na} actuators; motions between modes need as many",
+        )
+    if not 0 <= home < modes.n_samples:
+        raise InputError("invalid_value", f"home is one of the {modes.n_samples} modes; there is no number {home}")
+    kept = _limits(rods, limits, clearance)
+    states = solve_configuration_states(rods, np.repeat(q[None], modes.n_samples, axis=0), modes)
+    samples = [sample_at(rods, q, modes.take(slice(k, k + 1))) for k in range(modes.n_samples)]
+    out = []
+    for k, mode in enumerate(samples):
+        said = _by_signs(states.assembly[[home, k]], states.working[[home, k]])
+        if k == home:
+            out.append(_answer(HOME, "the mode the robot is in", [mode]))
+        elif said:
+            out.append(_answer(SEPARATED, said, []))
+        else:
+            out.append(_search(rods, samples[home], mode, kept, n_samples, np.random.default_rng([seed, k])))
+    return out
+
+
+def _by_signs(assembly: np.ndarray, working: np.ndarray) -> str:
+    """Return why two states are apart, or nothing."""
+    if assembly[0] * assembly[1] < 0:
+        return "the closure determinant has the other sign, so every motion crosses a parallel singularity"
+    if (working[0] * working[1] < 0).any():
+        return "a chain is in its other working mode, so every motion crosses a serial singularity"
+    return ""
+
+
+def _search(rods: Rods, home: Sample, mode: Sample, limits: Limits, n_samples: int, rng: np.random.Generator) -> Reach:
+    """Grow two trees until they meet."""
+    trees = [_Tree(home), _Tree(mode)]
+    for k in range(n_samples):
+        target = mode.plate  # first the straight way
+        if k > 0:
+            target = trees[1].grow(rods, _random_pose(rods, home, mode, rng), limits, _EXTENSION).plate
+        new = trees[0].grow(rods, target, limits, np.inf)
+        met = trees[1].holds(new, limits.scale)
+        if met is not None:
+            halves = trees[0].way(new), trees[1].way(met)
+            first, second = halves if trees[0].root is home else halves[::-1]
+            return _answer(REACHABLE, "a motion without a singularity was found", first + second[-2::-1])
+        trees.reverse()
+    why = f"the determinant has the same sign, but {n_samples} random poses gave no motion; that does not prove there is none"
+    return _answer(UNKNOWN, why, [])
+
+
+class _Tree:
+    """Samples that a motion from the root reaches."""
+
+    def __init__(self, root: Sample) -> None:
+        self.root = root
+        self.samples, self.parents = [root], [-1]
+        self.q, self.plate = root.q[None], root.plate
+
+    def grow(self, rods: Rods, target: Poses, limits: Limits, reach: float) -> Sample:
+        """Move from the nearest sample towards a pose and keep the way; return where it ended."""
+        parent = int(np.argmin(measure_pose_distances(self.plate, target, limits.scale)))
+        motion, _ = advance(rods, self.samples[parent], target, limits, reach)
+        for sample in motion:
+            self.parents.append(parent)
+            parent = len(self.samples)
+            self.samples.append(sample)
+        if motion:
+            self.q = np.concatenate([self.q, [s.q for s in motion]])
+            self.plate = _joined([self.plate, *(s.plate for s in motion)])
+        return self.samples[parent]
+
+    def holds(self, sample: Sample, scale: float) -> Sample | None:
+        """Return the own sample that is the same pose at the same actuated positions."""
+        same = (np.abs(self.q - sample.q).max(axis=1) < _EQUALITY_TOLERANCE) & (
+            measure_pose_distances(self.plate, sample.plate, scale) < _EQUALITY_TOLERANCE
+        )
+        return self.samples[int(np.argmax(same))] if same.any() else None
+
+    def way(self, sample: Sample) -> list[Sample]:
+        """Return the samples from the root to one of the tree's."""
+        k = next(i for i, own in enumerate(self.samples) if own is sample)
+        back = []
+        while k >= 0:
+            back.append(self.samples[k])
+            k = self.parents[k]
+        return back[::-1]
+
+
+def _random_pose(rods: Rods, home: Sample, mode: Sample, rng: np.random.Generator) -> Poses:
+    """Draw a pose about the two modes: within half a rod's length of the line between them, any orientation."""
+    share, spread = rng.uniform(), 0.5 * rods.lengths.mean()
+    position = (
+        home.plate.position + share * (mode.plate.position - home.plate.position) + rng.uniform(-spread, spread, 3)
+    )
+    rotation = rods.rotation if rods.translates else Rotation.from_quat(rng.normal(size=4)).as_matrix()
+    return Poses(position, rotation[None])
+
+
+def _limits(rods: Rods, keep: bool, clearance: float) -> Limits:
+    """Return the limits of a search; poses are measured in rods' lengths."""
+    everywhere = np.full(rods.na, np.inf)
+    lower, upper = (rods.robot.lower, rods.robot.upper) if keep else (-everywhere, everywhere)
+    return Limits(lower, upper, clearance, float(rods.lengths.mean()))
+
+
+def _answer(verdict: str, why: str, samples: list[Sample]) -> Reach:
+    """Put a motion's samples into arrays."""
+    if not samples:
+        return Reach(verdict, why, np.zeros((0, 0)), Poses(np.zeros((0, 3)), np.zeros((0, 3, 3))))
+    return Reach(verdict, why, np.array([s.q for s in samples]), _joined([s.plate for s in samples]))
+
+
+def _joined(poses: list[Poses]) -> Poses:
+    return Poses(np.concatenate([p.position for p in poses]), np.concatenate([p.rotation for p in poses]))

@@ -7,22 +7,22 @@ from collections.abc import Callable
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.kinematics.collisions import measure_thickness
-from tau_dyn.kinematics.workspace.footprint import build_footprint
-from tau_dyn.kinematics.workspace.lattice import INSIDE, ClassifiedLattice, Lattice, build_lattice, classify_lattice
-from tau_dyn.kinematics.workspace.machine import WorkspaceModel
-from tau_dyn.kinematics.workspace.machines import build_machine
-from tau_dyn.kinematics.workspace.measure import (
+from tau_dyn.kinematics.workspace.lattice import (
+    INSIDE,
+    ClassifiedLattice,
+    Lattice,
     Size,
     bound_missed_size,
+    build_lattice,
+    classify_lattice,
     compute_bounding_box,
     erode_by_margin,
     find_connected,
     measure_size,
 )
-from tau_dyn.kinematics.workspace.pose_check import PoseChecker
-from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
-from tau_dyn.kinematics.workspace.result import Workspace
+from tau_dyn.kinematics.workspace.machine import WorkspaceModel, build_machine
+from tau_dyn.kinematics.workspace.pose_check import PoseChecker, PoseRequirements
+from tau_dyn.kinematics.workspace.result import Workspace, build_footprint
 from tau_dyn.mechanism import Poses, require_poses
 from tau_dyn.robot import Robot
 
@@ -57,10 +57,13 @@ def find_workspace(
         InputError: Limits are missing or inverted, the resolution is too fine or too coarse, or home itself does not belong.
         CannotAnswer: The tool moves in a plane or on a line that is not parallel to the axes.
     """
-    machine = build_machine(robot) if isinstance(robot, Robot) else robot
+    machine = robot if isinstance(robot, WorkspaceModel) else build_machine(robot)
     judge = PoseChecker(machine, demands if demands is not None else PoseRequirements())
     turn = np.asarray(machine.home.rotation)[0]
     if rotation is not None:
+        if not machine.by_position:
+            names = ", ".join(machine.kinematics.commanded.names)
+            raise InputError("unsupported", f"{machine.robot.source}: its workspace is over {names}, at no orientation")
         turn = np.asarray(require_poses(Poses(machine.home.position, np.asarray(rotation, float)[None])).rotation)[0]
     _check_home(machine, judge, turn)
     progress("judging the coarse lattice, then its border")
@@ -77,8 +80,7 @@ class _Recorder:
         self.q: list[np.ndarray] = []
 
     def __call__(self, places: np.ndarray) -> np.ndarray:
-        poses = Poses(places, np.broadcast_to(self.turn, (len(places), 3, 3)))
-        judged = self.judge.judge(poses)
+        judged = self.judge.judge(self.judge.machine.place(places, self.turn))
         self.places.append(places)
         self.q.append(judged.q)
         return judged.code
@@ -98,8 +100,9 @@ def _explored(
             build_lattice(lower, upper, _beside(machine, lower, upper, step), step), recorder, seed=seed
         )
         below, above = _touched(found.inside)
-        below &= lower > judge.demands.surroundings.lower
-        above &= upper < judge.demands.surroundings.upper
+        if machine.by_position:
+            below &= lower > judge.demands.surroundings.lower
+            above &= upper < judge.demands.surroundings.upper
         if machine.rods is not None or not (below.any() or above.any()):
             break
         room = 0.25 * (upper - lower)
@@ -109,7 +112,7 @@ def _explored(
 
 def _beside(machine: WorkspaceModel, lower: np.ndarray, upper: np.ndarray, step: float) -> np.ndarray:
     """Return a place half a step beside home, so that limits at round places around home lie between points."""
-    return machine.home.position[0] + np.where(upper > lower, step / 2, 0.0)
+    return machine.home_place + np.where(upper > lower, step / 2, 0.0)
 
 
 def _touched(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -119,7 +122,7 @@ def _touched(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _check_home(machine: WorkspaceModel, judge: PoseChecker, turn: np.ndarray) -> None:
-    judged = judge.judge(Poses(machine.home.position, turn[None]))
+    judged = judge.judge(machine.place(machine.home_place[None], turn))
     if judged.code[0] == INSIDE:
         return
     home = ", ".join(f"{x:.4g}" for x in machine.home.position[0])
@@ -135,7 +138,7 @@ def _check_home(machine: WorkspaceModel, judge: PoseChecker, turn: np.ndarray) -
 def _box(machine: WorkspaceModel, demands: PoseRequirements) -> tuple[np.ndarray, np.ndarray]:
     """Return the box to look in, cut by the tool's limits; an axis in which the tool does not move has no width."""
     lower, upper = machine.reach()
-    home, around = machine.home.position[0], demands.surroundings
+    home, around = machine.home_place, demands.surroundings
     J = machine.rates(machine.robot.home[None], machine.home)
     flat = upper - lower < 1e-6 * max(float((upper - lower).max()), 1e-9)
     lower, upper = np.where(flat, home, lower), np.where(flat, home, upper)
@@ -145,6 +148,8 @@ def _box(machine: WorkspaceModel, demands: PoseRequirements) -> tuple[np.ndarray
             f"{machine.robot.source}: its tool moves in a plane or on a line that is not parallel to the axes",
             "a robot file whose base is turned so that it is",
         )
+    if not machine.by_position:
+        return lower, upper
     lower, upper = np.maximum(lower, around.lower), np.minimum(upper, around.upper)
     if (lower > upper).any():
         axis = "xyz"[int(np.argmax(lower > upper))]
@@ -174,7 +179,7 @@ def _suitable(
     """Return a round step that gives the workspace, not the box around it, some dozens of cells."""
     coarse = float((upper - lower).max()) / _FIRST
     look = _Recorder(judge, turn)
-    lattice = build_lattice(lower, upper, machine.home.position[0], coarse, 1)
+    lattice = build_lattice(lower, upper, machine.home_place, coarse, 1)
     inside = classify_lattice(lattice, look, probes=0).inside
     low, high = compute_bounding_box(inside, lattice.low, coarse)
     raw = (float((high - low).max()) + coarse) / _CELLS
@@ -187,7 +192,7 @@ def _result(
 ) -> Workspace:
     lattice, demands = found.lattice, judge.demands
     code = found.code.copy()
-    belongs = find_connected(code == INSIDE, _start(lattice, code == INSIDE, machine.home.position[0]))
+    belongs = find_connected(code == INSIDE, _start(lattice, code == INSIDE, machine.home_place))
     code[(code == INSIDE) & ~belongs] = judge.reasons.code("not connected to home")
     if demands.border > 0:
         kept = erode_by_margin(belongs, lattice.step, demands.border)
@@ -197,8 +202,9 @@ def _result(
             raise InputError("invalid_value", f"nothing keeps {demands.border:g} m from the border; ask for less")
     places, q = np.concatenate(recorder.places), np.concatenate(recorder.q)
     index = np.rint((places - lattice.low) / lattice.step).astype(int)
-    size = measure_size(belongs, lattice.step, bound_missed_size(found))
-    lower, upper = compute_bounding_box(belongs, lattice.low, lattice.step)
+    unit = float(np.prod(machine.scale[np.array(lattice.shape) > 1]))
+    size = Size(*(x / unit for x in measure_size(belongs, lattice.step, bound_missed_size(found))))
+    lower, upper = (x / machine.scale for x in compute_bounding_box(belongs, lattice.low, lattice.step))
     return Workspace(
         machine=machine,
         judge=judge,
@@ -237,7 +243,7 @@ def _warnings(machine: WorkspaceModel, judge: PoseChecker, found: ClassifiedLatt
     said = []
     coarse = found.lattice.step * found.lattice.stride
     for obstacle in judge.demands.surroundings.obstacles:
-        if measure_thickness(obstacle.shape) + 2 * obstacle.margin < coarse:
+        if 2 * (obstacle.shape.half_size.min() + obstacle.margin) < coarse:
             said.append(
                 f"obstacle '{obstacle.name}' is thinner than the coarse lattice of {coarse:.3g} m and may be missed in parts; "
                 "take a finer resolution"

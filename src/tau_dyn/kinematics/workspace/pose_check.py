@@ -1,18 +1,175 @@
-"""Judges poses: the first demand that a pose does not meet is its reason; cheap ones come first, collisions last."""
+"""What a pose must satisfy, and which demand it fails first; cheap ones are looked at first, collisions last.
+
+A rod is not tested against the cart and the plate that hold its joints, nor against what that cart rides on: there the ball
+joint's angle is the limit, and how brackets and sockets are cut is not in a robot file. What touches at home is left out as
+well, and named.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.kinematics.collisions import PlacedSolid, find_touched_obstacle
+from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics.collisions import PlacedSolid, find_collisions, find_touched_obstacle
 from tau_dyn.kinematics.dexterity import compute_dexterity
+from tau_dyn.kinematics.obstacles import Surroundings
+from tau_dyn.kinematics.solids import Body
 from tau_dyn.kinematics.workspace.lattice import INSIDE
 from tau_dyn.kinematics.workspace.machine import WorkspaceModel, get_travel
-from tau_dyn.kinematics.workspace.pairs import list_pairs
-from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements, Reasons
 from tau_dyn.mechanism import SLACK, BallJoints, Poses, find_ball_joints, unwind_turns
+
+KINDS = (
+    "out of reach",
+    "actuator limit",
+    "tool limit",
+    "safety zone",
+    "ball joint",
+    "singularity",
+    "obstacle",
+    "collision",
+    "not connected to home",
+    "too close to the border",
+)
+"""Kinds of reasons, in the order in which they are asked; a pose keeps the first that excludes it."""
+WORST_CONDITION = 1e3
+"""Condition number above which a pose counts as singular: a thousandth of the best direction's speed is left."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseRequirements:
+    """What a pose must satisfy.
+
+    Attributes:
+        ball_angle: Largest angle of rods in their ball joints [rad]; None takes the file's, 45 degrees where it gives none.
+        surroundings: Obstacles, zones and the tool's limits.
+        collisions: Whether the robot must not touch itself and its frame.
+        clearance: Distance that solids of the robot keep from each other [m].
+        condition: Largest condition number.
+        singularity: Least distance to a singularity, in singular values of the homogenised closure; 0 asks for its sign alone.
+        border: Distance to keep from the workspace's border [m].
+        actuators: Whether actuator limits count.
+    """
+
+    ball_angle: float | None = None
+    surroundings: Surroundings = field(default_factory=Surroundings)
+    collisions: bool = True
+    clearance: float = 0.0
+    condition: float = WORST_CONDITION
+    singularity: float = 0.0
+    border: float = 0.0
+    actuators: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no sense."""
+        if self.ball_angle is not None and not 0 < self.ball_angle <= np.pi:
+            raise InputError(
+                "invalid_value",
+                f"the ball joints' angle must lie between 0 and 180 degrees, not {np.rad2deg(self.ball_angle):g}",
+            )
+        for name in ("clearance", "singularity", "border"):
+            if not 0 <= getattr(self, name) < 1e6:
+                raise InputError(
+                    "invalid_value", f"{name} must be a finite number from zero up, not {getattr(self, name)}"
+                )
+        if not self.condition >= 1:
+            raise InputError("invalid_value", f"the largest condition number must be 1 or more, not {self.condition}")
+
+
+class Reasons:
+    """Codes for reasons: INSIDE, then one a pair of kind and culprit, as they turn up."""
+
+    def __init__(self) -> None:
+        """Start with none."""
+        self._known: dict[tuple[str, str], int] = {}
+
+    def code(self, kind: str, culprit: str = "") -> int:
+        """Return the code of a reason."""
+        return self._known.setdefault((kind, culprit), len(self._known) + INSIDE + 1)
+
+    def items(self) -> list[tuple[int, str, str]]:
+        """Return code, kind and culprit of every reason, in the order of the kinds."""
+        listed = [(code, kind, culprit) for (kind, culprit), code in self._known.items()]
+        return sorted(listed, key=lambda row: (KINDS.index(row[1]), row[0]))
+
+    def words(self, code: int) -> str:
+        """Return a reason as words; empty for INSIDE."""
+        for (kind, culprit), known in self._known.items():
+            if known == code:
+                return f"{kind}: {culprit}" if culprit else kind
+        return ""
+
+
+_GUIDEWAY_CLEARANCE_M = 0.02  # [m] what a cart keeps from the guideway that it rides on
+
+
+@dataclass(frozen=True)
+class SolidPair:
+    """Two solids: indices among the bodies, and what the pair is called."""
+
+    first: int
+    second: int
+    name: str
+
+    def touches(self, solids: Mapping[int, PlacedSolid] | Sequence[PlacedSolid], margin: float) -> np.ndarray:
+        """Return at which poses (N,) they come closer than `margin` [m]."""
+        return find_collisions(solids[self.first], solids[self.second], margin)
+
+
+def list_pairs(machine: WorkspaceModel, margin: float = 0.0) -> tuple[list[SolidPair], list[str]]:
+    """Return the pairs to test, and the names of those left out because they touch at home though nothing joins them."""
+    bodies = machine.bodies
+    solids = machine.solids(machine.robot.home[None], machine.home)
+    kept: list[SolidPair] = []
+    touching: list[str] = []
+    for i in range(len(bodies)):
+        for j in range(i):
+            a, b = (i, j) if bodies[i].rod >= 0 else (j, i)  # a rod first: its cover is the finest
+            if _joined(a, b, bodies, solids, machine):
+                continue
+            pair = SolidPair(a, b, f"{bodies[a].name} and {bodies[b].name}")
+            if not pair.touches(solids, margin)[0]:
+                kept.append(pair)
+            elif not _rides(bodies[a], bodies[b], machine):
+                touching.append(pair.name)
+    return kept, list(dict.fromkeys(touching))
+
+
+def _joined(a: int, b: int, bodies: list[Body], solids: list[PlacedSolid], machine: WorkspaceModel) -> bool:
+    """Return whether two solids belong to one link, or one is a rod and the other holds its joint or carries what does."""
+    if bodies[a].rod < 0:
+        return bodies[a].joint == bodies[b].joint
+    if bodies[b].rod >= 0:
+        return _share_an_end(solids[a], solids[b])
+    holders = machine.holders(bodies[a].rod)
+    if bodies[b].joint in holders:
+        return True
+    carts = [k for k, body in enumerate(bodies) if body.rod < 0 and body.joint in holders]
+    under = [machine.robot.model.parents[j] for j in holders]
+    return bodies[b].joint in under and any(
+        find_collisions(solids[k], solids[b], _GUIDEWAY_CLEARANCE_M)[0] for k in carts
+    )
+
+
+def _rides(a: Body, b: Body, machine: WorkspaceModel) -> bool:
+    """Return whether a joint lies between two links."""
+    parents = machine.robot.model.parents
+    return a.rod < 0 and (parents[a.joint] == b.joint or parents[b.joint] == a.joint)
+
+
+def _share_an_end(a: PlacedSolid, b: PlacedSolid) -> bool:
+    return bool(np.linalg.norm(_ends(a)[:, None] - _ends(b)[None], axis=2).min() < 1e-3)
+
+
+def _ends(rod: PlacedSolid) -> np.ndarray:
+    """Return a rod's joints (2, 3) at its first pose."""
+    assert rod.length is not None
+    half = rod.rotation[0][:, 2] * rod.length[0] / 2
+    return np.array([rod.position[0] - half, rod.position[0] + half])
+
 
 _BATCH = 20000  # poses at a time, tens of MB
 

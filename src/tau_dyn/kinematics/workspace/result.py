@@ -1,4 +1,9 @@
-"""A workspace: its points, its size with bounds, why the others do not belong, and what was doubtful."""
+"""A workspace: its points, its size with bounds, why the others do not belong, the floor it takes, and what was doubtful.
+
+The floor is that of the robot's frame and its carts' travel, seen from above. No source defines the ratio it goes with, so both
+readings are reported: workspace volume per floor area [m], and per volume of the upright box around frame and carts (the
+installation). Rods and plate, which reach beyond, belong to the workspace and do not count.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.kinematics.workspace.lattice import INSIDE, Lattice
-from tau_dyn.kinematics.workspace.machine import WorkspaceModel
-from tau_dyn.kinematics.workspace.measure import Size
-from tau_dyn.kinematics.workspace.pose_check import PoseChecker
-from tau_dyn.kinematics.workspace.pose_requirements import KINDS, Reasons
+from tau_dyn.kinematics.collisions import PlacedSolid
+from tau_dyn.kinematics.workspace.lattice import INSIDE, Lattice, Size
+from tau_dyn.kinematics.workspace.machine import WorkspaceModel, get_travel
+from tau_dyn.kinematics.workspace.pose_check import KINDS, PoseChecker, Reasons
 from tau_dyn.mechanism import Poses
 
 _MEASURES = {1: ("length", "m"), 2: ("area", "m2"), 3: ("volume", "m3")}
@@ -51,8 +55,8 @@ class Workspace:
         code: Code of every point (lattice shape), `INSIDE` where it belongs.
         asked: Whether a point was judged itself, not filled from its neighbours (lattice shape).
         size: Volume with bounds [m^3]; area or length where the tool moves in a plane or on a line.
-        lower: Lowest coordinates of the set (3,) [m].
-        upper: Highest coordinates (3,) [m].
+        lower: Lowest coordinates of the set (3,) [m], of turns [rad].
+        upper: Highest coordinates (3,) [m], of turns [rad].
         footprint: Of the robot.
         reasons: What the codes mean.
         places: The judged points that have positions (M, 3) [m].
@@ -90,11 +94,15 @@ class Workspace:
     @property
     def measure(self) -> tuple[str, str]:
         """What its size is called, and its unit."""
-        return _MEASURES.get(self.dimension, ("points", "1"))
+        name, unit = _MEASURES.get(self.dimension, ("points", "1"))
+        wide = [u for u, n in zip(self.machine.units, self.lattice.shape, strict=True) if n > 1]
+        if self.machine.by_position:
+            return name, unit
+        return name, " ".join(u + (str(wide.count(u)) if wide.count(u) > 1 else "") for u in dict.fromkeys(wide))
 
     def poses(self, points: np.ndarray) -> Poses:
         """Return poses of the tool at places (N, 3)."""
-        return Poses(points, np.broadcast_to(self.rotation, (len(points), 3, 3)))
+        return self.machine.place(points, self.rotation)
 
     def counts(self) -> list[dict[str, Any]]:
         """Return how many points each reason excludes, by kind, then by culprit; shares are of the box looked at."""
@@ -112,17 +120,21 @@ class Workspace:
     def to_dict(self) -> dict[str, Any]:
         """Return the part of the JSON result that is the workspace."""
         name, unit = self.measure
+        by_position, frame = self.machine.by_position, self.footprint
         value, low, high = self.size
-        frame = self.footprint
+        solid, last = self.dimension == 3 and by_position, np.array(self.lattice.shape) - 1
         return {
             "dimension": self.dimension,
-            "volume_m3": value if self.dimension == 3 else None,
-            "volume_bound_m3": [low, high] if self.dimension == 3 else None,
+            "volume_m3": value if solid else None,
+            "volume_bound_m3": [low, high] if solid else None,
             "size": {"name": name, "unit": unit, "value": value, "low": low, "high": high},
             "resolution_m": self.lattice.step,
             "points": {"inside": int(self.inside.sum()), "lattice": int(self.code.size), "judged": self.judge.n_judged},
             "bounding_box": {"lower": self.lower, "upper": self.upper},
-            "searched": {"lower": self.lattice.low, "upper": self.lattice.points(np.array(self.lattice.shape) - 1)},
+            "searched": {
+                "lower": self.lattice.low / self.machine.scale,
+                "upper": self.lattice.points(last) / self.machine.scale,
+            },
             "orientation": self.rotation,
             "footprint": {
                 "area_m2": frame.area,
@@ -130,10 +142,34 @@ class Workspace:
                 "upper": frame.upper,
                 "height_m": frame.height,
                 "what": frame.what,
-                "workspace_to_footprint_m": value / frame.area if self.dimension == 3 and frame.area > 0 else None,
+                "workspace_to_footprint_m": value / frame.area if solid and frame.area > 0 else None,
                 "workspace_to_installation": value / (frame.area * frame.height)
-                if self.dimension == 3 and frame.area * frame.height > 0
+                if solid and frame.area * frame.height > 0
                 else None,
             },
             "excluded": self.counts(),
-        }
+        } | ({} if by_position else {"coordinates": list(self.machine.axes)})
+
+
+def build_footprint(machine: WorkspaceModel) -> Footprint:
+    """Return a robot's footprint."""
+    solids = machine.solids(machine.robot.home[None], machine.home)
+    fixed = [_corners(s) for s, body in zip(solids, machine.bodies, strict=True) if body.joint == 0]
+    what = ["frame"] if fixed else []
+    if machine.rods is not None:
+        lower, upper = get_travel(machine.robot)
+        share = np.random.default_rng(0).random((400, machine.robot.na))
+        q = np.concatenate([[lower, upper, machine.robot.home], lower + share * (upper - lower)])
+        fixed.append(machine.rods.base_points(q).reshape(-1, 3))
+        what.append("rods' joints over the actuators' travel")
+    if not fixed:
+        return Footprint(np.zeros(2), np.zeros(2), 0.0, "unknown: the file draws no frame in simple shapes")
+    points = np.concatenate(fixed)
+    low, high = points.min(axis=0), points.max(axis=0)
+    return Footprint(low[:2], high[:2], float(high[2] - low[2]), " and ".join(what))
+
+
+def _corners(solid: PlacedSolid) -> np.ndarray:
+    """Return the corners (8, 3) of a box around a solid at its first pose."""
+    signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
+    return solid.position[0] + (signs * solid.shape.half_size) @ solid.rotation[0].T

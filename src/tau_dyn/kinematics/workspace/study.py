@@ -1,26 +1,232 @@
-"""All that `tau-dyn workspace` asks of a robot in one call: workspace, sections with maps, catalogue, tilt."""
+"""All that `tau-dyn workspace` asks of a robot in one call: workspace, sections with maps, catalogue, tilt.
+
+Every point of a section is judged on its own, with the maps' quantities where it belongs. The tool's tilt is how far its axis can
+lean towards every side at one place until a demand is not met.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 import pinocchio as pin
+from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.kinematics.workspace.catalogue import Catalogue, build_catalogue
 from tau_dyn.kinematics.workspace.find import find_workspace
 from tau_dyn.kinematics.workspace.lattice import INSIDE
-from tau_dyn.kinematics.workspace.machines import build_machine
-from tau_dyn.kinematics.workspace.maps import Quality, build_elasticity
-from tau_dyn.kinematics.workspace.orientations import Tilt, measure_tilt, turns_freely
-from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
+from tau_dyn.kinematics.workspace.machine import build_machine
+from tau_dyn.kinematics.workspace.maps import Catalogue, Quality, build_catalogue, build_elasticity
+from tau_dyn.kinematics.workspace.pose_check import PoseRequirements
 from tau_dyn.kinematics.workspace.result import Workspace
-from tau_dyn.kinematics.workspace.sections import Section, choose_usual_sections, judge_section, parse_section
+from tau_dyn.mechanism import Poses
 from tau_dyn.results import Shown
 from tau_dyn.robot import Robot
+
+_MAX_SECTION_POINTS = 220
+"""Points along the longer side of a section."""
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A plane through a workspace.
+
+    Attributes:
+        axis: Index of the axis that it is across (0, 1, 2).
+        at: Where [m].
+        across: Index of the axis drawn to the right.
+        up: Index of the axis drawn upwards.
+        u: Coordinates to the right (nu,) [m].
+        v: Coordinates upwards (nv,) [m].
+        code: Codes (nu, nv), 0 where a pose belongs.
+        maps: Quantities by name (nu, nv), nan where a pose does not belong.
+        area: Of the part that belongs [m^2].
+        axes: Names of the three coordinates.
+        units: Theirs, m or rad.
+    """
+
+    axis: int
+    at: float
+    across: int
+    up: int
+    u: np.ndarray
+    v: np.ndarray
+    code: np.ndarray
+    area: float
+    maps: dict[str, np.ndarray] = field(default_factory=dict)
+    axes: tuple[str, ...] = ("x", "y", "z")
+    units: tuple[str, ...] = ("m", "m", "m")
+
+    @property
+    def name(self) -> str:
+        """Such as `x = 1.75 m`."""
+        return f"{self.axes[self.axis]} = {self.at:.4g} {self.units[self.axis]}"
+
+    @property
+    def inside(self) -> np.ndarray:
+        """Whether each point belongs (nu, nv)."""
+        return self.code == INSIDE
+
+
+def parse_section(text: str, axes: Sequence[str] = ("x", "y", "z")) -> tuple[int, float]:
+    """Return axis and place of a section such as `x=1.75`, by the names of the axes.
+
+    Raises:
+        InputError: It is written otherwise.
+    """
+    axis, equals, number = text.partition("=")
+    try:
+        value = float(number)
+    except ValueError:
+        value = np.nan
+    if axis.strip().lower() not in axes or not equals or not abs(value) < 1e6:
+        raise InputError("invalid_value", f"a section is an axis and a place, such as x=1.75, not '{text}'")
+    return list(axes).index(axis.strip().lower()), value
+
+
+def judge_section(found: Workspace, axis: int, at: float, quality: Quality, names: Sequence[str] = ()) -> Section:
+    """Judge a plane across an axis.
+
+    Args:
+        found: The workspace.
+        axis: Index of the axis.
+        at: Where [m].
+        quality: Evaluates the maps.
+        names: Of the maps.
+
+    Raises:
+        InputError: The plane misses what was searched, or the tool does not move in it.
+    """
+    across, up = [k for k in range(3) if k != axis]
+    machine, name = found.machine, found.machine.axes[axis]
+    low, high = found.lattice.low, found.lattice.points(np.array(found.lattice.shape) - 1)
+    place, scale = at * machine.scale[axis], machine.scale[[across, up]]
+    if not low[axis] - 1e-9 <= place <= high[axis] + 1e-9:
+        raise InputError(
+            "unreachable",
+            f"section {name}={at:g} misses the searched box, {low[axis] / machine.scale[axis]:.3g} to "
+            f"{high[axis] / machine.scale[axis]:.3g} {machine.units[axis]}",
+        )
+    if found.lattice.shape[across] < 2 or found.lattice.shape[up] < 2:
+        raise InputError("unsupported", f"the tool does not move along both axes of a section across {name}")
+    step = max(found.lattice.step, max(high[across] - low[across], high[up] - low[up]) / _MAX_SECTION_POINTS)
+    u, v = (_along(low[k], high[k], step) for k in (across, up))
+    places = np.zeros((len(u), len(v), 3))
+    places[..., axis], places[..., across], places[..., up] = place, u[:, None], v[None, :]
+    places = places.reshape(-1, 3)
+    judged = found.judge.judge(found.poses(places))
+    code = _also_of_lattice(found, places, judged.code)
+    inside = code == INSIDE
+    maps = {}
+    for name, value in quality.values(list(names), judged.q[inside], found.poses(places[inside])).items():
+        maps[name] = np.full(len(code), np.nan)
+        maps[name][inside] = value
+    shape = (len(u), len(v))
+    return Section(
+        axis, at, across, up, u / scale[0], v / scale[1], code.reshape(shape), float(inside.sum() * step**2 / scale.prod()),
+        {name: value.reshape(shape) for name, value in maps.items()}, machine.axes, machine.units,
+    )  # fmt: skip
+
+
+def _along(low: float, high: float, step: float) -> np.ndarray:
+    return low + step * np.arange(int(np.floor((high - low) / step + 1e-9)) + 1)
+
+
+def _also_of_lattice(found: Workspace, places: np.ndarray, code: np.ndarray) -> np.ndarray:
+    """Return codes with what only the whole lattice knows: connection with home, distance from the border."""
+    index = np.rint((places - found.lattice.low) / found.lattice.step).astype(int)
+    index = np.clip(index, 0, np.array(found.lattice.shape) - 1)
+    near = found.code[tuple(index.T)]
+    wider = {c for c, kind, _ in found.reasons.items() if kind in ("not connected to home", "too close to the border")}
+    return np.where((code == INSIDE) & np.isin(near, list(wider)), near, code)
+
+
+def choose_usual_sections(found: Workspace) -> list[tuple[int, float]]:
+    """Return the planes through home across x, y and z, of those in which the tool moves."""
+    wide = [n > 1 for n in found.lattice.shape]
+    home = found.machine.home_place / found.machine.scale
+    return [(k, float(home[k])) for k in range(3) if all(wide[i] for i in range(3) if i != k)]
+
+
+_SIDES = 24  # directions of leaning, 15 degrees apart
+_MAX_TILT_RAD = np.deg2rad(120.0)
+_STEP = np.deg2rad(1.0)
+
+
+class Tilt(NamedTuple):
+    """Reachable orientations at a place.
+
+    Attributes:
+        place: (3,) [m].
+        towards: Directions in the tool's xy plane into which its z axis leans (m,) [rad].
+        angle: How far it can lean towards each (m,) [rad].
+        reason: Why not farther (m words).
+    """
+
+    place: np.ndarray
+    towards: np.ndarray
+    angle: np.ndarray
+    reason: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a plain mapping, angles in degrees."""
+        return {
+            "place": self.place,
+            "towards_deg": np.rad2deg(self.towards),
+            "tilt_deg": np.rad2deg(self.angle),
+            "every_way_deg": float(np.rad2deg(self.angle.min())),
+            "best_way_deg": float(np.rad2deg(self.angle.max())),
+            "limited_by": list(self.reason),
+        }
+
+
+def turns_freely(found: Workspace) -> bool:
+    """Return whether the tool's orientation can be chosen: six freedoms, six actuators."""
+    machine = found.machine
+    if machine.robot.na < 6:
+        return False
+    return machine.rods is None or not machine.rods.translates
+
+
+def measure_tilt(found: Workspace, place: np.ndarray) -> Tilt:
+    """Return how far the tool can lean at a place, starting from the workspace's orientation.
+
+    Raises:
+        InputError: The robot's tool does not turn freely, or the place does not belong to the workspace.
+    """
+    if not turns_freely(found):
+        raise InputError(
+            "unsupported", f"{found.machine.robot.source}: the tool does not turn freely, so it has no range of tilt"
+        )
+    place = np.asarray(place, float)
+    judged = found.judge.judge(found.poses(place[None]))
+    if judged.code[0] != INSIDE:
+        words = found.reasons.words(int(judged.code[0]))
+        raise InputError(
+            "unreachable",
+            f"the place {', '.join(f'{x:.4g}' for x in place)} m does not belong to the workspace ({words})",
+        )
+    towards = np.arange(_SIDES) * 2 * np.pi / _SIDES
+    angles = np.arange(1, round(_MAX_TILT_RAD / _STEP) + 1) * _STEP
+    axes = np.stack([-np.sin(towards), np.cos(towards), np.zeros(_SIDES)], axis=1)
+    alive, reach, reason = np.ones(_SIDES, bool), np.full(_SIDES, angles[-1]), [""] * _SIDES
+    for block in np.array_split(angles, 8):  # outwards, so that inverse kinematics has neighbours to start from
+        sides = np.flatnonzero(alive)
+        if not len(sides):
+            break
+        turn = Rotation.from_rotvec((axes[sides, None] * block[:, None]).reshape(-1, 3)).as_matrix()
+        poses = Poses(np.tile(place, (len(turn), 1)), found.rotation @ turn)
+        code = found.judge.judge(poses).code.reshape(len(sides), len(block))
+        for k, row in zip(sides, code, strict=True):
+            if (row != INSIDE).any():
+                first = int(np.argmax(row != INSIDE))
+                reach[k], alive[k] = block[first] - _STEP, False
+                reason[k] = found.reasons.words(int(row[first]))
+    return Tilt(place, towards, np.maximum(reach, 0.0), tuple(reason))
+
 
 _MAX_PLACES = 2000
 """Places of a result file at most."""
@@ -64,18 +270,21 @@ class Study(Shown):
         inside = np.flatnonzero(space.place_codes == INSIDE)
         chosen = inside[:: max(1, -(-len(inside) // _MAX_PLACES))]
         values = self.quality.values(self.maps, space.q[chosen], space.poses(space.places[chosen]))
-        return {"points": space.places[chosen], "values": values}
+        points = space.places[chosen]
+        if not space.machine.by_position:
+            points = space.machine.kinematics.forward(space.q[chosen]).poses.position
+        return {"points": points, "values": values}
 
     def _section(self, s: Section) -> dict[str, Any]:
         kinds = {code: kind for code, kind, _ in self.workspace.reasons.items()}
         solved = ~np.isin(s.code, [c for c, kind in kinds.items() if kind == "out of reach"])
-        cell = float(np.diff(s.u[:2])[0]) ** 2 if len(s.u) > 1 else 0.0
+        cell = float(np.diff(s.u[:2])[0] * np.diff(s.v[:2])[0]) if min(s.code.shape) > 1 else 0.0
         ends = [[float(x[0]), float(x[-1])] if len(x) else None for x in _extents(s)]
         return {
             "across": s.name,
             "area_m2": s.area,
             "area_with_inverse_kinematics_m2": float(solved.sum()) * cell,
-            "extent": dict(zip(("xyz"[s.across], "xyz"[s.up]), ends, strict=True)),
+            "extent": dict(zip((s.axes[s.across], s.axes[s.up]), ends, strict=True)),
             "points": int(s.code.size),
         }
 
@@ -116,8 +325,8 @@ def study_workspace(
     Raises:
         InputError: Some of it is at fault.
     """
-    planes = [parse_section(text) for text in sections]
     machine = build_machine(robot)
+    planes = [parse_section(text, machine.axes) for text in sections]
     quality = Quality(machine, build_elasticity(machine, rod_stiffness, actuator_stiffness))
     names = list(dict.fromkeys(maps)) or quality.available()
     unknown = next((n for n in names if n not in quality.available()), None)
@@ -149,3 +358,22 @@ def _turned(degrees: Sequence[float]) -> np.ndarray:
     if angles.shape != (3,) or not np.isfinite(angles).all():
         raise InputError("invalid_value", "an orientation is roll, pitch and yaw, three finite numbers of degrees")
     return pin.rpy.rpyToMatrix(angles)
+
+
+def build_points_table(found: Study) -> pd.DataFrame:
+    """Return one row a judged point, columns as a log's: `x_tool`.., `q_<joint>`, then `inside`, `reason` and the maps."""
+    space = found.workspace
+    index = np.rint((space.places - space.lattice.low) / space.lattice.step).astype(int)
+    _, first = np.unique(index, axis=0, return_index=True)
+    places, q, codes = space.places[first], space.q[first], space.place_codes[first]
+    machine, values = space.machine, places / space.machine.scale
+    columns: dict[str, np.ndarray] = {f"{axis}_tool": values[:, k] for k, axis in enumerate(machine.axes) if axis}
+    columns |= {f"q_{name}": q[:, k] for k, name in enumerate(machine.robot.actuated)}
+    inside = codes == INSIDE
+    columns["inside"] = inside.astype(int)
+    words = {int(code): space.reasons.words(int(code)) for code in np.unique(codes)}
+    columns["reason"] = np.array([words[int(code)] for code in codes], dtype=object)
+    for name, value in found.quality.values(found.maps, q[inside], space.poses(places[inside])).items():
+        columns[name] = np.full(len(codes), np.nan)
+        columns[name][inside] = value
+    return pd.DataFrame(columns)

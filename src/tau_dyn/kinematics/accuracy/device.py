@@ -1,11 +1,12 @@
-r"""A parallel robot with errors: where its plate goes, and how sensitive it is, for many poses at once.
+"""A robot with errors: where its tool goes, and how sensitive it is, for many poses at once.
 
 With rods `w_k = B_k - A_k`, `u_k = w_k / |w_k|` and the plate's motion (dp, phi), the constraint `|w_k| = L_k` (4.4) gives
 
     u_k . (dp + phi x R b_k) = u_k . dA_k - u_k . R db_k + dL_k,
 
 one scalar a rod: `C X = G e`. So an error of a base point counts by its component along the rod alone, and like one of the rod's
-length (A.3). `closed` solves the constraints themselves by Newton; it does not step over a singularity unnoticed.
+length (A.3). `closed` solves the constraints themselves by Newton; it does not step over a singularity unnoticed. Without
+rods the same questions go through the whole tree.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.accuracy.sources import Sources
-from tau_dyn.mechanism import Poses, Rods
+from tau_dyn.kinematics.accuracy.errors import ErrorBounds, build_rod_sources
+from tau_dyn.mechanism import Kinematics, Poses, Rods
 
 _TOLERANCE = 1e-12
 """[m and rad] After a step this small the next one, a quadratic one, would be rounding."""
@@ -67,18 +68,81 @@ class Moved:
     ok: np.ndarray
 
 
-class RodDevice:
-    """A parallel robot and its error sources."""
+class Device:
+    """Any mechanism; each actuator errs within an interval along its own motion.
 
-    def __init__(self, rods: Rods, sources: Sources) -> None:
-        """Prepare; the robot must hold its plate with exactly as many rods as that has freedoms."""
-        self.rods, self.sources = rods, sources
-        self.balls, self.labels, self.m, self.along = sources.balls, sources.labels, sources.m, sources.along
-        self.freedoms = 3 if rods.translates else 6
-        if rods.n != self.freedoms:
+    Attributes:
+        kinematics: The mechanism.
+        legs: The device itself where it knows what its legs' errors do, else None.
+        balls: Where each source's numbers stand in an error `e` (m,), each within its unit ball.
+        labels: What each source is.
+        m: Number of numbers in `e`.
+        along: Largest error of each actuator along its own motion (na,) [m or rad].
+        own: Whether every source touches one leg only.
+    """
+
+    legs: LegsDevice | None = None
+    own = False
+
+    def __init__(self, kinematics: Kinematics, errors: ErrorBounds) -> None:
+        """Prepare.
+
+        Raises:
+            InputError: An error is asked of a rod, or across a joint's motion.
+        """
+        robot = kinematics.robot
+        if errors.rods:
             raise InputError(
                 "unsupported",
-                f"{rods.robot.source}: {rods.n} rods hold a plate with {self.freedoms} freedoms; this analysis needs one each",
+                f"{robot.source}: no rods between chains and a plate are known here; give errors of actuators only",
+            )
+        for joint, error in errors.actuators.items():
+            if error.axes is not None:
+                raise InputError(
+                    "unsupported",
+                    f"{joint}: x, y and z are for carts that carry rods; give one number, its own motion's",
+                )
+        self.kinematics = kinematics
+        self.along = np.array([errors.actuators[j].along if j in errors.actuators else 0.0 for j in robot.actuated])
+        erring = np.flatnonzero(self.along)
+        self.labels = tuple(robot.actuated[j] for j in erring)
+        self.m, self.balls = len(erring), tuple(slice(k, k + 1) for k in range(len(erring)))
+        self._actuator = np.zeros((robot.na, self.m))
+        self._actuator[erring, range(self.m)] = self.along[erring]
+
+    def state(self, q: np.ndarray, tool: Poses) -> State:
+        """Return the state at actuated positions (N, na) and the tool's poses there."""
+        return State(q, tool.position, tool.rotation, tool)
+
+    def by_actuators(self, state: State) -> np.ndarray:
+        """Return `d(tool) / dq` (N, 3 or 6, na)."""
+        return self.kinematics.jacobian(state.q, Poses(state.position, state.rotation))
+
+    def sensitivity(self, state: State, plate: Poses | None = None, e: np.ndarray | None = None) -> np.ndarray:
+        """Return `d(tool) / de` (N, 3 or 6, m): position, then rotation; at the errors given, else at none."""
+        if e is None:
+            return self.by_actuators(state) @ self._actuator
+        return self.kinematics.jacobian(state.q + e @ self._actuator.T, plate) @ self._actuator
+
+    def closed(self, state: State, e: np.ndarray) -> Moved:
+        """Return where errors `e` (N, m) put the tool: all constraints solved, on the branch that starts without errors."""
+        found = self.kinematics.forward(state.q + e @ self._actuator.T, start=Poses(state.position, state.rotation))
+        return _compare(state, found.poses, found.poses, np.asarray(found.ok))
+
+
+class LegsDevice(Device):
+    """A plate on legs and its error sources: of actuators along and across their motion, of legs and their joints."""
+
+    def __init__(self, legs: Rods, errors: ErrorBounds) -> None:
+        """Prepare; the robot must hold its plate with exactly as many rods as that has freedoms."""
+        self.kinematics, self.rods, self.legs = legs, legs, self
+        self.sources = s = build_rod_sources(legs, errors)
+        self.balls, self.labels, self.m, self.along, self.own = s.balls, s.labels, s.m, s.along, s.own
+        self.freedoms = 3 if legs.translates else 6
+        if legs.n != self.freedoms:
+            raise InputError(
+                "unsupported",
+                f"{legs.robot.source}: {legs.n} rods hold a plate with {self.freedoms} freedoms; this analysis needs one each",
             )
 
     def state(self, q: np.ndarray, tool: Poses) -> State:
@@ -90,12 +154,6 @@ class RodDevice:
         plate = state.plate if plate is None else plate
         C, G = self.tangent(state, plate, e)
         return self._at_tool(plate, solve(C, G))
-
-    def by_actuators(self, state: State) -> np.ndarray:
-        """Return `d(tool) / dq` (N, 3 or 6, na)."""
-        u, arm = self._rod_directions(state, state.plate, None)
-        G = np.einsum("Nkc,Nkcj->Nkj", u, self.rods.base_jacobian(state.q)) + self.rods.leg_rates(state.q)
-        return self._at_tool(state.plate, solve(self._rows(u, arm), G))
 
     def tangent(self, state: State, plate: Poses, e: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return `C` (N, n, 3 or 6) and `G` (N, n, m) of `C X = G e`."""
@@ -132,7 +190,8 @@ class RodDevice:
             left = left[~done & np.isfinite(step).all(axis=1)]
             if not left.size:
                 break
-        return self._moved(state, Poses(position, rotation), ok)
+        plate = Poses(position, rotation)
+        return _compare(state, self.rods.tool_poses(plate), plate, ok)
 
     def _constraints(
         self, position: np.ndarray, rotation: np.ndarray, A: np.ndarray, b: np.ndarray, L: np.ndarray
@@ -142,15 +201,6 @@ class RodDevice:
         w = position[:, None] + arm - A
         reach = np.linalg.norm(w, axis=2)
         return self._rows(w / np.maximum(reach, 1e-300)[..., None], arm), L - reach
-
-    def _moved(self, state: State, plate: Poses, ok: np.ndarray) -> Moved:
-        tool = self.rods.tool_poses(plate)
-        shift = np.where(ok[:, None], tool.position - state.position, np.nan)
-        turn = np.zeros_like(shift)
-        if not self.rods.translates:
-            change = tool.rotation @ state.rotation.transpose(0, 2, 1)
-            turn = np.where(ok[:, None], Rotation.from_matrix(change).as_rotvec(), np.nan)
-        return Moved(shift, turn, plate, ok)
 
     def _rod_directions(self, state: State, plate: Poses, e: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         A, b, _ = self.ends(state.q, e)
@@ -168,6 +218,13 @@ class RodDevice:
         lever = plate.rotation @ self.rods.tool.translation
         shift = X[:, :3] + np.cross(X[:, 3:], lever[:, :, None], axisa=1, axisb=1, axisc=1)
         return np.concatenate([shift, X[:, 3:]], axis=1)
+
+
+def _compare(state: State, tool: Poses, plate: Poses, ok: np.ndarray) -> Moved:
+    """Return how far the tool has come from where it should be."""
+    turn = np.full((len(ok), 3), np.nan)
+    turn[ok] = Rotation.from_matrix(tool.rotation[ok] @ state.rotation[ok].transpose(0, 2, 1)).as_rotvec()
+    return Moved(np.where(ok[:, None], tool.position - state.position, np.nan), turn, plate, ok)
 
 
 def solve(C: np.ndarray, right: np.ndarray) -> np.ndarray:
