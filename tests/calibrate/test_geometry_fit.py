@@ -17,7 +17,7 @@ from tau_dyn.calibrate.identifiability import find_identifiable
 from tau_dyn.calibrate.models import Spec
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import simulate_poses
-from tau_dyn.calibrate.weights import compute_robust_weights, compute_tuning_constant
+from tau_dyn.estimate import compute_robust_weights, compute_tuning_constant
 
 
 @pytest.mark.parametrize("residual", ["forward", "closure", "inverse"])

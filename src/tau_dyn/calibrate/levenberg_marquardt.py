@@ -18,7 +18,7 @@ from scipy import linalg
 from tau_dyn.calibrate.geometry import KNOWN_BEFOREHAND
 from tau_dyn.calibrate.identifiability import Identifiability, find_identifiable
 from tau_dyn.calibrate.residuals import FitState, Problem
-from tau_dyn.calibrate.weights import compute_robust_weights, estimate_robust_scale
+from tau_dyn.estimate import compute_robust_weights, estimate_distance_scale
 
 _MAX_ITERATIONS = 15  # bounds the time of a fit that does not converge
 _STEPS = 15  # of Gauss-Newton in one round
@@ -223,7 +223,7 @@ class LevenbergMarquardt:
             if self.robust == "none":
                 ratio = np.sqrt(float(np.sum(r[used][:, cut] ** 2)) / left)
             else:
-                ratio = estimate_robust_scale(np.linalg.norm(r[used][:, cut], axis=1), size) * np.sqrt(
+                ratio = estimate_distance_scale(np.linalg.norm(r[used][:, cut], axis=1), size) * np.sqrt(
                     used.sum() * size / left
                 )
             out.append(max(float(s * ratio), 1e-9))

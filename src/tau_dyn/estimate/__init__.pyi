@@ -15,6 +15,16 @@ from .instrumental_variables import (
     solve_instrumental_variables as solve_instrumental_variables,
 )
 from .least_squares import solve_least_squares as solve_least_squares
+from .nonlinear import (
+    Descent as Descent,
+    DescentRules as DescentRules,
+    LeastSquaresProblem as LeastSquaresProblem,
+    LinearSystem as LinearSystem,
+    NonlinearEstimate as NonlinearEstimate,
+    descend as descend,
+    factor_system as factor_system,
+    fit_nonlinear as fit_nonlinear,
+)
 from .parameter_combination import ParameterSum as ParameterSum, combine_parameters as combine_parameters
 from .physical_consistency import solve_consistent as solve_consistent
 from .physics import (
@@ -38,6 +48,12 @@ from .robust import (
     compute_bisquare_weights as compute_bisquare_weights,
     compute_robust_covariance_factor as compute_robust_covariance_factor,
     estimate_robust_scale as estimate_robust_scale,
+)
+from .robust_loss import (
+    LOSSES as LOSSES,
+    compute_robust_weights as compute_robust_weights,
+    compute_tuning_constant as compute_tuning_constant,
+    estimate_distance_scale as estimate_distance_scale,
 )
 from .scaled import scale_columns as scale_columns, solve_scaled as solve_scaled
 from .stored_rows import StoredRows as StoredRows
