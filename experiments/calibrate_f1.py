@@ -16,11 +16,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate import PoseSet, fit_geometry_to_poses
-from tau_dyn.calibrate.identifiability import find_identifiable
 from tau_dyn.calibrate.models import RodFamily, Spec
 from tau_dyn.calibrate.result import turn_rows
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import simulate_poses
+from tau_dyn.calibrate.unknowns import find_identifiable
 from tau_dyn.mechanism import Poses, build_rods, inverse_kinematics
 from tau_dyn.robot import load_robot
 

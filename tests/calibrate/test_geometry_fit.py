@@ -13,10 +13,10 @@ from calibration_rigs import family_at, measured, rods_of, spoiled
 
 from tau_dyn.calibrate import fit_geometry_to_poses
 from tau_dyn.calibrate.frames import DeviceFrames
-from tau_dyn.calibrate.identifiability import find_identifiable
 from tau_dyn.calibrate.models import Spec
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import simulate_poses
+from tau_dyn.calibrate.unknowns import find_identifiable
 from tau_dyn.estimate import compute_robust_weights, compute_tuning_constant
 
 

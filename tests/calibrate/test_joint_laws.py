@@ -12,8 +12,8 @@ from raising import raises_code
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate import PoseSet, calibrate, load_calibration, save_calibration
+from tau_dyn.calibrate.addition_tests import find_unit_coupling
 from tau_dyn.calibrate.crossvalidation import HeldOutErrors, compare_paired, split_folds
-from tau_dyn.calibrate.families import TreeFamily
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.joint_laws import (
     ArmGeometry,
@@ -22,9 +22,9 @@ from tau_dyn.calibrate.joint_laws import (
     build_gravity_laws,
     compute_gravity_torques,
 )
+from tau_dyn.calibrate.models import TreeFamily
 from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
-from tau_dyn.calibrate.unit_couplings import find_unit_coupling
 from tau_dyn.cli import main
 from tau_dyn.robot import Robot, load_robot_from_urdf
 from tau_dyn.robot.robot import BODY_STDERR

@@ -8,28 +8,25 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.calibrate.addition_tests import find_strongest_periods
-from tau_dyn.calibrate.candidates import (
+from tau_dyn.calibrate.addition_tests import UnitCoupling, find_strongest_periods, find_unit_coupling
+from tau_dyn.calibrate.causes import CalibrationFinding, as_finding, find_causes
+from tau_dyn.calibrate.crossvalidation import compare_paired
+from tau_dyn.calibrate.frames import check_spread, drop_duplicate_poses
+from tau_dyn.calibrate.geometry_fit import GeometryFit
+from tau_dyn.calibrate.model_selection import (
     CandidateModel,
     Options,
     SelectionStep,
     check_patterns,
     fit_and_cross_validate,
     fit_spec,
+    select_model,
 )
-from tau_dyn.calibrate.causes import CalibrationFinding, as_finding, find_causes
-from tau_dyn.calibrate.crossvalidation import compare_paired
-from tau_dyn.calibrate.families import Family, get_family
-from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.measurement_noise import estimate_measurement_noise
-from tau_dyn.calibrate.model_selection import select_model
-from tau_dyn.calibrate.models import Spec
-from tau_dyn.calibrate.moved_frames import find_moved_frames
-from tau_dyn.calibrate.outliers import describe_outliers, find_outliers
+from tau_dyn.calibrate.models import Family, Spec, get_family
+from tau_dyn.calibrate.outliers import describe_outliers, find_moved_frames, find_outliers
+from tau_dyn.calibrate.pose_errors import estimate_measurement_noise
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.result import Calibration
-from tau_dyn.calibrate.start import check_spread, drop_duplicate_poses
-from tau_dyn.calibrate.unit_couplings import UnitCoupling, find_unit_coupling
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.robot import Robot
 

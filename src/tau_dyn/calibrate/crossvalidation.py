@@ -8,11 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from tau_dyn.calibrate.fit_problem import FitState, LevenbergMarquardt, Problem
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.levenberg_marquardt import LevenbergMarquardt
 from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.residuals import FitState, Problem
 
 FOLDS = 5  # a common choice between bias and variance (Hastie et al. 2009, section 7.10)
 _DRAWS = 1000  # bootstrap draws of an interval; its ends vary by a few per cent of its width

@@ -1,12 +1,24 @@
-"""Poses that are grossly wrong: found with robust weights, named, and left out."""
+"""Whether the device or the target was moved before the held-out poses were measured.
+
+A rigid move of the device, or of the target on the tool, is fitted to the held-out residuals (Gauss-Newton). It is compared with
+what the measurement noise and the fitted parameters' covariance let expect (Wald test). Its gain is that at poses left out of the
+fit, by their leverages. References: Seber & Wild 2003, section 5.3 (Wald); Belsley, Kuh & Welsch 1980 (leverage).
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
+from tau_dyn.calibrate.crossvalidation import CrossValidationGain, HeldOutErrors, compare_paired
+from tau_dyn.calibrate.frames import AXES, DeviceFrames, Frame, compute_rotation_between
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.mechanism import Poses
+from tau_dyn.parameters import Parameter
 
 _TIMES = 6.0
 """How many times the distance that one good pose in a hundred has; a model that lacks something leaves tails, not this."""
@@ -34,3 +46,168 @@ def describe_outliers(poses: PoseSet, fitted: GeometryFit, index: np.ndarray) ->
     what = "pose was" if len(index) == 1 else "poses were"
     kind = "gross outlier" if len(index) == 1 else "gross outliers"
     return f"{len(index)} {what} left out as {kind}: {', '.join(shown)}{more}; measure again"
+
+
+_SIGNIFICANCE_LEVEL = 1e-3  # of the Wald test, for each campaign's device and target
+_MIN_GAIN_PERCENT = 20.0
+"""Reduction of the held-out error from which a move is said: effects that the model lacks look like small moves."""
+_MIN_POSES = 6  # poses; with fewer, the six numbers of a frame fit noise
+_STEPS = 20  # Gauss-Newton steps; a turn by half a radian takes six
+_ALIKE = 10.0  # difference of twice the log-likelihoods below which device and target are not told apart
+
+
+class MovedFrame(NamedTuple):
+    """A move of the device or of the target before the held-out poses.
+
+    Attributes:
+        owner: `device` or `target`.
+        other: The other one where poses do not tell the two apart, else ''.
+        where: The poses, in words.
+        move: Translation [m] and rotation vector [rad] with standard errors: of the robot's base in the device's axes, or of the
+            target in the tool frame.
+        gain: On held-out poses.
+        own: Which held-out poses it is about (N,).
+        before: Where the device or the target was when the training poses were measured.
+        after: Where it was later.
+    """
+
+    owner: str
+    other: str
+    where: str
+    move: tuple[Parameter, ...]
+    gain: CrossValidationGain
+    own: np.ndarray
+    before: Frame
+    after: Frame
+
+    def undo(self, poses: PoseSet) -> PoseSet:
+        """Return held-out poses as they would have been measured without the move; a target's needs their orientation."""
+        position, rotation = poses.position.copy(), None if poses.rotation is None else poses.rotation.copy()
+        own, turn = self.own, self.before.rotation @ self.after.rotation.T
+        if self.owner == "device":
+            position[own] = self.before.translation + (position[own] - self.after.translation) @ turn.T
+            if rotation is not None:
+                rotation[own] = turn @ rotation[own]
+        elif rotation is not None:
+            back = self.after.inverse
+            position[own] += rotation[own] @ (back.rotation @ self.before.translation + back.translation)
+            rotation[own] = rotation[own] @ back.rotation @ self.before.rotation
+        return replace(poses, position=position, rotation=rotation)
+
+    def describe(self) -> str:
+        """Return it as a sentence with its remedy."""
+        shift, turn = (1e3 * np.linalg.norm([p.value for p in part]) for part in (self.move[:3], self.move[3:]))
+        who = f"the {self.owner}" + (f" or the {self.other}" if self.other else "")
+        rms = [f"{1e3 * x:.3g} mm" for x in (self.gain.after, self.gain.before)]
+        by = f"{shift:.3g} mm" + (f" and {turn:.3g} mrad" if self.move[3:] else "")
+        return (
+            f"{self.where}: {who} seems to have moved before the held-out poses, by {by}; with that move their rms error "
+            f"is {rms[0]} instead of {rms[1]}; fit both files together with a column campaign"
+        )
+
+
+class _Fit(NamedTuple):
+    frames: DeviceFrames
+    columns: np.ndarray  # whitened, (N, m, p)
+    residuals: np.ndarray  # whitened, (N, m)
+    move: np.ndarray
+    cov: np.ndarray
+
+
+def find_moved_frames(fitted: GeometryFit, holdout: PoseSet) -> list[MovedFrame]:
+    """Return for each campaign and target of the held-out poses the move that they ask for, if any."""
+    found, state = [], fitted.predict(holdout)
+    for campaign, target in np.unique(holdout.setup, axis=0):
+        own = np.all(holdout.setup == (campaign, target), axis=1) & state.ok
+        if own.sum() >= _MIN_POSES:
+            where = (
+                f"{holdout.source}, campaign {holdout.campaigns[campaign]}"
+                if len(holdout.campaigns) > 1
+                else holdout.source
+            )
+            where += f", target {holdout.targets[target]}" if len(holdout.targets) > 1 else ""
+            moved = _find_move(fitted, holdout, own, state.base.take(own), where)
+            found += [moved] if moved else []
+    return found
+
+
+def _find_move(fitted: GeometryFit, holdout: PoseSet, own: np.ndarray, base: Poses, where: str) -> MovedFrame | None:
+    """Return the move of the device or the target of one set-up, the likelier one; None where neither is significant."""
+    poses = holdout.take(own)
+    both = zip((fitted.frames.device, fitted.frames.tool), poses.setup[0], strict=True)
+    start = DeviceFrames(*((frames[min(k, len(frames) - 1)],) for frames, k in both))
+    m = 6 if poses.rotation is not None and fitted.geometry.orients else 3
+    sigma = poses.relative_errors(m) * np.repeat(np.array(fitted.noise)[: m // 3], 3)
+    before = _compute_residuals(start, poses, base, sigma)
+    owners = ("device", "target") if fitted.geometry.orients else ("device",)
+    fits = {owner: _fit_move(owner, start, fitted, poses, base, sigma) for owner in owners}
+    sizes = {owner: float(np.sum(fit.residuals**2)) for owner, fit in fits.items()}
+    owner = min(sizes, key=lambda o: sizes[o])
+    fit = fits[owner]
+    p_value = float(stats.chi2.sf(fit.move @ np.linalg.pinv(fit.cov) @ fit.move, len(fit.move)))
+    after = _leave_out_each(fit)
+    gain = compare_paired(_as_errors(before * sigma, poses), _as_errors(after * sigma, poses))
+    if not p_value < _SIGNIFICANCE_LEVEL / len(owners) or not gain.percent > _MIN_GAIN_PERCENT:
+        return None
+    near = [o for o in owners if o != owner and before.size * np.log(sizes[o] / max(sizes[owner], 1e-300)) < _ALIKE]
+    error = np.sqrt(np.maximum(np.diag(fit.cov), 0.0))
+    move = tuple(
+        Parameter(f"{owner}_moved.{axis}", float(x), "m" if i < 3 else "rad", stderr=float(e))
+        for i, (axis, x, e) in enumerate(zip(AXES, fit.move, error, strict=False))
+    )
+    pair = [(f.device if owner == "device" else f.tool)[0] for f in (start, fit.frames)]
+    return MovedFrame(owner, near[0] if near else "", where, move, gain, own, *pair)
+
+
+def _fit_move(
+    owner: str, start: DeviceFrames, fitted: GeometryFit, poses: PoseSet, base: Poses, sigma: np.ndarray
+) -> _Fit:
+    """Return the move of one frame that leaves least, with the covariance that noise and the fitted parameters give it."""
+    m, frames, zero = sigma.shape[1], start, np.zeros(len(base.position), int)
+    free = 6 if owner == "device" or m == 6 else 3
+    for _ in range(_STEPS):
+        device, tool = frames.columns(base, frames.measured(base, zero), zero)
+        columns = (device if owner == "device" else tool)[:, :m, :free] / sigma[:, :, None]
+        residuals = _compute_residuals(frames, poses, base, sigma)
+        step = np.zeros(6)
+        step[:free] = np.linalg.lstsq(columns.reshape(-1, free), residuals.ravel(), rcond=None)[0]
+        frames = frames.moved(*((step, np.zeros(6)) if owner == "device" else (np.zeros(6), step)))
+    residuals = _compute_residuals(frames, poses, base, sigma)
+    (first, last) = (start.device[0], frames.device[0]) if owner == "device" else (start.tool[0], frames.tool[0])
+    turn = last.rotation @ first.rotation.T if owner == "device" else first.rotation.T @ last.rotation
+    move = np.concatenate(
+        [last.translation - first.translation, compute_rotation_between(turn[None], np.eye(3)[None])[0]]
+    )
+    inverse = np.linalg.pinv(columns.reshape(-1, free))
+    by_parameters = inverse @ _compute_prediction_columns(fitted, poses, base, sigma)
+    scale = max(1.0, float(np.sum(residuals**2)) / max(residuals.size - free, 1))
+    cov = scale * inverse @ inverse.T + by_parameters @ fitted.cov @ by_parameters.T
+    return _Fit(frames, columns, residuals, move[:free], cov)
+
+
+def _compute_residuals(frames: DeviceFrames, poses: PoseSet, base: Poses, sigma: np.ndarray) -> np.ndarray:
+    """Return whitened measured minus predicted (N, m)."""
+    seen = frames.measured(base, np.zeros(len(base.position), int))
+    out = [poses.position - seen.position]
+    if sigma.shape[1] == 6:
+        assert poses.rotation is not None
+        out.append(compute_rotation_between(poses.rotation, seen.rotation))
+    return np.concatenate(out, axis=1) / sigma
+
+
+def _compute_prediction_columns(fitted: GeometryFit, poses: PoseSet, base: Poses, sigma: np.ndarray) -> np.ndarray:
+    """Return the whitened predictions' derivative by the fit's free unknowns (N m, f)."""
+    columns = fitted.compute_prediction_columns(poses.q, base, poses.setup)[:, : sigma.shape[1]]
+    return (columns / sigma[:, :, None]).reshape(sigma.size, -1)
+
+
+def _leave_out_each(fit: _Fit) -> np.ndarray:
+    """Return each pose's residuals (N, m) of the move fitted without it: `(I - H_ii)^-1 r_i`."""
+    n, m, p = fit.columns.shape
+    q = np.linalg.qr(fit.columns.reshape(n * m, p))[0].reshape(n, m, p)
+    return np.linalg.solve(np.eye(m) - q @ np.swapaxes(q, 1, 2), fit.residuals[:, :, None])[:, :, 0]
+
+
+def _as_errors(errors: np.ndarray, poses: PoseSet) -> HeldOutErrors:
+    rotation = errors[:, 3:] if errors.shape[1] == 6 else None
+    return HeldOutErrors(errors[:, :3], rotation, poses.relative_errors(6), poses.configuration)

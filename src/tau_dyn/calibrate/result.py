@@ -7,16 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.candidates import CandidateModel, SelectionStep
 from tau_dyn.calibrate.causes import CalibrationFinding
 from tau_dyn.calibrate.crossvalidation import HeldOutErrors, compute_rms_interval, summarise_held_out_errors
 from tau_dyn.calibrate.geometry import expand_constraints
-from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.measurement_noise import MeasurementNoise
-from tau_dyn.calibrate.pose_errors import PoseErrors
+from tau_dyn.calibrate.geometry_fit import GeometryFit, compute_sensitivities
+from tau_dyn.calibrate.model_selection import CandidateModel, SelectionStep
+from tau_dyn.calibrate.pose_errors import MeasurementNoise, PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.rod_geometry import RodGeometry
-from tau_dyn.calibrate.sensitivity import compute_sensitivities
 from tau_dyn.robot import Robot
 from tau_dyn.shown import Shown
 
