@@ -1,30 +1,42 @@
-"""Gauss-Newton with Levenberg's damping on the manifold of all unknowns, in rounds that settle noise and weights.
+r"""What a fit to poses makes small, its derivatives by all unknowns, and the descent in rounds that settle noise and weights.
 
-    minimise  sum_k w_k |r_k / (e_k sigma)|^2 + sum_i ((theta_i - nominal_i) / scale_i)^2
+    forward   measured minus predicted position [m] and the rotation between them [rad] (thesis (5.5))
+    closure   |A(q) - B(X)| - L of every rod at the measured pose [m]: always exists, but weighs poses by their
+              geometry (thesis (5.1))
+    inverse   actuated positions that the measured pose asks for, minus those commanded [m or rad]
 
-`e_k` are stated standard errors over their median, one where none are stated. The second sum says that a robot is built to its
-drawing within `scale` (10 mm, 10 mrad): it decides nothing that
-poses can tell, and keeps combinations that they hardly see from running away; a 3-DOF Gantry-Tau sees a rod shifted
-parallel to itself only through the plate's tiny rotations. The noise `sigma` of each block (position, orientation) is
-the block's sum of squares by what the parameters leave of it, `n_b - trace(H_b)`, `H` the hat matrix. Reference:
-Khalil & Dombre 2002, 11.5; Nocedal & Wright 2006, 10.3.
+A rotation residual is a rotation vector in the device's axes; its derivative leaves out terms of the residual's own size
+(`J_l^-1(r) = I - O(r)`), which are gone at the optimum. Minimised is
+
+    sum_k w_k |r_k / (e_k sigma)|^2 + sum_i ((theta_i - nominal_i) / scale_i)^2,
+
+`e_k` stated standard errors over their median. The second sum says that a robot is built to its drawing within `scale` (10 mm,
+10 mrad): it decides nothing that poses can tell, and keeps combinations that they hardly see from running away. The noise
+`sigma` of each block (position, orientation) is its sum of squares by what the parameters leave of it, `n_b - trace(H_b)`, `H`
+the hat matrix. Reference: Khalil & Dombre 2002, 11.5; Everett 1989; Renaud et al. 2006.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg
 
 from tau_dyn.calibrate.frames import DeviceFrames, compute_rotation_between
 from tau_dyn.calibrate.geometry import KNOWN_BEFOREHAND, Geometry
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.unknowns import Identifiability, Unknowns, find_identifiable
-from tau_dyn.estimate import compute_robust_weights, estimate_distance_scale
+from tau_dyn.estimate import (
+    DescentRules,
+    LinearSystem,
+    compute_robust_weights,
+    descend,
+    estimate_distance_scale,
+    factor_system,
+)
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.mechanism import Poses
 
@@ -189,245 +201,207 @@ def compute_actuated_positions(poses: PoseSet, slack: np.ndarray) -> np.ndarray:
     return poses.q - 0.5 * slack * poses.approach if slack.any() else poses.q
 
 
-_MAX_ITERATIONS = 15  # bounds the time of a fit that does not converge
-_STEPS = 15  # of Gauss-Newton in one round
+_MAX_ROUNDS = 15  # bounds the time of a fit that does not converge
+_MAX_STEPS = 15  # of Gauss-Newton in one round
 _RELATIVE_CHANGE_TOL = 1e-2  # of the noise: what a round may still change
-_SMALL = 1e-3  # a step whose predictions move by less than this share of the noise (rms) is the last,
-_GAIN = 0.02  # and so is one that lowers the sum by less: a seventh of a standard error at most
+_NEAR = 0.2  # change of the noise below which a round walks to the end
 _FREE_FRAMES = 1e3  # how much less than dimensions frames are known beforehand
 _UNIDENTIFIABLE_PRIOR_WEIGHT = 1e5  # prior of parameters that poses cannot tell, in units of 1 / scale
 _FULL_STEPS = 4  # undamped Gauss-Newton steps along a curved valley
+_MIN_NOISE = 1e-9  # [m or rad], of poses without noise
+_RANK_TOLERANCE = 1e-14  # rounding: the prior tells every unknown something
+_RULES = DescentRules(_MAX_STEPS, small_step=1e-3, small_gain=0.02, first_damping=0.1, growth=5.0, max_trials=10)
+"""A step is the last that moves predictions by a thousandth of the noise (rms) or gains a seventh of a standard error."""
 
 
-class LevenbergMarquardt:
-    """One fit."""
+@dataclass(frozen=True, eq=False)
+class WeightedProblem:
+    """A `Problem` as `descend` takes it: residuals over their noise, weights against bad poses, the prior.
 
-    def __init__(self, problem: Problem, robust: str, noise: tuple[float, ...] | None) -> None:
-        """Prepare scales and the prior.
+    Attributes:
+        problem: Residuals and their derivatives.
+        robust: Kind of weights.
+        noise: Standard deviation of each block of residuals.
+        trust: Of the prior of each free unknown (f,), in units of 1 / scale.
+        homeless: Which free unknowns have no nominal value, or none that counts (f,).
+    """
 
-        Args:
-            problem: Residuals and their derivatives.
-            robust: Kind of weights.
-            noise: Of each block, None to estimate it.
-        """
-        self.problem, self.robust, self.given = problem, robust, noise
-        self.unknowns = problem.unknowns
-        self.m = sum(problem.blocks)
-        self.free = np.flatnonzero(self.unknowns.free)
-        self.scales = self.unknowns.scales[self.free]
-        n = self.unknowns.n_geometry
-        tool = n + self.unknowns.n_device
-        frame = (self.free >= n) & (self.free < tool + self.unknowns.n_tool)
-        self.trust = np.where(frame, 1 / _FREE_FRAMES, 1.0)  # of the prior, in units of 1 / scale
-        self.homeless = frame  # what has no nominal value, or none that counts
-        self._housed = ~frame | (self.free >= tool) & (
-            (self.free - tool) % 6 < 3
-        )  # the target sits where the file's tool is
-        self.nominal = np.array([p.value for p in self.unknowns.rows])
-        self.nominal[n : tool + self.unknowns.n_tool] = 0.0
-        self.steps = 0
+    problem: Problem
+    robust: str
+    noise: tuple[float, ...]
+    trust: np.ndarray
+    homeless: np.ndarray
 
-    def minimise(self, state: FitState) -> tuple[FitState, tuple[float, ...], bool]:
-        """Return the state at the minimum, the noise, and whether both came to rest."""
-        noise = self._first_noise(state)
-        everything, near = np.arange(len(self.free)), False
-        for _ in range(_MAX_ITERATIONS):
-            state, rested = self.descend(state, noise, everything, _STEPS if near else 3)
-            new = self._noise(state, noise)
-            change = max(abs(a / b - 1) for a, b in zip(new, noise, strict=True))
-            noise, near = new, change < 0.2
-            if rested and change < _RELATIVE_CHANGE_TOL:
-                return state, noise, True
-        return state, noise, False
+    @classmethod
+    def of(cls, problem: Problem, robust: str, noise: tuple[float, ...]) -> WeightedProblem:
+        """Return the problem with the usual prior: dimensions within their scales, frames anywhere."""
+        u, free = problem.unknowns, np.flatnonzero(problem.unknowns.free)
+        frame = (free >= u.n_geometry) & (free < u.n_geometry + u.n_device + u.n_tool)
+        return cls(problem, robust, noise, np.where(frame, 1 / _FREE_FRAMES, 1.0), frame)
 
-    def identifiable(self, state: FitState, noise: tuple[float, ...]) -> Identifiability:
-        """Return what the poses can tell at a state, or prior knowledge of what is known beforehand."""
-        _, w = self._whitened(state, noise)
-        columns = self._columns(state, noise, w)
-        names = tuple(self.unknowns.names[k] for k in self.free)
-        priority = self.unknowns.priority[self.free]
-        known = np.diag(1 / self.scales)[priority == KNOWN_BEFOREHAND]
-        flat = np.vstack([columns.reshape(-1, len(self.free)), known])
-        return find_identifiable(flat, names, self.scales, priority)
+    @cached_property
+    def free(self) -> np.ndarray:
+        """Indices of the free unknowns (f,)."""
+        return np.flatnonzero(self.problem.unknowns.free)
 
-    def reset_unidentifiable(self, state: FitState, noise: tuple[float, ...], found: Identifiability) -> FitState:
-        """Return the state with parameters that cannot be told at their nominal values, the others making up for it.
+    @cached_property
+    def scales(self) -> np.ndarray:
+        """Their scales (f,)."""
+        return self.problem.unknowns.scales[self.free]
 
-        The target's place among them: left adrift along what nobody sees, it would take dimensions with it.
-        """
-        if not len(found.dropped):
-            return state
-        own = found.dropped[self._housed[found.dropped]]
-        trust, homeless = self.trust.copy(), self.homeless.copy()
-        self.homeless[own] = False
-        if not np.any(self._deviation(state)[own]):
-            self.homeless = homeless
-            return state
-        self.trust[own] = _UNIDENTIFIABLE_PRIOR_WEIGHT
-        everything = np.arange(len(self.free))
-        state = self._full_steps(state, noise)
-        state, _ = self.descend(state, noise, everything, 2 * _STEPS)
-        state = self._exactly_nominal(state, own)
-        self.trust, self.homeless = trust, homeless
-        return state
+    @cached_property
+    def nominal(self) -> np.ndarray:
+        """Nominal values of all unknowns (P,); frames at rest, as the target sits where the file's tool is."""
+        u = self.problem.unknowns
+        values = np.array([p.value for p in u.rows])
+        values[u.n_geometry : u.n_geometry + u.n_device + u.n_tool] = 0.0
+        return values
 
-    def _full_steps(self, state: FitState, noise: tuple[float, ...]) -> FitState:
-        """Return the state after whole Gauss-Newton steps, which get along a curved valley where a falling sum would not."""
-        for _ in range(_FULL_STEPS):
-            r, w = self._whitened(state, noise)
-            a = self._columns(state, noise, w).reshape(-1, len(self.free)) * self.scales
-            a = np.vstack([a, np.diag(self.trust)])
-            b = np.concatenate([(r * np.sqrt(w)[:, None]).ravel(), -self._prior(state)])
-            q, triangle = np.linalg.qr(a)
-            trial = self._moved(state, _damped(triangle, q.T @ b, 0.0) * self.scales)
-            if trial.ok.sum() < state.ok.sum():
-                return state
-            state = trial
-            self.steps += 1
-        return state
+    @property
+    def cuts(self) -> list[slice]:
+        """The blocks of residuals."""
+        ends = np.cumsum((0, *self.problem.blocks))
+        return [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
 
-    def uncertainty(
-        self, state: FitState, noise: tuple[float, ...], kept: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return weights (N,), whitened columns of the kept unknowns (N, m, r) and the covariance of the free ones (f, f)."""
-        _, w = self._whitened(state, noise)
-        columns = self._columns(state, noise, w)[:, :, kept]
-        f, scales = len(self.free), self.scales[kept]
-        cov = np.zeros((f, f))
-        if len(kept):
-            a = np.vstack([columns.reshape(-1, len(kept)) * scales, np.diag(self.trust[kept])])
-            inverse = linalg.solve_triangular(np.linalg.qr(a, mode="r"), np.eye(len(kept)))
-            cov[np.ix_(kept, kept)] = (inverse @ inverse.T) * np.outer(scales, scales)
-        return w, columns, cov
+    @property
+    def sigma(self) -> np.ndarray:
+        """Noise of every residual (N, m), as stated standard errors weigh the poses."""
+        return self.problem.relative * np.repeat(self.noise, self.problem.blocks)
 
-    def descend(
-        self, state: FitState, noise: tuple[float, ...], kept: np.ndarray, most: int = _STEPS
-    ) -> tuple[FitState, bool]:
-        """Return the state where the sum is smallest, and whether the last step was small."""
-        if not len(kept):
-            return state, True
-        damping = 0.0
-        r, w = self._whitened(state, noise)
-        for _ in range(most):
-            a = self._columns(state, noise, w)[:, :, kept].reshape(-1, len(kept)) * self.scales[kept]
-            a = np.vstack([a, np.diag(self.trust[kept])])
-            b = np.concatenate([(r * np.sqrt(w)[:, None]).ravel(), -self._prior(state)[kept]])
-            state, r, damping, rested = self._step(state, noise, (a, b, w), kept, damping)
-            if rested:
-                return state, True
-            w = self._weights(r, state.ok)
-        return state, False
+    def whiten(self, state: FitState) -> tuple[np.ndarray, np.ndarray]:
+        """Return residuals (N, m) in units of the noise and weights (N,); poses without prediction weigh nothing."""
+        r = np.where(state.ok[:, None], self.problem.residuals(state) / self.sigma, 0.0)
+        return r, np.where(state.ok, compute_robust_weights(self.robust, np.linalg.norm(r, axis=1), r.shape[1]), 0.0)
 
-    def _step(
-        self,
-        state: FitState,
-        noise: tuple[float, ...],
-        system: tuple[np.ndarray, np.ndarray, np.ndarray],
-        kept: np.ndarray,
-        damping: float,
-    ) -> tuple[FitState, np.ndarray, float, bool]:
-        a, b, w = system
-        q, triangle = np.linalg.qr(a)
-        target, cost = q.T @ b, float(b @ b)
-        enough = _SMALL * np.sqrt(len(b))
-        for _ in range(10):
-            y = _damped(triangle, target, damping)
-            small = float(np.linalg.norm(triangle @ y)) < enough
-            step = np.zeros(len(self.free))
-            step[kept] = y * self.scales[kept]
-            trial = self._moved(state, step)
-            self.steps += 1
-            if trial.ok.sum() >= state.ok.sum():
-                r, _ = self._whitened(trial, noise)
-                gone = float(np.sum(w[:, None] * r**2) + np.sum(self._prior(trial)[kept] ** 2))
-                if gone <= cost or (small and gone <= cost * (1 + 1e-6)):
-                    return trial, r, (damping / 10 if damping > 0.02 else 0.0), small or cost - gone < _GAIN
-            if small:
-                break
-            damping = max(5 * damping, 0.1)
-        return state, self._whitened(state, noise)[0], damping, True
+    def columns(self, state: FitState, w: np.ndarray) -> np.ndarray:
+        """Return whitened derivatives by the free unknowns (N, m, f) at weights (N,)."""
+        columns = self.problem.columns(state)[:, :, self.free] / self.sigma[:, :, None] * np.sqrt(w)[:, None, None]
+        return np.where(state.ok[:, None, None], columns, 0.0)
 
-    def _moved(self, state: FitState, step: np.ndarray) -> FitState:
-        whole = np.zeros(len(self.unknowns.rows))
+    def linearise(self, state: FitState) -> LinearSystem:
+        """Return the linear system about a state: the poses' rows, then the prior's."""
+        r, w = self.whiten(state)
+        rows = np.vstack([self.columns(state, w).reshape(-1, len(self.free)), np.diag(self.trust / self.scales)])
+        target = np.concatenate([(r * np.sqrt(w)[:, None]).ravel(), -self._prior(state)])
+        return factor_system(rows, target, self.scales, _RANK_TOLERANCE)
+
+    def move(self, state: FitState, step: np.ndarray) -> FitState:
+        """Return the state after a step (f,)."""
+        whole = np.zeros(len(self.problem.unknowns.rows))
         whole[self.free] = step
         return self.problem.moved(state, whole)
 
-    def _deviation(self, state: FitState) -> np.ndarray:
-        """Return how far free unknowns are from nominal (f,); frames count as at home, wherever they are."""
+    def gain(self, state: FitState, trial: FitState) -> float:
+        """Return by how much the sum falls at the state's weights; losing a pose is no way down."""
+        if trial.ok.sum() < state.ok.sum():
+            return -np.inf
+        (before, w), (after, _) = self.whiten(state), self.whiten(trial)
+        prior = np.sum(self._prior(state) ** 2) - np.sum(self._prior(trial) ** 2)
+        return float(np.sum(w[:, None] * (before**2 - after**2)) + prior)
+
+    def deviation(self, state: FitState) -> np.ndarray:
+        """Return how far free unknowns are from nominal (f,); the homeless count as at home, wherever they are."""
         frames = [p.value for p in state.frames.parameters()]
         values = np.concatenate([state.theta, frames, state.slack])
         return np.where(self.homeless, 0.0, (values - self.nominal)[self.free])
 
     def _prior(self, state: FitState) -> np.ndarray:
-        return self._deviation(state) / self.scales * self.trust
+        return self.deviation(state) / self.scales * self.trust
 
-    def _exactly_nominal(self, state: FitState, own: np.ndarray) -> FitState:
-        """Return the state with these free unknowns at their nominal values, to the last bit or to rounding (the target)."""
-        step = np.zeros(len(self.unknowns.rows))
-        step[self.free[own]] = -self._deviation(state)[own]
-        _, device, tool, _ = self.unknowns.split(step)
-        theta, own = state.theta.copy(), self.free[own]
-        own = own[own < self.unknowns.n_geometry]
-        theta[own] = self.nominal[own]
-        return self.problem.place(
-            theta, state.frames.moved(device, tool), state.slack, state.base if state.ok.all() else None
-        )
-
-    def _first_noise(self, state: FitState) -> tuple[float, ...]:
-        if self.given is not None:
-            return self.given
-        r = (self.problem.residuals(state) / self.problem.relative)[state.ok]
-        return tuple(max(float(np.sqrt(np.mean(r[:, cut] ** 2))), 1e-9) for cut in self._cuts())
-
-    def _noise(self, state: FitState, noise: tuple[float, ...]) -> tuple[float, ...]:
-        if self.given is not None:
-            return self.given
-        r, w = self._whitened(state, noise)
-        a = self._columns(state, noise, w).reshape(-1, len(self.free)) * self.scales
-        hat = _leverage(np.vstack([a, np.diag(self.trust)]))[: len(a)].reshape(r.shape)
-        out = []
-        for cut, size, s in zip(self._cuts(), self.problem.blocks, noise, strict=True):
-            used = w > 0
-            left = max(float(used.sum()) * size - float(hat[used][:, cut].sum()), 1.0)
+    def estimate_noise(self, state: FitState) -> tuple[float, ...]:
+        """Return each block's noise by what the parameters leave of its residuals."""
+        r, w = self.whiten(state)
+        hat = self.linearise(state).leverage[: r.size].reshape(r.shape)
+        out, used = [], w > 0
+        for cut, size, s in zip(self.cuts, self.problem.blocks, self.noise, strict=True):
+            n = float(used.sum()) * size
+            left = max(n - float(hat[used][:, cut].sum()), 1.0)
             if self.robust == "none":
                 ratio = np.sqrt(float(np.sum(r[used][:, cut] ** 2)) / left)
             else:
-                ratio = estimate_distance_scale(np.linalg.norm(r[used][:, cut], axis=1), size) * np.sqrt(
-                    used.sum() * size / left
-                )
-            out.append(max(float(s * ratio), 1e-9))
+                ratio = estimate_distance_scale(np.linalg.norm(r[used][:, cut], axis=1), size) * np.sqrt(n / left)
+            out.append(max(float(s * ratio), _MIN_NOISE))
         return tuple(out)
 
-    def _cuts(self) -> list[slice]:
-        ends = np.cumsum((0, *self.problem.blocks))
-        return [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    def identify(self, state: FitState) -> Identifiability:
+        """Return what the poses can tell at a state, or prior knowledge of what is known beforehand."""
+        u = self.problem.unknowns
+        columns = self.columns(state, self.whiten(state)[1]).reshape(-1, len(self.free))
+        priority = u.priority[self.free]
+        known = np.diag(1 / self.scales)[priority == KNOWN_BEFOREHAND]
+        return find_identifiable(
+            np.vstack([columns, known]), tuple(u.names[k] for k in self.free), self.scales, priority
+        )
 
-    def _sigma(self, noise: tuple[float, ...]) -> np.ndarray:
-        """Return the noise of every residual (N, m), as stated standard errors weigh the poses."""
-        return self.problem.relative * np.repeat(noise, self.problem.blocks)
-
-    def _whitened(self, state: FitState, noise: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-        """Return residuals (N, m) in units of the noise and weights (N,); poses without prediction weigh nothing."""
-        r = self.problem.residuals(state) / self._sigma(noise)
-        r = np.where(state.ok[:, None], r, 0.0)
-        return r, self._weights(r, state.ok)
-
-    def _weights(self, r: np.ndarray, ok: np.ndarray) -> np.ndarray:
-        return np.where(ok, compute_robust_weights(self.robust, np.linalg.norm(r, axis=1), self.m), 0.0)
-
-    def _columns(self, state: FitState, noise: tuple[float, ...], w: np.ndarray) -> np.ndarray:
-        columns = self.problem.columns(state)[:, :, self.free]
-        columns = columns / self._sigma(noise)[:, :, None] * np.sqrt(w)[:, None, None]
-        return np.where(state.ok[:, None, None], columns, 0.0)
+    def compute_covariance(self, state: FitState, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return weights (N,), whitened columns of the kept unknowns (N, m, r) and the covariance of the free ones (f, f)."""
+        _, w = self.whiten(state)
+        columns, cov = self.columns(state, w)[:, :, kept], np.zeros((len(self.free),) * 2)
+        if len(kept):
+            rows = np.vstack([columns.reshape(-1, len(kept)), np.diag(self.trust[kept] / self.scales[kept])])
+            system = factor_system(rows, np.zeros(len(rows)), self.scales[kept], _RANK_TOLERANCE)
+            cov[np.ix_(kept, kept)] = system.covariance
+        return w, columns, cov
 
 
-def _damped(triangle: np.ndarray, target: np.ndarray, damping: float) -> np.ndarray:
-    if not damping:
-        return linalg.solve_triangular(triangle, target)
-    stacked = np.vstack([triangle, np.sqrt(damping) * np.eye(len(triangle))])
-    return np.linalg.lstsq(stacked, np.concatenate([target, np.zeros(len(triangle))]), rcond=None)[0]
+class Rounds(NamedTuple):
+    """Where descents in rounds ended: the state, the problem at the noise that settled, steps tried, whether at rest."""
+
+    state: FitState
+    weighted: WeightedProblem
+    steps: int
+    converged: bool
 
 
-def _leverage(a: np.ndarray) -> np.ndarray:
-    """Return the hat matrix' diagonal (rows,)."""
-    return np.sum(np.linalg.qr(a)[0] ** 2, axis=1) if a.shape[1] else np.zeros(len(a))
+def descend_in_rounds(problem: Problem, robust: str, noise: tuple[float, ...] | None, state: FitState) -> Rounds:
+    """Walk down from a state in rounds that settle noise and weights; a given noise stays."""
+    weighted = WeightedProblem.of(problem, robust, noise or (1.0,) * len(problem.blocks))
+    if noise is None:
+        r = (problem.residuals(state) / problem.relative)[state.ok]
+        first = tuple(max(float(np.sqrt(np.mean(r[:, cut] ** 2))), _MIN_NOISE) for cut in weighted.cuts)
+        weighted = replace(weighted, noise=first)
+    steps, near = 0, False
+    for _ in range(_MAX_ROUNDS):
+        end = descend(weighted, state, replace(_RULES, max_steps=_MAX_STEPS if near else 3))
+        state, steps = end.state, steps + end.trials
+        new = weighted.estimate_noise(state) if noise is None else noise
+        change = max(abs(a / b - 1) for a, b in zip(new, weighted.noise, strict=True))
+        weighted, near = replace(weighted, noise=new), change < _NEAR
+        if end.converged and change < _RELATIVE_CHANGE_TOL:
+            return Rounds(state, weighted, steps, True)
+    return Rounds(state, weighted, steps, False)
+
+
+def descend_near(weighted: WeightedProblem, state: FitState, max_steps: int) -> FitState:
+    """Return the state after a few steps at a known noise."""
+    return descend(weighted, state, replace(_RULES, max_steps=max_steps)).state
+
+
+def reset_unidentifiable(weighted: WeightedProblem, state: FitState, found: Identifiability) -> FitState:
+    """Return the state with parameters that cannot be told at their nominal values, the others making up for it.
+
+    The target's place among them: left adrift along what nobody sees, it would take dimensions with it.
+    """
+    u = weighted.problem.unknowns
+    tool = u.n_geometry + u.n_device
+    place = (weighted.free >= tool) & ((weighted.free - tool) % 6 < 3)
+    own = found.dropped[(~weighted.homeless | place)[found.dropped]]
+    trust, homeless = weighted.trust.copy(), weighted.homeless.copy()
+    homeless[own], trust[own] = False, _UNIDENTIFIABLE_PRIOR_WEIGHT
+    held = replace(weighted, trust=trust, homeless=homeless)
+    if not np.any(held.deviation(state)[own]):
+        return state
+    for _ in range(_FULL_STEPS):  # whole steps get along a curved valley where a falling sum would not
+        trial = held.move(state, held.linearise(state).step(0.0)[0])
+        if trial.ok.sum() < state.ok.sum():
+            break
+        state = trial
+    state = descend_near(held, state, 2 * _MAX_STEPS)
+    step = np.zeros(len(u.rows))
+    step[held.free[own]] = -held.deviation(state)[own]
+    _, device, tool_step, _ = u.split(step)
+    theta, exact = state.theta.copy(), held.free[own]
+    exact = exact[exact < u.n_geometry]
+    theta[exact] = held.nominal[exact]  # to the last bit, not by a step
+    start = state.base if state.ok.all() else None
+    return held.problem.place(theta, state.frames.moved(device, tool_step), state.slack, start)

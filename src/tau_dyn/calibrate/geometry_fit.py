@@ -9,7 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from tau_dyn.calibrate.fit_problem import FitState, LevenbergMarquardt, Problem, compute_actuated_positions
+from tau_dyn.calibrate.fit_problem import (
+    FitState,
+    Problem,
+    compute_actuated_positions,
+    descend_in_rounds,
+    reset_unidentifiable,
+)
 from tau_dyn.calibrate.frames import (
     IDENTITY,
     DeviceFrames,
@@ -278,20 +284,30 @@ def fit_geometry_to_poses(
     )
     problem = Problem(geometry, poses, unknowns, residual, turned)
     check_count(poses, geometry, unknowns, problem, what)
-    run = LevenbergMarquardt(problem, robust, noise)
-    state, noise, converged = run.minimise(state)
-    found = run.identifiable(state, noise)
-    state = run.reset_unidentifiable(state, noise, found)
+    state, weighted, steps, converged = descend_in_rounds(problem, robust, noise, state)
+    found = weighted.identify(state)
+    state = reset_unidentifiable(weighted, state, found)
     if not state.ok.any():
         raise CannotAnswer(
             "no_solution",
             f"{poses.source}: {what} cannot reach the poses from where the fit stands",
             "start from a robot file whose dimensions are nearer to the machine's",
         )
-    weight, columns, cov = run.uncertainty(state, noise, found.kept)
-    residuals = problem.residuals(state)
+    weights, columns, cov = weighted.compute_covariance(state, found.kept)
     return GeometryFit(
-        geometry, poses, unknowns, state, cov, residuals, residual, noise, weight, found, columns, run.steps, converged
+        geometry=geometry,
+        poses=poses,
+        unknowns=unknowns,
+        state=state,
+        cov=cov,
+        residuals=problem.residuals(state),
+        kind=residual,
+        noise=weighted.noise,
+        weights=weights,
+        identifiability=found,
+        columns=columns,
+        steps=steps,
+        converged=converged,
     )
 
 

@@ -26,6 +26,9 @@ _LESS = 0.5
 _LAST = 10
 """Level of priority that counts as the last: a factor of a thousand in weight."""
 
+_TIE = 1e-10
+"""Weight that each column loses to the one before it: of two that say the same, rounding must not choose."""
+
 _INVOLVED = 1e-6
 """Share of the largest factor below which a parameter has no part in a dependence."""
 
@@ -117,7 +120,8 @@ def _chosen(r: np.ndarray, priority: np.ndarray, rank: int) -> np.ndarray:
     rounding = norm <= STRUCTURAL * norm.max(
         initial=0.0
     )  # a column that is rounding only must not be scaled up to count
-    weight = np.where(rounding, 0.0, _LESS**level / np.where(rounding, 1.0, norm))
+    order_of_equals = 1 - _TIE * np.arange(len(norm))
+    weight = np.where(rounding, 0.0, order_of_equals * _LESS**level / np.where(rounding, 1.0, norm))
     order = np.asarray(linalg.qr(r * weight, mode="r", pivoting=True)[-1])
     return np.sort(order[:rank])
 
