@@ -2,7 +2,7 @@
 
 Question: do FK(IK(x)) and IK(FK(q)) return what went in, in all configurations, and how many poses a second does one core do?
 Inputs: the robots of `urdf/`. Outputs: a table on stdout, with `--out FILE.csv` also as CSV.
-Run: python experiments/benchmarks/kinematics.py [--runs 10000] [--seed 0] [--only NAME] [--speed] [--cost]
+Run: python experiments/benchmarks/kinematics.py [--runs 10000] [--seed 0] [--only NAME] [--speed] [--cost] [--arms]
 """
 
 from __future__ import annotations
@@ -14,17 +14,16 @@ import numpy as np
 import pandas as pd
 from bench import machine
 
-from tau_dyn.mechanism import (
+from tau_dyn.kinematics import (
     Poses,
-    build_chains,
     forward_kinematics,
-    get_rods,
     inverse_kinematics,
     jacobian,
     solve_all_configurations,
 )
+from tau_dyn.mechanism import build_chains, find_all_solutions, get_rods
 from tau_dyn.mechanism.chain_inverse import NewtonChain
-from tau_dyn.robot import Robot, load_robot
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 ROBOTS = {
     "gantry_tau l1 simplified": ("gantry_tau", {}),
@@ -137,6 +136,39 @@ def cost(robot: Robot, n: int, seed: int) -> tuple[int, float, float]:
     return int(ok.sum()), times[0], times[1]
 
 
+def draw_arm(rng: np.random.Generator) -> Robot:
+    """Return an arm of six joints with axes anywhere in cubes of 1 m."""
+    rows = ['<robot name="arm"><link name="l0"/>']
+    for k in range(1, 8):
+        xyz, rpy = (" ".join(map(repr, x.tolist())) for x in (rng.uniform(-0.5, 0.5, 3), rng.uniform(-3, 3, 3)))
+        ends = f'<parent link="l{k - 1}"/><child link="l{k}"/><origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="0 0 1"/>'
+        rows.append(f'<link name="l{k}"/><joint name="j{k}" type="{"continuous" if k < 7 else "fixed"}">{ends}</joint>')
+    return load_robot_from_urdf("".join(rows) + "</robot>", "arm", tool="l7")
+
+
+def solve_arms(runs: int, seed: int) -> None:
+    """Print how often all solutions hold the true one, how often their number is proved, and what a pose costs."""
+    rng = np.random.default_rng(seed)
+    for name in ("ur5", "ur10", "random"):
+        fixed = None if name == "random" else load_robot(name)
+        true, proved, counts, spent = 0, 0, [], 0.0
+        for _ in range(runs):
+            robot = fixed or draw_arm(rng)
+            q = rng.uniform(-np.pi, np.pi, (1, 6))
+            poses = forward_kinematics(robot, q).poses
+            before = time.process_time()
+            found = find_all_solutions(robot, poses)
+            spent += time.process_time() - before
+            away = np.abs((found.q[0] - q + np.pi) % (2 * np.pi) - np.pi).max(axis=1)
+            true, proved = true + bool(np.nanmin(away) < 1e-6), proved + bool(found.proved[0])
+            counts.append(int(np.isfinite(away).sum()))
+        print(
+            f"{name}: {runs} poses, {true} hold the true one, {proved} proved, {min(counts)} to {max(counts)} solutions, "
+            f"{1e3 * spent / runs:.0f} ms a pose",
+            flush=True,
+        )
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -145,9 +177,13 @@ def main() -> None:
     parser.add_argument("--only", default="")
     parser.add_argument("--speed", action="store_true", help="only the speed")
     parser.add_argument("--cost", action="store_true", help="only what inverse kinematics costs in and out of reach")
+    parser.add_argument("--arms", action="store_true", help="only all solutions of six turning joints")
     parser.add_argument("--out")
     args = parser.parse_args()
     print(machine())
+    if args.arms:
+        solve_arms(args.runs, args.seed)
+        return
     if args.cost:
         for name, (file, arguments) in ROBOTS.items():
             if args.only in name:

@@ -1,15 +1,18 @@
-"""Calibrated placements back in the robot file: joint origins and loop points, so that every other program uses them too.
+"""Any robot file as a geometry for calibration: joint placements, offsets, rod lengths and loop points are the parameters.
 
-An offset becomes part of its joint's placement: `R exp([r]x) exp(offset axis)` for a turn, a shift along the axis for a
-slide. The encoders keep counting as before. What a robot file cannot say (a gear ratio) is refused. Comments of the
-original are lost, all else stays.
+A serial arm, a tree with ball constraints (Delta, H4, Stewart) or a planar linkage, as `mechanism` closes and derives it at any
+dimensions. Of planar loops only what lies in the plane can be closed; what does not stays open, as in the clearance of real
+bearings, and `left_open` says how much.
+
+Calibrated placements go back into the robot file, so that every other program uses them too: an offset becomes part of its
+joint's placement, `R exp([r]x) exp(offset axis)` for a turn, a shift along the axis for a slide. Encoders keep counting alike.
+What a robot file cannot say (a gear ratio) is refused. Comments of the original are lost, all else stays.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from xml.etree import ElementTree
 
 import numpy as np
@@ -17,25 +20,23 @@ import pinocchio as pin
 from defusedxml.ElementTree import fromstring
 
 from tau_dyn.calibrate.geometry import Predicted, WithoutClosure
-from tau_dyn.calibrate.tree_closure import ClosedConfigurations, TreeClosure, compute_open_rates, propagate_twists
-from tau_dyn.calibrate.tree_shape import (
+from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.mechanism import (
     PRIORITY,
     Knob,
+    Poses,
+    TreeDimensions,
     TreeNumbers,
     TreeShape,
-    build_rows,
     compute_dimensions_at,
     get_shape,
+    require_positions,
 )
-from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.mechanism import Poses, compute_frames, multiply_by_rotation, require_positions, transform_point
-from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 
-_ROUNDING = 1e-10
-"""[m or rad, per m or rad] what is left of a column that is zero."""
-_UNSEEN = 1e-7
-"""Size of a column relative to the largest of its unit below which a parameter does not reach the tool."""
+_DRAKE = ("http://drake.mit.edu", "https://drake.mit.edu")
+_OURS = "urn:tau_dyn"
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +44,19 @@ class TreeGeometry(WithoutClosure):
     """A tree, with or without loops, whose placements are parameters; build it with `build_tree_geometry`.
 
     Attributes:
-        shape: The robot taken apart.
+        tree: The robot at any dimensions.
         parameters: Nominal values, those of the robot file.
         knobs: What each parameter does.
     """
 
-    shape: TreeShape
+    tree: TreeDimensions
     parameters: Parameters
     knobs: tuple[Knob, ...]
+
+    @property
+    def shape(self) -> TreeShape:
+        """The robot taken apart."""
+        return self.tree.shape
 
     @property
     def actuated(self) -> tuple[str, ...]:
@@ -78,37 +84,25 @@ class TreeGeometry(WithoutClosure):
         """Whole numbers (p,): offsets and lengths are kept first, then placements, then gear ratios and the tool's place."""
         return np.array([PRIORITY[knob.kind] for knob in self.knobs], int)
 
-    @cached_property
-    def loops(self) -> TreeClosure:
-        """The solver of the loops."""
-        return TreeClosure(self.shape)
-
     def forward(self, theta: np.ndarray, q: np.ndarray, start: Poses | None = None) -> Predicted:
         """Return tool poses at `theta` (p,) and `q` (N, na).
 
         The assembly mode is that of the robot file's home; `start` is not needed.
         """
-        numbers = self._numbers(theta)
-        closed = self.loops.close(numbers, require_positions(self.shape.robot, q))
-        at = compute_frames(numbers.joints, closed.x)
-        position = transform_point(at, self.shape.tool.joint, numbers.tool).T
-        rotation = np.moveaxis(
-            multiply_by_rotation(at.rotation[self.shape.tool.joint], self.shape.tool.axes), 2, 0
-        ).copy()
-        position[~closed.ok] = rotation[~closed.ok] = np.nan
-        return Predicted(Poses(position, rotation), closed.ok, closed.reason)
+        poses, closed = self.tree.forward(self._numbers(theta), require_positions(self.shape.robot, q))
+        return Predicted(poses, closed.ok, closed.reason)
 
     def tool_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return the tool's twist per parameter (N, 6, p), loops kept closed; nan where they cannot be closed."""
-        return self._linearised(theta, q, self.knobs)[0]
+        return self.tree.twists(self._numbers(theta), require_positions(self.shape.robot, q), self.knobs)[0]
 
     def tool_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return the tool's twist per actuated joint (N, 6, na), loops kept closed."""
-        return self._linearised(theta, q, ())[1]
+        return self.tree.twists(self._numbers(theta), require_positions(self.shape.robot, q), ())[1]
 
     def left_open(self, theta: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Return the largest distance (N,) [m] between points that should coincide, where loops are over-constrained."""
-        return self.loops.close(self._numbers(theta), require_positions(self.shape.robot, q)).open
+        return self.tree.loops.close(self._numbers(theta), require_positions(self.shape.robot, q)).open
 
     def freed(self, names: Iterable[str]) -> TreeGeometry:
         """Return the geometry with exactly these parameters free, by name or shell pattern."""
@@ -130,21 +124,13 @@ class TreeGeometry(WithoutClosure):
     def place(self, theta: np.ndarray, q: np.ndarray) -> tuple[TreeNumbers, np.ndarray]:
         """Return the tree at `theta` (p,) and the positions of all its joints (nv, N) at `q` (N, na)."""
         numbers = self._numbers(theta)
-        return numbers, self.loops.close(numbers, require_positions(self.shape.robot, q)).x
+        return numbers, self.tree.loops.close(numbers, require_positions(self.shape.robot, q)).x
 
     def _numbers(self, theta: np.ndarray) -> TreeNumbers:
         theta = np.asarray(theta, float)
         if theta.shape != (len(self.knobs),):
             raise InputError("wrong_shape", f"this geometry has {len(self.knobs)} parameters, not {theta.shape}")
         return compute_dimensions_at(self.shape, self.knobs, theta, self.parameters.values)
-
-    def _linearised(self, theta: np.ndarray, q: np.ndarray, knobs: Sequence[Knob]) -> tuple[np.ndarray, np.ndarray]:
-        numbers, q = self._numbers(theta), require_positions(self.shape.robot, q)
-        closed: ClosedConfigurations = self.loops.close(numbers, q)
-        found = compute_open_rates(self.shape, numbers, knobs, compute_frames(numbers.joints, closed.x), closed.x, q.T)
-        by_parameter, by_joint = propagate_twists(self.shape, found, closed.inverse, numbers.gain)
-        by_parameter[~closed.ok] = by_joint[~closed.ok] = np.nan
-        return by_parameter, by_joint
 
 
 def build_tree_geometry(robot: Robot, *, tool: str | None = None) -> TreeGeometry:
@@ -158,33 +144,8 @@ def build_tree_geometry(robot: Robot, *, tool: str | None = None) -> TreeGeometr
         InputError: A joint has several degrees of freedom, or it is not clear which frame is the tool.
         LoopClosureError: The loops cannot be closed at home.
     """
-    shape = get_shape(robot, tool)
-    rows = build_rows(shape)
-    parameters = Parameters([row.parameter for row in rows])
-    full = TreeGeometry(shape, parameters, tuple(row.knob for row in rows))
-    return replace(full, parameters=Parameters(_without_unseen(full)))
-
-
-def _without_unseen(geometry: TreeGeometry) -> list[Parameter]:
-    """Return the parameters with those fixed that do not reach the tool near home."""
-    robot = geometry.shape.robot
-    reach = np.where(np.isfinite(robot.upper - robot.lower), 0.3 * (robot.upper - robot.lower), 0.6)
-    spread = np.random.default_rng(0).uniform(-0.5, 0.5, (12, robot.na)) * np.minimum(reach, 0.6)
-    columns = geometry.tool_by_parameter(geometry.parameters.values, robot.home + spread)
-    columns = columns[np.isfinite(columns).all(axis=(1, 2))].reshape(-1, len(geometry.knobs))
-    size = np.abs(columns).max(axis=0, initial=0.0)
-    out = []
-    for p, mine in zip(geometry.parameters, size, strict=True):
-        alike = max(
-            (s for other, s in zip(geometry.parameters, size, strict=True) if other.unit == p.unit), default=0.0
-        )
-        unseen = len(columns) > 0 and mine < max(_UNSEEN * alike, _ROUNDING)
-        out.append(replace(p, free=False, origin="robot file; does not reach the tool") if unseen else p)
-    return out
-
-
-_DRAKE = ("http://drake.mit.edu", "https://drake.mit.edu")
-_OURS = "urn:tau_dyn"
+    tree = TreeDimensions(get_shape(robot, tool))
+    return TreeGeometry(tree, tree.parameters, tree.knobs)
 
 
 def format_corrected_urdf(geometry: TreeGeometry, theta: np.ndarray) -> str:

@@ -24,7 +24,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--all",
         action="store_true",
-        help="all configurations that are found, also outside joint limits; of serial arms those from many starts within them",
+        help="all configurations, also outside joint limits; the count is proved in closed form or by elimination, or only found",
     )
     add_table_options(parser, "poses x_tool y_tool z_tool [qx_tool qy_tool qz_tool qw_tool]")
 

@@ -21,11 +21,11 @@ from tau_dyn.mechanism import (
     InverseResult,
     Poses,
     convert_to_quaternions,
+    find_all_solutions,
     forward_kinematics,
     get_rods,
     inverse_kinematics,
     list_configurations,
-    solve_all_configurations,
 )
 from tau_dyn.robot import Robot
 from tau_dyn.shown import Shown
@@ -34,8 +34,8 @@ _MAX_REACH_M = 50.0  # [m] no robot is larger, and millimetres are
 _TOLD = 1e-6  # [rad] orientation errors below this are rounding
 
 
-class ModeCount(NamedTuple):
-    """How many assembly modes one row of positions has: the number found, whether it is proved, and the sentence why."""
+class Count(NamedTuple):
+    """How many assembly modes or inverse solutions a row of the input has: found, whether it is proved to be all, and why."""
 
     pose: int
     count: int
@@ -57,8 +57,7 @@ class PoseTable(Shown):
         reason: Why a row has no answer, '' where it has one (N,).
         configuration: Name of the configuration (`ik`) or of the assembly mode (`fk`), '' where not asked for (N,).
         warnings: Sentences.
-        complete: Whether every configuration or mode is listed for certain, as closed forms do.
-        modes: Assembly modes of each row of the input; empty where not asked for.
+        counts: Of modes or configurations of each row of the input; empty where not asked for.
     """
 
     robot: Robot
@@ -70,8 +69,12 @@ class PoseTable(Shown):
     reason: np.ndarray
     configuration: np.ndarray
     warnings: tuple[str, ...]
-    complete: bool = False
-    modes: tuple[ModeCount, ...] = ()
+    counts: tuple[Count, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether every configuration or mode is listed for certain."""
+        return bool(self.counts) and all(count.proved for count in self.counts)
 
     @property
     def choice(self) -> str:
@@ -117,7 +120,7 @@ class PoseTable(Shown):
             "units": list(self.robot.position_units),
             "answered": int(self.ok.sum()),
             "rows": rows,
-            "modes": [count._asdict() for count in self.modes],
+            "solutions" if self.inverse else "modes": [count._asdict() for count in self.counts],
         }
 
 
@@ -156,11 +159,11 @@ def _all_modes(
         progress(f"assembly modes of row {k + 1} of {len(q)}")
         if not np.isfinite(row).all():
             modes, tool = None, None
-            counts.append(ModeCount(k + 1, 0, False, REASONS[NOT_A_NUMBER]))
+            counts.append(Count(k + 1, 0, False, REASONS[NOT_A_NUMBER]))
         else:
             modes = list_robot_modes(robot, row)
             tool = modes.tool
-            counts.append(ModeCount(k + 1, tool.n_samples, modes.proved, modes.why))
+            counts.append(Count(k + 1, tool.n_samples, modes.proved, modes.why))
         if modes is None or tool is None or not tool.n_samples:
             parts.append(Poses(np.full((1, 3), np.nan), np.full((1, 3, 3), np.nan)))
             names, why = [*names, ""], [*why, reason[k] or REASONS[OUT_OF_REACH]]
@@ -180,7 +183,7 @@ def _all_modes(
         configuration=np.array(names),
         warnings=[*warnings, *lost],
     )
-    return replace(table, complete=all(c.proved for c in counts), modes=tuple(counts))
+    return replace(table, counts=tuple(counts))
 
 
 def build_inverse_table(robot: Robot, poses: Poses, *, all_configurations: bool = False) -> PoseTable:
@@ -209,8 +212,8 @@ def build_inverse_table(robot: Robot, poses: Poses, *, all_configurations: bool 
 
 
 def _all(robot: Robot, poses: Poses) -> PoseTable:
-    found = solve_all_configurations(robot, poses)
-    rods = get_rods(robot)
+    solved, rods = find_all_solutions(robot, poses), get_rods(robot)
+    found = solved.q
     named = rods is not None and len(list_configurations(rods)) == found.shape[1]
     names = [_name(c) for c in list_configurations(rods)] if rods is not None and named else []
     names = names or [str(k + 1) for k in range(found.shape[1])]
@@ -228,8 +231,9 @@ def _all(robot: Robot, poses: Poses) -> PoseTable:
     missing = n - len(np.unique(pose))
     warnings = [f"{missing} of {n} poses cannot be reached in any configuration"] if missing else []
     table = _table(robot, True, q, poses.take(pose), reason, pose=pose, configuration=name, warnings=warnings)
-    closed = rods is not None and named and bool((list_configurations(rods) != 0).all())
-    return replace(table, complete=closed)
+    counts = np.bincount(pose, minlength=n).tolist()
+    each = zip(range(1, n + 1), counts, solved.proved.tolist(), solved.why, strict=True)
+    return replace(table, counts=tuple(Count(*row) for row in each))
 
 
 def _name(signs: np.ndarray) -> str:

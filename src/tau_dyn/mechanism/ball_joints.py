@@ -17,8 +17,8 @@ from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.mechanism import chains
+from tau_dyn.mechanism.legs import Legs
 from tau_dyn.mechanism.poses import Poses
-from tau_dyn.mechanism.rods import Rods
 
 SIDES = ("cart", "plate")
 DEFAULT_ANGLE = np.deg2rad(45.0)
@@ -36,7 +36,7 @@ class BallJoints:
         given: Whether the file gives the axis (2, n).
     """
 
-    rods: Rods
+    rods: Legs
     axes: np.ndarray
     limits: np.ndarray
     given: np.ndarray
@@ -51,7 +51,7 @@ class BallJoints:
         )
 
 
-def find_ball_joints(rods: Rods, *, angle: float | None = None) -> BallJoints:
+def find_ball_joints(rods: Legs, *, angle: float | None = None) -> BallJoints:
     """Return a robot's ball joints.
 
     Args:
@@ -76,7 +76,7 @@ def find_ball_joints(rods: Rods, *, angle: float | None = None) -> BallJoints:
     return BallJoints(rods, axes, limits, given)
 
 
-def _hinged(rods: Rods) -> np.ndarray:
+def _hinged(rods: Legs) -> np.ndarray:
     """Return which rods are sides of a triangle that turns about one axis on its cart: two that end in one point of the plate."""
     same = np.linalg.norm(rods.on_plate[:, None] - rods.on_plate[None], axis=2) < 1e-9
     stem = np.array([name.rpartition("_")[0] for name in rods.names])
@@ -84,7 +84,7 @@ def _hinged(rods: Rods) -> np.ndarray:
     return (same & pair).sum(axis=1) > 1
 
 
-def _in_carts(rods: Rods, q: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+def _in_carts(rods: Legs, q: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Return vectors (N, n, 3) of the world in the frames of the links that carry the rods."""
     at = chains.compute_joint_frames(rods.numbers.joints, q.T)
     out = vectors.copy()
@@ -95,7 +95,7 @@ def _in_carts(rods: Rods, q: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return out
 
 
-def _hints(rods: Rods) -> list[tuple[int, int, np.ndarray | None, float | None]]:
+def _hints(rods: Legs) -> list[tuple[int, int, np.ndarray | None, float | None]]:
     where, found = rods.robot.source, []
     for element in fromstring(rods.robot.urdf, forbid_dtd=True).findall(_TAG):
         name, side = element.get("rod", ""), element.get("side", "")

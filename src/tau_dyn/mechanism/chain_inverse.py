@@ -19,8 +19,8 @@ import numpy as np
 
 from tau_dyn.mechanism import chains, rod_dimensions
 from tau_dyn.mechanism.chains import Carried, ChainJoint
+from tau_dyn.mechanism.legs import Legs
 from tau_dyn.mechanism.rod_dimensions import RodDimensions
-from tau_dyn.mechanism.rods import Rods
 
 _MAX_ITERATIONS = 30  # Newton steps; quadratic convergence needs five to eight
 _DONE = 1e-13  # m, relative to the robot's size: rounding
@@ -34,7 +34,7 @@ class RootChain:
 
     signs: tuple[int, ...]
 
-    def __init__(self, rods: Rods, own: tuple[int, ...], actuator: int) -> None:
+    def __init__(self, rods: Legs, own: tuple[int, ...], actuator: int) -> None:
         """Read the first rod's numbers, and which root is home's."""
         numbers, k = rods.numbers, own[0]
         self.rods, self.actuators, self._k = own, (actuator,), k
@@ -92,7 +92,7 @@ class NewtonChain:
     signs: tuple[int, ...] = (0,)
     home_sign = 0
 
-    def __init__(self, rods: Rods, own: tuple[int, ...], actuators: tuple[int, ...]) -> None:
+    def __init__(self, rods: Legs, own: tuple[int, ...], actuators: tuple[int, ...]) -> None:
         """Cut the chain's own joints and rods out of the robot's."""
         self.rods, self.actuators = own, actuators
         self.numbers = _cut(rods.numbers, own, actuators)
@@ -196,7 +196,7 @@ class NewtonChain:
         return out
 
 
-def build_chains(rods: Rods) -> list[RootChain | NewtonChain]:
+def build_chains(rods: Legs) -> list[RootChain | NewtonChain]:
     """Return a robot's chains, in the order of its first rods."""
     found: list[RootChain | NewtonChain] = []
     for own, actuators in rods.groups:

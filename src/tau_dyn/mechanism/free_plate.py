@@ -17,6 +17,7 @@ import numpy as np
 from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.mechanism import chains, rod_dimensions
 from tau_dyn.mechanism.kinematics_result import BRANCH_CHANGE, NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR
+from tau_dyn.mechanism.legs import Legs
 from tau_dyn.mechanism.plate_arrays import (
     Plate,
     SixRods,
@@ -26,7 +27,6 @@ from tau_dyn.mechanism.plate_arrays import (
     solve_with_lapack,
 )
 from tau_dyn.mechanism.poses import Poses
-from tau_dyn.mechanism.rods import Rods
 
 BLOCK = 8192  # samples at a time; arrays stay in the processor's cache
 _CELL = 0.03  # of the mean rod's length for slides; half as much again in rad for turns
@@ -58,7 +58,7 @@ class Solved(NamedTuple):
 class FreePlate:
     """Solves one robot."""
 
-    def __init__(self, rods: Rods) -> None:
+    def __init__(self, rods: Legs) -> None:
         """Close the robot at home and plan the elimination there."""
         self.rods, self.numbers = rods, rods.numbers
         self.scale = float(np.mean(rods.lengths))

@@ -20,9 +20,9 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism.chains import ChainJoint, list_path, skew
+from tau_dyn.mechanism.legs import Legs
 from tau_dyn.mechanism.poses import Poses, require_poses
 from tau_dyn.mechanism.positions import require_positions
-from tau_dyn.mechanism.rods import Rods
 from tau_dyn.mechanism.trilateration import find_side, intersect_spheres
 
 _EQUAL = 0.01  # by how much the lengths of parallel rods may differ, relative
@@ -35,7 +35,7 @@ class Implicit(NamedTuple):
     defect: np.ndarray
 
 
-def solve_implicit_forward(rods: Rods, q: np.ndarray) -> Implicit:
+def solve_implicit_forward(rods: Legs, q: np.ndarray) -> Implicit:
     """Return the tool's poses as if the rods of each arm were parallel.
 
     Args:
@@ -68,7 +68,7 @@ class ImplicitInverse(NamedTuple):
 
 
 def solve_implicit_inverse(
-    rods: Rods, tool: Poses, *, configuration: Sequence[int] | np.ndarray | None = None
+    rods: Legs, tool: Poses, *, configuration: Sequence[int] | np.ndarray | None = None
 ) -> ImplicitInverse:
     """Return actuated positions as if the rods of each arm were parallel (thesis (4.25)).
 
@@ -110,7 +110,7 @@ def solve_implicit_inverse(
     return ImplicitInverse(q, vectors)
 
 
-def _find_turns(rods: Rods, arm: list[int], path: list[ChainJoint], rotation: np.ndarray) -> list[np.ndarray]:
+def _find_turns(rods: Legs, arm: list[int], path: list[ChainJoint], rotation: np.ndarray) -> list[np.ndarray]:
     """Return the angles (N,) [rad] of an arm's turns that make its vectors the plate's at rotations (N, 3, 3)."""
     if len(path) == 1:
         return []
@@ -147,7 +147,7 @@ def _turn(joint: ChainJoint, q: np.ndarray) -> np.ndarray:
 
 
 def _find_slides(
-    rods: Rods, arms: list[list[int]], slides: list[ChainJoint], q: np.ndarray, plate: Poses, signs: np.ndarray | int
+    rods: Legs, arms: list[list[int]], slides: list[ChainJoint], q: np.ndarray, plate: Poses, signs: np.ndarray | int
 ) -> np.ndarray:
     """Return the slides (N, 3) [m] that put each arm's first rod's end on its sphere; `q` (N, na) has them at zero."""
     first = [arm[0] for arm in arms]
@@ -160,7 +160,7 @@ def _find_slides(
         return along + signs * np.sqrt((rods.lengths[first] ** 2 - np.sum(across**2, axis=2)) / square)
 
 
-def _compare_vectors(rods: Rods, arms: list[list[int]], q: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+def _compare_vectors(rods: Legs, arms: list[list[int]], q: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """Return the largest difference (N,) [m] between vectors from rod to rod of an arm and those of the turned plate."""
     A = rods.base_points(q)
     on_base = np.concatenate([A[:, arm[1:]] - A[:, arm[:1]] for arm in arms], axis=1)
@@ -168,7 +168,7 @@ def _compare_vectors(rods: Rods, arms: list[list[int]], q: np.ndarray, rotation:
     return np.linalg.norm(on_base - on_plate @ np.swapaxes(rotation, 1, 2), axis=2).max(axis=1)
 
 
-def _arms(rods: Rods) -> list[list[int]]:
+def _arms(rods: Legs) -> list[list[int]]:
     """Return the rods of each arm: those on one body of equal length."""
     arms: dict[int, list[int]] = {}
     for k, carrier in enumerate(rods.numbers.carried.carrier):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -74,3 +75,17 @@ class InverseResult(_Judged):
     culprit: np.ndarray
     unlimited: np.ndarray = field(repr=False)
     rotation: np.ndarray = field(repr=False)
+
+
+class InverseSolutions(NamedTuple):
+    """Solutions of each pose.
+
+    Attributes:
+        q: Positions (N, n, na); nan where complex, or to fill up.
+        proved: Whether those of a pose are all there are (N,).
+        why: The reason, a sentence a pose.
+    """
+
+    q: np.ndarray
+    proved: np.ndarray
+    why: list[str]

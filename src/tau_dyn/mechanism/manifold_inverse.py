@@ -19,9 +19,9 @@ import numpy as np
 from tau_dyn.mechanism import chains as chain_points, rod_dimensions
 from tau_dyn.mechanism.chain_inverse import NewtonChain, RootChain
 from tau_dyn.mechanism.least_motion import Progress, solve_least_motion_step, solve_with_pseudo_inverse
+from tau_dyn.mechanism.legs import Legs
 from tau_dyn.mechanism.plate_arrays import Plate, compute_equation_rows, log_of, rotate_by_vector
 from tau_dyn.mechanism.poses import Poses
-from tau_dyn.mechanism.rods import Rods
 
 _MAX_ITERATIONS = 60  # Newton steps, damped far from the solution
 _PATIENCE = 5  # rounds without progress after which a sample is given up
@@ -39,7 +39,7 @@ _RANK = 1e-9  # singular values relative to the matrix; less counts as zero
 class ManifoldInverse:
     """Solves one robot."""
 
-    def __init__(self, rods: Rods, chains: list[RootChain | NewtonChain]) -> None:
+    def __init__(self, rods: Legs, chains: list[RootChain | NewtonChain]) -> None:
         """Keep the robot and its chains, whose closed forms give the starts."""
         self.rods, self._chains = rods, chains
         self._home_tool = rods.tool_poses(rods.home)

@@ -1,7 +1,8 @@
 """What every mechanism answers, in actuated coordinates: `tau_a = M(q) a + h(q, v) = Y(q, v, a) theta`.
 
 All later rooms talk to this interface and never ask whether there are loops. `theta` are `robot.parameters`, inertial
-numbers first, then drive inertia, then gravity-only mass; none of it contains friction, which is an effect.
+numbers first, then drive inertia, then gravity-only mass; none of it contains friction, which is an effect. What needs the
+geometry alone stands in `mechanism.kinematics`: poses of the tool and back, derivatives, commanded coordinates.
 """
 
 from __future__ import annotations
@@ -9,12 +10,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import replace
 from functools import cached_property
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 import pinocchio as pin
 
 from tau_dyn.exceptions import InputError, LoopClosureError
+from tau_dyn.mechanism.kinematics import Kinematics
+from tau_dyn.mechanism.robot_kinematics import build_kinematics
 from tau_dyn.robot import Robot
 
 SINGULAR = 1e4
@@ -25,11 +28,27 @@ _STEP = 1e-4
 
 
 class Mechanism(ABC):
-    """Rigid-body dynamics of one robot with its `robot.parameters`, in actuated coordinates."""
+    """Rigid-body dynamics of one robot with its `robot.parameters`, in actuated coordinates.
+
+    Attributes:
+        robot: The robot.
+        equations: What is computed, for who writes code: "tree", or "gantry_tau" for its closed form.
+    """
+
+    equations: ClassVar[str]
 
     def __init__(self, robot: Robot) -> None:
         """Prepare for a robot and the values of its parameters."""
         self.robot = robot
+
+    @cached_property
+    def kinematics(self) -> Kinematics:
+        """What the geometry answers, at the robot file's dimensions.
+
+        Raises:
+            InputError: The robot has no tool frame.
+        """
+        return build_kinematics(self.robot)
 
     @abstractmethod
     def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:

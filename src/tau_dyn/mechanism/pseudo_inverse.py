@@ -66,3 +66,13 @@ def measure_column_lengths(J: np.ndarray) -> np.ndarray:
     """Return the columns' lengths (..., n) of matrices (..., m, n), 1 for those that are zero but for rounding."""
     lengths = np.linalg.norm(J, axis=-2)
     return np.where(lengths > _ROUNDING * lengths.max(axis=-1, keepdims=True, initial=0.0), lengths, 1.0)
+
+
+def measure_rank_distance(matrices: np.ndarray) -> np.ndarray:
+    """Return the smallest singular value by the largest (N,); nan where a matrix is not finite."""
+    out = np.full(len(matrices), np.nan)
+    sound = np.isfinite(matrices).all(axis=(1, 2))
+    if sound.any():
+        s = np.linalg.svd(matrices[sound], compute_uv=False)
+        out[sound] = s[:, -1] / s[:, 0]
+    return out

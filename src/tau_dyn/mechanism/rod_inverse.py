@@ -10,10 +10,10 @@ import numpy as np
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism.chain_inverse import NewtonChain, RootChain, build_chains
 from tau_dyn.mechanism.kinematics_result import BRANCH_CHANGE, NOT_A_NUMBER, OK, OUT_OF_REACH, InverseResult
+from tau_dyn.mechanism.legs import Legs
 from tau_dyn.mechanism.manifold_inverse import ManifoldInverse
 from tau_dyn.mechanism.plate_arrays import log_of, rotate_by_vector
 from tau_dyn.mechanism.poses import Poses
-from tau_dyn.mechanism.rods import Rods
 
 _AGREE = 1e-9  # [m] what a rod may lack when its chain was solved by another one
 _WAY = 0.1  # steps from home for chains of several actuators, of the rods' length or rad
@@ -22,7 +22,7 @@ _WAY = 0.1  # steps from home for chains of several actuators, of the rods' leng
 class RodInverse:
     """Inverse kinematics of one robot of rods."""
 
-    def __init__(self, rods: Rods) -> None:
+    def __init__(self, rods: Legs) -> None:
         """Split the robot into chains."""
         self.rods, self.chains = rods, build_chains(rods)
         whole = rods.translates or rods.na == 6

@@ -13,8 +13,8 @@ import numpy as np
 import pinocchio as pin
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism import LoopSolver
 from tau_dyn.mechanism.constraints import Constraints
+from tau_dyn.mechanism.loops import LoopSolver
 from tau_dyn.mechanism.mechanism import Mechanism
 from tau_dyn.mechanism.pairs import compute_turning_rates, find_passive_pairs
 from tau_dyn.robot import Robot
@@ -22,6 +22,8 @@ from tau_dyn.robot import Robot
 
 class SamplewiseTree(Mechanism):
     """Dynamics of a tree with loops, one sample after the other."""
+
+    equations = "tree"
 
     def __init__(self, robot: Robot) -> None:
         """Prepare Pinocchio's model with the robot's parameter values."""

@@ -13,9 +13,9 @@ import numpy as np
 
 from tau_dyn.mechanism import chains, rod_dimensions
 from tau_dyn.mechanism.kinematics_result import NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR
+from tau_dyn.mechanism.legs import Legs
 from tau_dyn.mechanism.plate_arrays import solve_with_lapack
 from tau_dyn.mechanism.poses import Poses
-from tau_dyn.mechanism.rods import Rods
 from tau_dyn.mechanism.trilateration import find_side, intersect_spheres
 
 BLOCK = 8192  # samples at a time; arrays stay in the processor's cache
@@ -27,7 +27,7 @@ _AGREE = 1e-9  # [m] by how much more than three rods may contradict each other
 class SlidingPlate:
     """Solves one robot."""
 
-    def __init__(self, rods: Rods) -> None:
+    def __init__(self, rods: Legs) -> None:
         """Choose the three rods that meet best at home, and home's side."""
         self.rods, self.numbers = rods, rods.numbers
         self._shift = rods.on_plate @ rods.rotation.T

@@ -206,7 +206,7 @@ def multiply_by_rotation(rotation: np.ndarray, constant: np.ndarray) -> np.ndarr
 def _turned(base: np.ndarray, joint: Joint, angle: np.ndarray) -> np.ndarray:
     """Return a joint's frame (3, 3, N) turned by an angle (N,)."""
     if joint.along is None:
-        third = _completed(joint.axis)
+        third = complete_axis(joint.axis)
         about_z = joint._replace(along=2)
         return multiply_by_rotation(_turned(multiply_by_rotation(base, third), about_z, angle), third.T)
     c, s, k = np.cos(angle), np.sin(angle), joint.along
@@ -218,7 +218,7 @@ def _turned(base: np.ndarray, joint: Joint, angle: np.ndarray) -> np.ndarray:
     return out
 
 
-def _completed(axis: np.ndarray) -> np.ndarray:
+def complete_axis(axis: np.ndarray) -> np.ndarray:
     """Return a rotation (3, 3) whose third column is this direction."""
     helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
     first = np.cross(helper, axis)

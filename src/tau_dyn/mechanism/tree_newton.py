@@ -54,15 +54,11 @@ class TreeNewton:
         _, s, vt = np.linalg.svd(whole)
         ranks = np.sum(s > _IDLE * s.max(axis=1, initial=0.0, keepdims=True), axis=1)
         null = vt[np.argmax(ranks), ranks.max() :]
-        self._idle = len(null) if np.abs(null[:, self._active]).max(initial=0.0) > _IDLE else 0
+        self.idle = len(null) if np.abs(null[:, self._active]).max(initial=0.0) > _IDLE else 0
 
     def close_loops(self, q: np.ndarray) -> np.ndarray:
         """Return all joints' positions (nv, N) at actuated ones (N, na); nan where the loops cannot be closed."""
-        rows, which = np.unique(q, axis=0, return_inverse=True)
-        x = np.full((self.robot.model.nv, len(rows)), np.nan)
-        for index, closed in self.engine.closed(rows, np.flatnonzero(np.isfinite(rows).all(axis=1))):
-            x[:, index] = closed.x
-        return x[:, which.ravel()]
+        return np.ascontiguousarray(self.engine.full_positions(q).T)
 
     def solve(
         self, poses: Poses, x: np.ndarray, toward: np.ndarray
@@ -89,7 +85,7 @@ class TreeNewton:
     def _found(self, poses: Poses, x: np.ndarray, toward: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `newton`'s answer; where idling keeps it from coming to rest, the tool is brought there first."""
         found, error = self.newton(poses, x, toward)
-        lost = np.flatnonzero(~np.isfinite(found[0])) if self._idle else np.zeros(0, int)
+        lost = np.flatnonzero(~np.isfinite(found[0])) if self.idle else np.zeros(0, int)
         if lost.size:
             part = poses.take(lost)
             there, off = self.newton(part, x[:, lost], None)
@@ -149,8 +145,8 @@ class TreeNewton:
         )
         turn = log_of(np.moveaxis(poses.rotation @ np.swapaxes(here.rotation, 1, 2), 0, 2)).T
         pull = np.zeros((x.shape[1], x.shape[0]))
-        if self._idle and toward is not None:
-            vt = np.linalg.svd(np.concatenate([C, T], axis=1))[2][:, -self._idle :]
+        if self.idle and toward is not None:
+            vt = np.linalg.svd(np.concatenate([C, T], axis=1))[2][:, -self.idle :]
             pull[:, self._active] = toward - x[self._active].T
             pull = np.einsum("nki,nkj,nj->ni", vt, vt, pull)
         left = np.sum(turn**2, axis=1, keepdims=True)

@@ -51,7 +51,7 @@ class TreePose:
         self.robot, self.joints = robot, joints
         self.loops = LoopArrays(LoopSolver(robot), joints)
         frame = robot.model.frames[robot.tool_frame]
-        self._joint, self._tool = int(frame.parentJoint), frame.placement
+        self._joint, self.tool = int(frame.parentJoint), frame.placement
         carrying = robot.model.supports[self._joint].tolist()[1:]
         self.carriers = [joint for joint in joints if joint.index in carrying]
 
@@ -78,13 +78,21 @@ class TreePose:
             half = len(index) // 2
             return [*self.closed(q, index[:half]), *self.closed(q, index[half:])]
 
+    def full_positions(self, q: np.ndarray) -> np.ndarray:
+        """Return all joints' positions (N, nv) at actuated ones (N, na); nan where the loops cannot be closed."""
+        rows, which = np.unique(q, axis=0, return_inverse=True)
+        x = np.full((len(rows), self.robot.model.nv), np.nan)
+        for index, closed in self.closed(rows, np.flatnonzero(np.isfinite(rows).all(axis=1))):
+            x[index] = closed.x.T
+        return x[which.ravel()]
+
     def pose(self, closed: ClosedLoops) -> Poses:
         """Return the tool's poses."""
         return self.pose_of(closed.at)
 
     def pose_of(self, at: Frames) -> Poses:
         """Return the tool's poses where the joints are."""
-        rotation = multiply_by_rotation(at.rotation[self._joint], self._tool.rotation)
+        rotation = multiply_by_rotation(at.rotation[self._joint], self.tool.rotation)
         return Poses(self.place_of(at).T.copy(), np.moveaxis(rotation, 2, 0).copy())
 
     def pose_at(self, x: np.ndarray) -> Poses:
@@ -93,7 +101,7 @@ class TreePose:
 
     def place_of(self, at: Frames) -> np.ndarray:
         """Return the tool's positions (3, N) [m]."""
-        return transform_point(at, self._joint, self._tool.translation)
+        return transform_point(at, self._joint, self.tool.translation)
 
     def jacobian(self, closed: ClosedLoops) -> np.ndarray:
         """Return the tool's twist per actuated velocity (N, 6, na), linear first, in world axes at the tool's origin."""
@@ -115,7 +123,7 @@ class TreePose:
         a = self.loops.accelerations(closed, rates, np.zeros((self.robot.na, len(v))))
         moving = compute_motion(self.joints, closed.at, rates, a, np.zeros(3))
         j = self._joint
-        arm = transform_point(closed.at, j, self._tool.translation) - closed.at.origin[j]
+        arm = transform_point(closed.at, j, self.tool.translation) - closed.at.origin[j]
         w, dw = moving.turning[j], moving.spinning_up[j]
         linear = np.zeros_like(arm)
         for term in (

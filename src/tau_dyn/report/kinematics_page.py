@@ -108,7 +108,7 @@ def _parts(table: PoseTable, width: int) -> list[Table]:
     if table.inverse:  # the answer first; a pose that all rows share stands in the headline
         wanted = [*joints, *why, *([] if len(np.unique(table.pose)) == 1 else place)]
     else:
-        one = bool(table.modes) and len(table.modes) == 1  # its positions are known; orientations tell modes apart
+        one = len(table.counts) == 1  # its positions are known; orientations tell modes apart
         wanted = [*place, *turns, *why] if one else [*place, *why, *joints]
     widths = [max(len(head), *(len(row[k]) for row in cells)) + 2 for k, head in enumerate(heads)]
     parts: list[list[int]] = [[]]
@@ -147,35 +147,36 @@ def _title(table: PoseTable) -> str:
 
 def _headline(table: PoseTable) -> str:
     rows, answered = len(table.q), int(table.ok.sum())
-    if table.modes:
-        modes, asked = sum(c.count for c in table.modes), len(table.modes)
+    if table.counts and not table.inverse:
+        modes, asked = sum(c.count for c in table.counts), len(table.counts)
         found = "the count is proved" if table.complete else "found, the count is not proved"
         found = found if asked == 1 or table.complete else f"found, the count is proved for {_proved(table)} of {asked}"
         return f"{modes} assembly mode{'s' * (modes != 1)} of {asked} position{'s' * (asked != 1)}: {found}"
-    if rows == 1:
+    if rows == 1 and not table.counts:
         x, y, z = (f"{v:.6g}" for v in table.position[0])
         return f"The tool {'gets to' if table.inverse else 'is at'} ({x}, {y}, {z}) m"
     if table.configuration.any():
-        poses = len(np.unique(table.pose))
+        poses = len(table.counts)
         x, y, z = (f"{v:.6g}" for v in table.position[0])
         asked = f"1 pose, ({x}, {y}, {z}) m" if poses == 1 else f"{poses} poses"
-        verb = "" if table.complete else " found"
-        return f"{rows} solutions{verb} for {asked}: {answered} within the joint limits"
+        proved = "the count is proved" if table.complete else "found, the count is not proved"
+        if poses > 1 and not table.complete:
+            proved = f"found, the count is proved for {_proved(table)} of {poses}"
+        return f"{rows} solution{'s' * (rows != 1)} for {asked}, {answered} within the joint limits: {proved}"
     return f"{answered} of {rows} {'poses can be reached' if table.inverse else 'positions have a pose'}"
 
 
 def _summary(table: PoseTable) -> str:
     mode = "home's configuration and assembly mode"
-    if table.modes:
-        first = next((c for c in table.modes if not c.proved), table.modes[0])
-        mode = f"all assembly modes ({first.why})" if table.complete else f"assembly modes that are found ({first.why})"
-    elif table.configuration.any():
-        mode = "all configurations" if table.complete else "configurations found from many starts, not proved to be all"
+    if table.counts:
+        first = next((c for c in table.counts if not c.proved), table.counts[0])
+        kind = "configurations" if table.inverse else "assembly modes"
+        mode = f"all {kind} ({first.why})" if table.complete else f"{kind} that are found ({first.why})"
     return f"{_title(table)} of {table.robot.name}, {mode}; tool in the world frame."
 
 
 def _proved(table: PoseTable) -> int:
-    return sum(c.proved for c in table.modes)
+    return sum(c.proved for c in table.counts)
 
 
 def _choice(table: PoseTable) -> str:

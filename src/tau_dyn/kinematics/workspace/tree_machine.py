@@ -11,7 +11,15 @@ from tau_dyn.kinematics.bodies import read_bodies
 from tau_dyn.kinematics.collisions import PlacedSolid
 from tau_dyn.kinematics.dexterity import Rates
 from tau_dyn.kinematics.workspace.machine import InverseSolution, draw_positions, place_body
-from tau_dyn.mechanism import Poses, Rods, TreePose, forward_kinematics, get_solver, inverse_kinematics, jacobians
+from tau_dyn.mechanism import (
+    Poses,
+    Rods,
+    TreePose,
+    build_kinematics,
+    forward_kinematics,
+    get_solver,
+    inverse_kinematics,
+)
 from tau_dyn.robot import Robot
 
 _WAVES = 300
@@ -69,7 +77,7 @@ class TreeMachine:
         self._sign = float(np.sign(np.linalg.det(at_home))[0]) if square else 0.0
 
     def _jacobian(self, q: np.ndarray, poses: Poses | None) -> np.ndarray:
-        return jacobians.jacobian(self.robot, q, poses)
+        return build_kinematics(self.robot).jacobian(q, poses)
 
     def solve(self, poses: Poses) -> InverseSolution:
         """Return positions that are home's carried on from neighbour to neighbour, from home outwards."""

@@ -1,4 +1,17 @@
-"""Loops of a tree closed at other geometries than the robot file's, many samples at once.
+"""Loops of a tree closed at other dimensions than the robot file's, and how the tool moves with dimensions and joints.
+
+How a tree's points move with its joints and with its geometric parameters, and how the loops pass both on to the tool.
+
+A parameter of joint j moves all that the joint carries: `origin` shifts it along its parent's axes, a rotation vector
+`r` turns it about the joint's origin at `R_j J_r(r) dr` (`J_r`: right Jacobian of the rotation group; Chirikjian 2012).
+With loops `c(x_a, x_p, theta) = 0`,
+
+    dx_p = -J_p^+ (dc/dtheta dtheta + J_a dx_a),    tool twist = T_theta dtheta + T_a dx_a + T_p dx_p
+
+(implicit function theorem; thesis (4.14), Khalil & Dombre 2002, ch. 7 and 11). Arrays have components first and samples
+last.
+
+Loops of a tree closed at other geometries than the robot file's, many samples at once.
 
 The nominal closure (`mechanism/loop_arrays.py`) gives the assembly mode and the start; Newton steps on the passive
 joints do the rest. Two kinds of deficiency belong to a mechanism and not to a configuration: a rod between two ball
@@ -17,17 +30,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.calibrate.tree_shape import Knob, TreeNumbers, TreeShape
 from tau_dyn.exceptions import LoopClosureError
-from tau_dyn.mechanism import (
-    Frames,
-    LoopArrays,
-    LoopSolver,
-    compute_cross_product,
-    compute_frames,
-    measure_column_lengths,
-    transform_point,
-)
+from tau_dyn.mechanism.loop_arrays import LoopArrays
+from tau_dyn.mechanism.loops import LoopSolver
+from tau_dyn.mechanism.pseudo_inverse import measure_column_lengths
+from tau_dyn.mechanism.tree_arrays import Frames, compute_cross_product, compute_frames, transform_point
+from tau_dyn.mechanism.tree_dimensions import Knob, TreeNumbers, TreeShape
 
 
 class OpenRates(NamedTuple):

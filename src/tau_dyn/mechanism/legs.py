@@ -1,33 +1,35 @@
-r"""A parallel robot as points and distances: `|A_k(q) - B_k(X)| = L_k` (thesis (4.4), (4.14); Merlet 2006, ch. 2).
+r"""A plate on legs as points and distances: `|A_k(q) - B_k(X)| = L_k` (thesis (4.4), (4.14); Merlet 2006, ch. 2).
 
-Actuated chains carry points A, the plate at pose X carries points B, rods hold their distance. `build_rods` reads all of
-it from the robot's tree (`recognise.py`); forward and inverse kinematics, Jacobians and calibration know the robot
-through `Rods` alone. Public arrays have samples first; what the solvers use (`chains.py`, `geometry.py`) has samples last.
+Actuated chains carry points A, the plate at pose X carries points B, rods hold their distance. Forward and inverse
+kinematics, Jacobians and calibration know the robot through these rows alone. Public arrays have samples first; what the
+solvers use (`chains.py`, `rod_dimensions.py`) has samples last.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import pinocchio as pin
 
+from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.mechanism import chains, rod_dimensions
-from tau_dyn.mechanism.home_pose import solve_pose_at_home
+from tau_dyn.mechanism.plate_arrays import rotate_by_vector
 from tau_dyn.mechanism.poses import Poses
 from tau_dyn.mechanism.positions import require_positions
-from tau_dyn.mechanism.read_dimensions import read_dimensions
-from tau_dyn.mechanism.recognise import NotRods, recognise
 from tau_dyn.mechanism.rod_dimensions import RodDimensions
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 
-__all__ = ["NotRods", "Rods", "build_rods"]
+_CLOSED = 1e-12  # relative to the rods
+_MAX_ITERATIONS = 30  # Newton steps from the file's pose
+_STEP = 0.2  # of the rods' length or rad
 
 
 @dataclass(frozen=True, eq=False)
-class Rods:
+class Legs:
     """A parallel robot as points and distances.
 
     Attributes:
@@ -63,7 +65,7 @@ class Rods:
         Raises:
             LoopClosureError: With this geometry the rods cannot be closed at home.
         """
-        return solve_pose_at_home(self, self.nominal_home)
+        return self._closed_at_home()
 
     @property
     def n(self) -> int:
@@ -137,7 +139,7 @@ class Rods:
         unit = self.rod_directions(q, plate)
         return np.einsum("nki,nkij->nkj", unit, self.base_jacobian(q)) - self.leg_rates(q)
 
-    def closure_by_geometry(self, q: np.ndarray, plate: Poses) -> np.ndarray:
+    def gap_by_geometry(self, q: np.ndarray, plate: Poses) -> np.ndarray:
         """Return the gaps' derivative by the geometric parameters (N, n, p), columns as `geometry`."""
         q = require_positions(self.robot, q)
         unit = self.rod_directions(q, plate).transpose(1, 2, 0)
@@ -153,7 +155,7 @@ class Rods:
             out[:, k, column[name]] = value
         return out
 
-    def with_geometry(self, parameters: Parameters) -> Rods:
+    def with_geometry(self, parameters: Parameters) -> Self:
         """Return the robot at other values of some or all geometric parameters; `home` follows."""
         numbers = rod_dimensions.replace_values(self.numbers, parameters)
         given = {p.name: {"value": p.value, "stderr": p.stderr, "origin": p.origin} for p in parameters}
@@ -188,34 +190,26 @@ class Rods:
         own = [joints[i].actuator for i in chains.list_path(joints, self.numbers.carried.carrier[rod])]
         return own + ([int(self.numbers.slides[rod])] if self.numbers.slides[rod] >= 0 else [])
 
+    def _closed_at_home(self) -> Poses:
+        """Return the plate's pose (1 sample) at the home positions, by Newton from the nominal one."""
+        home, scale, pose, before = self.robot.home[None], float(np.mean(self.lengths)), self.nominal_home, np.inf
+        for _ in range(_MAX_ITERATIONS):
+            gap = self.gap(home, pose)[0]
+            size = float(np.abs(gap).max()) / scale
+            if size < _CLOSED or (
+                size < 1e-3 * _CLOSED**0.5 and size >= before
+            ):  # closed, or as far as rounding lets it
+                return pose
+            before = size
+            columns = 3 if self.translates else 6
+            twist = np.zeros((6, 1))
+            twist[:columns, 0] = np.linalg.lstsq(self.gap_by_pose(home, pose)[0, :, :columns], -gap, rcond=1e-12)[0]
+            large = max(float(np.abs(twist[:3]).max()) / scale, float(np.abs(twist[3:]).max()))
+            twist *= min(1.0, _STEP / max(large, 1e-300))
+            turned = rotate_by_vector(twist[3:], np.moveaxis(pose.rotation, 0, 2))
+            pose = Poses(pose.position + twist[:3].T, np.moveaxis(turned, 2, 0))
+        raise LoopClosureError(f"{self.robot.source}: with this geometry the rods cannot be closed at home")
 
-def build_rods(robot: Robot) -> Rods:
-    """Read a parallel robot's points and distances from its tree.
-
-    Raises:
-        NotRods: The mechanism is of another kind (a serial arm, an articulated plate, a planar loop).
-        LoopClosureError: The loops cannot be closed at home.
-    """
-    found = recognise(robot)
-    numbers = read_dimensions(robot, found)
-    home = Poses(found.home.translation[None].copy(), found.home.rotation[None].copy())
-    return Rods(
-        robot=robot,
-        names=numbers.names,
-        lengths=numbers.lengths,
-        on_plate=numbers.on_plate,
-        plate=_link_of(robot, found.plate),
-        translates=found.translates,
-        rotation=home.rotation[0],
-        tool=found.tool,
-        geometry=rod_dimensions.build_parameters(numbers),
-        nominal_home=home,
-        numbers=numbers,
-    )
-
-
-def _link_of(robot: Robot, joint: int) -> str:
-    for frame in robot.model.frames:
-        if frame.parentJoint == joint and frame.type == pin.FrameType.BODY:
-            return frame.name
-    return robot.model.names[joint]
+    def __getstate__(self) -> dict[str, object]:
+        """Return the geometry alone: a copy, or one sent to another process, starts without solvers."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}

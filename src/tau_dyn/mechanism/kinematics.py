@@ -1,0 +1,271 @@
+r"""What the geometry of a mechanism answers, whatever its kind; all that asks for poses talks to this interface alone.
+
+The tool at pose X and the actuators at q close the mechanism where `g(q, X) = 0`: the gaps `|A(q) - B(X)| - L` of a plate
+on legs, the tool's deviation from where the joints put it of any other tree. With `G_x`, `G_q` and `G_p` its derivatives by the
+tool's twist, by the positions and by the geometric parameters,
+
+    V = J v,   J = -G_x^+ G_q,   dX/dp = -G_x^+ G_p.
+
+`G_x` loses rank in a parallel (second kind) singularity, `G_q` in a serial (first kind) one: Gosselin & Angeles 1990; Merlet
+2006, ch. 5 and 6. Poses are the tool's, in the world; twists are linear first, in world axes, at the tool's origin; those of a
+plate that only translates have the linear half alone. Arrays have samples first.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import NamedTuple, NoReturn, Self
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.mechanism.commanded import CommandedCoordinates, choose_commanded
+from tau_dyn.mechanism.joint_limits import check_limits, refuse_beyond_limits
+from tau_dyn.mechanism.kinematics_result import ForwardResult, InverseResult, InverseSolutions
+from tau_dyn.mechanism.legs import Legs
+from tau_dyn.mechanism.plate_arrays import solve_with_lapack
+from tau_dyn.mechanism.poses import Poses, require_poses
+from tau_dyn.mechanism.positions import require_positions
+from tau_dyn.parameters import Parameters
+from tau_dyn.robot import Robot
+
+
+class Singularity(NamedTuple):
+    """How far from singular, each (N,): 1 is as far as can be, 0 is there.
+
+    Attributes:
+        parallel: Smallest singular value of `G_x` by the largest, angles taken at the plate's radius (root mean square of |B|):
+            the actuators lose hold of the plate. Of a tree the same of its loops.
+        serial: The same of `G_q`, each column by the fastest point that its actuator moves: an actuator no longer moves
+            the plate. Of a tree the same of its tool's Jacobian.
+    """
+
+    parallel: np.ndarray
+    serial: np.ndarray
+
+
+class Kinematics(ABC):
+    """Geometry of one robot.
+
+    Attributes:
+        robot: The robot.
+        equations: What is solved, for who writes code: "sliding plate", "free plate" or "tree".
+        translates: Whether the tool keeps its rotation; twists then have three rows.
+        legs: Plate and legs where the robot has them, else None.
+        geometry: Geometric parameters at this geometry's values; units m, rad, 1.
+    """
+
+    robot: Robot
+    translates: bool
+    geometry: Parameters
+
+    @property
+    @abstractmethod
+    def equations(self) -> str:
+        """What is solved."""
+
+    @property
+    def legs(self) -> Legs | None:
+        """Plate and legs, or None."""
+        return None
+
+    # configurations and poses
+
+    def forward(self, q: np.ndarray, *, start: Poses | None = None) -> ForwardResult:
+        """Return where the tool is at actuated positions.
+
+        Args:
+            q: Actuated positions (N, na) [m or rad].
+            start: Poses of the tool (N, or 1 for all) from which to search, for another assembly mode than home's; a
+                translating plate takes the side of it, a tree ignores it.
+
+        Returns:
+            Poses, nan with a reason where there is none. A pose depends on its own `q` (and start) alone, not on other samples.
+
+        Raises:
+            InputError: Arrays of the wrong shape.
+            LoopClosureError: The robot cannot be closed even at home.
+        """
+        q = require_positions(self.robot, q)
+        if start is not None:
+            start = require_poses(start)
+            if len(start.position) not in (1, len(q)):
+                raise InputError(
+                    "wrong_shape", f"start must hold one pose or {len(q)}, one a sample, not {len(start.position)}"
+                )
+        return self._forward(q, start)
+
+    @abstractmethod
+    def _forward(self, q: np.ndarray, start: Poses | None) -> ForwardResult: ...
+
+    def both_forward(self, q: np.ndarray) -> np.ndarray:
+        """Return both tool positions (N, 2, 3) [m] of a translating plate, home's first; nan where the spheres do not meet.
+
+        Raises:
+            InputError: The plate does not translate only; `assembly` finds the modes of a free plate.
+        """
+        raise InputError("unsupported", f"{self.robot.source}: two closed solutions are for plates that translate only")
+
+    @abstractmethod
+    def full_positions(self, q: np.ndarray) -> np.ndarray:
+        """Return the positions (N, nv) [m or rad] of all joints at actuated ones (N, na); nan where the loops do not close."""
+
+    # inverse
+
+    def inverse(
+        self,
+        poses: Poses,
+        *,
+        configuration: Sequence[int] | np.ndarray | None = None,
+        start: np.ndarray | None = None,
+        limits: bool = True,
+    ) -> InverseResult:
+        """Return the actuated positions that put the tool at poses.
+
+        Args:
+            poses: Of the tool (N).
+            configuration: One of `configurations`, a sign for each chain; by default home's.
+            start: Positions (N or 1, na) from which to search, where a chain has no closed form, by default home. Where actuators
+                can move without the tool (a telescopic arm, a serial arm with a joint to spare), the positions nearest to
+                it are taken, where the search for them comes to rest. It does not choose the configuration; `follow_path` does.
+            limits: Whether positions outside the file's joint limits are refused.
+
+        Raises:
+            InputError: Arrays of the wrong shape, an unknown configuration, or joint limits that are the wrong way round.
+        """
+        poses = require_poses(poses)
+        start = None if start is None else self._starts(start, len(poses.position))
+        if limits:
+            check_limits(self.robot)
+        return refuse_beyond_limits(self.robot, self._inverse(poses, configuration, start, limits), limits)
+
+    @abstractmethod
+    def _inverse(
+        self, poses: Poses, configuration: Sequence[int] | np.ndarray | None, start: np.ndarray | None, limits: bool
+    ) -> InverseResult: ...
+
+    def solutions(self, poses: Poses) -> InverseSolutions:
+        """Return all positions that put the tool at poses, whatever their limits, and whether they are proved to be all.
+
+        Legs in closed form: rows as `configurations`. Six turning joints in a chain: all, by elimination, nearest to home first.
+        Chains of several actuators under rods and other trees: what many starts find.
+        """
+        return self._solutions(require_poses(poses))
+
+    @abstractmethod
+    def _solutions(self, poses: Poses) -> InverseSolutions: ...
+
+    @property
+    def configurations(self) -> np.ndarray:
+        """Configurations by name (n, chains): -1 or 1 of a chain with two solutions, 1 of a leg, 0 by Newton.
+
+        Raises:
+            InputError: The robot has no rods.
+        """
+        self._refuse_without_legs("hence no named configurations")
+
+    @property
+    def home_configuration(self) -> np.ndarray:
+        """Home's configuration (chains,)."""
+        self._refuse_without_legs("hence no named configurations")
+
+    def nearest_configuration(self, poses: Poses, q: np.ndarray) -> np.ndarray:
+        """Return the configuration (chains,) that has positions (na,) at or near a pose (1 sample)."""
+        self._refuse_without_legs("hence no named configurations")
+
+    @cached_property
+    def commanded(self) -> CommandedCoordinates:
+        """What one commands of the tool: from the freedoms that it has at home."""
+        home = self.forward(self.robot.home[None]).poses
+        twists, length = self._twists_at_home()
+        return choose_commanded(twists, home, length)
+
+    @abstractmethod
+    def _twists_at_home(self) -> tuple[np.ndarray, float]:
+        """Return twists per actuated speed (6, na) of the point that turns move least, and what a turn counts [m]."""
+
+    # closure and its derivatives
+
+    @abstractmethod
+    def with_geometry(self, parameters: Parameters) -> Self:
+        """Return the mechanism at other values of some or all geometric parameters.
+
+        Raises:
+            UnknownName: A parameter that this geometry does not have.
+        """
+
+    @abstractmethod
+    def closure(self, q: np.ndarray, poses: Poses) -> np.ndarray:
+        """Return `g(q, X)` (N, n) [m or rad], zero where the mechanism closes at `q` (N, na) and the tool's poses (N)."""
+
+    @abstractmethod
+    def closure_by_pose(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
+        """Return `G_x` (N, n, 6 or 3) at poses of the tool, by default those of forward kinematics."""
+
+    @abstractmethod
+    def closure_by_q(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
+        """Return `G_q` (N, n, na)."""
+
+    @abstractmethod
+    def closure_by_geometry(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
+        """Return `G_p` (N, n, p), columns as `geometry`."""
+
+    def jacobian(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
+        """Return `J`: the tool's twist per actuated velocity.
+
+        Args:
+            q: Actuated positions (N, na).
+            poses: Poses of the tool there (N); by default those of forward kinematics. A tree takes its own.
+
+        Returns:
+            (N, 6, na), linear first; (N, 3, na) for a plate that only translates. nan where there is no pose.
+        """
+        return self._twist_by(self.closure_by_q, q, poses)
+
+    def pose_by_geometry(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
+        """Return the tool's twist per geometric parameter (N, 6 or 3, p), the mechanism kept closed."""
+        return self._twist_by(self.closure_by_geometry, q, poses)
+
+    def _twist_by(self, by: Callable[..., np.ndarray], q: np.ndarray, poses: Poses | None) -> np.ndarray:
+        q = require_positions(self.robot, q)
+        poses = self.poses_at(q, poses)
+        right = by(q, poses)
+        return -solve_with_lapack(self.closure_by_pose(q, poses), np.moveaxis(right, 0, 2)).transpose(2, 0, 1)
+
+    @abstractmethod
+    def acceleration_bias(self, q: np.ndarray, v: np.ndarray, poses: Poses | None = None) -> np.ndarray:
+        """Return the tool's acceleration (N, 6 or 3) at actuated velocities `v` (N, na) and no acceleration there: `dJ/dt v`."""
+
+    @abstractmethod
+    def singularity(self, q: np.ndarray, poses: Poses | None = None) -> Singularity:
+        """Return how near the mechanism is to singularities of both kinds."""
+
+    def poses_at(self, q: np.ndarray, poses: Poses | None) -> Poses:
+        """Return the tool's poses at positions (N, na): those given, checked, or those of forward kinematics."""
+        if poses is None:
+            return self.forward(q).poses
+        poses = require_poses(poses)
+        if len(poses.position) != len(q):
+            raise InputError(
+                "wrong_shape", f"as many poses as positions are needed, not {len(poses.position)} and {len(q)}"
+            )
+        return poses
+
+    def _starts(self, start: np.ndarray, n: int) -> np.ndarray:
+        start = require_positions(self.robot, start)
+        if len(start) not in (1, n):
+            raise InputError(
+                "wrong_shape", f"start must hold one row of positions or {n}, one a pose, not {len(start)}"
+            )
+        return np.repeat(start, n, axis=0) if len(start) != n else start
+
+    def _velocities(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        q, v = require_positions(self.robot, q), require_positions(self.robot, v)
+        if len(v) != len(q):
+            raise InputError("wrong_shape", f"as many velocities as positions are needed, not {len(v)} and {len(q)}")
+        return q, v
+
+    def _refuse_without_legs(self, so: str) -> NoReturn:
+        raise InputError("unsupported", f"{self.robot.source}: has no rods, {so}")

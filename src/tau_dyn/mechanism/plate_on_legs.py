@@ -1,0 +1,208 @@
+"""Kinematics of a plate on legs: forward by spheres or Newton on SE(3), inverse leg by leg, derivatives of the gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+import pinocchio as pin
+
+from tau_dyn.mechanism import chains, rod_dimensions
+from tau_dyn.mechanism.free_plate import FreePlate
+from tau_dyn.mechanism.kinematics import Kinematics, Singularity
+from tau_dyn.mechanism.kinematics_result import ForwardResult, InverseResult, InverseSolutions
+from tau_dyn.mechanism.legs import Legs
+from tau_dyn.mechanism.plate_arrays import solve_with_lapack
+from tau_dyn.mechanism.poses import Poses, require_poses
+from tau_dyn.mechanism.positions import require_positions
+from tau_dyn.mechanism.pseudo_inverse import measure_rank_distance
+from tau_dyn.mechanism.read_dimensions import read_dimensions
+from tau_dyn.mechanism.recognise import recognise
+from tau_dyn.mechanism.rod_inverse import RodInverse
+from tau_dyn.mechanism.sliding_plate import SlidingPlate
+from tau_dyn.mechanism.tree_pose import TreePose
+from tau_dyn.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class PlateOnLegs(Legs, Kinematics):
+    """A plate on legs and its solvers; see `Legs` for its attributes and `Kinematics` for what it answers."""
+
+    @property
+    def equations(self) -> str:
+        """Either "sliding plate" or "free plate"."""
+        return "sliding plate" if self.translates else "free plate"
+
+    @property
+    def legs(self) -> Legs:
+        """Itself."""
+        return self
+
+    @cached_property
+    def engine(self) -> SlidingPlate | FreePlate:
+        """What solves forward kinematics.
+
+        Raises:
+            LoopClosureError: The rods cannot be closed at home.
+        """
+        return SlidingPlate(self) if self.translates else FreePlate(self)
+
+    @cached_property
+    def inverse_engine(self) -> RodInverse:
+        """What solves inverse kinematics."""
+        return RodInverse(self)
+
+    def _forward(self, q: np.ndarray, start: Poses | None) -> ForwardResult:
+        plate, code = self.engine.forward(q, None if start is None else self.plate_poses(start))
+        return ForwardResult(self.tool_poses(plate), plate, code)
+
+    def both_forward(self, q: np.ndarray) -> np.ndarray:
+        """Return both tool positions (N, 2, 3) [m]; see `Kinematics.both_forward`."""
+        if not self.translates:
+            return super().both_forward(q)
+        positions = SlidingPlate(self).both(require_positions(self.robot, q))
+        return positions + self.rotation @ self.tool.translation
+
+    def full_positions(self, q: np.ndarray) -> np.ndarray:
+        """Return the positions of all joints (N, nv), from the tree; see `Kinematics.full_positions`."""
+        return self._tree.full_positions(require_positions(self.robot, q))
+
+    @cached_property
+    def _tree(self) -> TreePose:
+        return TreePose(self.robot)
+
+    def _inverse(
+        self, poses: Poses, configuration: Sequence[int] | np.ndarray | None, start: np.ndarray | None, limits: bool
+    ) -> InverseResult:
+        signs = self.inverse_engine.signs(configuration)
+        return self.inverse_engine.inverse(poses, signs, start, configuration is None)
+
+    def _solutions(self, poses: Poses) -> InverseSolutions:
+        closed = all(0 not in chain.signs for chain in self.inverse_engine.chains)
+        n, why = len(poses.position), "in closed form" if closed else "from many starts"
+        return InverseSolutions(self.inverse_engine.all(poses), np.full(n, closed), [why] * n)
+
+    @property
+    def configurations(self) -> np.ndarray:
+        """Configurations by name (n, chains); see `Kinematics.configurations`."""
+        return np.array(list(product(*(chain.signs for chain in self.inverse_engine.chains))))
+
+    @property
+    def home_configuration(self) -> np.ndarray:
+        """Home's configuration (chains,)."""
+        return np.array(self.inverse_engine.signs(None))
+
+    def nearest_configuration(self, poses: Poses, q: np.ndarray) -> np.ndarray:
+        """Return the configuration (chains,) that has positions (na,) at or near a pose (1 sample)."""
+        return np.array(self.inverse_engine.signs_near(require_poses(poses), q))
+
+    def _twists_at_home(self) -> tuple[np.ndarray, float]:
+        J = self.jacobian(self.robot.home[None])[0]
+        J = np.vstack([J, np.zeros((6 - len(J), self.na))])
+        middle = self.on_plate.mean(axis=0)
+        arm = self.home.rotation[0] @ (middle - self.tool.translation)
+        J[:3] += np.cross(J[3:].T, arm).T
+        return J, float(np.sqrt(np.mean(np.sum((self.on_plate - middle) ** 2, axis=1)))) or 1.0
+
+    def closure(self, q: np.ndarray, poses: Poses) -> np.ndarray:
+        """Return the gaps (N, n) [m]; see `Kinematics.closure`."""
+        return self.gap(q, self.plate_poses(poses))
+
+    def closure_by_pose(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
+        """Return how fast each gap opens per tool twist (N, n, 6), or (N, n, 3) for a translating plate."""
+        q = require_positions(self.robot, q)
+        plate = self.plate_poses(self.poses_at(q, poses))
+        columns = self.gap_by_pose(q, plate)
+        if self.translates:
+            return columns[:, :, :3]
+        r = plate.rotation @ self.tool.translation  # the plate's origin moves with v_tool - w x r
+        turned = columns[:, :, 3:] + np.cross(columns[:, :, :3], r[:, None])
+        return np.concatenate([columns[:, :, :3], turned], axis=2)
+
+    def closure_by_q(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
+        """Return the gaps' derivative by the actuated positions (N, n, na)."""
+        return self.gap_by_q(q, self.plate_poses(self.poses_at(q, poses)))
+
+    def closure_by_geometry(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
+        """Return the gaps' derivative by the geometric parameters (N, n, p)."""
+        return self.gap_by_geometry(q, self.plate_poses(self.poses_at(q, poses)))
+
+    def singularity(self, q: np.ndarray, poses: Poses | None = None) -> Singularity:
+        """Return how near the robot is to singularities of both kinds."""
+        q = require_positions(self.robot, q)
+        plate = self.plate_poses(self.poses_at(q, poses))
+        radius = float(np.sqrt(np.mean(np.sum(self.on_plate**2, axis=1)))) or 1.0
+        by_pose, by_q = self.gap_by_pose(q, plate), self.gap_by_q(q, plate)
+        by_pose = by_pose[:, :, :3] if self.translates else by_pose / np.array([1, 1, 1, radius, radius, radius])
+        speed = np.linalg.norm(self.base_jacobian(q), axis=2).max(axis=1)
+        speed = np.maximum(speed, np.abs(self.leg_rates(q)).max(axis=1))
+        return Singularity(measure_rank_distance(by_pose), measure_rank_distance(by_q / speed[:, None]))
+
+    def acceleration_bias(self, q: np.ndarray, v: np.ndarray, poses: Poses | None = None) -> np.ndarray:
+        r"""Return the tool's acceleration at rest of the actuators; see `Kinematics.acceleration_bias`.
+
+        With `f = (|d|^2 - L^2) / 2`, `d . T'' + (r x d) . w' = |d'|^2 + d . (A'' - w x (w x r)) - (L L')'`, and `(L L')'` is
+        the square of a slide's speed.
+        """
+        q, v = self._velocities(q, v)
+        plate = self.plate_poses(self.poses_at(q, poses))
+        by_pose, by_q = self.gap_by_pose(q, plate), self.gap_by_q(q, plate)
+        by_pose = by_pose[:, :, :3] if self.translates else by_pose
+        twist = -solve_with_lapack(by_pose, np.einsum("nka,na->kn", by_q, v)).T
+        w = np.zeros((len(q), 3)) if self.translates else twist[:, 3:]
+        r = self.plate_points(plate) - plate.position[:, None]
+        rate = np.einsum("nkia,na->nki", self.base_jacobian(q), v) - twist[:, None, :3] - np.cross(w[:, None], r)
+        joints, carried, qt = self.numbers.joints, self.numbers.carried, q.T
+        places = chains.compute_points(joints, carried, qt)
+        at = chains.compute_joint_frames(joints, qt)
+        pushed = chains.compute_accelerations(joints, carried, at, places, v.T).transpose(2, 0, 1)
+        pushed = pushed - np.cross(w[:, None], np.cross(w[:, None], r))
+        d = places.transpose(2, 0, 1) - self.plate_points(plate)
+        right = np.sum(rate**2, axis=2) + np.sum(d * pushed, axis=2)
+        for k in np.flatnonzero(self.numbers.slides >= 0):
+            right[:, k] -= v[:, self.numbers.slides[k]] ** 2
+        total = solve_with_lapack(-by_pose, (right / np.linalg.norm(d, axis=2)).T).T
+        if self.translates:
+            return total
+        arm = plate.rotation @ self.tool.translation
+        total[:, :3] += np.cross(total[:, 3:], arm) + np.cross(w, np.cross(w, arm))
+        return total
+
+
+Rods = PlateOnLegs
+"""The same by another name."""
+
+
+def build_rods(robot: Robot) -> PlateOnLegs:
+    """Read a parallel robot's points and distances from its tree.
+
+    Raises:
+        NotRods: The mechanism is of another kind (a serial arm, an articulated plate, a planar loop).
+        LoopClosureError: The loops cannot be closed at home.
+    """
+    found = recognise(robot)
+    numbers = read_dimensions(robot, found)
+    home = Poses(found.home.translation[None].copy(), found.home.rotation[None].copy())
+    return PlateOnLegs(
+        robot=robot,
+        names=numbers.names,
+        lengths=numbers.lengths,
+        on_plate=numbers.on_plate,
+        plate=_link_of(robot, found.plate),
+        translates=found.translates,
+        rotation=home.rotation[0],
+        tool=found.tool,
+        geometry=rod_dimensions.build_parameters(numbers),
+        nominal_home=home,
+        numbers=numbers,
+    )
+
+
+def _link_of(robot: Robot, joint: int) -> str:
+    for frame in robot.model.frames:
+        if frame.parentJoint == joint and frame.type == pin.FrameType.BODY:
+            return frame.name
+    return robot.model.names[joint]
