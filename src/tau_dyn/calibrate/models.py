@@ -10,27 +10,22 @@ from typing import Protocol
 
 import numpy as np
 
-from tau_dyn.calibrate.drive_and_guide_laws import (
+from tau_dyn.calibrate.arm_geometry import ArmGeometry
+from tau_dyn.calibrate.geometry import Geometry, constrain_parameters
+from tau_dyn.calibrate.laws import (
     CartComplianceLaw,
+    CouplingLaw,
     DriveComplianceLaw,
-    DriveLaw,
+    EccentricityLaw,
     GuideBendLaw,
     GuideLaw,
+    JointLaw,
     PeriodicDriveLaw,
     RodPathLaw,
     find_carried_rods,
     find_guideways,
 )
-from tau_dyn.calibrate.geometry import Geometry, constrain_parameters
-from tau_dyn.calibrate.joint_laws import (
-    ArmGeometry,
-    CouplingLaw,
-    EccentricityLaw,
-    GravityLaw,
-    JointLaw,
-    build_gravity_laws,
-)
-from tau_dyn.calibrate.loads import RodLoads
+from tau_dyn.calibrate.loads import GravityLaw, RodLoads, build_gravity_laws
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
@@ -173,8 +168,8 @@ class RodFamily:
             found.append("paths")
         return tuple(found)
 
-    def _laws(self, spec: Spec, periods: dict[str, float]) -> tuple[list[DriveLaw], list[GuideLaw]]:
-        drives: list[DriveLaw] = []
+    def _laws(self, spec: Spec, periods: dict[str, float]) -> tuple[list[JointLaw], list[GuideLaw]]:
+        drives: list[JointLaw] = []
         guides: list[GuideLaw] = []
         for addition, label in (("periodic", ""), ("periodic2", "2")):
             for joint in spec.additions.get(addition, ()):
@@ -357,7 +352,7 @@ class TreeFamily:
 
     def build(self, spec: Spec, periods: dict[str, float] | None = None) -> Geometry:
         """Return the geometry of a model."""
-        laws: list[JointLaw] = [self._coupling(text) for text in spec.additions.get("coupling", ())]
+        laws: list[JointLaw | GravityLaw] = [self._coupling(text) for text in spec.additions.get("coupling", ())]
         laws += [self._gravity_laws[joint] for joint in spec.additions.get("gravity", ())]
         laws += [EccentricityLaw(joint, self.joints.index(joint)) for joint in spec.additions.get("eccentric", ())]
         geometry = ArmGeometry(self.tree, tuple(laws)) if laws else self.tree

@@ -10,15 +10,15 @@ plate points are free.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.drive_and_guide_laws import DriveLaw, GuideLaw
 from tau_dyn.calibrate.geometry import Predicted
+from tau_dyn.calibrate.laws import GuideLaw, JointLaw, move_joints
 from tau_dyn.mechanism import (
     AXES,
     Carried,
@@ -95,20 +95,16 @@ class PlacedRods:
     def __init__(
         self,
         numbers: RodDimensions,
-        drives: Sequence[DriveLaw],
+        drives: Sequence[JointLaw],
         guides: Sequence[GuideLaw],
-        laws: Mapping[int, np.ndarray],
+        laws: Sequence[np.ndarray],
         q: np.ndarray,
     ) -> None:
-        """Place the points at positions `q` (N, na); `laws` holds each law's values by its place in `drives + guides`."""
-        self.numbers = numbers
-        self.q = q
-        self.drive_shifts = [law.drive(laws[k], q) for k, law in enumerate(drives)]
-        self.effective = q.copy()
-        for law, shift in zip(drives, self.drive_shifts, strict=True):
-            self.effective[:, law.actuator] += shift.error
-        self.guide_shifts = [law.guide(laws[len(drives) + k], q) for k, law in enumerate(guides)]
-        self.moving = np.ascontiguousarray(self.effective.T)
+        """Place the points at positions `q` (N, na); `laws` holds each law's values, drives first."""
+        self.numbers, self.q = numbers, q
+        self.moved = move_joints(drives, laws[: len(drives)], q)
+        self.guide_shifts = [law.displace(v, q) for law, v in zip(guides, laws[len(drives) :], strict=True)]
+        self.moving = np.ascontiguousarray(self.moved.real.T)
         self.frames = chains.compute_joint_frames(self.numbers.joints, self.moving)
         self.places = chains.compute_points(self.numbers.joints, self.numbers.carried, self.moving)
         self.points = self.places.transpose(2, 0, 1) + sum(s.shift for s in self.guide_shifts)
@@ -196,7 +192,7 @@ class RodGeometry:
     """
 
     rods: Rods
-    drives: tuple[DriveLaw, ...] = ()
+    drives: tuple[JointLaw, ...] = ()
     guides: tuple[GuideLaw, ...] = ()
 
     @property
@@ -298,18 +294,12 @@ class RodGeometry:
         numbers = self.numbers(theta)
         return replace(self.rods, numbers=numbers, lengths=numbers.lengths, on_plate=numbers.on_plate)
 
-    def law_values(self, theta: np.ndarray) -> dict[int, np.ndarray]:
-        """Return each law's part of the parameters, by its place in `drives + guides`."""
-        k, found = len(self.rods.geometry), {}
-        for place, law in enumerate((*self.drives, *self.guides)):
-            n = len(law.parameters)
-            found[place] = theta[k : k + n]
-            k += n
-        return found
-
     def _at(self, theta: np.ndarray, q: np.ndarray) -> PlacedRods:
         theta = np.asarray(theta, float)
-        return PlacedRods(self.numbers(theta), self.drives, self.guides, self.law_values(theta), np.asarray(q, float))
+        ends = np.cumsum([len(self.rods.geometry), *(len(law.parameters) for law in (*self.drives, *self.guides))])
+        return PlacedRods(
+            self.numbers(theta), self.drives, self.guides, np.split(theta, ends)[1:-1], np.asarray(q, float)
+        )
 
     def _newton(self, at: PlacedRods, plate: Poses) -> tuple[Poses, np.ndarray]:
         """Return plate poses that close the rods, and where they do (N,)."""
@@ -365,11 +355,10 @@ class RodGeometry:
                 first = index[f"{joint.name}.{TURN}_x"]
                 out[:, k, first : first + 3] = column
         k = len(self.rods.geometry)
-        by_q = at.by_effective_joint(unit) if self.drives else None
-        for law, shift in zip(self.drives, at.drive_shifts, strict=True):
-            assert by_q is not None
-            n = shift.columns.shape[1]
-            out[:, :, k : k + n] = by_q[:, :, law.actuator, None] * shift.columns[:, None]
+        by_q = at.by_effective_joint(unit) if self.drives else np.zeros((*unit.shape[:2], 0))
+        for actuator, columns in at.moved.columns:
+            n = columns.shape[1]
+            out[:, :, k : k + n] = by_q[:, :, actuator, None] * columns[:, None]
             k += n
         for shift in at.guide_shifts:
             n = shift.columns.shape[3]
@@ -379,9 +368,7 @@ class RodGeometry:
 
     def _by_joint(self, at: PlacedRods, plate: Poses) -> np.ndarray:
         unit = at.directions(plate)
-        out = at.by_effective_joint(unit)
-        for law, shift in zip(self.drives, at.drive_shifts, strict=True):
-            out[:, :, law.actuator] *= 1 + shift.slope[:, None]
+        out = at.by_effective_joint(unit) @ at.moved.by_encoder
         for law, shift in zip(self.guides, at.guide_shifts, strict=True):
             out[:, :, law.actuator] += np.einsum("nki,nki->nk", unit, shift.slope)
         return out
