@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.calibrate.geometry import KNOWN_BEFOREHAND, Predicted, WithoutClosure
+from tau_dyn.calibrate.geometry import KNOWN_BEFOREHAND, GeometryDefaults, Predicted
 from tau_dyn.calibrate.laws import JointLaw, MovedJoints, move_joints
 from tau_dyn.calibrate.loads import GravityLaw, GravityMoments, compute_gravity_moments
 from tau_dyn.calibrate.tree_geometry import TreeGeometry
@@ -42,7 +42,7 @@ class _PlacedArm(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class ArmGeometry(WithoutClosure):
+class ArmGeometry(GeometryDefaults):
     """A tree whose joints follow laws beside their encoders; see `geometry.Geometry` for what each method returns.
 
     Attributes:

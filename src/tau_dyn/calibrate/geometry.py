@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from tau_dyn.exceptions import UnknownName
-from tau_dyn.mechanism import Poses
+from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.mechanism import Poses, Rods
 from tau_dyn.parameters import Parameter, Parameters
 
 KNOWN_BEFOREHAND = 1000
@@ -93,9 +93,36 @@ class Geometry(Protocol):
         """Return the closure's derivative by the actuated joints (N, m, na)."""
         ...
 
+    @property
+    def beyond_file(self) -> str:
+        """What of it no robot file can hold, '' where one can hold everything."""
+        ...
 
-class WithoutClosure:
-    """The closure of a geometry that has no residual of its own: a tree's loops involve passive joints, which nobody measures."""
+    @property
+    def description(self) -> dict[str, Any] | None:
+        """How a compensation file describes it (`build_described_geometry`), None where it cannot."""
+        ...
+
+    def rods_at(self, theta: np.ndarray) -> Rods | None:
+        """Return the rods with these dimensions, without the laws, for kinematics; None of a robot without rods."""
+        ...
+
+    def format_urdf(self, theta: np.ndarray) -> str:
+        """Return the robot file with these dimensions."""
+        ...
+
+    def list_turned_joints(self, theta: np.ndarray) -> list[tuple[str, np.ndarray]]:
+        """Return joints whose frame's orientation is a parameter, with that orientation (3, 3) in the parent's frame."""
+        ...
+
+
+class GeometryDefaults:
+    """What most geometries answer: no closure of their own, and nothing that a robot file or a compensation file could hold.
+
+    A tree's loops involve passive joints, which nobody measures, so that it has no closure residual.
+    """
+
+    beyond_file = "laws of its joints"
 
     def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
         """Return None; use forward residuals."""
@@ -103,9 +130,26 @@ class WithoutClosure:
 
     closure_by_parameter = closure_by_pose = closure_by_joint = closure
 
+    @property
+    def description(self) -> dict[str, Any] | None:
+        """None: a file cannot describe it."""
+        return None
+
+    def rods_at(self, theta: np.ndarray) -> Rods | None:
+        """Return None: it has no rods."""
+        return None
+
+    def format_urdf(self, theta: np.ndarray) -> str:
+        """Refuse."""
+        raise InputError("unsupported", f"a robot file cannot hold {self.beyond_file}")
+
+    def list_turned_joints(self, theta: np.ndarray) -> list[tuple[str, np.ndarray]]:
+        """Return none."""
+        return []
+
 
 @dataclass(frozen=True, eq=False)
-class ConstrainedGeometry:
+class ConstrainedGeometry(GeometryDefaults):
     """A geometry with fewer parameters: several of the original ones move together, or not at all.
 
     `theta = theta_0 + Z (y - y_0)`: equal rods, parallel guideways and other simplifications are such ties.

@@ -14,7 +14,6 @@ from tau_dyn.calibrate.geometry_fit import GeometryFit, compute_sensitivities
 from tau_dyn.calibrate.model_selection import CandidateModel, SelectionStep
 from tau_dyn.calibrate.pose_errors import MeasurementNoise, PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.robot import Robot
 from tau_dyn.shown import Shown
 
@@ -233,10 +232,7 @@ def build_frame_rows(fitted: GeometryFit) -> list[dict[str, object]]:
 def turn_rows(fitted: GeometryFit) -> list[dict[str, object]]:
     """Return the orientations of turning joints' frames as unit quaternions `x y z w`, in their parents' frames."""
     geometry, (theta,) = expand_constraints(fitted.geometry, fitted.theta)
-    if not isinstance(geometry, RodGeometry):
-        return []
     return [
-        {"joint": j.name, "quaternion": Rotation.from_matrix(j.rotation).as_quat(canonical=True).tolist()}
-        for j in geometry.numbers(theta).joints
-        if not j.slides
+        {"joint": name, "quaternion": Rotation.from_matrix(rotation).as_quat(canonical=True).tolist()}
+        for name, rotation in geometry.list_turned_joints(theta)
     ]

@@ -13,11 +13,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.geometry import Predicted
+from tau_dyn.calibrate.geometry import GeometryDefaults, Predicted
 from tau_dyn.calibrate.laws import GuideLaw, JointLaw, move_joints
 from tau_dyn.mechanism import (
     AXES,
@@ -182,7 +183,7 @@ _CLOSED = 1e-9  # [m]
 
 
 @dataclass(frozen=True, eq=False)
-class RodGeometry:
+class RodGeometry(GeometryDefaults):
     """A parallel robot with free dimensions.
 
     Attributes:
@@ -288,6 +289,17 @@ class RodGeometry:
         """Return the robot's dimensions at these parameters, without the laws."""
         values = dict(zip(self.parameters.names, np.asarray(theta, float).tolist(), strict=True))
         return compute_dimensions_at(self.rods.numbers, values)
+
+    beyond_file = "rods between carts and a plate"
+
+    @property
+    def description(self) -> dict[str, Any] | None:
+        """Its kind; None with laws of drives or guideways."""
+        return None if self.drives or self.guides else {"kind": "rods"}
+
+    def list_turned_joints(self, theta: np.ndarray) -> list[tuple[str, np.ndarray]]:
+        """Return the turning joints with their frames' orientations (3, 3)."""
+        return [(j.name, j.rotation) for j in self.numbers(theta).joints if not j.slides]
 
     def rods_at(self, theta: np.ndarray) -> Rods:
         """Return the robot with these dimensions, without the laws."""

@@ -1,16 +1,19 @@
-"""A compensation as a YAML file that carries its own robot, so that a controller's program needs nothing else.
+"""Calibrated robots and compensations as YAML files that carry their own robot file: written whole, read without running code.
+
+    save_calibration("l1_calibrated.yaml", found)
+    robot = load_calibration("l1_calibrated.yaml")
+    robot.forward(q).poses          # in the robot's base frame
+    robot.rods                      # for fk, ik, Jacobians of `mechanism`, without what carts and drives do besides
 
     save_compensation(compensation, "delta_compensation.yaml")
-    correct = load_compensation("delta_compensation.yaml")
-    q_corrected = correct(q).q
+    q_corrected = load_compensation("delta_compensation.yaml")(q).q
 
-No code runs on loading. Parameters are listed with the nominal and the calibrated value, so that a person can read what
-was corrected.
+Parameters are listed with the nominal and the calibrated value, so that a person can read what was corrected.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,13 +29,13 @@ from tau_dyn.calibrate.models import Spec, get_family
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.calibrate.rod_geometry import RodGeometry
-from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry, format_corrected_urdf
+from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.mechanism import Poses, Rods, build_rods
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
-FORMAT = 1  # version of the file format
+_FORMAT = 1  # version of both file formats
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,14 +74,13 @@ class CalibratedRobot:
         """
         source = source or self.robot.source
         geometry, (theta,) = expand_constraints(self.geometry, self.theta)
-        if not isinstance(geometry, TreeGeometry):
-            what = "rods between carts and a plate" if isinstance(geometry, RodGeometry) else "laws of its joints"
+        if geometry.beyond_file:
             raise InputError(
                 "unsupported",
-                f"{source}: a robot file cannot hold this calibration, which has {what}; correct joint positions by "
-                "calibrate --correct, or use load_calibration in Python",
+                f"{source}: a robot file cannot hold this calibration, which has {geometry.beyond_file}; correct joint "
+                "positions by calibrate --correct, or use load_calibration in Python",
             )
-        urdf = format_corrected_urdf(geometry, theta)
+        urdf = geometry.format_urdf(theta)
         return load_robot_from_urdf(urdf, source, actuated=self.robot.actuated, tool=self.robot.tool)
 
     @property
@@ -89,11 +91,12 @@ class CalibratedRobot:
             InputError: A robot of another kind.
         """
         geometry, (theta,) = expand_constraints(self.geometry, self.theta)
-        if not isinstance(geometry, RodGeometry):
+        rods = geometry.rods_at(theta)
+        if rods is None:
             raise InputError(
                 "unsupported", f"{self.robot.source} is no robot of rods between carts and a plate; use `forward`"
             )
-        return geometry.rods_at(theta)
+        return rods
 
 
 def save_calibration(path: str | Path, found: Calibration) -> None:
@@ -105,7 +108,6 @@ def save_calibration(path: str | Path, found: Calibration) -> None:
     robot, fitted = found.robot, found.fit
     spec = found.chosen.spec
     content = {
-        "tau_dyn_calibration": FORMAT,
         "model": {
             "name": found.chosen.name,
             "structure": spec.structure,
@@ -125,15 +127,8 @@ def save_calibration(path: str | Path, found: Calibration) -> None:
         },
         "noise": [float(x) for x in fitted.noise],
         "poses": {"source": found.poses.source, "sha256": found.poses.sha256, "n": found.poses.n},
-        "robot": {
-            "source": robot.source,
-            "arguments": {k: str(v) for k, v in robot.arguments.items()},
-            "actuated": list(robot.actuated),
-            "sha256": robot.sha256,
-        },
-        "urdf": robot.urdf,
     }
-    write_whole(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110))
+    _write(path, "tau_dyn_calibration", content, robot)
 
 
 def load_calibration(path: str | Path) -> CalibratedRobot:
@@ -142,11 +137,7 @@ def load_calibration(path: str | Path) -> CalibratedRobot:
     Raises:
         InputError: The file is missing, not YAML or not a calibration of ours; the message names the entry.
     """
-    content = read_yaml(path)
-    if not isinstance(content, dict) or content.get("tau_dyn_calibration") != FORMAT:
-        raise InputError(
-            "file_format", f"{path}: not a calibrated robot (its first key is 'tau_dyn_calibration: {FORMAT}')"
-        )
+    content = _read(path, "tau_dyn_calibration", "calibrated robot")
     try:
         return _built(content)
     except InputError as fault:
@@ -158,14 +149,7 @@ def load_calibration(path: str | Path) -> CalibratedRobot:
 
 
 def _built(content: Mapping[str, Any]) -> CalibratedRobot:
-    about = content["robot"]
-    robot = load_robot_from_urdf(
-        content["urdf"],
-        str(about["source"]),
-        actuated=[str(j) for j in about["actuated"]],
-        arguments=dict(about["arguments"]),
-        sha256=str(about["sha256"]),
-    )
+    robot = _load_robot(content)
     travel = np.array(content["travel"], float).T
     additions = {str(k): tuple(str(j) for j in v) for k, v in content["model"]["additions"].items()}
     spec = Spec(str(content["model"]["structure"]), additions)
@@ -199,30 +183,19 @@ def _read_frame(row: Mapping[str, Any]) -> Frame:
     return Frame(rotation, translation)
 
 
-_FORMAT = 1  # version of the file format
-
-
-def _tree(robot: Robot, options: Mapping[str, Any]) -> Geometry:
-    tool = options.get("tool")
-    if tool is not None and not isinstance(tool, str):
-        raise InputError("file_format", f"{robot.source}: geometry.tool must be a frame's name, not {tool!r}")
-    return build_tree_geometry(robot, tool=tool)
-
-
-def _rods(robot: Robot, options: Mapping[str, Any]) -> Geometry:
-    return RodGeometry(build_rods(robot))
-
-
-_KINDS: dict[str, Callable[[Robot, Mapping[str, Any]], Geometry]] = {"tree": _tree, "rods": _rods}
-"""How to build a geometry again, by the word in the file."""
-
-
 def save_compensation(compensation: Compensation, path: str | Path) -> None:
     """Write a compensation; the file appears whole or not at all.
 
     Raises:
         InputError: A geometry that cannot be told in words, or a place that cannot be written.
     """
+    description = compensation.geometry.description
+    if description is None:
+        raise InputError(
+            "unsupported",
+            f"a compensation of {type(compensation.geometry).__name__} with laws of drives or guideways cannot be saved; use it "
+            "from Python",
+        )
     robot, p = compensation.robot, compensation.geometry.parameters
     changed = [
         {"name": row.name, "unit": row.unit, "nominal": float(a), "value": float(b)}
@@ -230,21 +203,13 @@ def save_compensation(compensation: Compensation, path: str | Path) -> None:
         if a != row.value or b != row.value
     ]
     content = {
-        "tau_dyn_compensation": _FORMAT,
         "method": compensation.method,
         "axes": list(compensation.axes),
         "limits": compensation.limits,
-        "geometry": _told(compensation.geometry),
-        "robot": {
-            "source": robot.source,
-            "arguments": dict(robot.arguments),
-            "actuated": list(robot.actuated),
-            "sha256": robot.sha256,
-        },
+        "geometry": description,
         "parameters": changed,
-        "urdf": robot.urdf,
     }
-    write_whole(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110))
+    _write(path, "tau_dyn_compensation", content, robot)
 
 
 def load_compensation(path: str | Path) -> Compensation:
@@ -253,20 +218,16 @@ def load_compensation(path: str | Path) -> Compensation:
     Raises:
         InputError: The file is missing, not YAML or not a compensation of ours; the message names the entry.
     """
-    content = read_yaml(path)
-    if not isinstance(content, dict) or content.get("tau_dyn_compensation") != _FORMAT:
-        raise InputError(
-            "file_format", f"{path}: not a compensation (its first key is 'tau_dyn_compensation: {_FORMAT}')"
-        )
+    content = _read(path, "tau_dyn_compensation", "compensation")
     kinds = (("robot", dict), ("geometry", dict), ("parameters", list), ("axes", list), ("urdf", str), ("method", str))
     for key, kind in kinds:
         if not isinstance(content.get(key), kind):
             raise InputError("file_format", f"{path}: '{key}' is missing or not a {kind.__name__}")
-    robot = _robot(content, path)
-    word = content["geometry"].get("kind")
-    if not isinstance(word, str) or word not in _KINDS:
-        raise InputError("file_format", f"{path}: no geometry of kind '{word}'; there are {', '.join(_KINDS)}")
-    geometry = _KINDS[word](robot, content["geometry"])
+    try:
+        robot = _load_robot(content)
+        geometry = _build_described_geometry(robot, content["geometry"])
+    except InputError as fault:
+        raise InputError(fault.code, f"{path}: {fault}") from fault
     nominal, theta = _values(content["parameters"], geometry, path)
     return build_compensation(
         robot,
@@ -279,29 +240,16 @@ def load_compensation(path: str | Path) -> Compensation:
     )
 
 
-def _told(geometry: Geometry) -> dict[str, Any]:
-    if isinstance(geometry, TreeGeometry):
-        return {"kind": "tree", "tool": geometry.shape.tool.link}
-    if isinstance(geometry, RodGeometry) and not geometry.drives and not geometry.guides:
-        return {"kind": "rods"}
-    raise InputError(
-        "unsupported",
-        f"a compensation of {type(geometry).__name__} with laws of drives or guideways cannot be saved; use it from Python",
-    )
-
-
-def _robot(content: Mapping[str, Any], path: str | Path) -> Robot:
-    about = content["robot"]
-    actuated = about.get("actuated")
-    if not isinstance(actuated, list) or not all(isinstance(name, str) for name in actuated):
-        raise InputError("file_format", f"{path}: robot.actuated must be a list of joints")
-    arguments = about.get("arguments") or {}
-    if not isinstance(arguments, dict):
-        raise InputError("file_format", f"{path}: robot.arguments must be names and values")
-    source = str(about.get("source", path))
-    return load_robot_from_urdf(
-        content["urdf"], source, actuated=actuated, arguments=arguments, sha256=str(about.get("sha256", ""))
-    )
+def _build_described_geometry(robot: Robot, description: Mapping[str, Any]) -> Geometry:
+    """Return the geometry that a file describes."""
+    kind, tool = description.get("kind"), description.get("tool")
+    if kind == "rods":
+        return RodGeometry(build_rods(robot))
+    if kind != "tree":
+        raise InputError("file_format", f"no geometry of kind '{kind}'; there are tree, rods")
+    if tool is not None and not isinstance(tool, str):
+        raise InputError("file_format", f"geometry.tool must be a frame's name, not {tool!r}")
+    return build_tree_geometry(robot, tool=tool)
 
 
 def _values(rows: list[Any], geometry: Geometry, path: str | Path) -> tuple[np.ndarray, np.ndarray]:
@@ -318,3 +266,39 @@ def _values(rows: list[Any], geometry: Geometry, path: str | Path) -> tuple[np.n
                 raise InputError("file_format", f"{path}: {row['name']}.{key} must be a finite number, not {x!r}")
             target[names.index(row["name"])] = float(x)
     return nominal, theta
+
+
+def _write(path: str | Path, kind: str, content: dict[str, Any], robot: Robot) -> None:
+    """Write a file of a kind with its robot; it appears whole or not at all."""
+    about = {
+        "source": robot.source,
+        "arguments": {k: str(v) for k, v in robot.arguments.items()},
+        "actuated": list(robot.actuated),
+        "sha256": robot.sha256,
+    }
+    content = {kind: _FORMAT, **content, "robot": about, "urdf": robot.urdf}
+    write_whole(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110))
+
+
+def _read(path: str | Path, kind: str, what: str) -> dict[str, Any]:
+    content = read_yaml(path)
+    if not isinstance(content, dict) or content.get(kind) != _FORMAT:
+        raise InputError("file_format", f"{path}: not a {what} (its first key is '{kind}: {_FORMAT}')")
+    return content
+
+
+def _load_robot(content: Mapping[str, Any]) -> Robot:
+    """Return the robot of a file."""
+    about = content["robot"]
+    actuated, arguments = about.get("actuated"), about.get("arguments") or {}
+    if not isinstance(actuated, list) or not all(isinstance(name, str) for name in actuated):
+        raise InputError("file_format", "robot.actuated must be a list of joints")
+    if not isinstance(arguments, dict):
+        raise InputError("file_format", "robot.arguments must be names and values")
+    return load_robot_from_urdf(
+        content["urdf"],
+        str(about.get("source", "robot")),
+        actuated=actuated,
+        arguments=arguments,
+        sha256=str(about.get("sha256", "")),
+    )

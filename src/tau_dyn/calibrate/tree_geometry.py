@@ -13,13 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 from defusedxml.ElementTree import fromstring
 
-from tau_dyn.calibrate.geometry import Predicted, WithoutClosure
+from tau_dyn.calibrate.geometry import GeometryDefaults, Predicted
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.mechanism import (
     PRIORITY,
@@ -40,7 +41,7 @@ _OURS = "urn:tau_dyn"
 
 
 @dataclass(frozen=True, eq=False)
-class TreeGeometry(WithoutClosure):
+class TreeGeometry(GeometryDefaults):
     """A tree, with or without loops, whose placements are parameters; build it with `build_tree_geometry`.
 
     Attributes:
@@ -52,6 +53,17 @@ class TreeGeometry(WithoutClosure):
     tree: TreeDimensions
     parameters: Parameters
     knobs: tuple[Knob, ...]
+
+    beyond_file = ""
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """Kind and tool frame."""
+        return {"kind": "tree", "tool": self.shape.tool.link}
+
+    def format_urdf(self, theta: np.ndarray) -> str:
+        """Return the robot file with these dimensions."""
+        return format_corrected_urdf(self, theta)
 
     @property
     def shape(self) -> TreeShape:
