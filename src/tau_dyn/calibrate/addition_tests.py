@@ -1,9 +1,12 @@
 """Which additions to a model the residuals ask for, before any is fitted: an F test on what their columns take away.
 
-Residuals and new columns are freed of everything that the fitted parameters could take up (`I - Q Q'`, `Q` a basis of
-their columns), so a guideway's offset is not taken for a wave. A cyclic error is looked for at all periods from one
-and a half ranges down to `_MIN_PERIOD_M`, which costs significance by their number. Reference: Draper & Smith 1998, 6;
-Scargle 1982.
+Residuals and new columns are freed of everything that the fitted parameters could take up (`I - Q Q'`, `Q` a basis of their
+columns), so a guideway's offset is not taken for a wave. A cyclic error is looked for at all periods from one and a half ranges
+down to `_MIN_PERIOD_M`, which costs significance by their number. Reference: Draper & Smith 1998, 6; Scargle 1982.
+
+A joint whose encoder counts all of another joint's motion (an elbow driven from the base: the encoder measures against the
+ground, `x_3 = q_3 +- q_2`) makes a robot file miss its poses by a large part of its reach, and no fit of dimensions finds the
+way there. So each pair is tried with either sign and the file's dimensions, device and targets fitted in closed form.
 """
 
 from __future__ import annotations

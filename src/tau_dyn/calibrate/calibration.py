@@ -11,7 +11,6 @@ import numpy as np
 from tau_dyn.calibrate.addition_tests import UnitCoupling, find_strongest_periods, find_unit_coupling
 from tau_dyn.calibrate.causes import CalibrationFinding, as_finding, find_causes
 from tau_dyn.calibrate.crossvalidation import compare_paired
-from tau_dyn.calibrate.frames import check_spread, drop_duplicate_poses
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.model_selection import (
     CandidateModel,
@@ -23,7 +22,13 @@ from tau_dyn.calibrate.model_selection import (
     select_model,
 )
 from tau_dyn.calibrate.models import Family, Spec, get_family
-from tau_dyn.calibrate.outliers import describe_outliers, find_moved_frames, find_outliers
+from tau_dyn.calibrate.outliers import (
+    check_spread,
+    describe_outliers,
+    drop_duplicate_poses,
+    find_moved_frames,
+    find_outliers,
+)
 from tau_dyn.calibrate.pose_errors import estimate_measurement_noise
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.result import Calibration

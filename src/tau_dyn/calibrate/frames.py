@@ -1,4 +1,11 @@
-"""Where a fit starts: the device's frame from the nominal robot, and what is wrong with poses before anything is fitted."""
+"""Where the measuring device stands and where its target sits on the tool: what turns a robot's tool pose into a measurement.
+
+    R_m = R_D R R_T,    p_m = p_D + R_D (p + R p_T),
+
+with `(R_D, p_D)` the robot's base in the device's frame (X_DB) and `(R_T, p_T)` the target in the tool frame (thesis (5.3)).
+Rotations change on their manifold: `R_D <- Exp(d) R_D`, `R_T <- R_T Exp(d)`. Campaigns may each have frames of their own. A fit
+starts from frames that the nominal robot's poses give in closed form (Umeyama 1991).
+"""
 
 from __future__ import annotations
 
@@ -10,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.geometry import Predicted
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter
 
@@ -175,7 +182,6 @@ def _spread(columns: np.ndarray, campaign: np.ndarray, many: int) -> np.ndarray:
 _FLAT = 1e-3
 """Thickness of a cloud of positions, relative to its extent, below which it is a plane."""
 
-_MAX_DUPLICATE_DISTANCE = 1e-9  # [m] or [rad]: positions of joints that are one pose
 _ALTERNATIONS = 20
 """Fits of the device's frame and of the targets' places in turn; what is left to go shrinks by half or more each."""
 _MIRROR_GAIN = 5.0
@@ -266,45 +272,3 @@ def is_flat(points: np.ndarray) -> bool:
     """Tell whether points (N, 3) lie in a plane."""
     s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(len(s) < 3 or s[2] < _FLAT * s[0])
-
-
-def check_spread(poses: PoseSet, workspace: Predicted) -> None:
-    """Refuse poses in one plane where the robot can leave it.
-
-    Args:
-        poses: Measured poses.
-        workspace: Nominal poses all over the joints' ranges.
-
-    Raises:
-        CannotAnswer: They lie in a plane.
-    """
-    if not is_flat(poses.position) or is_flat(workspace.poses.position[workspace.ok]):
-        return
-    raise CannotAnswer(
-        "poor_excitation",
-        f"{poses.source}: all {poses.n} poses lie in one plane, so that nothing is known of the robot across it",
-        "measure poses all over the workspace, some at least a tenth of its size off that plane",
-    )
-
-
-def drop_duplicate_poses(poses: PoseSet) -> tuple[PoseSet, tuple[str, ...]]:
-    """Return the poses without those that repeat another's joints and measurement, and a warning that names them.
-
-    The same joints measured again with other noise are a repeated measurement and stay.
-    """
-    rotation = np.zeros((poses.n, 9)) if poses.rotation is None else poses.rotation.reshape(-1, 9)
-    rows = np.round(np.column_stack([poses.q, poses.position, rotation, poses.setup]) / _MAX_DUPLICATE_DISTANCE)
-    _, first = np.unique(rows, axis=0, return_index=True)
-    if len(first) == poses.n:
-        return poses, ()
-    left = np.setdiff1d(np.arange(poses.n), first)
-    named = ", ".join(poses.names[k] for k in left[:5]) + (f" and {len(left) - 5} more" if len(left) > 5 else "")
-    how = "pose repeats" if len(left) == 1 else "poses repeat"
-    return poses.take(np.sort(first)), (
-        f"{poses.source}: {len(left)} {how} another one exactly and count once ({named})",
-    )
-
-
-def count_required_poses(rank: int, per_pose: int) -> int:
-    """Return the fewest poses that leave at least one pose's numbers over for judging the noise."""
-    return -(-rank // per_pose) + 1

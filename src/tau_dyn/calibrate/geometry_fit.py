@@ -1,4 +1,8 @@
-"""How much each parameter matters: how far the tool moves and turns when it alone is off (thesis (5.8), Table 5.10)."""
+"""A geometry, the measuring device's frame and the target's place fitted to measured poses, with uncertainty and sensitivities.
+
+A model needs at least its rank over the joints' range by the numbers that one pose gives, and one pose more. How much each
+parameter matters is how far the tool moves and turns when it alone is off (thesis (5.8), Table 5.10).
+"""
 
 from __future__ import annotations
 
@@ -30,6 +34,11 @@ from tau_dyn.calibrate.unknowns import Identifiability, Unknowns, collect, find_
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter, Parameters
+
+
+def count_required_poses(rank: int, per_pose: int) -> int:
+    """Return the fewest poses that leave at least one pose's numbers over for judging the noise."""
+    return -(-rank // per_pose) + 1
 
 
 def check_count(poses: PoseSet, geometry: Geometry, unknowns: Unknowns, problem: Problem, what: str) -> None:

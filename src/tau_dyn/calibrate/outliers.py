@@ -1,8 +1,9 @@
-"""Whether the device or the target was moved before the held-out poses were measured.
+"""Poses that do not belong to the others: repeated, flat, grossly wrong, or measured after the device or the target moved.
 
-A rigid move of the device, or of the target on the tool, is fitted to the held-out residuals (Gauss-Newton). It is compared with
-what the measurement noise and the fitted parameters' covariance let expect (Wald test). Its gain is that at poses left out of the
-fit, by their leverages. References: Seber & Wild 2003, section 5.3 (Wald); Belsley, Kuh & Welsch 1980 (leverage).
+Gross outliers are found with robust weights. A rigid move of the device, or of the target on the tool, is fitted to the held-out
+residuals (Gauss-Newton). It is compared with what the measurement noise and the fitted parameters' covariance let expect (Wald
+test). Its gain is that at poses left out of the fit, by their leverages.
+References: Seber & Wild 2003, section 5.3 (Wald); Belsley, Kuh & Welsch 1980 (leverage).
 """
 
 from __future__ import annotations
@@ -14,14 +15,56 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.calibrate.crossvalidation import CrossValidationGain, HeldOutErrors, compare_paired
-from tau_dyn.calibrate.frames import AXES, DeviceFrames, Frame, compute_rotation_between
+from tau_dyn.calibrate.frames import AXES, DeviceFrames, Frame, compute_rotation_between, is_flat
+from tau_dyn.calibrate.geometry import Predicted
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter
 
 _TIMES = 6.0
 """How many times the distance that one good pose in a hundred has; a model that lacks something leaves tails, not this."""
+
+
+_MAX_DUPLICATE_DISTANCE = 1e-9  # [m] or [rad]: positions of joints that are one pose
+
+
+def check_spread(poses: PoseSet, workspace: Predicted) -> None:
+    """Refuse poses in one plane where the robot can leave it.
+
+    Args:
+        poses: Measured poses.
+        workspace: Nominal poses all over the joints' ranges.
+
+    Raises:
+        CannotAnswer: They lie in a plane.
+    """
+    if not is_flat(poses.position) or is_flat(workspace.poses.position[workspace.ok]):
+        return
+    raise CannotAnswer(
+        "poor_excitation",
+        f"{poses.source}: all {poses.n} poses lie in one plane, so that nothing is known of the robot across it",
+        "measure poses all over the workspace, some at least a tenth of its size off that plane",
+    )
+
+
+def drop_duplicate_poses(poses: PoseSet) -> tuple[PoseSet, tuple[str, ...]]:
+    """Return the poses without those that repeat another's joints and measurement, and a warning that names them.
+
+    The same joints measured again with other noise are a repeated measurement and stay.
+    """
+    rotation = np.zeros((poses.n, 9)) if poses.rotation is None else poses.rotation.reshape(-1, 9)
+    rows = np.round(np.column_stack([poses.q, poses.position, rotation, poses.setup]) / _MAX_DUPLICATE_DISTANCE)
+    _, first = np.unique(rows, axis=0, return_index=True)
+    if len(first) == poses.n:
+        return poses, ()
+    left = np.setdiff1d(np.arange(poses.n), first)
+    named = ", ".join(poses.names[k] for k in left[:5]) + (f" and {len(left) - 5} more" if len(left) > 5 else "")
+    how = "pose repeats" if len(left) == 1 else "poses repeat"
+    return poses.take(np.sort(first)), (
+        f"{poses.source}: {len(left)} {how} another one exactly and count once ({named})",
+    )
 
 
 def find_outliers(fitted: GeometryFit) -> np.ndarray:

@@ -1,6 +1,7 @@
-"""How exact the measured poses are, known from outside the fit: as stated, by columns of the file, or from repeated poses.
+"""How far measured poses are from predicted ones, and how exact they are, known from outside the fit.
 
-What a fit leaves is no measure of it: a model that lacks an effect leaves more, and would be judged by its own error.
+The measurement noise is as stated, by columns of the file, or from repeated poses. What a fit leaves is no measure of it: a model
+that lacks an effect leaves more, and would be judged by its own error.
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
 """A parallel robot of points and distances as a `Geometry`: `|A_k(q) - B_k(X)| = L_k` (thesis (4.14)), laws on top.
 
-Parameters are those of `kinematics.geometry`, except that a turning joint has, instead of an axis of free length, the
-orientation of its
-frame: `<joint>.turn_x/y/z`, a rotation vector after the nominal orientation, in the frame's own axes. So a joint's
-axis and its zero are both free, its gear is not, and no quaternion has to be kept at norm 1 (thesis 5.4 left its four
-numbers free). Every law adds its own. The tool's frame on the plate is part of the target's (`tool.x` ..), since
-plate points are free.
+Parameters are those of the mechanism, except that a turning joint has, instead of an axis of free length, the orientation of its
+frame: `<joint>.turn_x/y/z`, a rotation vector after the nominal orientation, in the frame's own axes. So a joint's axis and its
+zero are both free, its gear is not, and no quaternion has to be kept at norm 1 (thesis 5.4 left its four numbers free). Every law
+adds its own. The tool's frame on the plate is part of the target's (`tool.x` ..), since plate points are free.
 """
 
 from __future__ import annotations

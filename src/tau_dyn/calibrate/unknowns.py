@@ -1,4 +1,12 @@
-"""All that a fit may change: a geometry's parameters, the device's frame, the target's place on the tool, backlash."""
+"""All that a fit may change, and which of it poses can tell, by rank-revealing QR on scaled columns.
+
+Unknowns are a geometry's parameters, the device's frame, the target's place on the tool, and backlash. A column is the whitened
+derivative of all residuals times the unknown's scale: what an error of that size would show, in units of the noise. Unknowns
+with smaller `priority` are preferred, but never at the price of a badly conditioned set; a column that those kept explain is not
+identifiable, and `depends_on` names which. Blind combinations have singular values of zero to rounding; one below 1 means that a
+combination is uncertain by more than its scale, which is no matter of structure.
+Reference: Besnard & Khalil 2001; Khalil, Gautier & Enguehard 1991.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""All images of a campaign: read, matched between cameras, searched for the pattern, and checked before anything is computed."""
+"""All images of a campaign: found in folders, read, matched between cameras, searched for the pattern, checked beforehand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,11 @@
-"""Cameras that look at one scene: their numbers, where they stand to the first of them, how sure that is; kept as YAML."""
+"""Cameras that look at one scene: a pinhole and a lens each (Brown 1966), where they stand, how sure that is; kept as YAML.
+
+    x = X / Z,  y = Y / Z,  r^2 = x^2 + y^2,  g = 1 + k1 r^2 + k2 r^4 + k3 r^6
+    x' = x g + 2 p1 x y + p2 (r^2 + 2 x^2),   y' = y g + p1 (r^2 + 2 y^2) + 2 p2 x y
+    u = fx x' + cx,   v = fy y' + cy
+
+Pixels are counted from the middle of the first one; z looks out of the camera, y down.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,13 @@
 """Corners of the pattern in an image, to a hundredth of a pixel; an image that does not show it whole is refused with a reason.
 
 OpenCV finds the chessboard (Duda & Frese 2018, else its older detector). The order in which it returns the corners depends on
-detector and version and may be upside down; it is settled here by the colours of the squares, so that a pose never flips.
+detector and version and may be upside down; it is settled here by the colours of the squares, so that a pose never flips. Then a
+blurred crossing of two edges is fitted to the grey values about each corner, by Gauss-Newton with step limits for all at once:
+
+    I(p) = a + g . d + b erf(n1 . d / (sqrt 2 s)) erf(n2 . d / (sqrt 2 s)),   d = p - corner,  n_i = (-sin a_i, cos a_i)
+
+A detector's own guess stems from a neighbourhood that blur and perspective pull to one side; the crossing is symmetric about the
+corner, so its fit is not.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Images in, measured poses out: `measure_poses_from_images` reads, finds, adjusts, and matches robot positions."""
+"""Images in, measured poses out: read, find, adjust, match robot positions; a table with standard errors for calibrate."""
 
 from __future__ import annotations
 

@@ -1,7 +1,14 @@
-"""Images of a pattern plate with known truth: pinhole, lens, blur, noise, uneven light and a cluttered room, in NumPy.
+"""The calibration pattern: a chessboard on a plate, known by its inner corners and the side of a square, which gives the scale.
 
-Made to test what reads images, and to try a camera's place before it is mounted. Rays go backwards: every pixel is split into
-`fine` x `fine`, each part's ray meets the plate or the room behind it, and the means are blurred and given noise.
+    z is into the plate; the origin is the middle of the inner corners, where a pose is measured best.
+
+       o--> x     columns of inner corners, `square` apart
+       |
+       y          rows
+
+The square left above the first inner corner is black. Images of it with known truth (pinhole, lens, blur, noise, uneven light
+and a cluttered room) test what reads images, and try a camera's place before it is mounted. Rays go backwards: every pixel is
+split into `fine` x `fine`, each part's ray meets the plate or the room behind it, and the means are blurred and given noise.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """From corners to cameras and plates: start, adjustment with the noise that the residuals show, and images that do not belong.
 
-What images cannot tell is said, not guessed: a plate tilted alike in all images (as on a robot whose plate only
-translates) leaves the focal length and the distance to be told apart by the lens' bending alone.
+A start has focal lengths from pictures of planes (homographies by direct linear transformation, Hartley 1997), plates before
+each camera, then cameras to each other. What images cannot tell is said, not guessed: a plate tilted alike in all images (as on
+a robot whose plate only translates) leaves the focal length and the distance to be told apart by the lens' bending alone.
 """
 
 from __future__ import annotations

@@ -1,14 +1,21 @@
-"""A camera or a laser tracker read from YAML; lengths in m, angles in degrees, places in the robot's base frame.
+"""One fixed camera and a flat pattern on the tool: what it sees and how well it measures; cameras and trackers read from YAML.
 
-A camera and its pattern (in the tool frame), and a tracker with its reflector (orientations only with `orientation_noise`):
+A pinhole, z forward, x to the right of the picture, y down: `u = f_x x / z + c_x`, `v = f_y y / z + c_y`. All corners of the
+pattern must lie in the picture, the pattern must face the camera and be neither too near nor too far (thesis 5.6). With corner
+noise `s` the pattern's pose has the covariance `s^2 (H'H)^-1`, `H` the corners' derivative by the pose: depth is measured far
+worse than what lies across. A pattern seen squarely hardly shows its tilt, and a tilt that is free biases its depth. So on a
+plate that keeps its orientation (`steady`) all pictures share one: the pattern is located in each, the mean orientation is
+kept, and each position is found anew with it. A lens' distortion is taken as corrected.
 
-camera: {position: [5.5, -0.6, 0.8], look_at: [1.7, -0.6, 0.7], image: [1280, 960], focal: 1400, noise: 0.2}
-pattern: {columns: 8, rows: 6, square: 0.04, position: [0, 0, 0], normal: [1, 0, 0], up: [0, 0, 1]}
-limits: {distance: [0.5, 6], incidence: 60, margin: 5}
+Files have lengths in m, angles in degrees, places in the robot's base frame; orientations only with `orientation_noise`:
 
-tracker: {position: [5, -0.6, 1], noise: 10e-6, noise_per_metre: 5e-6}
-reflector: {position: [0, 0, 0], normal: [1, 0, 0], orientation_noise: 50e-6}
-limits: {distance: [0.5, 30], incidence: 30, elevation: [-45, 45]}
+    camera: {position: [5.5, -0.6, 0.8], look_at: [1.7, -0.6, 0.7], image: [1280, 960], focal: 1400, noise: 0.2}
+    pattern: {columns: 8, rows: 6, square: 0.04, position: [0, 0, 0], normal: [1, 0, 0], up: [0, 0, 1]}
+    limits: {distance: [0.5, 6], incidence: 60, margin: 5}
+
+    tracker: {position: [5, -0.6, 1], noise: 10e-6, noise_per_metre: 5e-6}
+    reflector: {position: [0, 0, 0], normal: [1, 0, 0], orientation_noise: 50e-6}
+    limits: {distance: [0.5, 30], incidence: 30, elevation: [-45, 45]}
 """
 
 from __future__ import annotations

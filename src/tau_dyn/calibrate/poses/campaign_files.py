@@ -1,7 +1,10 @@
-"""A campaign that can be interrupted: its plan and what was measured so far, in one file written after every pose.
+"""What a campaign leaves on disk: a RAPID module for ABB controllers, CSV, and the progress of one that can be interrupted.
 
-The file appears whole or not at all. Killed at any point, a campaign loses at most the pose that was being measured;
-started again, it goes on with the next one. It is JSON, numbers in m and rad, one entry for every place of the tour.
+In RAPID, joint targets are what is driven to (`MoveAbsJ`: mm along slides, degrees about turning joints); robot targets stand
+beside them for whoever reads. `next_pose` is persistent, so a program that was stopped goes on with the pose it had not measured.
+
+The progress file is JSON, numbers in m and rad, one entry for every place of the tour, written whole or not at all after every
+pose. Killed at any point, a campaign loses at most the pose that was being measured.
 """
 
 from __future__ import annotations

@@ -1,4 +1,13 @@
-"""Choose the poses to measure among candidates, and say what they will give."""
+"""The poses to measure among candidates, how accurate a calibration with them will be, and how many are enough.
+
+The tool's error at a place is `D dp` with `dp ~ N(0, P)`, so its mean square over the workspace has
+
+    mean  tr(P L),     variance  2 tr(P L P L),     L = mean of D' D.
+
+With twice the information this part `s` of the held-out error falls to `s / sqrt(2)` while the device's noise `w` stays. Poses
+are enough where `1 - sqrt(s^2 / 2 + w^2) / sqrt(s^2 + w^2)` falls below a threshold, or where `s` has come down to an accuracy
+that was asked for. Fewer than the rank needs cannot be fitted at all.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +17,9 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from tau_dyn.calibrate.frames import DeviceFrames, count_required_poses
+from tau_dyn.calibrate.frames import DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.geometry_fit import count_required_poses
 from tau_dyn.calibrate.poses.criteria import SMOOTH, PoseExchange, build_criterion, compute_observability_indices
 from tau_dyn.calibrate.poses.design import PoseDesign, build_design
 from tau_dyn.exceptions import InputError

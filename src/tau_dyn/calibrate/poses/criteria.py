@@ -1,8 +1,19 @@
-"""Choosing poses by a criterion: one after the other, then by exchange until no exchange makes it better.
+"""How good a set of poses is, from its information matrix `M` (in scales), and sets chosen by it: picked, then exchanged.
 
-`pick` adds the pose that helps most, again and again. `exchanged` improves a set by excursions (Mitchell 1974,
-DETMAX): it adds one, two or three poses and takes as many away again, or the other way round, and keeps what is
-better. Which poses are worth an exact look tells the criterion's gradient. `leave_one_out` is the thesis' rule (5.9).
+    tool           average predicted variance of the tool over the workspace, tr(M^-1 L); V-optimal, the default
+    worst          the same at the worst place of the workspace; G-optimal
+    determinant    det M; D-optimal (Borm & Menq 1991)
+    condition      sigma_max / sigma_min of J (Driels & Pathre 1990; thesis (5.9))
+    smallest       sigma_min (Nahvi et al. 1994; Williams et al. 2006)
+    amplification  sigma_min^2 / sigma_max (Nahvi & Hollerbach 1996)
+
+Every value is a logarithm, to be made large. The thesis prints the last one upside down: (5.14) sets sigma_max^2 / sigma_min
+equal to sigma_max / cond(J), which is sigma_min. The source's index is sigma_min^2 / sigma_max = sigma_min / cond(J), to be
+large.
+
+`pick` adds the pose that helps most, again and again. `exchanged` improves a set by excursions (Mitchell 1974, DETMAX): it adds
+one, two or three poses and takes as many away again, or the other way round, and keeps what is better. Which poses are worth an
+exact look tells the criterion's gradient. `leave_one_out` is the thesis' rule (5.9).
 """
 
 from __future__ import annotations

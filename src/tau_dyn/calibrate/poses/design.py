@@ -1,8 +1,12 @@
-"""A fit that weighs each number as well as it was measured: generalised least squares from where a plain fit stands.
+"""What every candidate pose would tell: the fit's own analytic derivatives, in units of the measuring noise.
 
-A camera measures depth ten times worse than what lies across, and far poses worse than near ones. `fit` weighs all
-alike; with the device's covariance `S_k` of each pose the residuals are `S_k^-1/2 r_k` instead, and `cov = (sum J_k'
-S_k^-1 J_k)^-1` times their mean square.
+A candidate gives `m` numbers with covariance `S_k`; their derivative by the parameters is `J_k`, columns times the parameters'
+scales. The information of a set of poses is `M = sum J_k' S_k^-1 J_k`. A fit that weighs all poses alike has
+
+    P = A^-1 B A^-1,   A = sum J_k' W J_k,   B = sum J_k' W S_k W J_k,
+
+`W` from the mean noise; `P = M^-1` where all poses are measured equally well, or where `refine` weighs each by its own noise: a
+camera measures depth ten times worse than what lies across. Reference: Hollerbach, Khalil & Gautier 2016, 6.3.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""A laser tracker and a reflector on the tool: range, incidence, elevation, and noise that grows with the distance.
+"""What a measuring device must be able to say, which poses it sees, how well, what it would measure; and a laser tracker.
 
-A reflector is seen from within a cone about its axis: about 30 degrees for a corner cube, 75 for a cat's eye, 45 in
-pitch and yaw for a target that tells its orientation too (Leica Geosystems 2009).
+A reflector is seen from within a cone about its axis: about 30 degrees for a corner cube, 75 for a cat's eye, 45 in pitch and yaw
+for a target that tells its orientation too (Leica Geosystems 2009). The tracker's noise grows with the distance.
 """
 
 from __future__ import annotations

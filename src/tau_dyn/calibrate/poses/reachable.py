@@ -1,4 +1,8 @@
-"""Which candidates a device sees, and why not the others."""
+"""Candidate poses: a grid over the workspace or positions spread over the joints' travel, and which of them a device sees.
+
+The machine's dimensions are only about known, so candidates keep a safety distance from obstacles, from the workspace's border
+and from the ends of the joints' travel, and a safety angle from the ball joints' limits (thesis 5.6).
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""The order in which poses are measured: short, and every move free of collisions.
+"""The order in which poses are measured: short, every position and every straight move between them allowed.
 
-A move takes as long as its slowest joint, so distances are the largest share of the travel. The tour starts at home:
-nearest neighbour first, then 2-opt until no reversal of a stretch makes it shorter. Moves that collide cost too much
-to be taken; where one remains, it goes through a place in between. A pose that nothing leads to is left out and
-named.
+A move takes as long as its slowest joint, so distances are the largest share of the travel. The tour starts at home: nearest
+neighbour first, then 2-opt until no reversal of a stretch makes it shorter. Moves that collide cost too much to be taken; where
+one remains, it goes through a place in between. A pose that nothing leads to is left out and named.
 """
 
 from __future__ import annotations
