@@ -24,7 +24,6 @@ from tau_dyn.calibrate.frames import (
     IDENTITY,
     DeviceFrames,
     compute_mean_rotation,
-    count_required_poses,
     estimate_initial_frames,
 )
 from tau_dyn.calibrate.geometry import Geometry
