@@ -5,7 +5,7 @@ A `JointLaw` changes the position that a joint really has, `q_real = q + sum of 
 - periodic errors of pinions, racks and resolvers, `e = s sin(2 pi q / T) + c cos(2 pi q / T)`;
 - eccentricity of an encoder disc, `e = s sin q + c cos q`;
 - coupling, `e = k q_other`: another joint's drive turns this one along;
-- compliance of a drive, `e = c F . n`, `F` the rods' pull; what an arm's joints yield to gravity stands in `loads.py`.
+- compliance of a drive, `e = c F . n`, `F` the rods' pull; what an arm's joints yield to gravity stands in `gravity.py`.
 
 A `GuideLaw` displaces all rod ends that a slide carries, `A = A_0 + d(q)`, in base axes. Laws are given `q` alone, so that
 forward kinematics stays a function of `q`; a load-dependent law takes its loads from the nominal robot, whose errors change them
@@ -52,16 +52,13 @@ class JointLaw(Protocol):
     @property
     def actuator(self) -> int:
         """Index of the joint in `q`."""
-        ...
 
     @property
     def parameters(self) -> Parameters:
         """Its parameters, at their nominal values."""
-        ...
 
     def shift(self, values: np.ndarray, q: np.ndarray) -> JointShift:
         """Return the error at `q` (N, na)."""
-        ...
 
 
 class GuideLaw(Protocol):
@@ -70,16 +67,13 @@ class GuideLaw(Protocol):
     @property
     def actuator(self) -> int:
         """Index of the slide in `q`."""
-        ...
 
     @property
     def parameters(self) -> Parameters:
         """Its parameters, at their nominal values."""
-        ...
 
     def displace(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
         """Return the displacements at `q` (N, na)."""
-        ...
 
 
 class MovedJoints(NamedTuple):

@@ -12,7 +12,7 @@ Structures of a parallel robot of points and distances, each where it means some
 Additions: `periodic` (cyclic errors of the drives; `periodic2` a second one of another period), `piecewise` (crooked
 guideways), `compliant` (carts and drives yield to gravity), `backlash`, and between campaigns `base_frame` (the
 device or the robot was moved) and `tool_frame` (the target was). Those of a tree are `coupling`, `gravity` and `eccentric`
-(`laws.py`, `loads.py`). A model is written `complete+periodic+compliant`; an addition may name joints:
+(`laws.py`, `gravity.py`). A model is written `complete+periodic+compliant`; an addition may name joints:
 `nonparallel+periodic:cart2,cart3`, the per-arm mix of thesis 5.3 (model 5). `coupling:j3/j2` adds a share of j2 to j3,
 `coupling:j3=j2` and `coupling:j3=-j2` all of it.
 """
@@ -27,8 +27,8 @@ from functools import cached_property
 
 import numpy as np
 
-from tau_dyn.calibrate.arm_geometry import ArmGeometry
 from tau_dyn.calibrate.geometry import Geometry, constrain_parameters
+from tau_dyn.calibrate.gravity import ArmGeometry, GravityLaw, RodLoads, build_gravity_laws
 from tau_dyn.calibrate.laws import (
     CartComplianceLaw,
     CouplingLaw,
@@ -42,7 +42,6 @@ from tau_dyn.calibrate.laws import (
     find_carried_rods,
     find_guideways,
 )
-from tau_dyn.calibrate.loads import GravityLaw, RodLoads, build_gravity_laws
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
