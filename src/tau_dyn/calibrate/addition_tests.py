@@ -11,6 +11,7 @@ way there. So each pair is tried with either sign and the file's dimensions, dev
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +43,17 @@ class UnitCoupling(NamedTuple):
     error: float
     without: float
     next_best: float
+
+    def describe(self, source: str, model: str) -> str:
+        """Return what it means and what to do, for poses from a source and the model asked for."""
+        joint, other = re.split("=-?", self.name)
+        sign = "-" if "=-" in self.name else "+"
+        taken = "it is part of every model" if model == "auto" else f"add it to the model: {model}+coupling:{self.name}"
+        return (
+            f"{source}: {joint} seems to count the motion of {other} too ({joint} {sign} {other}): with that the robot file "
+            f"misses the positions by {1e3 * self.error:.3g} mm, without by {1e3 * self.without:.3g} mm, with the next best "
+            f"coupling by {1e3 * self.next_best:.3g} mm; {taken}"
+        )
 
 
 def find_unit_coupling(family: Family, poses: PoseSet) -> UnitCoupling | None:

@@ -310,3 +310,8 @@ def _parameters(cause: str, joints: tuple[str, ...], fitted: GeometryFit) -> tup
     what = _PATTERNS[cause]
     found = [n for n in names if any(w in n.partition(".")[2] for w in what) and not n.startswith(("device", "tool"))]
     return tuple(n for n in found if not joints or n.partition(".")[0] in joints)
+
+
+def suspect_all(findings: tuple[CalibrationFinding, ...]) -> tuple[CalibrationFinding, ...]:
+    """Return findings of a model that misses its poses by far: none is confirmed but moves before the held-out poses."""
+    return tuple(f if f.cause.endswith("_moved") else replace(f, status="suspected") for f in findings)

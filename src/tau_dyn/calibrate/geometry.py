@@ -43,60 +43,77 @@ class Geometry(Protocol):
     @property
     def parameters(self) -> Parameters:
         """Nominal values; units m, rad, 1. Parameters that are not `free` stay at their value."""
+        ...
 
     @property
     def actuated(self) -> tuple[str, ...]:
         """Actuated joints, in the order of `q`."""
+        ...
 
     @property
     def position_units(self) -> tuple[str, ...]:
         """Units of `q`: `m` of a slide, `rad` of a turn."""
+        ...
 
     @property
     def orients(self) -> bool:
         """Whether the tool's orientation is predicted (False: a plate that only translates)."""
+        ...
 
     @property
     def priority(self) -> np.ndarray:
         """Whole numbers (p,): where parameters depend on each other, those with smaller ones are kept."""
+        ...
 
     def forward(self, theta: np.ndarray, q: np.ndarray, start: Poses | None = None) -> Predicted:
         """Return tool poses at `q` (N, na), found from `start` where one is given."""
+        ...
 
     def tool_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
         """Return the tool's twist per parameter (N, 6, p), loops kept closed."""
+        ...
 
     def tool_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
         """Return the tool's twist per actuated joint (N, 6, na), loops kept closed."""
+        ...
 
     def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
         """Return closure residuals (N, m) [m] at tool poses (thesis (5.1)), None where the mechanism has none."""
+        ...
 
     def closure_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
         """Return the closure's derivative by the parameters (N, m, p)."""
+        ...
 
     def closure_by_pose(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
         """Return the closure's derivative by the tool's twist (N, m, 6)."""
+        ...
 
     def closure_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
         """Return the closure's derivative by the actuated joints (N, m, na)."""
+        ...
 
     @property
     def beyond_file(self) -> str:
         """What of it no robot file can hold, '' where one can hold everything."""
+        ...
 
     @property
     def description(self) -> dict[str, Any] | None:
         """How a compensation file describes it (`build_described_geometry`), None where it cannot."""
+        ...
 
     def rods_at(self, theta: np.ndarray) -> Rods | None:
         """Return the rods with these dimensions, without the laws, for kinematics; None of a robot without rods."""
+        ...
 
     def format_urdf(self, theta: np.ndarray) -> str:
         """Return the robot file with these dimensions."""
+        ...
 
     def list_turned_joints(self, theta: np.ndarray) -> list[tuple[str, np.ndarray]]:
         """Return joints whose frame's orientation is a parameter, with that orientation (3, 3) in the parent's frame."""
+        ...
 
 
 class GeometryDefaults:

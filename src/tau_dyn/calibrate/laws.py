@@ -52,13 +52,16 @@ class JointLaw(Protocol):
     @property
     def actuator(self) -> int:
         """Index of the joint in `q`."""
+        ...
 
     @property
     def parameters(self) -> Parameters:
         """Its parameters, at their nominal values."""
+        ...
 
     def shift(self, values: np.ndarray, q: np.ndarray) -> JointShift:
         """Return the error at `q` (N, na)."""
+        ...
 
 
 class GuideLaw(Protocol):
@@ -67,13 +70,16 @@ class GuideLaw(Protocol):
     @property
     def actuator(self) -> int:
         """Index of the slide in `q`."""
+        ...
 
     @property
     def parameters(self) -> Parameters:
         """Its parameters, at their nominal values."""
+        ...
 
     def displace(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
         """Return the displacements at `q` (N, na)."""
+        ...
 
 
 class MovedJoints(NamedTuple):

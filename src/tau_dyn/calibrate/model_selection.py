@@ -12,7 +12,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from tau_dyn.calibrate.addition_tests import screen_additions
+from tau_dyn.calibrate.addition_tests import find_strongest_periods, screen_additions
 from tau_dyn.calibrate.crossvalidation import CrossValidationGain, HeldOutErrors, compare_paired, cross_validate
 from tau_dyn.calibrate.fit_problem import FitState
 from tau_dyn.calibrate.frames import AXES
@@ -285,3 +285,29 @@ def _additions(
             failed += 1
         if taken[-1] is now:
             return
+
+
+def fit_models(
+    family: Family, poses: PoseSet, model: str, options: Options, progress: Callable[[str], None]
+) -> tuple[list[CandidateModel], list[SelectionStep], tuple[str, ...]]:
+    """Return the ladder of models up to the one asked for or chosen, the steps that were tried, and warnings."""
+    if model == "auto":
+        return select_model(family, poses, options, progress)
+    progress(f"fitting {model}")
+    nominal = fit_and_cross_validate(family, Spec("frames"), poses, options)
+    spec = family.spec(model)
+    periods = _searched_periods(family, spec, poses, options)
+    asked = fit_and_cross_validate(family, spec, poses, options, periods=periods)
+    if asked.spec == nominal.spec or asked.name == nominal.name:
+        return [asked], [], ()
+    gain = compare_paired(nominal.unseen, asked.unseen, options.seed)
+    return [nominal, asked], [SelectionStep(asked.name, nominal.name, gain, True)], ()
+
+
+def _searched_periods(family: Family, spec: Spec, poses: PoseSet, options: Options) -> dict[str, float]:
+    """Return starting periods of the cyclic errors that a model asks for, from the residuals of the model without them."""
+    joints = spec.additions.get("periodic", ())
+    if not joints:
+        return {}
+    plain = Spec(spec.structure, {a: j for a, j in spec.additions.items() if a != "periodic"})
+    return find_strongest_periods(fit_spec(family, plain, poses, options), family, joints)

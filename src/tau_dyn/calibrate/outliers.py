@@ -8,6 +8,7 @@ References: Seber & Wild 2003, section 5.3 (Wald); Belsley, Kuh & Welsch 1980 (l
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,10 +17,11 @@ from scipy import stats
 
 from tau_dyn.calibrate.crossvalidation import CrossValidationGain, HeldOutErrors, compare_paired
 from tau_dyn.calibrate.frames import AXES, DeviceFrames, Frame, compute_rotation_between, is_flat
-from tau_dyn.calibrate.geometry import Predicted
 from tau_dyn.calibrate.geometry_fit import GeometryFit
+from tau_dyn.calibrate.model_selection import Options, fit_spec
+from tau_dyn.calibrate.models import Family, Spec
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.exceptions import CannotAnswer
+from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter
 
@@ -30,16 +32,16 @@ _TIMES = 6.0
 _MAX_DUPLICATE_DISTANCE = 1e-9  # [m] or [rad]: positions of joints that are one pose
 
 
-def check_spread(poses: PoseSet, workspace: Predicted) -> None:
+def check_spread(family: Family, poses: PoseSet) -> None:
     """Refuse poses in one plane where the robot can leave it.
-
-    Args:
-        poses: Measured poses.
-        workspace: Nominal poses all over the joints' ranges.
 
     Raises:
         CannotAnswer: They lie in a plane.
     """
+    geometry, rng = family.build(Spec("frames")), np.random.default_rng(0)
+    low, high = poses.q.min(axis=0), poses.q.max(axis=0)
+    q = 0.5 * (low + high) + np.maximum(high - low, 0.1) * (rng.random((64, poses.na)) - 0.5)
+    workspace = geometry.forward(geometry.parameters.values, q)
     if not is_flat(poses.position) or is_flat(workspace.poses.position[workspace.ok]):
         return
     raise CannotAnswer(
@@ -89,6 +91,70 @@ def describe_outliers(poses: PoseSet, fitted: GeometryFit, index: np.ndarray) ->
     what = "pose was" if len(index) == 1 else "poses were"
     kind = "gross outlier" if len(index) == 1 else "gross outliers"
     return f"{len(index)} {what} left out as {kind}: {', '.join(shown)}{more}; measure again"
+
+
+_MAX_OUTLIER_SHARE = 0.2  # share of the poses above which they are no outliers but another situation
+_LOOKS_FOR_OUTLIERS = 3  # fits, each without the outliers of the one before it
+
+
+def leave_out_outliers(
+    family: Family, poses: PoseSet, holdout: PoseSet | None, options: Options, model: str | None
+) -> tuple[PoseSet, PoseSet | None, tuple[str, ...]]:
+    """Return training and held-out poses without gross outliers, and sentences that name them."""
+    said: list[str] = []
+    fitted = None
+    for _ in range(_LOOKS_FOR_OUTLIERS):
+        fitted = _robust(family, poses, options, model)
+        bad = find_outliers(fitted)
+        if not len(bad):
+            break
+        if len(bad) > _MAX_OUTLIER_SHARE * poses.n:
+            said.append(
+                f"{poses.source}: {len(bad)} of {poses.n} poses are far from what fits the others; nothing was left out, "
+                "for so many are no outliers: were frames moved in between, or is the robot another one?"
+            )
+            break
+        said.append(describe_outliers(poses, fitted, bad))
+        poses = poses.take(np.setdiff1d(np.arange(poses.n), bad))
+    if holdout is not None and fitted is not None:
+        bad = _held_outliers(fitted, holdout)
+        if len(bad) > _MAX_OUTLIER_SHARE * holdout.n:
+            said.append(
+                f"{holdout.source}: {len(bad)} of {holdout.n} held-out poses are far from the fitted model; nothing was left "
+                "out, for so many are no outliers: were the device or the target moved, or is the robot another one?"
+            )
+        elif len(bad):
+            names = ", ".join(holdout.names[k] for k in bad[:5])
+            said.append(
+                f"{len(bad)} held-out pose{'s' if len(bad) > 1 else ''} left out as gross outliers: {names}; measure again"
+            )
+            holdout = holdout.take(np.setdiff1d(np.arange(holdout.n), bad))
+    return poses, holdout, tuple(said)
+
+
+def _held_outliers(fitted: GeometryFit, holdout: PoseSet) -> np.ndarray:
+    usual = float(np.nanpercentile(fitted.errors(fitted.poses).distance, 90))
+    return np.flatnonzero(~(fitted.errors(holdout).distance < 20 * max(usual, 3 * fitted.noise[0])))
+
+
+def _robust(family: Family, poses: PoseSet, options: Options, model: str | None) -> GeometryFit:
+    """Return a robust fit of the largest structure that the poses bear.
+
+    Raises:
+        InputError: They bear none; or CannotAnswer, as the smallest one says.
+    """
+    robust = replace(options, robust="biweight")
+    specs = [family.spec(model)] if model and model != "auto" else []
+    coupled = {a: own for a, own in specs[0].additions.items() if a == "coupling"} if specs else {}
+    specs += [Spec(s) for s in reversed(family.structures) if s != "paths"]
+    fault: Exception | None = None
+    for spec in specs:
+        try:
+            return fit_spec(family, Spec(spec.structure, {**options.additions, **coupled}), poses, robust)
+        except (InputError, CannotAnswer) as error:
+            fault = error
+    assert fault is not None
+    raise fault
 
 
 _SIGNIFICANCE_LEVEL = 1e-3  # of the Wald test, for each campaign's device and target
@@ -147,6 +213,13 @@ class MovedFrame(NamedTuple):
             f"{self.where}: {who} seems to have moved before the held-out poses, by {by}; with that move their rms error "
             f"is {rms[0]} instead of {rms[1]}; fit both files together with a column campaign"
         )
+
+
+def undo_moves(moved: Sequence[MovedFrame], poses: PoseSet) -> PoseSet:
+    """Return held-out poses as they would have been measured without any move."""
+    for one in moved:
+        poses = one.undo(poses)
+    return poses
 
 
 class _Fit(NamedTuple):

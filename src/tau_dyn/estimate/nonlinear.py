@@ -45,6 +45,7 @@ class Linearised(Protocol):
 
     def step(self, damping: float) -> tuple[np.ndarray, float]:
         """Return a step and its size, in the unit of `DescentRules.small_step`."""
+        ...
 
 
 class LeastSquaresProblem(Protocol[State]):
@@ -52,12 +53,15 @@ class LeastSquaresProblem(Protocol[State]):
 
     def linearise(self, state: State) -> Linearised:
         """Return the problem about a state."""
+        ...
 
     def move(self, state: State, step: np.ndarray) -> State:
         """Return the state after a step."""
+        ...
 
     def gain(self, state: State, trial: State) -> float:
         """Return by how much the cost falls from a state to another; minus infinity or nan where that may not be visited."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -24,30 +24,38 @@ class MeasuringDevice(Protocol):
     @property
     def name(self) -> str:
         """What it is called in messages."""
+        ...
 
     @property
     def frames(self) -> DeviceFrames:
         """Device and target as far as they are known."""
+        ...
 
     @property
     def turned(self) -> bool:
         """Whether it measures orientations."""
+        ...
 
     @property
     def place(self) -> np.ndarray | None:
         """Where it looks from (3,) [m] in the robot's base frame, None where it sees through everything."""
+        ...
 
     def reasons(self, tool: Poses) -> np.ndarray:
         """Return why it does not see the target at each tool pose (N,), '' where it does; obstacles apart."""
+        ...
 
     def marks(self, tool: Poses) -> np.ndarray:
         """Return the points (N, k, 3) [m] that must be in sight."""
+        ...
 
     def covariance(self, tool: Poses) -> np.ndarray:
         """Return the covariance (N, 3, 3) or (N, 6, 6) of position [m] and orientation [rad], in its own axes."""
+        ...
 
     def measure(self, tool: Poses, rng: np.random.Generator) -> Poses:
         """Return what it would measure of the target at tool poses, in its own frame."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
