@@ -45,7 +45,7 @@ def null_space(geometry: RodGeometry, q: np.ndarray) -> None:
     """Print each arm's parameters, rank and blind combinations."""
     theta = geometry.parameters.values
     poses = geometry.forward(theta, q).poses
-    j = geometry.closure_by_parameter(theta, q, poses)
+    j = geometry.closure(theta, q, poses).by_parameter
     family = RodFamily(geometry.rods, PoseSet(q, np.zeros((len(q), 3))))
     extra = set(family._superfluous("complete"))
     names = geometry.parameters.names

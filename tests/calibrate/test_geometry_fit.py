@@ -100,7 +100,7 @@ def test_f1_leaves_none_two_and_four_combinations_blind():
     rng = np.random.default_rng(0)
     q = rods.robot.home + 0.4 * (rng.random((120, 6)) - 0.5)
     theta = geometry.parameters.values
-    columns = geometry.closure_by_parameter(theta, q, geometry.forward(theta, q).poses)
+    columns = geometry.closure(theta, q, geometry.forward(theta, q).poses).by_parameter
     extra = set(family_at(rods)._superfluous("complete"))
     names = geometry.parameters.names
     counts, blind = [], []

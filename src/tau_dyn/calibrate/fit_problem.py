@@ -18,7 +18,6 @@ the hat matrix. Reference: Khalil & Dombre 2002, 11.5; Everett 1989; Renaud et a
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -26,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.calibrate.frames import DeviceFrames, compute_rotation_between
-from tau_dyn.calibrate.geometry import KNOWN_BEFOREHAND, Geometry
+from tau_dyn.calibrate.geometry import KNOWN_BEFOREHAND, Closure, Geometry
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.unknowns import Identifiability, Unknowns, find_identifiable
 from tau_dyn.estimate import (
@@ -108,10 +107,7 @@ class Problem:
         q, poses = self.poses.q[:1], Poses(np.zeros((1, 3)), np.eye(3)[None])
         if self.kind == "inverse":
             return q.shape[1]
-        found = self.geometry.closure(self.geometry.parameters.values, q, poses)
-        if found is None:
-            raise InputError("unsupported", "this mechanism has no closure equations; use the forward residual")
-        return found.shape[1]
+        return self._require(self.geometry.closure(self.geometry.parameters.values, q, poses)).gap.shape[1]
 
     def place(self, theta: np.ndarray, frames: DeviceFrames, slack: np.ndarray, start: Poses | None) -> FitState:
         """Return the state at these values, tool poses searched from `start`."""
@@ -136,41 +132,31 @@ class Problem:
             rotation[state.ok] = compute_rotation_between(self.poses.rotation[state.ok], seen.rotation[state.ok])
             return np.concatenate([position, rotation], axis=1)
         at = self._measured_in_base(state)
-        gap = self._of(self.geometry.closure, state, at)
+        found = self._closure(state, at)
         if self.kind == "closure":
-            return -gap
-        return -np.linalg.solve(self._joint_slope(state, at), gap[:, :, None])[:, :, 0]
+            return -found.gap
+        return -np.linalg.solve(_require_square(found.by_joint), found.gap[:, :, None])[:, :, 0]
 
     def columns(self, state: FitState) -> np.ndarray:
         """Return minus the residuals' derivative by all unknowns (N, m, P)."""
         at = state.base if self.kind == "forward" else self._measured_in_base(state)
         seen = state.frames.measured(at, self.poses.setup)
         device, tool = state.frames.columns(at, seen, self.poses.setup)
+        slack = -0.5 * self.poses.approach[:, None] * self.unknowns.plays  # half of it to each side
         if self.kind == "forward":
             q = compute_actuated_positions(self.poses, state.slack)
             own = self.geometry.tool_by_parameter(state.theta, q, at)
-            play = self._play(self.geometry.tool_by_joint, state, at)
-            moved = state.frames.carried(at, np.concatenate([own, play], axis=2), self.poses.setup)
-            split = own.shape[2]
+            play = np.zeros((len(q), 6, q.shape[1]))
+            if self.unknowns.plays:
+                play = self.geometry.tool_by_joint(state.theta, q, at) * slack
+            moved, split = state.frames.carried(at, np.concatenate([own, play], axis=2), self.poses.setup), own.shape[2]
             twist = np.concatenate([moved[:, :, :split], device, tool, moved[:, :, split:]], axis=2)
             return twist if self.turned else twist[:, :3]
-        own = self._of(self.geometry.closure_by_parameter, state, at)
-        by_pose = self._of(self.geometry.closure_by_pose, state, at)
+        found = self._closure(state, at)
         base = state.frames.brought(at, np.concatenate([device, tool], axis=2), self.poses.setup)
-        play = self._play(self.geometry.closure_by_joint, state, at)
-        columns = np.concatenate(
-            [own, -by_pose @ base, play], axis=2
-        )  # the measurement stays, so the base pose moves back
-        if self.kind == "closure":
-            return columns
-        return np.linalg.solve(self._joint_slope(state, at), columns)
-
-    def _play(self, function: Callable[..., np.ndarray | None], state: FitState, at: Poses) -> np.ndarray:
-        """Return the derivative by backlash, half of it to each side."""
-        if not self.unknowns.plays:
-            rows = 6 if function == self.geometry.tool_by_joint else self._rows
-            return np.zeros((self.poses.n, rows, self.poses.na))
-        return self._of(function, state, at) * (-0.5 * self.poses.approach[:, None])
+        # the measurement stays, so the base pose moves back
+        columns = np.concatenate([found.by_parameter, -found.by_pose @ base, found.by_joint * slack], axis=2)
+        return columns if self.kind == "closure" else np.linalg.solve(_require_square(found.by_joint), columns)
 
     def _measured_in_base(self, state: FitState) -> Poses:
         if self.geometry.orients:
@@ -179,21 +165,25 @@ class Problem:
         back = state.frames.in_base(Poses(self.poses.position, seen.rotation), self.poses.setup)
         return Poses(back.position, state.base.rotation)
 
-    def _joint_slope(self, state: FitState, at: Poses) -> np.ndarray:
-        slope = self._of(self.geometry.closure_by_joint, state, at)
-        if slope.shape[1] != slope.shape[2]:
-            raise InputError(
-                "unsupported",
-                f"the inverse residual needs as many closure equations as actuated joints, not {slope.shape[1]} for "
-                f"{slope.shape[2]}; use the forward or the closure residual",
-            )
-        return slope
+    def _closure(self, state: FitState, at: Poses) -> Closure:
+        return self._require(
+            self.geometry.closure(state.theta, compute_actuated_positions(self.poses, state.slack), at)
+        )
 
-    def _of(self, function: Callable[..., np.ndarray | None], state: FitState, at: Poses) -> np.ndarray:
-        found = function(state.theta, compute_actuated_positions(self.poses, state.slack), at)
+    def _require(self, found: Closure | None) -> Closure:
         if found is None:
             raise InputError("unsupported", "this mechanism has no closure equations; use the forward residual")
         return found
+
+
+def _require_square(slope: np.ndarray) -> np.ndarray:
+    if slope.shape[1] != slope.shape[2]:
+        raise InputError(
+            "unsupported",
+            f"the inverse residual needs as many closure equations as actuated joints, not {slope.shape[1]} for "
+            f"{slope.shape[2]}; use the forward or the closure residual",
+        )
+    return slope
 
 
 def compute_actuated_positions(poses: PoseSet, slack: np.ndarray) -> np.ndarray:

@@ -37,6 +37,22 @@ class Predicted(NamedTuple):
     reason: np.ndarray
 
 
+class Closure(NamedTuple):
+    """How far tool poses leave the loops open, and its derivatives.
+
+    Attributes:
+        gap: (N, m) [m].
+        by_parameter: (N, m, p).
+        by_pose: By the tool's twist (N, m, 6).
+        by_joint: By the actuated joints (N, m, na).
+    """
+
+    gap: np.ndarray
+    by_parameter: np.ndarray
+    by_pose: np.ndarray
+    by_joint: np.ndarray
+
+
 class Geometry(Protocol):
     """A mechanism whose dimensions are parameters."""
 
@@ -77,20 +93,8 @@ class Geometry(Protocol):
         """Return the tool's twist per actuated joint (N, 6, na), loops kept closed."""
         ...
 
-    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
-        """Return closure residuals (N, m) [m] at tool poses (thesis (5.1)), None where the mechanism has none."""
-        ...
-
-    def closure_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
-        """Return the closure's derivative by the parameters (N, m, p)."""
-        ...
-
-    def closure_by_pose(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
-        """Return the closure's derivative by the tool's twist (N, m, 6)."""
-        ...
-
-    def closure_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
-        """Return the closure's derivative by the actuated joints (N, m, na)."""
+    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure | None:
+        """Return how far tool poses (N) leave the loops open (thesis (5.1)), None where the mechanism has no such residual."""
         ...
 
     @property
@@ -124,11 +128,9 @@ class GeometryDefaults:
 
     beyond_file = "laws of its joints"
 
-    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
+    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure | None:
         """Return None; use forward residuals."""
         return None
-
-    closure_by_parameter = closure_by_pose = closure_by_joint = closure
 
     @property
     def description(self) -> dict[str, Any] | None:
@@ -197,22 +199,10 @@ class ConstrainedGeometry(GeometryDefaults):
         """Return the tool's twist per actuated joint (N, 6, na)."""
         return self.geometry.tool_by_joint(self.full(theta), q, poses)
 
-    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
-        """Return closure residuals (N, m)."""
-        return self.geometry.closure(self.full(theta), q, poses)
-
-    def closure_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
-        """Return the closure's derivative by the parameters (N, m, r)."""
-        found = self.geometry.closure_by_parameter(self.full(theta), q, poses)
-        return None if found is None else found @ self.matrix
-
-    def closure_by_pose(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
-        """Return the closure's derivative by the tool's twist (N, m, 6)."""
-        return self.geometry.closure_by_pose(self.full(theta), q, poses)
-
-    def closure_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
-        """Return the closure's derivative by the actuated joints (N, m, na)."""
-        return self.geometry.closure_by_joint(self.full(theta), q, poses)
+    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure | None:
+        """Return how far tool poses leave the loops open."""
+        found = self.geometry.closure(self.full(theta), q, poses)
+        return None if found is None else found._replace(by_parameter=found.by_parameter @ self.matrix)
 
 
 def constrain_parameters(

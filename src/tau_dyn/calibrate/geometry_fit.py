@@ -366,10 +366,12 @@ def compute_sensitivities(fitted: GeometryFit, change: float = CHANGE) -> tuple[
     ok = state.ok
     q, base = fitted.poses.q[ok], state.base.take(ok)
     twist = fitted.geometry.tool_by_parameter(fitted.theta, q, base)
-    closure = fitted.geometry.closure_by_parameter(fitted.theta, q, base)
+    closure = fitted.geometry.closure(fitted.theta, q, base)
     moved = 2 * change * np.linalg.norm(twist[:, :3], axis=1).sum(axis=0)
     turned = 2 * change * np.linalg.norm(twist[:, 3:], axis=1).sum(axis=0)
-    gaps = np.full(len(moved), np.nan) if closure is None else 2 * change * np.abs(closure).sum(axis=(0, 1))
+    gaps = (
+        np.full(len(moved), np.nan) if closure is None else 2 * change * np.abs(closure.by_parameter).sum(axis=(0, 1))
+    )
     names = fitted.geometry.parameters.names
     return tuple(
         Sensitivity(n, float(a), float(b), float(c)) for n, a, b, c in zip(names, moved, turned, gaps, strict=True)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.geometry import GeometryDefaults, Predicted
+from tau_dyn.calibrate.geometry import Closure, GeometryDefaults, Predicted
 from tau_dyn.calibrate.laws import GuideLaw, JointLaw, move_joints
 from tau_dyn.mechanism import (
     AXES,
@@ -263,25 +263,12 @@ class RodGeometry(GeometryDefaults):
         plate = self.rods.plate_poses(poses)
         return self._tool_twist(at, plate, self._by_joint(at, plate))
 
-    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
+    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure:
         """Return the gaps `|A - B| - L` (N, n) [m]."""
-        return self._at(theta, q).gap(self.rods.plate_poses(poses))
-
-    def closure_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
-        """Return the gaps' derivative by the parameters (N, n, p)."""
-        return self._by_parameter(self._at(theta, q), self.rods.plate_poses(poses))
-
-    def closure_by_pose(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
-        """Return the gaps' derivative by the tool's twist (N, n, 6)."""
-        plate = self.rods.plate_poses(poses)
-        by_plate = self._at(theta, q).by_pose(plate)
-        arm = plate.rotation @ self.rods.tool.translation
-        turned = by_plate[:, :, 3:] - np.cross(by_plate[:, :, :3], -arm[:, None]) if arm.any() else by_plate[:, :, 3:]
-        return np.concatenate([by_plate[:, :, :3], turned], axis=2)
-
-    def closure_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
-        """Return the gaps' derivative by the actuated joints (N, n, na)."""
-        return self._by_joint(self._at(theta, q), self.rods.plate_poses(poses))
+        at, plate = self._at(theta, q), self.rods.plate_poses(poses)
+        by_pose, arm = at.by_pose(plate), plate.rotation @ self.rods.tool.translation
+        by_pose[:, :, 3:] += np.cross(by_pose[:, :, :3], arm[:, None])
+        return Closure(at.gap(plate), self._by_parameter(at, plate), by_pose, self._by_joint(at, plate))
 
     def numbers(self, theta: np.ndarray) -> RodDimensions:
         """Return the robot's dimensions at these parameters, without the laws."""
