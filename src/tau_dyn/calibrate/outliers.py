@@ -9,7 +9,7 @@ References: Seber & Wild 2003, section 5.3 (Wald); Belsley, Kuh & Welsch 1980 (l
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.model_selection import Options, fit_spec
 from tau_dyn.calibrate.models import Family, Spec
 from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.estimate import DescentRules, LinearSystem, descend, factor_system
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter
@@ -161,7 +162,8 @@ _SIGNIFICANCE_LEVEL = 1e-3  # of the Wald test, for each campaign's device and t
 _MIN_GAIN_PERCENT = 20.0
 """Reduction of the held-out error from which a move is said: effects that the model lacks look like small moves."""
 _MIN_POSES = 6  # poses; with fewer, the six numbers of a frame fit noise
-_STEPS = 20  # Gauss-Newton steps; a turn by half a radian takes six
+_RULES = DescentRules(20, small_step=1e-6, small_gain=0.0)
+"""A turn by half a radian takes six steps; the last moves residuals by a millionth of the noise."""
 _ALIKE = 10.0  # difference of twice the log-likelihoods below which device and target are not told apart
 
 
@@ -275,20 +277,53 @@ def _find_move(fitted: GeometryFit, holdout: PoseSet, own: np.ndarray, base: Pos
     return MovedFrame(owner, near[0] if near else "", where, move, gain, own, *pair)
 
 
+@dataclass(frozen=True, eq=False)
+class _MoveProblem:
+    """The move of one frame as a least-squares problem; its states are `DeviceFrames`, its residuals whitened (N, m)."""
+
+    owner: str
+    poses: PoseSet
+    base: Poses
+    sigma: np.ndarray
+
+    @property
+    def free(self) -> int:
+        """Numbers of the frame that poses can show: a target without orientation has its place alone."""
+        return 6 if self.owner == "device" or self.sigma.shape[1] == 6 else 3
+
+    def columns(self, frames: DeviceFrames) -> np.ndarray:
+        """Return whitened derivatives (N, m, free)."""
+        zero, m = np.zeros(len(self.base.position), int), self.sigma.shape[1]
+        device, tool = frames.columns(self.base, frames.measured(self.base, zero), zero)
+        return (device if self.owner == "device" else tool)[:, :m, : self.free] / self.sigma[:, :, None]
+
+    def residuals(self, frames: DeviceFrames) -> np.ndarray:
+        """Return whitened measured minus predicted."""
+        return _compute_residuals(frames, self.poses, self.base, self.sigma)
+
+    def linearise(self, frames: DeviceFrames) -> LinearSystem:
+        """Return the linear system about frames."""
+        return factor_system(
+            self.columns(frames).reshape(-1, self.free), self.residuals(frames).ravel(), np.ones(self.free)
+        )
+
+    def move(self, frames: DeviceFrames, step: np.ndarray) -> DeviceFrames:
+        """Return moved frames."""
+        whole = np.concatenate([step, np.zeros(6 - self.free)])
+        return frames.moved(*((whole, np.zeros(6)) if self.owner == "device" else (np.zeros(6), whole)))
+
+    def gain(self, frames: DeviceFrames, trial: DeviceFrames) -> float:
+        """Return by how much the sum of squares falls."""
+        return float(np.sum(self.residuals(frames) ** 2) - np.sum(self.residuals(trial) ** 2))
+
+
 def _fit_move(
     owner: str, start: DeviceFrames, fitted: GeometryFit, poses: PoseSet, base: Poses, sigma: np.ndarray
 ) -> _Fit:
     """Return the move of one frame that leaves least, with the covariance that noise and the fitted parameters give it."""
-    m, frames, zero = sigma.shape[1], start, np.zeros(len(base.position), int)
-    free = 6 if owner == "device" or m == 6 else 3
-    for _ in range(_STEPS):
-        device, tool = frames.columns(base, frames.measured(base, zero), zero)
-        columns = (device if owner == "device" else tool)[:, :m, :free] / sigma[:, :, None]
-        residuals = _compute_residuals(frames, poses, base, sigma)
-        step = np.zeros(6)
-        step[:free] = np.linalg.lstsq(columns.reshape(-1, free), residuals.ravel(), rcond=None)[0]
-        frames = frames.moved(*((step, np.zeros(6)) if owner == "device" else (np.zeros(6), step)))
-    residuals = _compute_residuals(frames, poses, base, sigma)
+    problem = _MoveProblem(owner, poses, base, sigma)
+    frames = descend(problem, start, _RULES).state
+    residuals, columns, free = problem.residuals(frames), problem.columns(frames), problem.free
     (first, last) = (start.device[0], frames.device[0]) if owner == "device" else (start.tool[0], frames.tool[0])
     turn = last.rotation @ first.rotation.T if owner == "device" else first.rotation.T @ last.rotation
     move = np.concatenate(

@@ -22,6 +22,7 @@ from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.unknowns import STRUCTURAL, Identifiability, Unknowns, collect, find_identifiable
+from tau_dyn.estimate import DescentRules, LinearSystem, descend, factor_system
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Poses
 
@@ -265,37 +266,51 @@ def refine(fitted: GeometryFit, covariance: np.ndarray) -> GeometryFit:
     if covariance.ndim != 3 or len(covariance) != n or covariance.shape[1] < m or not np.isfinite(covariance).all():
         raise InputError("wrong_shape", f"the fit has {n} poses of {m} numbers, the covariances are {covariance.shape}")
     problem = Problem(fitted.geometry, fitted.poses, fitted.unknowns, fitted.kind, m == 6)
-    root = np.linalg.cholesky(covariance[:, :m, :m])
     kept = np.flatnonzero(fitted.unknowns.free)[fitted.identifiability.kept]
-    state, converged = fitted.state, False
-    for _ in range(_STEPS):
-        flat, r = _whitened(problem, state, root, kept)
-        step = np.linalg.lstsq(flat, r, rcond=1e-13)[0]
-        whole = np.zeros(len(fitted.unknowns.rows))
-        whole[kept] = step
-        state = problem.moved(state, whole)
-        if np.linalg.norm(flat @ step) < _AT_REST * np.sqrt(len(kept)):
-            converged = True
-            break
-    return _result(fitted, problem, state, root, kept, converged)
-
-
-def _whitened(problem: Problem, state: FitState, root: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    ok = state.ok
-    columns = np.linalg.solve(root[ok], problem.columns(state)[ok][:, :, kept])
-    r = np.linalg.solve(root[ok], problem.residuals(state)[ok][:, :, None])
-    return columns.reshape(-1, len(kept)), r.ravel()
-
-
-def _result(
-    fitted: GeometryFit, problem: Problem, state: FitState, root: np.ndarray, kept: np.ndarray, converged: bool
-) -> GeometryFit:
-    flat, r = _whitened(problem, state, root, kept)
-    own = np.linalg.pinv(flat.T @ flat, rcond=1e-14, hermitian=True) * float(r @ r) / max(len(r) - len(kept), 1)
+    weighed = _CovarianceProblem(problem, np.linalg.cholesky(covariance[:, :m, :m]), kept)
+    rules = DescentRules(_STEPS, small_step=_AT_REST * float(np.sqrt(len(kept) / (n * m))), small_gain=0.0)
+    end = descend(weighed, fitted.state, rules)
+    system, (flat, r) = weighed.linearise(end.state), weighed.whiten(end.state)
     cov = np.zeros_like(fitted.cov)
-    cov[np.ix_(fitted.identifiability.kept, fitted.identifiability.kept)] = own
-    columns = np.zeros((*fitted.residuals.shape, len(kept)))
-    columns[state.ok] = flat.reshape(int(state.ok.sum()), -1, len(kept))
-    return replace(
-        fitted, state=state, cov=cov, residuals=problem.residuals(state), columns=columns, converged=converged
-    )
+    of_noise = float(r @ r) / max(len(r) - len(kept), 1)
+    cov[np.ix_(fitted.identifiability.kept, fitted.identifiability.kept)] = system.covariance * of_noise
+    columns = np.zeros((n, m, len(kept)))
+    columns[end.state.ok] = flat.reshape(-1, m, len(kept))
+    residuals = problem.residuals(end.state)
+    return replace(fitted, state=end.state, cov=cov, residuals=residuals, columns=columns, converged=end.converged)
+
+
+@dataclass(frozen=True, eq=False)
+class _CovarianceProblem:
+    """Residuals `S_k^-1/2 r_k` of a fit's kept unknowns, as a least-squares problem."""
+
+    problem: Problem
+    root: np.ndarray
+    kept: np.ndarray
+
+    def whiten(self, state: FitState) -> tuple[np.ndarray, np.ndarray]:
+        """Return columns (rows, r) and residuals (rows,) of the poses that are predicted."""
+        ok = state.ok
+        columns = np.linalg.solve(self.root[ok], self.problem.columns(state)[ok][:, :, self.kept])
+        r = np.linalg.solve(self.root[ok], self.problem.residuals(state)[ok][:, :, None])
+        return columns.reshape(-1, len(self.kept)), r.ravel()
+
+    def linearise(self, state: FitState) -> LinearSystem:
+        """Return the linear system about a state."""
+        return factor_system(*self.whiten(state), self.problem.unknowns.scales[self.kept])
+
+    def move(self, state: FitState, step: np.ndarray) -> FitState:
+        """Return the state after a step of the kept unknowns."""
+        whole = np.zeros(len(self.problem.unknowns.rows))
+        whole[self.kept] = step
+        return self.problem.moved(state, whole)
+
+    def gain(self, state: FitState, trial: FitState) -> float:
+        """Return by how much the sum falls; losing a pose is no way down."""
+        if trial.ok.sum() < state.ok.sum():
+            return -np.inf
+        return self._cost(state) - self._cost(trial)
+
+    def _cost(self, state: FitState) -> float:
+        r = np.linalg.solve(self.root[state.ok], self.problem.residuals(state)[state.ok][:, :, None])
+        return float(np.sum(r**2))
