@@ -301,20 +301,20 @@ class _MoveProblem:
         """Return whitened measured minus predicted."""
         return _compute_residuals(frames, self.poses, self.base, self.sigma)
 
-    def linearise(self, frames: DeviceFrames) -> LinearSystem:
+    def linearise(self, state: DeviceFrames) -> LinearSystem:
         """Return the linear system about frames."""
         return factor_system(
-            self.columns(frames).reshape(-1, self.free), self.residuals(frames).ravel(), np.ones(self.free)
+            self.columns(state).reshape(-1, self.free), self.residuals(state).ravel(), np.ones(self.free)
         )
 
-    def move(self, frames: DeviceFrames, step: np.ndarray) -> DeviceFrames:
+    def move(self, state: DeviceFrames, step: np.ndarray) -> DeviceFrames:
         """Return moved frames."""
         whole = np.concatenate([step, np.zeros(6 - self.free)])
-        return frames.moved(*((whole, np.zeros(6)) if self.owner == "device" else (np.zeros(6), whole)))
+        return state.moved(*((whole, np.zeros(6)) if self.owner == "device" else (np.zeros(6), whole)))
 
-    def gain(self, frames: DeviceFrames, trial: DeviceFrames) -> float:
+    def gain(self, state: DeviceFrames, trial: DeviceFrames) -> float:
         """Return by how much the sum of squares falls."""
-        return float(np.sum(self.residuals(frames) ** 2) - np.sum(self.residuals(trial) ** 2))
+        return float(np.sum(self.residuals(state) ** 2) - np.sum(self.residuals(trial) ** 2))
 
 
 def _fit_move(
