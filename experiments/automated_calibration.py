@@ -28,10 +28,10 @@ from tau_dyn.calibrate import PoseSet, fit_geometry_to_poses
 from tau_dyn.calibrate.frames import Frame
 from tau_dyn.calibrate.poses import CalibrationCampaign, plan_campaign
 from tau_dyn.calibrate.poses.camera import Camera, CameraPattern, build_camera_frame, build_target_frame
+from tau_dyn.calibrate.poses.campaign_files import run_campaign
+from tau_dyn.calibrate.poses.design import refine
 from tau_dyn.calibrate.poses.devices import transform_to_device
 from tau_dyn.calibrate.poses.monte_carlo import draw_robot
-from tau_dyn.calibrate.poses.progress_file import run_campaign
-from tau_dyn.calibrate.poses.refine import refine
 from tau_dyn.kinematics.obstacles import build_surroundings
 from tau_dyn.kinematics.workspace import PoseRequirements
 from tau_dyn.robot import load_robot

@@ -20,10 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.calibrate import PoseSet, constrain_parameters, fit_geometry_to_poses
-from tau_dyn.calibrate.candidates import Options
-from tau_dyn.calibrate.drive_and_guide_laws import GuideBendLaw, find_carried_rods
 from tau_dyn.calibrate.frames import DeviceFrames
-from tau_dyn.calibrate.model_selection import select_model
+from tau_dyn.calibrate.laws import GuideBendLaw, find_carried_rods
+from tau_dyn.calibrate.model_selection import Options, select_model
 from tau_dyn.calibrate.models import RodFamily, Spec
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses

@@ -16,11 +16,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate import PoseSet, fit_geometry_to_poses
-from tau_dyn.calibrate.identifiability import find_identifiable
 from tau_dyn.calibrate.models import RodFamily, Spec
 from tau_dyn.calibrate.result import turn_rows
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import simulate_poses
+from tau_dyn.calibrate.unknowns import find_identifiable
 from tau_dyn.mechanism import Poses, build_rods, inverse_kinematics
 from tau_dyn.robot import load_robot
 
@@ -45,7 +45,7 @@ def null_space(geometry: RodGeometry, q: np.ndarray) -> None:
     """Print each arm's parameters, rank and blind combinations."""
     theta = geometry.parameters.values
     poses = geometry.forward(theta, q).poses
-    j = geometry.closure_by_parameter(theta, q, poses)
+    j = geometry.closure(theta, q, poses).by_parameter
     family = RodFamily(geometry.rods, PoseSet(q, np.zeros((len(q), 3))))
     extra = set(family._superfluous("complete"))
     names = geometry.parameters.names

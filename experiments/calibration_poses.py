@@ -22,13 +22,11 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.calibrate import Geometry, PoseSet, fit_geometry_to_poses
 from tau_dyn.calibrate.poses import Safety, UniformDevice, compute_doubling_gain
 from tau_dyn.calibrate.poses.automation import build_geometry
-from tau_dyn.calibrate.poses.choice import choose_from
-from tau_dyn.calibrate.poses.criteria import NAMES, compute_observability_indices
+from tau_dyn.calibrate.poses.choice import choose_from, predict
+from tau_dyn.calibrate.poses.criteria import NAMES, compute_observability_indices, leave_one_out
 from tau_dyn.calibrate.poses.design import PoseDesign, build_design
 from tau_dyn.calibrate.poses.devices import transform_to_device
-from tau_dyn.calibrate.poses.exchange import leave_one_out
 from tau_dyn.calibrate.poses.monte_carlo import draw_robot, simulate_measurement
-from tau_dyn.calibrate.poses.prediction import predict
 from tau_dyn.calibrate.poses.reachable import find_reachable
 from tau_dyn.kinematics.workspace import build_machine, find_workspace
 from tau_dyn.mechanism import Poses

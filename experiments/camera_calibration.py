@@ -24,7 +24,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate import PoseSet
-from tau_dyn.calibrate.candidates import Options, fit_spec
+from tau_dyn.calibrate.model_selection import Options, fit_spec
 from tau_dyn.calibrate.models import RodFamily, Spec
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.exceptions import CannotAnswer
@@ -32,9 +32,9 @@ from tau_dyn.mechanism import Poses, build_rods, inverse_kinematics
 from tau_dyn.robot import load_robot
 from tau_dyn.vision import Pattern, solve
 from tau_dyn.vision.bundle import Views
-from tau_dyn.vision.camera import project
+from tau_dyn.vision.cameras import project
 from tau_dyn.vision.detect import _in_order, find_corners
-from tau_dyn.vision.render import Photography, draw_facing_rotation, render, render_clutter
+from tau_dyn.vision.pattern import Photography, draw_facing_rotation, render, render_clutter
 
 PATTERN = Pattern(9, 6, 0.05)
 SIZE = np.array([1024, 768])

@@ -19,10 +19,10 @@ import numpy as np
 
 from tau_dyn.calibrate import Geometry, GeometryFit, PoseSet, build_compensation, fit_geometry_to_poses
 from tau_dyn.calibrate.compensation import Compensation
-from tau_dyn.calibrate.identifiability import find_identifiable
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
 from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
+from tau_dyn.calibrate.unknowns import find_identifiable
 from tau_dyn.mechanism import build_rods
 from tau_dyn.robot import Robot, load_robot
 

@@ -17,7 +17,7 @@ import numpy as np
 from parallelogram_parts import methods
 from parallelogram_parts.explicit import ERRORS, NAMES, NOMINAL, printed_sensitivity, sensitivity
 
-from tau_dyn.calibrate.identifiability import find_identifiable
+from tau_dyn.calibrate.unknowns import find_identifiable
 
 LENGTHS = (0.0, 0.2)
 LABELS = {

@@ -271,7 +271,7 @@ def model_file(folder: Path) -> bytes:
 def compensation_file(folder: Path) -> bytes:
     """Return a compensation file of the pendulum."""
     from tau_dyn.calibrate import build_compensation
-    from tau_dyn.calibrate.compensation_file import save_compensation
+    from tau_dyn.calibrate.saved import save_compensation
     from tau_dyn.calibrate.tree_geometry import build_tree_geometry
     from tau_dyn.robot import load_robot_from_urdf
 

@@ -10,8 +10,8 @@ from raising import raises_code
 
 from tau_dyn.calibrate import Geometry, build_compensation, constrain_parameters
 from tau_dyn.calibrate.compensation import Compensation
-from tau_dyn.calibrate.compensation_file import load_compensation, save_compensation
 from tau_dyn.calibrate.rod_geometry import RodGeometry
+from tau_dyn.calibrate.saved import load_compensation, save_compensation
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Poses, build_rods

@@ -13,11 +13,11 @@ from calibration_rigs import family_at, measured, rods_of, spoiled
 
 from tau_dyn.calibrate import fit_geometry_to_poses
 from tau_dyn.calibrate.frames import DeviceFrames
-from tau_dyn.calibrate.identifiability import find_identifiable
 from tau_dyn.calibrate.models import Spec
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import simulate_poses
-from tau_dyn.calibrate.weights import compute_robust_weights, compute_tuning_constant
+from tau_dyn.calibrate.unknowns import find_identifiable
+from tau_dyn.estimate import compute_robust_weights, compute_tuning_constant
 
 
 @pytest.mark.parametrize("residual", ["forward", "closure", "inverse"])
@@ -100,7 +100,7 @@ def test_f1_leaves_none_two_and_four_combinations_blind():
     rng = np.random.default_rng(0)
     q = rods.robot.home + 0.4 * (rng.random((120, 6)) - 0.5)
     theta = geometry.parameters.values
-    columns = geometry.closure_by_parameter(theta, q, geometry.forward(theta, q).poses)
+    columns = geometry.closure(theta, q, geometry.forward(theta, q).poses).by_parameter
     extra = set(family_at(rods)._superfluous("complete"))
     names = geometry.parameters.names
     counts, blind = [], []

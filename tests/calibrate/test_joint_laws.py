@@ -12,19 +12,14 @@ from raising import raises_code
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate import PoseSet, calibrate, load_calibration, save_calibration
+from tau_dyn.calibrate.addition_tests import find_unit_coupling
 from tau_dyn.calibrate.crossvalidation import HeldOutErrors, compare_paired, split_folds
-from tau_dyn.calibrate.families import TreeFamily
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
-from tau_dyn.calibrate.joint_laws import (
-    ArmGeometry,
-    CouplingLaw,
-    EccentricityLaw,
-    build_gravity_laws,
-    compute_gravity_torques,
-)
+from tau_dyn.calibrate.gravity import ArmGeometry, build_gravity_laws, compute_gravity_moments
+from tau_dyn.calibrate.laws import CouplingLaw, EccentricityLaw
+from tau_dyn.calibrate.models import TreeFamily
 from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
-from tau_dyn.calibrate.unit_couplings import find_unit_coupling
 from tau_dyn.cli import main
 from tau_dyn.robot import Robot, load_robot_from_urdf
 from tau_dyn.robot.robot import BODY_STDERR
@@ -99,12 +94,13 @@ def test_a_horizontal_arm_yields_by_its_weight_times_its_lever(robot):
     """All of the arm beyond j2 stretched out weighs on j2 by the sum of mass times distance times gravity."""
     tree = build_tree_geometry(robot)
     (law,) = build_gravity_laws(tree, ("j2",), np.full(4, -1.5), np.full(4, 1.5))
-    loads = compute_gravity_torques(tree, tree.parameters.values, np.zeros((1, 4)))
-    torques = law.select(loads.sum_bodies(np.zeros(4))[0])[0]
+    moments, gravity = compute_gravity_moments(tree, np.zeros((1, 4))), robot.model.gravity.linear
+    torques = law.select(moments.torques(gravity, moments.weights({})))[0]
     masses, load = 9.81 * (5 * 0.2 + 4 * 0.8 + 3 * (1.0 + 0.0)), 9.81 * (1.0 + 0.05)
     assert torques == pytest.approx([masses, load], rel=1e-9)
     assert [p.unit for p in law.parameters] == ["rad/(N m)", "rad kg/(N m)"]
-    lighter = law.select(loads.sum_bodies(np.array([0.9, 0.0, 0.0, -0.5]))[0])[0]  # j1's link does not load j2
+    off = moments.weights({"j1": 0.9, "j4": -0.5})  # j1's link does not load j2
+    lighter = law.select(moments.torques(gravity, off))[0]
     assert lighter == pytest.approx([masses - 0.5 * 9.81 * 3 * 1.0, load], rel=1e-9)
     assert law.bodies == ("j2", "j3", "j4")
     assert not build_gravity_laws(tree, ("j1",), np.full(4, -1.5), np.full(4, 1.5))  # its axis is vertical

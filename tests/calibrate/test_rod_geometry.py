@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 sys.path.insert(0, str(Path(__file__).parent))
 from calibration_rigs import family_at, rods_of, spoiled
 
-from tau_dyn.calibrate.loads import RodLoads
+from tau_dyn.calibrate.gravity import RodLoads
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 
 ROBOTS = {
@@ -48,7 +48,7 @@ def test_predicted_poses_close_every_rod(rig):
     geometry, theta, q = rig
     found = geometry.forward(theta, q)
     assert found.ok.all()
-    assert np.abs(geometry.closure(theta, q, found.poses)).max() < 1e-9
+    assert np.abs(geometry.closure(theta, q, found.poses).gap).max() < 1e-9
 
 
 def test_tool_moves_with_each_parameter_as_the_derivative_says(rig):
@@ -68,9 +68,9 @@ def test_closure_turns_with_pose_parameters_and_joints_as_the_derivatives_say(ri
     """Along a prediction the closure stays zero: its derivatives by pose, parameter and joint cancel."""
     geometry, theta, q = rig
     at = geometry.forward(theta, q).poses
-    by_pose = geometry.closure_by_pose(theta, q, at)
-    by_parameter = geometry.closure_by_parameter(theta, q, at) + by_pose @ geometry.tool_by_parameter(theta, q, at)
-    by_joint = geometry.closure_by_joint(theta, q, at) + by_pose @ geometry.tool_by_joint(theta, q, at)
+    closure = geometry.closure(theta, q, at)
+    by_parameter = closure.by_parameter + closure.by_pose @ geometry.tool_by_parameter(theta, q, at)
+    by_joint = closure.by_joint + closure.by_pose @ geometry.tool_by_joint(theta, q, at)
     assert np.abs(by_parameter).max() < 1e-9
     assert np.abs(by_joint).max() < 1e-9
 

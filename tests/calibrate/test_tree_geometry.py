@@ -145,7 +145,7 @@ def test_delta_has_the_papers_parameters() -> None:
 def test_planar_loop_ignores_what_lies_across() -> None:
     """Of a planar loop only what lies in its plane reaches the tool: rod 2's place across it does not, the crank's does."""
     geometry = build_tree_geometry(load_robot(URDF / "parallelogram.urdf.xacro"))
-    assert geometry.loops.over_constrained == 1
+    assert geometry.tree.loops.over_constrained == 1
     p = geometry.parameters
     assert not p["rod2_turn.origin_y"].free and not p["rod2_turn.rx"].free and p["crank.origin_y"].free
 

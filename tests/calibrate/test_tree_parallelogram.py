@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tau_dyn.calibrate.identifiability import find_identifiable
+from tau_dyn.calibrate.unknowns import find_identifiable
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
 from parallelogram_parts import methods

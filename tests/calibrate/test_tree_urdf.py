@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.calibrate.corrected_urdf import format_corrected_urdf
-from tau_dyn.calibrate.tree_geometry import build_tree_geometry
+from tau_dyn.calibrate.tree_geometry import build_tree_geometry, format_corrected_urdf
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 URDF = Path(__file__).resolve().parents[2] / "urdf"

@@ -7,8 +7,8 @@ import pytest
 
 from tau_dyn.cli import main
 from tau_dyn.vision import Cameras, Pattern, write_cameras
-from tau_dyn.vision.camera import INTRINSICS
-from tau_dyn.vision.render import draw_facing_rotation, render
+from tau_dyn.vision.cameras import INTRINSICS
+from tau_dyn.vision.pattern import draw_facing_rotation, render
 
 cv2 = pytest.importorskip("cv2")
 NUMBERS = np.array([620, 620, 319.5, 239.5, -0.1, 0.0, 0, 0, 0.0])

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 from raising import raises_code
 
-from tau_dyn.calibrate.poses.progress_file import build_new_progress, run_campaign
+from tau_dyn.calibrate.poses.campaign_files import build_new_progress, run_campaign
 from tau_dyn.scale import run_journaled
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"

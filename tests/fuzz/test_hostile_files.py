@@ -241,7 +241,7 @@ def _readers() -> dict[str, Callable[[Path], object]]:
     from tau_dyn.cli.arguments import read_columns
     from tau_dyn.compare import read_side
     from tau_dyn.view import read_cloud, read_result
-    from tau_dyn.vision.images import read_image
+    from tau_dyn.vision.detect import read_image
 
     return {
         "compare": read_side,
@@ -275,7 +275,7 @@ def test_a_packed_cloud_is_not_inflated(tmp_path: Path) -> None:
 def test_a_picture_of_gigapixels_is_refused(tmp_path: Path, monkeypatch) -> None:
     """A PNG of 2 MB declares a billion grey values of 16 bits, which became eight gigabytes of floats."""
     cv2 = pytest.importorskip("cv2")
-    monkeypatch.setattr("tau_dyn.vision.images._MAX_PIXELS", 10_000)
+    monkeypatch.setattr("tau_dyn.vision.album._MAX_PIXELS", 10_000)
     (tmp_path / "x.png").write_bytes(bytes(cv2.imencode(".png", np.zeros((101, 100), np.uint16))[1]))
     with raises_code("file_format", "100x101"):
         _readers()["image"](tmp_path / "x.png")

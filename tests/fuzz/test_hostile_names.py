@@ -19,7 +19,7 @@ from pages import taken_apart
 from tau_dyn.cli import main
 from tau_dyn.exceptions import InputError, format_one_line
 from tau_dyn.render.page import list_scripts
-from tau_dyn.vision.pose_table import escape_formula
+from tau_dyn.vision.measure import escape_formula
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(1)>\" onload=\"x' onclick='y{{7*7}}"
 """A name of a joint, a link, a robot, a column."""

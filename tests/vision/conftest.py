@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.vision import Cameras, Pattern
 from tau_dyn.vision.bundle import Plates, Views
-from tau_dyn.vision.camera import project
-from tau_dyn.vision.render import draw_facing_rotation, render, render_clutter
+from tau_dyn.vision.cameras import project
+from tau_dyn.vision.pattern import draw_facing_rotation, render, render_clutter
 
 PATTERN = Pattern(9, 6, 0.03)
 SIZE = (640, 480)

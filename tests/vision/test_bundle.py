@@ -5,7 +5,7 @@ import pytest
 
 from tau_dyn.vision import solve
 from tau_dyn.vision.bundle import adjust
-from tau_dyn.vision.camera import project
+from tau_dyn.vision.cameras import project
 
 N, PLATES = 2, 4
 

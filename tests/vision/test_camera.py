@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tau_dyn.vision.camera import compute_rays, project, project_with_jacobians
+from tau_dyn.vision.cameras import compute_rays, project, project_with_jacobians
 
 NUMBERS = np.array([800, 810, 320, 240, -0.25, 0.12, 1e-3, -5e-4, 0.02])
 POINTS = np.random.default_rng(0).uniform([-0.3, -0.2, 0.8], [0.3, 0.2, 1.3], (20, 3))

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tau_dyn.vision import Pattern
-from tau_dyn.vision.camera import project
+from tau_dyn.vision.cameras import project
 from tau_dyn.vision.detect import _checked, _measure_unevenness, find_corners
-from tau_dyn.vision.render import Photography, draw_facing_rotation, render, render_clutter
+from tau_dyn.vision.pattern import Photography, draw_facing_rotation, render, render_clutter
 
 pytest.importorskip("cv2")
 RNG = np.random.default_rng(11)

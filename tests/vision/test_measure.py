@@ -9,8 +9,8 @@ from raising import raises_code
 
 from tau_dyn.calibrate import read_poses
 from tau_dyn.vision import Pattern, measure_poses_from_images, read_cameras, read_positions, write_cameras
+from tau_dyn.vision.album import find_images, match_images
 from tau_dyn.vision.bundle import Plates
-from tau_dyn.vision.images import find_images, match_images
 
 cv2 = pytest.importorskip("cv2")
 JOINTS = ("cart1", "cart2", "cart3")

@@ -5,7 +5,7 @@ from raising import raises_code
 
 from tau_dyn.vision import solve
 from tau_dyn.vision.bundle import Plates, Views
-from tau_dyn.vision.render import draw_facing_rotation
+from tau_dyn.vision.pattern import draw_facing_rotation
 
 
 def test_a_distorted_lens_is_recovered(rig):

@@ -1,12 +1,17 @@
 """Kinematic calibration: from measured poses to a geometry with uncertainty, and what each model gains."""
 
 from .calibration import calibrate as calibrate
-from .candidates import CandidateModel as CandidateModel
 from .causes import CAUSE_EQUATIONS as CAUSE_EQUATIONS, CalibrationFinding as CalibrationFinding
 from .compensation import build_compensation as build_compensation
 from .frames import align as align
 from .geometry import Geometry as Geometry, Predicted as Predicted, constrain_parameters as constrain_parameters
-from .geometry_fit import GeometryFit as GeometryFit, fit_geometry_to_poses as fit_geometry_to_poses
+from .geometry_fit import (
+    CHANGE as CHANGE,
+    GeometryFit as GeometryFit,
+    compute_sensitivities as compute_sensitivities,
+    fit_geometry_to_poses as fit_geometry_to_poses,
+)
+from .model_selection import CandidateModel as CandidateModel
 from .pose_errors import PoseErrors as PoseErrors
 from .pose_set import PoseSet as PoseSet, join_pose_sets as join_pose_sets, read_poses as read_poses
 from .result import (
@@ -16,4 +21,3 @@ from .result import (
     list_correlated_pairs as list_correlated_pairs,
 )
 from .saved import load_calibration as load_calibration, save_calibration as save_calibration
-from .sensitivity import CHANGE as CHANGE, compute_sensitivities as compute_sensitivities

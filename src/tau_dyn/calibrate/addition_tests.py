@@ -1,22 +1,89 @@
-r"""Which additions to a model the residuals ask for, before any is fitted: an F test on what their columns take away.
+"""Which additions to a model the residuals ask for, before any is fitted: an F test on what their columns take away.
 
-Residuals and new columns are freed of everything that the fitted parameters could take up (`I - Q Q'`, `Q` a basis of
-their columns), so a guideway's offset is not taken for a wave. A cyclic error is looked for at all periods from one
-and a half ranges down to `_MIN_PERIOD_M`, which costs significance by their number. Reference: Draper & Smith 1998, 6;
-Scargle 1982.
+Residuals and new columns are freed of everything that the fitted parameters could take up (`I - Q Q'`, `Q` a basis of their
+columns), so a guideway's offset is not taken for a wave. A cyclic error is looked for at all periods from one and a half ranges
+down to `_MIN_PERIOD_M`, which costs significance by their number. Reference: Draper & Smith 1998, 6; Scargle 1982.
+
+A joint whose encoder counts all of another joint's motion (an elbow driven from the base: the encoder measures against the
+ground, `x_3 = q_3 +- q_2`) makes a robot file miss its poses by a large part of its reach, and no fit of dimensions finds the
+way there. So each pair is tried with either sign and the file's dimensions, device and targets fitted in closed form.
 """
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from tau_dyn.calibrate.families import Family
+from tau_dyn.calibrate.fit_problem import compute_actuated_positions
+from tau_dyn.calibrate.frames import align_with_targets
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.models import Spec
-from tau_dyn.calibrate.residuals import compute_actuated_positions
+from tau_dyn.calibrate.models import Family, Spec
+from tau_dyn.calibrate.pose_set import PoseSet
+
+_MIN_RELATIVE_MISFIT = 0.01
+"""What the robot file misses, over how far the poses spread, from which a coupling is looked for."""
+_MAX_ERROR_LEFT = 0.3
+"""Rms error with the best coupling, over that without and over the next best, below which it stands out."""
+
+
+class UnitCoupling(NamedTuple):
+    """A coupling that stands out.
+
+    Attributes:
+        name: As in a model's name, such as `j3=-j2`.
+        error: Rms error of the positions with it [m].
+        without: Rms error without any [m].
+        next_best: Rms error with the next best one [m].
+    """
+
+    name: str
+    error: float
+    without: float
+    next_best: float
+
+    def describe(self, source: str, model: str) -> str:
+        """Return what it means and what to do, for poses from a source and the model asked for."""
+        joint, other = re.split("=-?", self.name)
+        sign = "-" if "=-" in self.name else "+"
+        taken = "it is part of every model" if model == "auto" else f"add it to the model: {model}+coupling:{self.name}"
+        return (
+            f"{source}: {joint} seems to count the motion of {other} too ({joint} {sign} {other}): with that the robot file "
+            f"misses the positions by {1e3 * self.error:.3g} mm, without by {1e3 * self.without:.3g} mm, with the next best "
+            f"coupling by {1e3 * self.next_best:.3g} mm; {taken}"
+        )
+
+
+def find_unit_coupling(family: Family, poses: PoseSet) -> UnitCoupling | None:
+    """Return the coupling of all of one joint's motion to another joint that the poses ask for, None where none stands out."""
+    without = _measure_misfit(family, poses, Spec("frames"))
+    wide = float(np.sqrt(np.mean(np.sum((poses.position - poses.position.mean(axis=0)) ** 2, axis=1))))
+    if not without > _MIN_RELATIVE_MISFIT * wide:
+        return None
+    names = [pair.replace("/", sign) for pair in family.can_have("coupling") for sign in ("=", "=-")]
+    errors = np.array([_measure_misfit(family, poses, Spec("frames", {"coupling": (name,)})) for name in names])
+    if len(errors) < 2:
+        return None
+    first, second = np.argsort(errors)[:2]
+    if errors[first] < _MAX_ERROR_LEFT * min(without, errors[second]):
+        return UnitCoupling(names[first], float(errors[first]), without, float(errors[second]))
+    return None
+
+
+def _measure_misfit(family: Family, poses: PoseSet, spec: Spec) -> float:
+    """Return the rms error of the positions [m], inf where fewer than half of the poses are reached."""
+    geometry = family.build(spec)
+    found = geometry.forward(geometry.parameters.values, poses.q)
+    if 2 * found.ok.sum() < poses.n:
+        return float("inf")
+    seen, nominal = poses.take(found.ok), found.poses.take(found.ok)
+    frame, place = align_with_targets(seen, nominal)
+    known = nominal.position + np.einsum("nij,nj->ni", nominal.rotation, place[seen.target])
+    left = seen.position - frame.translation - known @ frame.rotation.T
+    return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+
 
 _MIN_PERIOD_M = 0.004  # [m]: finer than any rack's teeth
 _MAX_RELATIVE_PERIOD = 1.5  # of the range travelled

@@ -7,13 +7,11 @@ a refit of the rest makes up for is no finding.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.calibrate import restrict
-from tau_dyn.calibrate.candidates import CandidateModel, Options, fit_geometry, transfer_state
 from tau_dyn.calibrate.crossvalidation import (
     CrossValidationGain,
     HeldOutErrors,
@@ -21,14 +19,104 @@ from tau_dyn.calibrate.crossvalidation import (
     cross_validate,
     summarise_held_out_errors,
 )
-from tau_dyn.calibrate.families import Family
-from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.geometry import ConstrainedGeometry, Geometry, constrain_parameters
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.models import Spec
-from tau_dyn.calibrate.moved_frames import MovedFrame
+from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_geometry, transfer_state
+from tau_dyn.calibrate.models import Family, Spec
+from tau_dyn.calibrate.outliers import MovedFrame
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.parameters import Parameter
+from tau_dyn.parameters import Parameter, Parameters
+
+LENGTHS = (".length", ".rods_length")
+PLACES = (".origin_", ".base_", ".plate_", ".turn_")
+
+
+def fix_lengths(geometry: Geometry) -> Geometry | None:
+    """Return the geometry with nominal rod lengths."""
+    return _left_out(geometry, [n for n in _free(geometry) if n.endswith(LENGTHS)])
+
+
+def fix_placements(geometry: Geometry) -> Geometry | None:
+    """Return the geometry with all joints where the robot file has them."""
+    return _left_out(geometry, [n for n in _free(geometry) if any(w in n for w in PLACES)])
+
+
+def fix_tilts(geometry: Geometry) -> Geometry | None:
+    """Return the geometry with rods' ends on their carts' lines."""
+    return _left_out(geometry, [n for n in _free(geometry) if ".drift_" in n])
+
+
+def tie_guideway_directions(geometry: Geometry) -> Geometry | None:
+    """Return the geometry with guideways in one direction, each drive with its own scale."""
+    owners = _rails(geometry)
+    if len(owners) < 2:
+        return None
+    names, value = (
+        geometry.parameters.names,
+        dict(zip(geometry.parameters.names, geometry.parameters.values, strict=True)),
+    )
+    along, first, second = _axes(owners[0], value)
+    rows = [(f"{o}.scale", {o: along}) for o in owners]
+    rows += [("guideways.slope_1", dict.fromkeys(owners, first)), ("guideways.slope_2", dict.fromkeys(owners, second))]
+    return _recombined(geometry, owners, rows, names)
+
+
+def fix_drive_scales(geometry: Geometry) -> Geometry | None:
+    """Return the geometry with drives of nominal scale, each guideway with its own direction."""
+    owners = _rails(geometry)
+    if not owners:
+        return None
+    names, value = (
+        geometry.parameters.names,
+        dict(zip(geometry.parameters.names, geometry.parameters.values, strict=True)),
+    )
+    rows = []
+    for o in owners:
+        _, first, second = _axes(o, value)
+        rows += [(f"{o}.slope_1", {o: first}), (f"{o}.slope_2", {o: second})]
+    return _recombined(geometry, owners, rows, names)
+
+
+def _free(geometry: Geometry) -> list[str]:
+    return [p.name for p in geometry.parameters if p.free]
+
+
+def _left_out(geometry: Geometry, names: Sequence[str]) -> Geometry | None:
+    return constrain_parameters(geometry, {}, names) if names else None
+
+
+def _rails(geometry: Geometry) -> list[str]:
+    return [n.removesuffix(".direction_x") for n in geometry.parameters.names if n.endswith(".direction_x")]
+
+
+def _axes(owner: str, value: dict[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    d = np.array([value[f"{owner}.direction_{a}"] for a in "xyz"])
+    d = d / np.linalg.norm(d)
+    _, _, vt = np.linalg.svd(d[None])
+    return d, vt[1], vt[2]
+
+
+def _recombined(
+    geometry: Geometry, owners: Sequence[str], rows: list[tuple[str, dict[str, np.ndarray]]], names: Sequence[str]
+) -> ConstrainedGeometry:
+    """Return the geometry with its directions replaced by a few combinations of them."""
+    directions = {f"{o}.direction_{a}" for o in owners for a in "xyz"}
+    kept = [k for k, n in enumerate(names) if n not in directions]
+    index = {n: k for k, n in enumerate(names)}
+    matrix = np.zeros((len(names), len(kept) + len(rows)))
+    matrix[kept, range(len(kept))] = 1.0
+    for r, (_, parts) in enumerate(rows):
+        for owner, vector in parts.items():
+            for a, x in zip("xyz", vector, strict=True):
+                matrix[index[f"{owner}.direction_{a}"], len(kept) + r] = x
+    old = list(geometry.parameters)
+    parameters = Parameters([*(old[k] for k in kept), *(Parameter(n, 0.0, "1") for n, _ in rows)])
+    last = int(geometry.priority.max(initial=0))
+    return ConstrainedGeometry(
+        geometry, parameters, matrix, np.concatenate([geometry.priority[kept], np.full(len(rows), last, int)])
+    )
+
 
 CAUSE_EQUATIONS = {
     "rod_length": "|A - B| = L + dL",
@@ -64,11 +152,11 @@ _OF_ADDITION = {
     "base_frame": "base_frame",
 }
 _OF_STRUCTURE: dict[str, Callable[[Geometry], Geometry | None]] = {
-    "rod_length": restrict.fix_lengths,
-    "joint_placement": restrict.fix_placements,
-    "guideway_nonparallel": restrict.tie_guideway_directions,
-    "pinion_scale": restrict.fix_drive_scales,
-    "cart_tilt": restrict.fix_tilts,
+    "rod_length": fix_lengths,
+    "joint_placement": fix_placements,
+    "guideway_nonparallel": tie_guideway_directions,
+    "pinion_scale": fix_drive_scales,
+    "cart_tilt": fix_tilts,
 }
 _PATTERNS = {
     "rod_length": ("length",),
@@ -222,3 +310,8 @@ def _parameters(cause: str, joints: tuple[str, ...], fitted: GeometryFit) -> tup
     what = _PATTERNS[cause]
     found = [n for n in names if any(w in n.partition(".")[2] for w in what) and not n.startswith(("device", "tool"))]
     return tuple(n for n in found if not joints or n.partition(".")[0] in joints)
+
+
+def suspect_all(findings: tuple[CalibrationFinding, ...]) -> tuple[CalibrationFinding, ...]:
+    """Return findings of a model that misses its poses by far: none is confirmed but moves before the held-out poses."""
+    return tuple(f if f.cause.endswith("_moved") else replace(f, status="suspected") for f in findings)

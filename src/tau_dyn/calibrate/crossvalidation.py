@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from tau_dyn.calibrate.fit_problem import FitState, Problem, WeightedProblem, descend_near
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.levenberg_marquardt import LevenbergMarquardt
 from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.residuals import FitState, Problem
 
 FOLDS = 5  # a common choice between bias and variance (Hastie et al. 2009, section 7.10)
+_REFIT_STEPS = 6  # from the whole fit's optimum, which is near
 _DRAWS = 1000  # bootstrap draws of an interval; its ends vary by a few per cent of its width
 _SIGNIFICANCE_LEVEL = 0.01  # of the paired comparison by which a larger model is chosen
 _MIN_RELATIVE_GAIN = 0.02  # share of the weighted rms error that a larger model must take away
@@ -145,8 +145,7 @@ def _without(fitted: GeometryFit, rest: np.ndarray) -> GeometryFit:
     )
     s = fitted.state
     state = FitState(s.theta, s.frames, s.base.take(rest), s.ok[rest], s.slack)
-    run = LevenbergMarquardt(problem, "none", fitted.noise)
-    state, _ = run.descend(state, fitted.noise, np.arange(len(run.free)), 6)
+    state = descend_near(WeightedProblem.of(problem, "none", fitted.noise), state, _REFIT_STEPS)
     return replace(fitted, poses=poses, state=state)
 
 

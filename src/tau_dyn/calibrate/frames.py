@@ -1,10 +1,10 @@
-r"""Where the measuring device stands and where its target sits on the tool: what turns a robot's tool pose into a measurement.
+"""Where the measuring device stands and where its target sits on the tool: what turns a robot's tool pose into a measurement.
 
     R_m = R_D R R_T,    p_m = p_D + R_D (p + R p_T),
 
-with `(R_D, p_D)` the robot's base in the device's frame (X_DB) and `(R_T, p_T)` the target in the tool frame (thesis
-(5.3)). Rotations change on their manifold: `R_D <- Exp(d) R_D`, `R_T <- R_T Exp(d)`. Campaigns may each have frames
-of their own.
+with `(R_D, p_D)` the robot's base in the device's frame (X_DB) and `(R_T, p_T)` the target in the tool frame (thesis (5.3)).
+Rotations change on their manifold: `R_D <- Exp(d) R_D`, `R_T <- R_T Exp(d)`. Campaigns may each have frames of their own. A fit
+starts from frames that the nominal robot's poses give in closed form (Umeyama 1991).
 """
 
 from __future__ import annotations
@@ -15,6 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tau_dyn.calibrate.geometry import Predicted
+from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter
 
@@ -174,3 +177,98 @@ def _spread(columns: np.ndarray, campaign: np.ndarray, many: int) -> np.ndarray:
     for k in range(many):
         out[campaign == k, :, 6 * k : 6 * k + 6] = columns[campaign == k]
     return out
+
+
+_FLAT = 1e-3
+"""Thickness of a cloud of positions, relative to its extent, below which it is a plane."""
+
+_ALTERNATIONS = 20
+"""Fits of the device's frame and of the targets' places in turn; what is left to go shrinks by half or more each."""
+_MIRROR_GAIN = 5.0
+"""By how much better a mirrored device frame must fit before it is called wrong-handed."""
+
+
+def estimate_initial_frames(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
+    """Return the device's frame in which the nominal robot's tool comes nearest to the measured poses.
+
+    Raises:
+        InputError: The nominal robot reaches too few of the poses, or a mirrored frame fits far better.
+    """
+    ok = nominal.ok
+    if ok.sum() < 3:
+        k = int(np.argmin(ok))
+        raise InputError(
+            "wrong_unit",
+            f"{poses.source}: the nominal robot reaches {int(ok.sum())} of {poses.n} poses "
+            f"({poses.names[k]}: {nominal.reason[k]}); "
+            "are the joints' columns in the right order and in m or rad?",
+        )
+    seen, known = poses.position[ok], nominal.poses.position[ok]
+    flat = is_flat(known)
+    if poses.rotation is not None and flat:
+        return _from_orientation(poses, nominal)
+    device = (
+        align_with_targets(poses.take(ok), nominal.poses.take(ok))[0] if len(poses.targets) > 1 else align(seen, known)
+    )
+    if not flat:
+        _check_hand(poses.source, seen, known, device)
+    if poses.rotation is None:
+        return DeviceFrames((device,), (IDENTITY,) * len(poses.targets))
+    back = np.swapaxes(device.rotation @ nominal.poses.rotation[ok], 1, 2) @ poses.rotation[ok]
+    return DeviceFrames(
+        (device,), tuple(Frame(_mean_of(back[poses.target[ok] == k]), np.zeros(3)) for k in _each(poses))
+    )
+
+
+def _each(poses: PoseSet) -> range:
+    """Return the targets' numbers."""
+    return range(len(poses.targets))
+
+
+def _mean_of(rotations: np.ndarray) -> np.ndarray:
+    """Return the mean rotation (3, 3), none where there are no rotations."""
+    return compute_mean_rotation(rotations) if len(rotations) else np.eye(3)
+
+
+def align_with_targets(poses: PoseSet, nominal: Poses) -> tuple[Frame, np.ndarray]:
+    """Return the device's frame and the targets' places on the tool (targets, 3) [m], fitted in turn."""
+    place = np.zeros((len(poses.targets), 3))
+    turned = nominal.rotation
+    frame = align(poses.position, nominal.position)
+    for _ in range(_ALTERNATIONS):
+        for k in _each(poses):
+            own = poses.target == k
+            if own.any():
+                left = poses.position[own] - frame.translation - nominal.position[own] @ frame.rotation.T
+                rows = (frame.rotation @ turned[own]).reshape(-1, 3)
+                place[k] = np.linalg.lstsq(rows, left.ravel(), rcond=None)[0]
+        frame = align(poses.position, nominal.position + np.einsum("nij,nj->ni", turned, place[poses.target]))
+    return frame, place
+
+
+def _from_orientation(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
+    """Return frames from orientations where positions lie in a plane: the target taken as turned like the tool."""
+    assert poses.rotation is not None
+    ok = nominal.ok
+    rotation = compute_mean_rotation(poses.rotation[ok] @ np.swapaxes(nominal.poses.rotation[ok], 1, 2))
+    shift = poses.position[ok].mean(axis=0) - rotation @ nominal.poses.position[ok].mean(axis=0)
+    return DeviceFrames((Frame(rotation, shift),), (IDENTITY,))
+
+
+def _check_hand(source: str, seen: np.ndarray, known: np.ndarray, device: Frame) -> None:
+    def left(frame: Frame) -> float:
+        return float(np.sqrt(np.mean(np.sum((seen - frame.translation - known @ frame.rotation.T) ** 2, axis=1))))
+
+    proper, mirrored = left(device), left(align(seen, known, mirrored=True))
+    if proper > _MIRROR_GAIN * mirrored:
+        raise InputError(
+            "invalid_value",
+            f"{source}: the measuring device's frame is left-handed: with one axis turned round the nominal robot is off by "
+            f"{1e3 * mirrored:.3g} mm instead of {1e3 * proper:.3g} mm; change the sign of one of x_tool, y_tool, z_tool",
+        )
+
+
+def is_flat(points: np.ndarray) -> bool:
+    """Tell whether points (N, 3) lie in a plane."""
+    s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(len(s) < 3 or s[2] < _FLAT * s[0])

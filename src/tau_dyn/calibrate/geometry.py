@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from tau_dyn.exceptions import UnknownName
-from tau_dyn.mechanism import Poses
+from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.mechanism import Poses, Rods
 from tau_dyn.parameters import Parameter, Parameters
 
 KNOWN_BEFOREHAND = 1000
@@ -35,6 +35,22 @@ class Predicted(NamedTuple):
     poses: Poses
     ok: np.ndarray
     reason: np.ndarray
+
+
+class Closure(NamedTuple):
+    """How far tool poses leave the loops open, and its derivatives.
+
+    Attributes:
+        gap: (N, m) [m].
+        by_parameter: (N, m, p).
+        by_pose: By the tool's twist (N, m, 6).
+        by_joint: By the actuated joints (N, m, na).
+    """
+
+    gap: np.ndarray
+    by_parameter: np.ndarray
+    by_pose: np.ndarray
+    by_joint: np.ndarray
 
 
 class Geometry(Protocol):
@@ -77,35 +93,65 @@ class Geometry(Protocol):
         """Return the tool's twist per actuated joint (N, 6, na), loops kept closed."""
         ...
 
-    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
-        """Return closure residuals (N, m) [m] at tool poses (thesis (5.1)), None where the mechanism has none."""
+    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure | None:
+        """Return how far tool poses (N) leave the loops open (thesis (5.1)), None where the mechanism has no such residual."""
         ...
 
-    def closure_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
-        """Return the closure's derivative by the parameters (N, m, p)."""
+    @property
+    def beyond_file(self) -> str:
+        """What of it no robot file can hold, '' where one can hold everything."""
         ...
 
-    def closure_by_pose(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
-        """Return the closure's derivative by the tool's twist (N, m, 6)."""
+    @property
+    def description(self) -> dict[str, Any] | None:
+        """How a compensation file describes it (`build_described_geometry`), None where it cannot."""
         ...
 
-    def closure_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
-        """Return the closure's derivative by the actuated joints (N, m, na)."""
+    def rods_at(self, theta: np.ndarray) -> Rods | None:
+        """Return the rods with these dimensions, without the laws, for kinematics; None of a robot without rods."""
+        ...
+
+    def format_urdf(self, theta: np.ndarray) -> str:
+        """Return the robot file with these dimensions."""
+        ...
+
+    def list_turned_joints(self, theta: np.ndarray) -> list[tuple[str, np.ndarray]]:
+        """Return joints whose frame's orientation is a parameter, with that orientation (3, 3) in the parent's frame."""
         ...
 
 
-class WithoutClosure:
-    """The closure of a geometry that has no residual of its own: a tree's loops involve passive joints, which nobody measures."""
+class GeometryDefaults:
+    """What most geometries answer: no closure of their own, and nothing that a robot file or a compensation file could hold.
 
-    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
+    A tree's loops involve passive joints, which nobody measures, so that it has no closure residual.
+    """
+
+    beyond_file = "laws of its joints"
+
+    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure | None:
         """Return None; use forward residuals."""
         return None
 
-    closure_by_parameter = closure_by_pose = closure_by_joint = closure
+    @property
+    def description(self) -> dict[str, Any] | None:
+        """None: a file cannot describe it."""
+        return None
+
+    def rods_at(self, theta: np.ndarray) -> Rods | None:
+        """Return None: it has no rods."""
+        return None
+
+    def format_urdf(self, theta: np.ndarray) -> str:
+        """Refuse."""
+        raise InputError("unsupported", f"a robot file cannot hold {self.beyond_file}")
+
+    def list_turned_joints(self, theta: np.ndarray) -> list[tuple[str, np.ndarray]]:
+        """Return none."""
+        return []
 
 
 @dataclass(frozen=True, eq=False)
-class ConstrainedGeometry:
+class ConstrainedGeometry(GeometryDefaults):
     """A geometry with fewer parameters: several of the original ones move together, or not at all.
 
     `theta = theta_0 + Z (y - y_0)`: equal rods, parallel guideways and other simplifications are such ties.
@@ -153,22 +199,10 @@ class ConstrainedGeometry:
         """Return the tool's twist per actuated joint (N, 6, na)."""
         return self.geometry.tool_by_joint(self.full(theta), q, poses)
 
-    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
-        """Return closure residuals (N, m)."""
-        return self.geometry.closure(self.full(theta), q, poses)
-
-    def closure_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
-        """Return the closure's derivative by the parameters (N, m, r)."""
-        found = self.geometry.closure_by_parameter(self.full(theta), q, poses)
-        return None if found is None else found @ self.matrix
-
-    def closure_by_pose(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
-        """Return the closure's derivative by the tool's twist (N, m, 6)."""
-        return self.geometry.closure_by_pose(self.full(theta), q, poses)
-
-    def closure_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
-        """Return the closure's derivative by the actuated joints (N, m, na)."""
-        return self.geometry.closure_by_joint(self.full(theta), q, poses)
+    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure | None:
+        """Return how far tool poses leave the loops open."""
+        found = self.geometry.closure(self.full(theta), q, poses)
+        return None if found is None else found._replace(by_parameter=found.by_parameter @ self.matrix)
 
 
 def constrain_parameters(

@@ -1,26 +1,101 @@
-"""A geometry, the measuring device's frame and the target's place fitted to measured poses; the work is done in `descent.py`."""
+"""A geometry, the measuring device's frame and the target's place fitted to measured poses, with uncertainty and sensitivities.
+
+A model needs at least its rank over the joints' range by the numbers that one pose gives, and one pose more. How much each
+parameter matters is how far the tool moves and turns when it alone is off (thesis (5.8), Table 5.10).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from tau_dyn.calibrate.count import check_count
-from tau_dyn.calibrate.frames import DeviceFrames, compute_mean_rotation
+from tau_dyn.calibrate.fit_problem import (
+    FitState,
+    Problem,
+    compute_actuated_positions,
+    descend_in_rounds,
+    reset_unidentifiable,
+)
+from tau_dyn.calibrate.frames import (
+    IDENTITY,
+    DeviceFrames,
+    compute_mean_rotation,
+    estimate_initial_frames,
+)
 from tau_dyn.calibrate.geometry import Geometry
-from tau_dyn.calibrate.identifiability import Identifiability
-from tau_dyn.calibrate.levenberg_marquardt import LevenbergMarquardt
 from tau_dyn.calibrate.pose_errors import PoseErrors, compute_pose_errors
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.residuals import FitState, Problem, compute_actuated_positions
-from tau_dyn.calibrate.start import estimate_initial_frames
-from tau_dyn.calibrate.unknowns import Unknowns, collect
-from tau_dyn.exceptions import CannotAnswer
+from tau_dyn.calibrate.unknowns import Identifiability, Unknowns, collect, find_identifiable
+from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter, Parameters
+
+
+def count_required_poses(rank: int, per_pose: int) -> int:
+    """Return the fewest poses that leave at least one pose's numbers over for judging the noise."""
+    return -(-rank // per_pose) + 1
+
+
+def check_count(poses: PoseSet, geometry: Geometry, unknowns: Unknowns, problem: Problem, what: str) -> None:
+    """Refuse fewer measurements than unknowns.
+
+    Raises:
+        InputError: Too few poses; says how many are needed.
+    """
+    m = sum(problem.blocks)
+    free = int(unknowns.free.sum())
+    if poses.n >= count_required_poses(free, m):
+        return
+    rank = compute_structural_rank(poses, geometry, unknowns, problem)
+    needed = count_required_poses(rank, m)
+    if poses.n >= needed:
+        return
+    have = "1 pose is" if poses.n == 1 else f"{poses.n} poses are"
+    raise InputError(
+        "too_little_data",
+        f"{poses.source}: {have} too few for {what}, which has {rank} unknowns that poses can tell, at {m} numbers a pose; "
+        f"at least {needed} are needed, {3 * needed} are sensible",
+    )
+
+
+def compute_structural_rank(poses: PoseSet, geometry: Geometry, unknowns: Unknowns, problem: Problem) -> int:
+    """Return the rank that random poses within the range of these (widened where they do not move) would give."""
+    rng = np.random.default_rng(0)
+    low, high = poses.q.min(axis=0), poses.q.max(axis=0)
+    width = np.maximum(high - low, 0.1)
+    q = 0.5 * (low + high) + width * (rng.random((4 * int(unknowns.free.sum()), poses.na)) - 0.5)
+    found = geometry.forward(geometry.parameters.values, q)
+    q = q[found.ok]
+    rotation = None if poses.rotation is None else np.repeat(np.eye(3)[None], len(q), axis=0)
+    number, several = np.arange(len(q)), tuple(poses.targets)
+    many = PoseSet(
+        q,
+        np.zeros((len(q), 3)),
+        rotation,
+        campaign=number % len(poses.campaigns),
+        target=number % len(several),
+        targets=several,
+        approach=np.sign(rng.standard_normal(q.shape)),
+    )
+    wide = replace(problem, poses=many)
+    frames = _one_of_each(unknowns)
+    state = wide.place(geometry.parameters.values, frames, np.zeros(poses.na), None)
+    seen = state.frames.measured(state.base, many.setup)
+    wide = replace(
+        wide, poses=replace(many, position=seen.position, rotation=None if rotation is None else seen.rotation)
+    )
+    columns = wide.columns(state)[:, :, unknowns.free]
+    names = tuple(np.array(unknowns.names)[unknowns.free])
+    flat = columns.reshape(-1, columns.shape[2])
+    return find_identifiable(flat, names, unknowns.scales[unknowns.free], unknowns.priority[unknowns.free]).rank
+
+
+def _one_of_each(unknowns: Unknowns) -> DeviceFrames:
+    return DeviceFrames((IDENTITY,) * (unknowns.n_device // 6), (IDENTITY,) * (unknowns.n_tool // 6))
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,20 +292,30 @@ def fit_geometry_to_poses(
     )
     problem = Problem(geometry, poses, unknowns, residual, turned)
     check_count(poses, geometry, unknowns, problem, what)
-    run = LevenbergMarquardt(problem, robust, noise)
-    state, noise, converged = run.minimise(state)
-    found = run.identifiable(state, noise)
-    state = run.reset_unidentifiable(state, noise, found)
+    state, weighted, steps, converged = descend_in_rounds(problem, robust, noise, state)
+    found = weighted.identify(state)
+    state = reset_unidentifiable(weighted, state, found)
     if not state.ok.any():
         raise CannotAnswer(
             "no_solution",
             f"{poses.source}: {what} cannot reach the poses from where the fit stands",
             "start from a robot file whose dimensions are nearer to the machine's",
         )
-    weight, columns, cov = run.uncertainty(state, noise, found.kept)
-    residuals = problem.residuals(state)
+    weights, columns, cov = weighted.compute_covariance(state, found.kept)
     return GeometryFit(
-        geometry, poses, unknowns, state, cov, residuals, residual, noise, weight, found, columns, run.steps, converged
+        geometry=geometry,
+        poses=poses,
+        unknowns=unknowns,
+        state=state,
+        cov=cov,
+        residuals=problem.residuals(state),
+        kind=residual,
+        noise=weighted.noise,
+        weights=weights,
+        identifiability=found,
+        columns=columns,
+        steps=steps,
+        converged=converged,
     )
 
 
@@ -248,3 +333,46 @@ def _starting_state(
     if frames is None:
         frames = estimate_initial_frames(poses, found) if device else DeviceFrames()
     return FitState(theta, frames, found.poses, found.ok, np.zeros(poses.na))
+
+
+CHANGE = 5e-5
+"""Change of each parameter in the thesis, in its own unit."""
+
+
+class Sensitivity(NamedTuple):
+    """What a change of one parameter does.
+
+    Attributes:
+        name: Of the parameter.
+        position: Accumulated tool displacement over all poses, both signs [m], `S_pos` of (5.8).
+        rotation: Accumulated tool rotation [rad].
+        closure: Accumulated change of the closure residuals [m], nan where the mechanism has none.
+    """
+
+    name: str
+    position: float
+    rotation: float
+    closure: float
+
+
+def compute_sensitivities(fitted: GeometryFit, change: float = CHANGE) -> tuple[Sensitivity, ...]:
+    """Return every geometric parameter's sensitivity at the fitted poses, to first order.
+
+    Args:
+        fitted: A fit.
+        change: Of each parameter, in its unit.
+    """
+    state = fitted.state
+    ok = state.ok
+    q, base = fitted.poses.q[ok], state.base.take(ok)
+    twist = fitted.geometry.tool_by_parameter(fitted.theta, q, base)
+    closure = fitted.geometry.closure(fitted.theta, q, base)
+    moved = 2 * change * np.linalg.norm(twist[:, :3], axis=1).sum(axis=0)
+    turned = 2 * change * np.linalg.norm(twist[:, 3:], axis=1).sum(axis=0)
+    gaps = (
+        np.full(len(moved), np.nan) if closure is None else 2 * change * np.abs(closure.by_parameter).sum(axis=(0, 1))
+    )
+    names = fitted.geometry.parameters.names
+    return tuple(
+        Sensitivity(n, float(a), float(b), float(c)) for n, a, b, c in zip(names, moved, turned, gaps, strict=True)
+    )

@@ -12,35 +12,42 @@ Structures of a parallel robot of points and distances, each where it means some
 Additions: `periodic` (cyclic errors of the drives; `periodic2` a second one of another period), `piecewise` (crooked
 guideways), `compliant` (carts and drives yield to gravity), `backlash`, and between campaigns `base_frame` (the
 device or the robot was moved) and `tool_frame` (the target was). Those of a tree are `coupling`, `gravity` and `eccentric`
-(`joint_laws.py`). A model is written `complete+periodic+compliant`; an addition may name joints:
+(`laws.py`, `gravity.py`). A model is written `complete+periodic+compliant`; an addition may name joints:
 `nonparallel+periodic:cart2,cart3`, the per-arm mix of thesis 5.3 (model 5). `coupling:j3/j2` adds a share of j2 to j3,
 `coupling:j3=j2` and `coupling:j3=-j2` all of it.
 """
 
 from __future__ import annotations
 
+import re
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from tau_dyn.calibrate.drive_and_guide_laws import (
+from tau_dyn.calibrate.geometry import Geometry, constrain_parameters
+from tau_dyn.calibrate.gravity import ArmGeometry, GravityLaw, RodLoads, build_gravity_laws
+from tau_dyn.calibrate.laws import (
     CartComplianceLaw,
+    CouplingLaw,
     DriveComplianceLaw,
-    DriveLaw,
+    EccentricityLaw,
     GuideBendLaw,
     GuideLaw,
+    JointLaw,
     PeriodicDriveLaw,
     RodPathLaw,
     find_carried_rods,
     find_guideways,
 )
-from tau_dyn.calibrate.geometry import Geometry, constrain_parameters
-from tau_dyn.calibrate.loads import RodLoads
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.rod_geometry import RodGeometry
+from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.mechanism import Rods
+from tau_dyn.mechanism import NotRods, Rods, build_rods
+from tau_dyn.robot import Robot
 
 ADDITIONS = (
     "base_frame", "tool_frame", "coupling", "periodic", "periodic2", "piecewise", "compliant", "gravity", "eccentric", "backlash",
@@ -82,16 +89,98 @@ class Spec:
         return Spec(self.structure, own)
 
 
-def list_between_campaigns(addition: str, poses: PoseSet) -> tuple[str, ...]:
-    """Return `all` where a frame may have moved between campaigns; targets that are told apart have their own frames anyway."""
-    known = addition == "tool_frame" and len(poses.targets) > 1
-    return ("all",) if len(poses.campaigns) > 1 and not known else ()
+_WHY_NOT = {
+    "base_frame": "there is one campaign only; a column `campaign` tells several apart",
+    "tool_frame": "there is one campaign only; a column `campaign` tells several apart",
+    "backlash": "nothing tells from which side the joints came; give poses in the order of measuring, or columns v_J",
+    "gravity": "no joint of this robot carries gravity, or it has loops",
+    "eccentric": "this robot has no actuated joint that turns",
+    "coupling": "this robot has one actuated joint",
+}
+"""Why a robot cannot have an addition."""
 
 
-class RodFamily:
+class Family(ABC):
+    """All models of one robot.
+
+    Attributes:
+        structures: Structures, smallest first.
+        joints: Actuated joints.
+        poses: Measured poses, which tell campaigns, travel and approach.
+        screened: Additions that residuals may ask for.
+        known: Additions that a name may have.
+        place: What messages call a place of an addition.
+    """
+
+    structures: tuple[str, ...]
+    joints: tuple[str, ...]
+    poses: PoseSet
+    screened: tuple[str, ...]
+    known: tuple[str, ...]
+    place: str
+
+    def spec(self, name: str) -> Spec:
+        """Read a model's name, such as `complete+gravity+eccentric:j2,j3`.
+
+        Raises:
+            UnknownName: No such structure, addition or joint.
+            InputError: An addition that this robot or these poses cannot have.
+        """
+        first, *rest = name.split("+")
+        if first.partition(":")[0] in self.known:
+            first, rest = "complete" if "complete" in self.structures else self.structures[-1], [first, *rest]
+        if first == "mixed":
+            raise InputError(
+                "bad_option",
+                "mixed is what auto finds when joints differ; name additions by joint, such as complete+periodic:cart2",
+            )
+        if first not in self.structures:
+            raise UnknownName("model", first, [*self.structures, *self.known])
+        spec = Spec(first)
+        for part in rest:
+            addition, _, joints = part.partition(":")
+            if addition not in self.known:
+                raise UnknownName("addition to a model", addition, self.known)
+            can = self.can_have(addition)
+            if not can:
+                raise InputError("unsupported", f"{part}: {self.why_not(addition)}")
+            if addition == "coupling" and not joints:
+                raise InputError("bad_option", "coupling needs its joints, such as complete+coupling:j3/j2")
+            wanted = joints.split(",") if joints else can
+            for joint in wanted:
+                if joint.replace("=-", "/").replace("=", "/") not in can:
+                    raise UnknownName(f"{self.place} {addition}", joint, can)
+            spec = spec.plus(addition, wanted)
+        return spec
+
+    def can_have(self, addition: str) -> tuple[str, ...]:
+        """Return the joints that an addition makes sense for; of couplings the pairs `JOINT/OTHER`."""
+        if addition in BETWEEN_CAMPAIGNS:  # targets that are told apart have their own frames anyway
+            own = addition == "tool_frame" and len(self.poses.targets) > 1
+            return ("all",) if len(self.poses.campaigns) > 1 and not own else ()
+        if addition == "backlash":
+            return self.joints if self.poses.approach.any() else ()
+        return self.places(addition)
+
+    def why_not(self, addition: str) -> str:
+        """Return why no joint can have an addition."""
+        return _WHY_NOT[addition]
+
+    @abstractmethod
+    def places(self, addition: str) -> tuple[str, ...]:
+        """Return the joints that an addition of this mechanism makes sense for."""
+
+    @abstractmethod
+    def build(self, spec: Spec, periods: dict[str, float] | None = None) -> Geometry:
+        """Return the geometry of a model; `periods` are starting values of cyclic errors by joint."""
+
+
+class RodFamily(Family):
     """All models of one parallel robot."""
 
     screened = ("backlash", "periodic", "periodic2", "compliant", "piecewise")
+    known = ADDITIONS
+    place = "joint that can be"
 
     def __init__(self, rods: Rods, poses: PoseSet) -> None:
         """Look at the mechanism and at how far the poses travel."""
@@ -102,56 +191,18 @@ class RodFamily:
         self.loads = RodLoads(rods)
         self.structures = self._structures()
 
-    def spec(self, name: str) -> Spec:
-        """Read a model's name.
-
-        Raises:
-            UnknownName: No such structure, addition or joint.
-            InputError: An addition that this robot or these poses cannot have.
-        """
-        first, *rest = name.split("+")
-        if first in ADDITIONS or first.partition(":")[0] in ADDITIONS:
-            first, rest = self.structures[-1] if "complete" not in self.structures else "complete", [first, *rest]
-        if first == "mixed":
-            raise InputError(
-                "bad_option",
-                "mixed is what auto finds when joints differ; name additions by joint, such as complete+periodic:cart2",
-            )
-        if first not in self.structures:
-            raise UnknownName("model", first, [*self.structures, *ADDITIONS])
-        spec = Spec(first)
-        for part in rest:
-            addition, _, joints = part.partition(":")
-            if addition not in ADDITIONS:
-                raise UnknownName("addition to a model", addition, ADDITIONS)
-            can = self.can_have(addition)
-            if not can:
-                raise InputError("unsupported", f"{part}: {self._why_not(addition)}")
-            wanted = joints.split(",") if joints else list(can)
-            for joint in wanted:
-                if joint not in can:
-                    raise UnknownName(f"joint that can be {addition}", joint, can)
-            spec = spec.plus(addition, wanted)
-        return spec
-
-    def can_have(self, addition: str) -> tuple[str, ...]:
-        """Return the joints that an addition makes sense for."""
-        if addition in BETWEEN_CAMPAIGNS:
-            return list_between_campaigns(addition, self.poses)
-        if addition == "backlash":
-            return self.joints if self.poses.approach.any() else ()
-        if addition == "compliant":
-            return self.rails if self.loads.plate_mass > 0 else ()
+    def places(self, addition: str) -> tuple[str, ...]:
+        """Return the joints on guideways, for what guideways and their drives do."""
+        if addition == "compliant" and not self.loads.plate_mass > 0:
+            return ()
         return self.rails if addition in self.screened else ()
 
-    def _why_not(self, addition: str) -> str:
-        if addition in BETWEEN_CAMPAIGNS:
-            return "there is one campaign only; a column `campaign` tells several apart"
-        if addition == "backlash":
-            return "nothing tells from which side the joints came; give poses in the order of measuring, or columns v_J"
+    def why_not(self, addition: str) -> str:
+        """Return why no joint can have an addition."""
         if addition == "compliant" and self.rails:
             return "the robot file gives the plate no mass, so no loads are known"
-        return "this robot has no guideways that stand on its base"
+        general = addition == "backlash" or addition in BETWEEN_CAMPAIGNS
+        return _WHY_NOT[addition] if general else "this robot has no guideways that stand on its base"
 
     def build(self, spec: Spec, periods: dict[str, float] | None = None) -> Geometry:
         """Return the geometry of a model; `periods` are starting values of cyclic errors by joint."""
@@ -177,8 +228,8 @@ class RodFamily:
             found.append("paths")
         return tuple(found)
 
-    def _laws(self, spec: Spec, periods: dict[str, float]) -> tuple[list[DriveLaw], list[GuideLaw]]:
-        drives: list[DriveLaw] = []
+    def _laws(self, spec: Spec, periods: dict[str, float]) -> tuple[list[JointLaw], list[GuideLaw]]:
+        drives: list[JointLaw] = []
         guides: list[GuideLaw] = []
         for addition, label in (("periodic", ""), ("periodic2", "2")):
             for joint in spec.additions.get(addition, ()):
@@ -258,3 +309,62 @@ class RodFamily:
             lengths.setdefault(f"{joints[carrier].name}.rods_length", []).append(f"{name}.length")
             left_out += [f"{name}.{what}_{a}" for what in ("base", "plate") for a in "xyz"]
         return lengths, left_out
+
+
+class TreeFamily(Family):
+    """All models of a robot that is a tree, with or without loops.
+
+    Its file's dimensions, or all of them free; joints that are coupled, yield to gravity, turn eccentrically or have backlash.
+    """
+
+    structures = ("frames", "complete")
+    screened = ("backlash", "gravity", "eccentric", "coupling")
+    known = (*BETWEEN_CAMPAIGNS, *screened)
+    place = "place of"
+
+    def __init__(self, robot: Robot, poses: PoseSet) -> None:
+        """Look at the mechanism and at how far the poses travel."""
+        self.robot, self.poses = robot, poses
+        self.joints = robot.actuated
+        self.tree = build_tree_geometry(robot)
+
+    def places(self, addition: str) -> tuple[str, ...]:
+        """Return the joints that turn, that carry gravity, or pairs of joints."""
+        if addition == "eccentric":
+            units = zip(self.joints, self.robot.position_units, strict=True)
+            return tuple(joint for joint, unit in units if unit == "rad")
+        if addition == "gravity":
+            return tuple(self._gravity_laws)
+        return tuple(f"{a}/{b}" for a in self.joints for b in self.joints if a != b) if addition == "coupling" else ()
+
+    def build(self, spec: Spec, periods: dict[str, float] | None = None) -> Geometry:
+        """Return the geometry of a model."""
+        laws: list[JointLaw | GravityLaw] = [self._coupling(text) for text in spec.additions.get("coupling", ())]
+        laws += [self._gravity_laws[joint] for joint in spec.additions.get("gravity", ())]
+        laws += [EccentricityLaw(joint, self.joints.index(joint)) for joint in spec.additions.get("eccentric", ())]
+        geometry = ArmGeometry(self.tree, tuple(laws)) if laws else self.tree
+        return (
+            constrain_parameters(geometry, {}, self.tree.parameters.names) if spec.structure == "frames" else geometry
+        )
+
+    @cached_property
+    def _gravity_laws(self) -> dict[str, GravityLaw]:
+        """The laws of the joints that carry gravity; none of a robot with loops, whose loads this does not compute."""
+        if self.tree.shape.n_loops:
+            return {}
+        low, high = self.poses.q.min(axis=0), self.poses.q.max(axis=0)
+        return {law.joint: law for law in build_gravity_laws(self.tree, self.joints, low, high)}
+
+    def _coupling(self, text: str) -> CouplingLaw:
+        """Return the law of `JOINT/OTHER`, `JOINT=OTHER` or `JOINT=-OTHER`."""
+        joint, sign, other = re.split("(/|=-|=)", text, maxsplit=1)
+        ratio = {"/": 0.0, "=": 1.0, "=-": -1.0}[sign]
+        return CouplingLaw(joint, self.joints.index(joint), other, self.joints.index(other), ratio)
+
+
+def get_family(robot: Robot, poses: PoseSet) -> Family:
+    """Return the models that a robot's mechanism offers."""
+    try:
+        return RodFamily(build_rods(robot), poses)
+    except NotRods:
+        return TreeFamily(robot, poses)

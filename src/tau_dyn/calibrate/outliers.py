@@ -1,15 +1,73 @@
-"""Poses that are grossly wrong: found with robust weights, named, and left out."""
+"""Poses that do not belong to the others: repeated, flat, grossly wrong, or measured after the device or the target moved.
+
+Gross outliers are found with robust weights. A rigid move of the device, or of the target on the tool, is fitted to the held-out
+residuals (Gauss-Newton). It is compared with what the measurement noise and the fitted parameters' covariance let expect (Wald
+test). Its gain is that at poses left out of the fit, by their leverages.
+References: Seber & Wild 2003, section 5.3 (Wald); Belsley, Kuh & Welsch 1980 (leverage).
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
+from tau_dyn.calibrate.crossvalidation import CrossValidationGain, HeldOutErrors, compare_paired
+from tau_dyn.calibrate.frames import AXES, DeviceFrames, Frame, compute_rotation_between, is_flat
 from tau_dyn.calibrate.geometry_fit import GeometryFit
+from tau_dyn.calibrate.model_selection import Options, fit_spec
+from tau_dyn.calibrate.models import Family, Spec
 from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.estimate import DescentRules, LinearSystem, descend, factor_system
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.mechanism import Poses
+from tau_dyn.parameters import Parameter
 
 _TIMES = 6.0
 """How many times the distance that one good pose in a hundred has; a model that lacks something leaves tails, not this."""
+
+
+_MAX_DUPLICATE_DISTANCE = 1e-9  # [m] or [rad]: positions of joints that are one pose
+
+
+def check_spread(family: Family, poses: PoseSet) -> None:
+    """Refuse poses in one plane where the robot can leave it.
+
+    Raises:
+        CannotAnswer: They lie in a plane.
+    """
+    geometry, rng = family.build(Spec("frames")), np.random.default_rng(0)
+    low, high = poses.q.min(axis=0), poses.q.max(axis=0)
+    q = 0.5 * (low + high) + np.maximum(high - low, 0.1) * (rng.random((64, poses.na)) - 0.5)
+    workspace = geometry.forward(geometry.parameters.values, q)
+    if not is_flat(poses.position) or is_flat(workspace.poses.position[workspace.ok]):
+        return
+    raise CannotAnswer(
+        "poor_excitation",
+        f"{poses.source}: all {poses.n} poses lie in one plane, so that nothing is known of the robot across it",
+        "measure poses all over the workspace, some at least a tenth of its size off that plane",
+    )
+
+
+def drop_duplicate_poses(poses: PoseSet) -> tuple[PoseSet, tuple[str, ...]]:
+    """Return the poses without those that repeat another's joints and measurement, and a warning that names them.
+
+    The same joints measured again with other noise are a repeated measurement and stay.
+    """
+    rotation = np.zeros((poses.n, 9)) if poses.rotation is None else poses.rotation.reshape(-1, 9)
+    rows = np.round(np.column_stack([poses.q, poses.position, rotation, poses.setup]) / _MAX_DUPLICATE_DISTANCE)
+    _, first = np.unique(rows, axis=0, return_index=True)
+    if len(first) == poses.n:
+        return poses, ()
+    left = np.setdiff1d(np.arange(poses.n), first)
+    named = ", ".join(poses.names[k] for k in left[:5]) + (f" and {len(left) - 5} more" if len(left) > 5 else "")
+    how = "pose repeats" if len(left) == 1 else "poses repeat"
+    return poses.take(np.sort(first)), (
+        f"{poses.source}: {len(left)} {how} another one exactly and count once ({named})",
+    )
 
 
 def find_outliers(fitted: GeometryFit) -> np.ndarray:
@@ -34,3 +92,273 @@ def describe_outliers(poses: PoseSet, fitted: GeometryFit, index: np.ndarray) ->
     what = "pose was" if len(index) == 1 else "poses were"
     kind = "gross outlier" if len(index) == 1 else "gross outliers"
     return f"{len(index)} {what} left out as {kind}: {', '.join(shown)}{more}; measure again"
+
+
+_MAX_OUTLIER_SHARE = 0.2  # share of the poses above which they are no outliers but another situation
+_LOOKS_FOR_OUTLIERS = 3  # fits, each without the outliers of the one before it
+
+
+def leave_out_outliers(
+    family: Family, poses: PoseSet, holdout: PoseSet | None, options: Options, model: str | None
+) -> tuple[PoseSet, PoseSet | None, tuple[str, ...]]:
+    """Return training and held-out poses without gross outliers, and sentences that name them."""
+    said: list[str] = []
+    fitted = None
+    for _ in range(_LOOKS_FOR_OUTLIERS):
+        fitted = _robust(family, poses, options, model)
+        bad = find_outliers(fitted)
+        if not len(bad):
+            break
+        if len(bad) > _MAX_OUTLIER_SHARE * poses.n:
+            said.append(
+                f"{poses.source}: {len(bad)} of {poses.n} poses are far from what fits the others; nothing was left out, "
+                "for so many are no outliers: were frames moved in between, or is the robot another one?"
+            )
+            break
+        said.append(describe_outliers(poses, fitted, bad))
+        poses = poses.take(np.setdiff1d(np.arange(poses.n), bad))
+    if holdout is not None and fitted is not None:
+        bad = _held_outliers(fitted, holdout)
+        if len(bad) > _MAX_OUTLIER_SHARE * holdout.n:
+            said.append(
+                f"{holdout.source}: {len(bad)} of {holdout.n} held-out poses are far from the fitted model; nothing was left "
+                "out, for so many are no outliers: were the device or the target moved, or is the robot another one?"
+            )
+        elif len(bad):
+            names = ", ".join(holdout.names[k] for k in bad[:5])
+            said.append(
+                f"{len(bad)} held-out pose{'s' if len(bad) > 1 else ''} left out as gross outliers: {names}; measure again"
+            )
+            holdout = holdout.take(np.setdiff1d(np.arange(holdout.n), bad))
+    return poses, holdout, tuple(said)
+
+
+def _held_outliers(fitted: GeometryFit, holdout: PoseSet) -> np.ndarray:
+    usual = float(np.nanpercentile(fitted.errors(fitted.poses).distance, 90))
+    return np.flatnonzero(~(fitted.errors(holdout).distance < 20 * max(usual, 3 * fitted.noise[0])))
+
+
+def _robust(family: Family, poses: PoseSet, options: Options, model: str | None) -> GeometryFit:
+    """Return a robust fit of the largest structure that the poses bear.
+
+    Raises:
+        InputError: They bear none; or CannotAnswer, as the smallest one says.
+    """
+    robust = replace(options, robust="biweight")
+    specs = [family.spec(model)] if model and model != "auto" else []
+    coupled = {a: own for a, own in specs[0].additions.items() if a == "coupling"} if specs else {}
+    specs += [Spec(s) for s in reversed(family.structures) if s != "paths"]
+    fault: Exception | None = None
+    for spec in specs:
+        try:
+            return fit_spec(family, Spec(spec.structure, {**options.additions, **coupled}), poses, robust)
+        except (InputError, CannotAnswer) as error:
+            fault = error
+    assert fault is not None
+    raise fault
+
+
+_SIGNIFICANCE_LEVEL = 1e-3  # of the Wald test, for each campaign's device and target
+_MIN_GAIN_PERCENT = 20.0
+"""Reduction of the held-out error from which a move is said: effects that the model lacks look like small moves."""
+_MIN_POSES = 6  # poses; with fewer, the six numbers of a frame fit noise
+_RULES = DescentRules(20, small_step=1e-6, small_gain=0.0)
+"""A turn by half a radian takes six steps; the last moves residuals by a millionth of the noise."""
+_ALIKE = 10.0  # difference of twice the log-likelihoods below which device and target are not told apart
+
+
+class MovedFrame(NamedTuple):
+    """A move of the device or of the target before the held-out poses.
+
+    Attributes:
+        owner: `device` or `target`.
+        other: The other one where poses do not tell the two apart, else ''.
+        where: The poses, in words.
+        move: Translation [m] and rotation vector [rad] with standard errors: of the robot's base in the device's axes, or of the
+            target in the tool frame.
+        gain: On held-out poses.
+        own: Which held-out poses it is about (N,).
+        before: Where the device or the target was when the training poses were measured.
+        after: Where it was later.
+    """
+
+    owner: str
+    other: str
+    where: str
+    move: tuple[Parameter, ...]
+    gain: CrossValidationGain
+    own: np.ndarray
+    before: Frame
+    after: Frame
+
+    def undo(self, poses: PoseSet) -> PoseSet:
+        """Return held-out poses as they would have been measured without the move; a target's needs their orientation."""
+        position, rotation = poses.position.copy(), None if poses.rotation is None else poses.rotation.copy()
+        own, turn = self.own, self.before.rotation @ self.after.rotation.T
+        if self.owner == "device":
+            position[own] = self.before.translation + (position[own] - self.after.translation) @ turn.T
+            if rotation is not None:
+                rotation[own] = turn @ rotation[own]
+        elif rotation is not None:
+            back = self.after.inverse
+            position[own] += rotation[own] @ (back.rotation @ self.before.translation + back.translation)
+            rotation[own] = rotation[own] @ back.rotation @ self.before.rotation
+        return replace(poses, position=position, rotation=rotation)
+
+    def describe(self) -> str:
+        """Return it as a sentence with its remedy."""
+        shift, turn = (1e3 * np.linalg.norm([p.value for p in part]) for part in (self.move[:3], self.move[3:]))
+        who = f"the {self.owner}" + (f" or the {self.other}" if self.other else "")
+        rms = [f"{1e3 * x:.3g} mm" for x in (self.gain.after, self.gain.before)]
+        by = f"{shift:.3g} mm" + (f" and {turn:.3g} mrad" if self.move[3:] else "")
+        return (
+            f"{self.where}: {who} seems to have moved before the held-out poses, by {by}; with that move their rms error "
+            f"is {rms[0]} instead of {rms[1]}; fit both files together with a column campaign"
+        )
+
+
+def undo_moves(moved: Sequence[MovedFrame], poses: PoseSet) -> PoseSet:
+    """Return held-out poses as they would have been measured without any move."""
+    for one in moved:
+        poses = one.undo(poses)
+    return poses
+
+
+class _Fit(NamedTuple):
+    frames: DeviceFrames
+    columns: np.ndarray  # whitened, (N, m, p)
+    residuals: np.ndarray  # whitened, (N, m)
+    move: np.ndarray
+    cov: np.ndarray
+
+
+def find_moved_frames(fitted: GeometryFit, holdout: PoseSet) -> list[MovedFrame]:
+    """Return for each campaign and target of the held-out poses the move that they ask for, if any."""
+    found, state = [], fitted.predict(holdout)
+    for campaign, target in np.unique(holdout.setup, axis=0):
+        own = np.all(holdout.setup == (campaign, target), axis=1) & state.ok
+        if own.sum() >= _MIN_POSES:
+            where = (
+                f"{holdout.source}, campaign {holdout.campaigns[campaign]}"
+                if len(holdout.campaigns) > 1
+                else holdout.source
+            )
+            where += f", target {holdout.targets[target]}" if len(holdout.targets) > 1 else ""
+            moved = _find_move(fitted, holdout, own, state.base.take(own), where)
+            found += [moved] if moved else []
+    return found
+
+
+def _find_move(fitted: GeometryFit, holdout: PoseSet, own: np.ndarray, base: Poses, where: str) -> MovedFrame | None:
+    """Return the move of the device or the target of one set-up, the likelier one; None where neither is significant."""
+    poses = holdout.take(own)
+    both = zip((fitted.frames.device, fitted.frames.tool), poses.setup[0], strict=True)
+    start = DeviceFrames(*((frames[min(k, len(frames) - 1)],) for frames, k in both))
+    m = 6 if poses.rotation is not None and fitted.geometry.orients else 3
+    sigma = poses.relative_errors(m) * np.repeat(np.array(fitted.noise)[: m // 3], 3)
+    before = _compute_residuals(start, poses, base, sigma)
+    owners = ("device", "target") if fitted.geometry.orients else ("device",)
+    fits = {owner: _fit_move(owner, start, fitted, poses, base, sigma) for owner in owners}
+    sizes = {owner: float(np.sum(fit.residuals**2)) for owner, fit in fits.items()}
+    owner = min(sizes, key=lambda o: sizes[o])
+    fit = fits[owner]
+    p_value = float(stats.chi2.sf(fit.move @ np.linalg.pinv(fit.cov) @ fit.move, len(fit.move)))
+    after = _leave_out_each(fit)
+    gain = compare_paired(_as_errors(before * sigma, poses), _as_errors(after * sigma, poses))
+    if not p_value < _SIGNIFICANCE_LEVEL / len(owners) or not gain.percent > _MIN_GAIN_PERCENT:
+        return None
+    near = [o for o in owners if o != owner and before.size * np.log(sizes[o] / max(sizes[owner], 1e-300)) < _ALIKE]
+    error = np.sqrt(np.maximum(np.diag(fit.cov), 0.0))
+    move = tuple(
+        Parameter(f"{owner}_moved.{axis}", float(x), "m" if i < 3 else "rad", stderr=float(e))
+        for i, (axis, x, e) in enumerate(zip(AXES, fit.move, error, strict=False))
+    )
+    pair = [(f.device if owner == "device" else f.tool)[0] for f in (start, fit.frames)]
+    return MovedFrame(owner, near[0] if near else "", where, move, gain, own, *pair)
+
+
+@dataclass(frozen=True, eq=False)
+class _MoveProblem:
+    """The move of one frame as a least-squares problem; its states are `DeviceFrames`, its residuals whitened (N, m)."""
+
+    owner: str
+    poses: PoseSet
+    base: Poses
+    sigma: np.ndarray
+
+    @property
+    def free(self) -> int:
+        """Numbers of the frame that poses can show: a target without orientation has its place alone."""
+        return 6 if self.owner == "device" or self.sigma.shape[1] == 6 else 3
+
+    def columns(self, frames: DeviceFrames) -> np.ndarray:
+        """Return whitened derivatives (N, m, free)."""
+        zero, m = np.zeros(len(self.base.position), int), self.sigma.shape[1]
+        device, tool = frames.columns(self.base, frames.measured(self.base, zero), zero)
+        return (device if self.owner == "device" else tool)[:, :m, : self.free] / self.sigma[:, :, None]
+
+    def residuals(self, frames: DeviceFrames) -> np.ndarray:
+        """Return whitened measured minus predicted."""
+        return _compute_residuals(frames, self.poses, self.base, self.sigma)
+
+    def linearise(self, state: DeviceFrames) -> LinearSystem:
+        """Return the linear system about frames."""
+        return factor_system(
+            self.columns(state).reshape(-1, self.free), self.residuals(state).ravel(), np.ones(self.free)
+        )
+
+    def move(self, state: DeviceFrames, step: np.ndarray) -> DeviceFrames:
+        """Return moved frames."""
+        whole = np.concatenate([step, np.zeros(6 - self.free)])
+        return state.moved(*((whole, np.zeros(6)) if self.owner == "device" else (np.zeros(6), whole)))
+
+    def gain(self, state: DeviceFrames, trial: DeviceFrames) -> float:
+        """Return by how much the sum of squares falls."""
+        return float(np.sum(self.residuals(state) ** 2) - np.sum(self.residuals(trial) ** 2))
+
+
+def _fit_move(
+    owner: str, start: DeviceFrames, fitted: GeometryFit, poses: PoseSet, base: Poses, sigma: np.ndarray
+) -> _Fit:
+    """Return the move of one frame that leaves least, with the covariance that noise and the fitted parameters give it."""
+    problem = _MoveProblem(owner, poses, base, sigma)
+    frames = descend(problem, start, _RULES).state
+    residuals, columns, free = problem.residuals(frames), problem.columns(frames), problem.free
+    (first, last) = (start.device[0], frames.device[0]) if owner == "device" else (start.tool[0], frames.tool[0])
+    turn = last.rotation @ first.rotation.T if owner == "device" else first.rotation.T @ last.rotation
+    move = np.concatenate(
+        [last.translation - first.translation, compute_rotation_between(turn[None], np.eye(3)[None])[0]]
+    )
+    inverse = np.linalg.pinv(columns.reshape(-1, free))
+    by_parameters = inverse @ _compute_prediction_columns(fitted, poses, base, sigma)
+    scale = max(1.0, float(np.sum(residuals**2)) / max(residuals.size - free, 1))
+    cov = scale * inverse @ inverse.T + by_parameters @ fitted.cov @ by_parameters.T
+    return _Fit(frames, columns, residuals, move[:free], cov)
+
+
+def _compute_residuals(frames: DeviceFrames, poses: PoseSet, base: Poses, sigma: np.ndarray) -> np.ndarray:
+    """Return whitened measured minus predicted (N, m)."""
+    seen = frames.measured(base, np.zeros(len(base.position), int))
+    out = [poses.position - seen.position]
+    if sigma.shape[1] == 6:
+        assert poses.rotation is not None
+        out.append(compute_rotation_between(poses.rotation, seen.rotation))
+    return np.concatenate(out, axis=1) / sigma
+
+
+def _compute_prediction_columns(fitted: GeometryFit, poses: PoseSet, base: Poses, sigma: np.ndarray) -> np.ndarray:
+    """Return the whitened predictions' derivative by the fit's free unknowns (N m, f)."""
+    columns = fitted.compute_prediction_columns(poses.q, base, poses.setup)[:, : sigma.shape[1]]
+    return (columns / sigma[:, :, None]).reshape(sigma.size, -1)
+
+
+def _leave_out_each(fit: _Fit) -> np.ndarray:
+    """Return each pose's residuals (N, m) of the move fitted without it: `(I - H_ii)^-1 r_i`."""
+    n, m, p = fit.columns.shape
+    q = np.linalg.qr(fit.columns.reshape(n * m, p))[0].reshape(n, m, p)
+    return np.linalg.solve(np.eye(m) - q @ np.swapaxes(q, 1, 2), fit.residuals[:, :, None])[:, :, 0]
+
+
+def _as_errors(errors: np.ndarray, poses: PoseSet) -> HeldOutErrors:
+    rotation = errors[:, 3:] if errors.shape[1] == 6 else None
+    return HeldOutErrors(errors[:, :3], rotation, poses.relative_errors(6), poses.configuration)

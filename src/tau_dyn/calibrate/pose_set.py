@@ -136,6 +136,29 @@ class PoseSet:
         return replace(self, rotation=None)
 
 
+def number_alike(poses: PoseSet, holdout: PoseSet) -> PoseSet:
+    """Return held-out poses with the training poses' numbering of campaigns and targets."""
+    campaign = _renumber(holdout, "campaign", holdout.campaign, holdout.campaigns, poses.campaigns)
+    target = _renumber(holdout, "target", holdout.target, holdout.targets, poses.targets)
+    return replace(holdout, campaign=campaign, campaigns=poses.campaigns, target=target, targets=poses.targets)
+
+
+def _renumber(
+    holdout: PoseSet, kind: str, number: np.ndarray, names: tuple[str, ...], known: tuple[str, ...]
+) -> np.ndarray:
+    """Return numbers (N,) of names as they stand among the known ones; one name alone is the same one under any name."""
+    if len(known) == 1 and len(names) == 1:
+        return number
+    for name in names:
+        if name not in known:
+            raise InputError(
+                "mismatch",
+                f"{holdout.source}: {kind} {name} is not among the training poses' {kind}s ({', '.join(known)}), "
+                "so where it is is unknown",
+            )
+    return np.array([known.index(name) for name in names])[number]
+
+
 def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
     """Return the poses of several files as one set; campaigns of one name are one campaign, and so are targets.
 

@@ -7,16 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.candidates import CandidateModel, SelectionStep
 from tau_dyn.calibrate.causes import CalibrationFinding
 from tau_dyn.calibrate.crossvalidation import HeldOutErrors, compute_rms_interval, summarise_held_out_errors
 from tau_dyn.calibrate.geometry import expand_constraints
-from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.measurement_noise import MeasurementNoise
-from tau_dyn.calibrate.pose_errors import PoseErrors
+from tau_dyn.calibrate.geometry_fit import GeometryFit, compute_sensitivities
+from tau_dyn.calibrate.model_selection import CandidateModel, SelectionStep
+from tau_dyn.calibrate.pose_errors import MeasurementNoise, PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.rod_geometry import RodGeometry
-from tau_dyn.calibrate.sensitivity import compute_sensitivities
 from tau_dyn.results import Shown
 from tau_dyn.robot import Robot
 
@@ -235,10 +232,7 @@ def build_frame_rows(fitted: GeometryFit) -> list[dict[str, object]]:
 def turn_rows(fitted: GeometryFit) -> list[dict[str, object]]:
     """Return the orientations of turning joints' frames as unit quaternions `x y z w`, in their parents' frames."""
     geometry, (theta,) = expand_constraints(fitted.geometry, fitted.theta)
-    if not isinstance(geometry, RodGeometry):
-        return []
     return [
-        {"joint": j.name, "quaternion": Rotation.from_matrix(j.rotation).as_quat(canonical=True).tolist()}
-        for j in geometry.numbers(theta).joints
-        if not j.slides
+        {"joint": name, "quaternion": Rotation.from_matrix(rotation).as_quat(canonical=True).tolist()}
+        for name, rotation in geometry.list_turned_joints(theta)
     ]

@@ -1,11 +1,9 @@
-r"""A parallel robot of points and distances as a `Geometry`: `|A_k(q) - B_k(X)| = L_k` (thesis (4.14)), laws on top.
+"""A parallel robot of points and distances as a `Geometry`: `|A_k(q) - B_k(X)| = L_k` (thesis (4.14)), laws on top.
 
-Parameters are those of `kinematics.geometry`, except that a turning joint has, instead of an axis of free length, the
-orientation of its
-frame: `<joint>.turn_x/y/z`, a rotation vector after the nominal orientation, in the frame's own axes. So a joint's
-axis and its zero are both free, its gear is not, and no quaternion has to be kept at norm 1 (thesis 5.4 left its four
-numbers free). Every law adds its own. The tool's frame on the plate is part of the target's (`tool.x` ..), since
-plate points are free.
+Parameters are those of the mechanism, except that a turning joint has, instead of an axis of free length, the orientation of its
+frame: `<joint>.turn_x/y/z`, a rotation vector after the nominal orientation, in the frame's own axes. So a joint's axis and its
+zero are both free, its gear is not, and no quaternion has to be kept at norm 1 (thesis 5.4 left its four numbers free). Every law
+adds its own. The tool's frame on the plate is part of the target's (`tool.x` ..), since plate points are free.
 """
 
 from __future__ import annotations
@@ -13,16 +11,174 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.drive_and_guide_laws import DriveLaw, GuideLaw
-from tau_dyn.calibrate.geometry import Predicted
-from tau_dyn.calibrate.placed_rods import PlacedRods
-from tau_dyn.calibrate.rod_numbers import TURN, compute_dimensions_at
-from tau_dyn.mechanism import Poses, RodDimensions, Rods, forward_kinematics
+from tau_dyn.calibrate.geometry import Closure, GeometryDefaults, Predicted
+from tau_dyn.calibrate.laws import GuideLaw, JointLaw, move_joints
+from tau_dyn.mechanism import (
+    AXES,
+    Carried,
+    ChainJoint,
+    Poses,
+    RodDimensions,
+    Rods,
+    compute_gap_columns,
+    compute_joint_frames,
+    compute_leg_lengths,
+    compute_leg_rates,
+    compute_points,
+    compute_velocities,
+    forward_kinematics,
+    list_path,
+    multiply_by_constant,
+    skew,
+)
 from tau_dyn.parameters import Parameter, Parameters
+
+TURN = "turn"
+
+
+@dataclass(frozen=True, eq=False)
+class TurnedNumbers(RodDimensions):
+    """Dimensions that remember the rotation vectors of turning joints."""
+
+    turns: dict[str, np.ndarray] | None = None
+
+    def turn(self, joint: str) -> np.ndarray:
+        """Return a turning joint's rotation vector (3,) [rad]."""
+        return (self.turns or {}).get(joint, np.zeros(3))
+
+
+def compute_dimensions_at(nominal: RodDimensions, values: dict[str, float]) -> RodDimensions:
+    """Return a robot's dimensions at parameter values, those of `kinematics.geometry` with `turn` in place of an axis."""
+
+    def vector(owner: str, what: str) -> np.ndarray:
+        return np.array([values[f"{owner}.{what}_{a}"] for a in AXES])
+
+    joints, turns = list(nominal.joints), {}
+    if nominal.arms:
+        for arm, carrier in zip(nominal.arms, nominal.carried.carrier, strict=True):
+            joints[carrier] = joints[carrier]._replace(origin=vector(arm, "origin"), direction=vector(arm, "direction"))
+        lengths = np.array([values[f"{arm}.length"] for arm in nominal.arms])
+        return replace(nominal, joints=tuple(joints), lengths=lengths)
+    for k, joint in enumerate(joints):
+        if joint.slides:
+            joints[k] = joint._replace(origin=vector(joint.name, "origin"), direction=vector(joint.name, "direction"))
+            continue
+        turn = turns[joint.name] = vector(joint.name, TURN)
+        own = joint.rotation.T @ joint.direction  # the axis in the joint's own frame
+        rotation = joint.rotation @ Rotation.from_rotvec(turn).as_matrix()
+        joints[k] = joint._replace(origin=vector(joint.name, "origin"), direction=rotation @ own, rotation=rotation)
+    return TurnedNumbers(
+        **{
+            **{f: getattr(nominal, f) for f in RodDimensions.__dataclass_fields__},
+            "joints": tuple(joints),
+            "carried": Carried(nominal.carried.carrier, np.array([vector(n, "base") for n in nominal.names])),
+            "lengths": np.array([values[f"{n}.length"] for n in nominal.names]),
+            "on_plate": np.array([vector(n, "plate") for n in nominal.names]),
+        },
+        turns=turns,
+    )
+
+
+def right_jacobian(t: np.ndarray) -> np.ndarray:
+    """Return `J_r(t)` (3, 3): `Exp(t + dt) = Exp(t) Exp(J_r dt)` (Chirikjian 2012)."""
+    angle = float(np.linalg.norm(t))
+    k = skew(t)
+    if angle < 1e-6:
+        return np.eye(3) - 0.5 * k + k @ k / 6
+    return np.eye(3) - (1 - np.cos(angle)) / angle**2 * k + (angle - np.sin(angle)) / angle**3 * (k @ k)
+
+
+class PlacedRods:
+    """Points A of a geometry at some positions, everything evaluated once; arrays of chains have samples last."""
+
+    def __init__(
+        self,
+        numbers: RodDimensions,
+        drives: Sequence[JointLaw],
+        guides: Sequence[GuideLaw],
+        laws: Sequence[np.ndarray],
+        q: np.ndarray,
+    ) -> None:
+        """Place the points at positions `q` (N, na); `laws` holds each law's values, drives first."""
+        self.numbers, self.q = numbers, q
+        self.moved = move_joints(drives, laws[: len(drives)], q)
+        self.guide_shifts = [law.displace(v, q) for law, v in zip(guides, laws[len(drives) :], strict=True)]
+        self.moving = np.ascontiguousarray(self.moved.real.T)
+        self.frames = compute_joint_frames(self.numbers.joints, self.moving)
+        self.places = compute_points(self.numbers.joints, self.numbers.carried, self.moving)
+        self.points = self.places.transpose(2, 0, 1) + sum(s.shift for s in self.guide_shifts)
+        self.lengths = np.broadcast_to(compute_leg_lengths(self.numbers, self.moving).T, self.points.shape[:2])
+
+    def _between(self, plate: Poses) -> tuple[np.ndarray, np.ndarray]:
+        arms = self.numbers.on_plate @ np.swapaxes(plate.rotation, 1, 2)
+        return self.points - plate.position[:, None] - arms, arms
+
+    def gap(self, plate: Poses) -> np.ndarray:
+        """Return `|A - B| - L` (N, n)."""
+        return np.linalg.norm(self._between(plate)[0], axis=2) - self.lengths
+
+    def directions(self, plate: Poses) -> np.ndarray:
+        """Return unit vectors from B to A (N, n, 3)."""
+        between, _ = self._between(plate)
+        return between / np.linalg.norm(between, axis=2, keepdims=True)
+
+    def by_pose(self, plate: Poses) -> np.ndarray:
+        """Return the gaps' derivative by the plate's twist (N, n, 6)."""
+        between, arms = self._between(plate)
+        unit = between / np.linalg.norm(between, axis=2, keepdims=True)
+        return -np.concatenate([unit, np.cross(arms, unit)], axis=2)
+
+    def columns(self, unit: np.ndarray, plate: Poses) -> dict[tuple[int, str], np.ndarray]:
+        """Return the gaps' derivatives by the dimensions."""
+        rotation = np.moveaxis(np.asarray(plate.rotation), 0, 2)
+        return compute_gap_columns(
+            self.numbers, self.frames, self.moving, self.places, unit.transpose(1, 2, 0), rotation
+        )
+
+    def turning(self) -> list[tuple[ChainJoint, int]]:
+        """Return the turning joints and their places in the chain list."""
+        return [(j, k) for k, j in enumerate(self.numbers.joints) if not j.slides]
+
+    def by_turn(self, joint: ChainJoint, place: int, unit: np.ndarray) -> list[tuple[int, np.ndarray]]:
+        r"""Return, rod by rod on this joint, the gap's derivative (N, 3) by its `turn`.
+
+        The frame is `S = R_parent R_0 Exp(t)`; a change of `t` turns all behind it by `S J_r(t) dt` about the joint's
+        origin.
+        """
+        parent = self.frames[joint.parent].rotation if joint.parent >= 0 else np.eye(3)[:, :, None]
+        frame = (
+            multiply_by_constant(parent, joint.rotation)
+            if parent.shape[2] > 1
+            else (parent[:, :, 0] @ joint.rotation)[:, :, None]
+        )
+        origin = self.frames[place].origin
+        turn = self.numbers.turn(joint.name) if isinstance(self.numbers, TurnedNumbers) else np.zeros(3)
+        found = []
+        for k, carrier in enumerate(self.numbers.carried.carrier):
+            if place in list_path(self.numbers.joints, carrier):
+                arm = self.places[k] - origin
+                moment = np.cross(arm.T, unit[:, k])  # u . (w x arm) = w . (arm x u)
+                own = np.einsum("ijn,ni->nj", np.broadcast_to(frame, (3, 3, len(moment))), moment)
+                found.append((k, own @ right_jacobian(turn)))
+        return found
+
+    def by_effective_joint(self, unit: np.ndarray) -> np.ndarray:
+        """Return the gaps' derivative by positions after the drives (N, n, na)."""
+        out = np.zeros((*unit.shape[:2], self.q.shape[1]))
+        for (k, a), column in compute_velocities(
+            self.numbers.joints, self.numbers.carried, self.frames, self.places
+        ).items():
+            out[:, k, a] = np.einsum("ni,in->n", unit[:, k], np.broadcast_to(column, (3, len(unit))))
+        rates = np.broadcast_to(compute_leg_rates(self.numbers, self.moving), (unit.shape[1], len(unit)))
+        for k in np.flatnonzero(self.numbers.slides >= 0):
+            out[:, k, self.numbers.slides[k]] -= rates[k]
+        return out
+
 
 _STEPS = 12  # Newton steps to a pose
 _AT_REST = 1e-9  # [m or rad]: after a step this small the next one, a quadratic one, would be rounding
@@ -30,7 +186,7 @@ _CLOSED = 1e-9  # [m]
 
 
 @dataclass(frozen=True, eq=False)
-class RodGeometry:
+class RodGeometry(GeometryDefaults):
     """A parallel robot with free dimensions.
 
     Attributes:
@@ -40,7 +196,7 @@ class RodGeometry:
     """
 
     rods: Rods
-    drives: tuple[DriveLaw, ...] = ()
+    drives: tuple[JointLaw, ...] = ()
     guides: tuple[GuideLaw, ...] = ()
 
     @property
@@ -112,48 +268,40 @@ class RodGeometry:
         plate = self.rods.plate_poses(poses)
         return self._tool_twist(at, plate, self._by_joint(at, plate))
 
-    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
+    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure:
         """Return the gaps `|A - B| - L` (N, n) [m]."""
-        return self._at(theta, q).gap(self.rods.plate_poses(poses))
-
-    def closure_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
-        """Return the gaps' derivative by the parameters (N, n, p)."""
-        return self._by_parameter(self._at(theta, q), self.rods.plate_poses(poses))
-
-    def closure_by_pose(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
-        """Return the gaps' derivative by the tool's twist (N, n, 6)."""
-        plate = self.rods.plate_poses(poses)
-        by_plate = self._at(theta, q).by_pose(plate)
-        arm = plate.rotation @ self.rods.tool.translation
-        turned = by_plate[:, :, 3:] - np.cross(by_plate[:, :, :3], -arm[:, None]) if arm.any() else by_plate[:, :, 3:]
-        return np.concatenate([by_plate[:, :, :3], turned], axis=2)
-
-    def closure_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
-        """Return the gaps' derivative by the actuated joints (N, n, na)."""
-        return self._by_joint(self._at(theta, q), self.rods.plate_poses(poses))
+        at, plate = self._at(theta, q), self.rods.plate_poses(poses)
+        by_pose, arm = at.by_pose(plate), plate.rotation @ self.rods.tool.translation
+        by_pose[:, :, 3:] += np.cross(by_pose[:, :, :3], arm[:, None])
+        return Closure(at.gap(plate), self._by_parameter(at, plate), by_pose, self._by_joint(at, plate))
 
     def numbers(self, theta: np.ndarray) -> RodDimensions:
         """Return the robot's dimensions at these parameters, without the laws."""
         values = dict(zip(self.parameters.names, np.asarray(theta, float).tolist(), strict=True))
         return compute_dimensions_at(self.rods.numbers, values)
 
+    beyond_file = "rods between carts and a plate"
+
+    @property
+    def description(self) -> dict[str, Any] | None:
+        """Its kind; None with laws of drives or guideways."""
+        return None if self.drives or self.guides else {"kind": "rods"}
+
+    def list_turned_joints(self, theta: np.ndarray) -> list[tuple[str, np.ndarray]]:
+        """Return the turning joints with their frames' orientations (3, 3)."""
+        return [(j.name, j.rotation) for j in self.numbers(theta).joints if not j.slides]
+
     def rods_at(self, theta: np.ndarray) -> Rods:
         """Return the robot with these dimensions, without the laws."""
         numbers = self.numbers(theta)
         return replace(self.rods, numbers=numbers, lengths=numbers.lengths, on_plate=numbers.on_plate)
 
-    def law_values(self, theta: np.ndarray) -> dict[int, np.ndarray]:
-        """Return each law's part of the parameters, by its place in `drives + guides`."""
-        k, found = len(self.rods.geometry), {}
-        for place, law in enumerate((*self.drives, *self.guides)):
-            n = len(law.parameters)
-            found[place] = theta[k : k + n]
-            k += n
-        return found
-
     def _at(self, theta: np.ndarray, q: np.ndarray) -> PlacedRods:
         theta = np.asarray(theta, float)
-        return PlacedRods(self.numbers(theta), self.drives, self.guides, self.law_values(theta), np.asarray(q, float))
+        ends = np.cumsum([len(self.rods.geometry), *(len(law.parameters) for law in (*self.drives, *self.guides))])
+        return PlacedRods(
+            self.numbers(theta), self.drives, self.guides, np.split(theta, ends)[1:-1], np.asarray(q, float)
+        )
 
     def _newton(self, at: PlacedRods, plate: Poses) -> tuple[Poses, np.ndarray]:
         """Return plate poses that close the rods, and where they do (N,)."""
@@ -209,11 +357,10 @@ class RodGeometry:
                 first = index[f"{joint.name}.{TURN}_x"]
                 out[:, k, first : first + 3] = column
         k = len(self.rods.geometry)
-        by_q = at.by_effective_joint(unit) if self.drives else None
-        for law, shift in zip(self.drives, at.drive_shifts, strict=True):
-            assert by_q is not None
-            n = shift.columns.shape[1]
-            out[:, :, k : k + n] = by_q[:, :, law.actuator, None] * shift.columns[:, None]
+        by_q = at.by_effective_joint(unit) if self.drives else np.zeros((*unit.shape[:2], 0))
+        for actuator, columns in at.moved.columns:
+            n = columns.shape[1]
+            out[:, :, k : k + n] = by_q[:, :, actuator, None] * columns[:, None]
             k += n
         for shift in at.guide_shifts:
             n = shift.columns.shape[3]
@@ -223,9 +370,7 @@ class RodGeometry:
 
     def _by_joint(self, at: PlacedRods, plate: Poses) -> np.ndarray:
         unit = at.directions(plate)
-        out = at.by_effective_joint(unit)
-        for law, shift in zip(self.drives, at.drive_shifts, strict=True):
-            out[:, :, law.actuator] *= 1 + shift.slope[:, None]
+        out = at.by_effective_joint(unit) @ at.moved.by_encoder
         for law, shift in zip(self.guides, at.guide_shifts, strict=True):
             out[:, :, law.actuator] += np.einsum("nki,nki->nk", unit, shift.slope)
         return out

@@ -1,9 +1,14 @@
-"""A calibrated robot as a YAML file that carries its own robot file: written whole, read without running code.
+"""Calibrated robots and compensations as YAML files that carry their own robot file: written whole, read without running code.
 
-save_calibration("l1_calibrated.yaml", found)
-robot = load_calibration("l1_calibrated.yaml")
-robot.forward(q).poses          # in the robot's base frame
-robot.rods                      # for fk, ik, Jacobians of `kinematics`, without what carts and drives do besides
+    save_calibration("l1_calibrated.yaml", found)
+    robot = load_calibration("l1_calibrated.yaml")
+    robot.forward(q).poses          # in the robot's base frame
+    robot.rods                      # for fk, ik, Jacobians of `mechanism`, without what carts and drives do besides
+
+    save_compensation(compensation, "delta_compensation.yaml")
+    q_corrected = load_compensation("delta_compensation.yaml")(q).q
+
+Parameters are listed with the nominal and the calibrated value, so that a person can read what was corrected.
 """
 
 from __future__ import annotations
@@ -17,21 +22,20 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.corrected_urdf import format_corrected_urdf
-from tau_dyn.calibrate.families import get_family
+from tau_dyn.calibrate.compensation import Compensation, build_compensation
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.geometry import Geometry, Predicted, expand_constraints
-from tau_dyn.calibrate.models import Spec
+from tau_dyn.calibrate.models import Spec, get_family
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.calibrate.rod_geometry import RodGeometry
-from tau_dyn.calibrate.tree_geometry import TreeGeometry
+from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml, write_whole
-from tau_dyn.mechanism import Poses, Rods
+from tau_dyn.mechanism import Poses, Rods, build_rods
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
-FORMAT = 1  # version of the file format
+_FORMAT = 1  # version of both file formats
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,14 +74,13 @@ class CalibratedRobot:
         """
         source = source or self.robot.source
         geometry, (theta,) = expand_constraints(self.geometry, self.theta)
-        if not isinstance(geometry, TreeGeometry):
-            what = "rods between carts and a plate" if isinstance(geometry, RodGeometry) else "laws of its joints"
+        if geometry.beyond_file:
             raise InputError(
                 "unsupported",
-                f"{source}: a robot file cannot hold this calibration, which has {what}; correct joint positions by "
-                "calibrate --correct, or use load_calibration in Python",
+                f"{source}: a robot file cannot hold this calibration, which has {geometry.beyond_file}; correct joint "
+                "positions by calibrate --correct, or use load_calibration in Python",
             )
-        urdf = format_corrected_urdf(geometry, theta)
+        urdf = geometry.format_urdf(theta)
         return load_robot_from_urdf(urdf, source, actuated=self.robot.actuated, tool=self.robot.tool)
 
     @property
@@ -88,11 +91,12 @@ class CalibratedRobot:
             InputError: A robot of another kind.
         """
         geometry, (theta,) = expand_constraints(self.geometry, self.theta)
-        if not isinstance(geometry, RodGeometry):
+        rods = geometry.rods_at(theta)
+        if rods is None:
             raise InputError(
                 "unsupported", f"{self.robot.source} is no robot of rods between carts and a plate; use `forward`"
             )
-        return geometry.rods_at(theta)
+        return rods
 
 
 def save_calibration(path: str | Path, found: Calibration) -> None:
@@ -104,7 +108,6 @@ def save_calibration(path: str | Path, found: Calibration) -> None:
     robot, fitted = found.robot, found.fit
     spec = found.chosen.spec
     content = {
-        "tau_dyn_calibration": FORMAT,
         "model": {
             "name": found.chosen.name,
             "structure": spec.structure,
@@ -124,15 +127,8 @@ def save_calibration(path: str | Path, found: Calibration) -> None:
         },
         "noise": [float(x) for x in fitted.noise],
         "poses": {"source": found.poses.source, "sha256": found.poses.sha256, "n": found.poses.n},
-        "robot": {
-            "source": robot.source,
-            "arguments": {k: str(v) for k, v in robot.arguments.items()},
-            "actuated": list(robot.actuated),
-            "sha256": robot.sha256,
-        },
-        "urdf": robot.urdf,
     }
-    write_whole(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110))
+    _write(path, "tau_dyn_calibration", content, robot)
 
 
 def load_calibration(path: str | Path) -> CalibratedRobot:
@@ -141,11 +137,7 @@ def load_calibration(path: str | Path) -> CalibratedRobot:
     Raises:
         InputError: The file is missing, not YAML or not a calibration of ours; the message names the entry.
     """
-    content = read_yaml(path)
-    if not isinstance(content, dict) or content.get("tau_dyn_calibration") != FORMAT:
-        raise InputError(
-            "file_format", f"{path}: not a calibrated robot (its first key is 'tau_dyn_calibration: {FORMAT}')"
-        )
+    content = _read(path, "tau_dyn_calibration", "calibrated robot")
     try:
         return _built(content)
     except InputError as fault:
@@ -157,14 +149,7 @@ def load_calibration(path: str | Path) -> CalibratedRobot:
 
 
 def _built(content: Mapping[str, Any]) -> CalibratedRobot:
-    about = content["robot"]
-    robot = load_robot_from_urdf(
-        content["urdf"],
-        str(about["source"]),
-        actuated=[str(j) for j in about["actuated"]],
-        arguments=dict(about["arguments"]),
-        sha256=str(about["sha256"]),
-    )
+    robot = _load_robot(content)
     travel = np.array(content["travel"], float).T
     additions = {str(k): tuple(str(j) for j in v) for k, v in content["model"]["additions"].items()}
     spec = Spec(str(content["model"]["structure"]), additions)
@@ -196,3 +181,124 @@ def _read_frame(row: Mapping[str, Any]) -> Frame:
     if rotation.shape != (3, 3) or translation.shape != (3,) or not np.isfinite([*rotation, translation]).all():
         raise InputError("file_format", "a frame is no place and orientation")
     return Frame(rotation, translation)
+
+
+def save_compensation(compensation: Compensation, path: str | Path) -> None:
+    """Write a compensation; the file appears whole or not at all.
+
+    Raises:
+        InputError: A geometry that cannot be told in words, or a place that cannot be written.
+    """
+    description = compensation.geometry.description
+    if description is None:
+        raise InputError(
+            "unsupported",
+            f"a compensation of {type(compensation.geometry).__name__} with laws of drives or guideways cannot be saved; use it "
+            "from Python",
+        )
+    robot, p = compensation.robot, compensation.geometry.parameters
+    changed = [
+        {"name": row.name, "unit": row.unit, "nominal": float(a), "value": float(b)}
+        for row, a, b in zip(p, compensation.nominal, compensation.theta, strict=True)
+        if a != row.value or b != row.value
+    ]
+    content = {
+        "method": compensation.method,
+        "axes": list(compensation.axes),
+        "limits": compensation.limits,
+        "geometry": description,
+        "parameters": changed,
+    }
+    _write(path, "tau_dyn_compensation", content, robot)
+
+
+def load_compensation(path: str | Path) -> Compensation:
+    """Read a compensation.
+
+    Raises:
+        InputError: The file is missing, not YAML or not a compensation of ours; the message names the entry.
+    """
+    content = _read(path, "tau_dyn_compensation", "compensation")
+    kinds = (("robot", dict), ("geometry", dict), ("parameters", list), ("axes", list), ("urdf", str), ("method", str))
+    for key, kind in kinds:
+        if not isinstance(content.get(key), kind):
+            raise InputError("file_format", f"{path}: '{key}' is missing or not a {kind.__name__}")
+    try:
+        robot = _load_robot(content)
+        geometry = _build_described_geometry(robot, content["geometry"])
+    except InputError as fault:
+        raise InputError(fault.code, f"{path}: {fault}") from fault
+    nominal, theta = _values(content["parameters"], geometry, path)
+    return build_compensation(
+        robot,
+        geometry,
+        theta,
+        nominal=nominal,
+        method=content["method"],
+        axes=[str(axis) for axis in content["axes"]],
+        limits=content.get("limits") is not False,
+    )
+
+
+def _build_described_geometry(robot: Robot, description: Mapping[str, Any]) -> Geometry:
+    """Return the geometry that a file describes."""
+    kind, tool = description.get("kind"), description.get("tool")
+    if kind == "rods":
+        return RodGeometry(build_rods(robot))
+    if kind != "tree":
+        raise InputError("file_format", f"no geometry of kind '{kind}'; there are tree, rods")
+    if tool is not None and not isinstance(tool, str):
+        raise InputError("file_format", f"geometry.tool must be a frame's name, not {tool!r}")
+    return build_tree_geometry(robot, tool=tool)
+
+
+def _values(rows: list[Any], geometry: Geometry, path: str | Path) -> tuple[np.ndarray, np.ndarray]:
+    names = geometry.parameters.names
+    nominal, theta = geometry.parameters.values.copy(), geometry.parameters.values.copy()
+    for k, row in enumerate(rows):
+        if not isinstance(row, dict) or not {"name", "nominal", "value"} <= set(row):
+            raise InputError("file_format", f"{path}: parameters: entry {k + 1} must have name, nominal and value")
+        if row["name"] not in names:
+            raise InputError("mismatch", f"{path}: parameter '{row['name']}' does not belong to this robot")
+        for key, target in (("nominal", nominal), ("value", theta)):
+            x = row[key]
+            if isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) < 1e300:
+                raise InputError("file_format", f"{path}: {row['name']}.{key} must be a finite number, not {x!r}")
+            target[names.index(row["name"])] = float(x)
+    return nominal, theta
+
+
+def _write(path: str | Path, kind: str, content: dict[str, Any], robot: Robot) -> None:
+    """Write a file of a kind with its robot; it appears whole or not at all."""
+    about = {
+        "source": robot.source,
+        "arguments": {k: str(v) for k, v in robot.arguments.items()},
+        "actuated": list(robot.actuated),
+        "sha256": robot.sha256,
+    }
+    content = {kind: _FORMAT, **content, "robot": about, "urdf": robot.urdf}
+    write_whole(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110))
+
+
+def _read(path: str | Path, kind: str, what: str) -> dict[str, Any]:
+    content = read_yaml(path)
+    if not isinstance(content, dict) or content.get(kind) != _FORMAT:
+        raise InputError("file_format", f"{path}: not a {what} (its first key is '{kind}: {_FORMAT}')")
+    return content
+
+
+def _load_robot(content: Mapping[str, Any]) -> Robot:
+    """Return the robot of a file."""
+    about = content["robot"]
+    actuated, arguments = about.get("actuated"), about.get("arguments") or {}
+    if not isinstance(actuated, list) or not all(isinstance(name, str) for name in actuated):
+        raise InputError("file_format", "robot.actuated must be a list of joints")
+    if not isinstance(arguments, dict):
+        raise InputError("file_format", "robot.arguments must be names and values")
+    return load_robot_from_urdf(
+        content["urdf"],
+        str(about.get("source", "robot")),
+        actuated=actuated,
+        arguments=arguments,
+        sha256=str(about.get("sha256", "")),
+    )

@@ -18,9 +18,14 @@ from .frames import (
     Joint as Joint,
     compute_cross_product as compute_cross_product,
     compute_frames as compute_frames,
+    compute_joint_frames as compute_joint_frames,
+    compute_points as compute_points,
+    compute_velocities as compute_velocities,
     list_joints as list_joints,
     list_path as list_path,
+    multiply_by_constant as multiply_by_constant,
     multiply_by_rotation as multiply_by_rotation,
+    skew as skew,
     transform_point as transform_point,
 )
 from .gantry_tau import GantryTauMechanism as GantryTauMechanism

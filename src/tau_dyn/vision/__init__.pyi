@@ -6,7 +6,11 @@ from .cameras import (
     read_cameras as read_cameras,
     write_cameras as write_cameras,
 )
-from .measure import measure_poses_from_images as measure_poses_from_images
+from .measure import (
+    CameraPoseTable as CameraPoseTable,
+    Positions as Positions,
+    measure_poses_from_images as measure_poses_from_images,
+    read_positions as read_positions,
+)
 from .pattern import Pattern as Pattern, parse_pattern as parse_pattern
-from .pose_table import CameraPoseTable as CameraPoseTable, Positions as Positions, read_positions as read_positions
 from .solution import solve as solve

@@ -1,7 +1,8 @@
-"""All images of a campaign: read, matched between cameras, searched for the pattern, and checked before anything is computed."""
+"""All images of a campaign: found in folders, read, matched between cameras, searched for the pattern, checked beforehand."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +11,70 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.vision.cameras import Cameras
-from tau_dyn.vision.detect import Detection, find_corners
-from tau_dyn.vision.images import find_images, match_images, read_image
+from tau_dyn.vision.detect import Detection, find_corners, read_image
 from tau_dyn.vision.pattern import Pattern
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
+
+
+def find_images(given: str | Path | Sequence[str | Path]) -> list[Path]:
+    """Return image files: those named, and those in folders that are named, in natural order (img2 before img10).
+
+    Raises:
+        InputError: A name that does not exist, a folder without images, or nothing given.
+    """
+    items = [given] if isinstance(given, str | Path) else list(given)
+    files: list[Path] = []
+    for item in map(Path, items):
+        if item.is_dir():
+            inside = sorted((p for p in item.iterdir() if p.suffix.lower() in SUFFIXES), key=get_natural_sort_key)
+            if not inside:
+                raise InputError("file_not_found", f"{item}: the folder has no images ({', '.join(SUFFIXES[:6])})")
+            files += inside
+        elif item.is_file():
+            files.append(item)
+        else:
+            raise InputError("file_not_found", f"{item}: no such image or folder")
+    if not files:
+        raise InputError("missing_input", "no images given; name files or a folder")
+    return files
+
+
+def get_natural_sort_key(path: Path) -> list[tuple[int, int, str]]:
+    """Return a key that sorts numbers in names by value."""
+    return [
+        (1, int(part), "") if part.isdigit() else (0, 0, part) for part in re.findall(r"\d+|\D+", path.name.lower())
+    ]
+
+
+def match_images(cameras: Sequence[Sequence[Path]]) -> list[list[int]]:
+    """Return for each camera which moment each of its images shows.
+
+    Images of two cameras belong together by the last number in their names, where these are unique in each camera and shared,
+    and by their order where both have as many.
+
+    Raises:
+        InputError: Neither holds.
+    """
+    if len(cameras) == 1:
+        return [list(range(len(cameras[0])))]
+    numbers = [[_number(path) for path in paths] for paths in cameras]
+    if all(None not in n and len(set(n)) == len(n) for n in numbers) and set(numbers[0]) & set(numbers[1]):
+        moments = {n: k for k, n in enumerate(dict.fromkeys(x for n in numbers for x in n))}
+        return [[moments[n] for n in of] for of in numbers]
+    if len({len(paths) for paths in cameras}) == 1:
+        return [list(range(len(paths))) for paths in cameras]
+    counts = " and ".join(str(len(paths)) for paths in cameras)
+    raise InputError(
+        "mismatch",
+        f"{counts} images of the two cameras cannot be told to belong together; number them alike, as left_001 and right_001",
+    )
+
+
+def _number(path: Path) -> int | None:
+    found = re.findall(r"\d+", path.stem)
+    return int(found[-1]) if found else None
+
 
 Images = str | Path | Sequence[str | Path]
 

@@ -8,7 +8,7 @@ normal equations
     [E' B] [plates ],   B block-diagonal of 6 x 6,
 
 are solved by the Schur complement S = A - E B^-1 E' (Brown 1976; Triggs et al. 2000, 6), and the covariance of plate k is
-B_k^-1 (its own corners) + B_k^-1 E_k' S^-1 E_k B_k^-1 (the cameras', common to all plates). Levenberg-Marquardt.
+B_k^-1 (its own corners) + B_k^-1 E_k' S^-1 E_k B_k^-1 (the cameras', common to all plates).
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.vision.camera import project_with_jacobians
-from tau_dyn.vision.cameras import Cameras
+from tau_dyn.estimate import DescentRules, descend
+from tau_dyn.vision.cameras import Cameras, project_with_jacobians
 
-_ITERATIONS = 60  # Levenberg-Marquardt steps; sound starts need ten to twenty
+_RULES = DescentRules(60, small_step=0.0, small_gain=1e-9, damping=1e-3, first_damping=1e-12, max_trials=25)
+"""Sound starts need ten to twenty steps."""
 
 
 class Views(NamedTuple):
@@ -84,6 +85,14 @@ class Bundle:
     scaled: np.ndarray
 
 
+class _State(NamedTuple):
+    """Cameras and plates with the normal equations there."""
+
+    cameras: Cameras
+    plates: Plates
+    normal: _Normal
+
+
 class _Normal(NamedTuple):
     cost: float
     a: np.ndarray
@@ -91,6 +100,64 @@ class _Normal(NamedTuple):
     b: np.ndarray
     ga: np.ndarray
     gb: np.ndarray
+
+    def step(self, damping: float) -> tuple[np.ndarray, float]:
+        """Return the step of cameras, then plates, by Marquardt's damping and block elimination."""
+        inverse = np.linalg.inv(self.b + damping * self.b * np.eye(6))
+        reach, step = self.e @ inverse, np.zeros(0)
+        if len(self.a):
+            schur = self.a + damping * self.a * np.eye(len(self.a)) - np.einsum("kpi,kqi->pq", reach, self.e)
+            step = np.linalg.lstsq(schur, self.ga - np.einsum("kpi,ki->p", reach, self.gb), rcond=1e-15)[0]
+        plates = inverse @ (self.gb - np.einsum("kpi,p->ki", self.e, step))[..., None]
+        return np.concatenate([step, plates.ravel()]), np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The adjustment as a least-squares problem; steps are of the free numbers of the cameras, then of all plates."""
+
+    views: Views
+    points: np.ndarray
+    noise: np.ndarray
+    index: np.ndarray
+    known: Cameras | None
+    precision: np.ndarray
+
+    def place(self, cameras: Cameras, plates: Plates) -> _State:
+        """Return the state at these cameras and plates."""
+        normal = _normal(self.views, self.points, cameras, plates, self.noise, self.index, self.known, self.precision)
+        return _State(cameras, plates, normal)
+
+    def linearise(self, state: _State) -> _Normal:
+        """Return the normal equations at a state."""
+        return state.normal
+
+    def move(self, state: _State, step: np.ndarray) -> _State:
+        """Return the state after a step."""
+        whole = np.zeros(len(state.cameras.names))
+        whole[self.index] = step[: len(self.index)]
+        return self.place(state.cameras.moved(whole), state.plates.moved(step[len(self.index) :].reshape(-1, 6)))
+
+    def gain(self, state: _State, trial: _State) -> float:
+        """Return the fall of the cost relative to it."""
+        return (state.normal.cost - trial.normal.cost) / state.normal.cost
+
+    def finish(self, state: _State) -> Bundle:
+        """Return the adjusted cameras and plates with their covariance."""
+        now, index = state.normal, self.index
+        inverse = np.linalg.inv(now.b)
+        schur = now.a - np.einsum("kpi,kij,kqj->pq", now.e, inverse, now.e)
+        scale = np.sqrt(np.diag(schur).clip(1e-300))
+        scaled, shared = schur / np.outer(scale, scale), np.zeros((0, 0))
+        if len(index):
+            shared = np.linalg.pinv(scaled, rcond=1e-13, hermitian=True) / np.outer(scale, scale)
+        reach = inverse @ np.swapaxes(now.e, 1, 2)
+        covariance = np.zeros((len(state.cameras.names),) * 2)
+        covariance[np.ix_(index, index)] = shared
+        residuals = self.views.corners - _predict(self.views, self.points, state.cameras, state.plates)[0]
+        adjusted = replace(state.cameras, covariance=covariance, noise=self.noise)
+        whole = inverse + reach @ shared @ np.swapaxes(reach, 1, 2)
+        return Bundle(adjusted, state.plates, whole, inverse, residuals, self.noise, now.cost, scaled)
 
 
 def adjust(
@@ -114,84 +181,12 @@ def adjust(
         free: Which of the cameras' numbers may change (p,); by default those of their lens model.
         known: What is known of the cameras from before, with covariance; numbers of zero variance stay.
     """
-    free = cameras.free() if free is None else free
-    precision = np.zeros((len(free),) * 2)
+    index, precision = np.flatnonzero(cameras.free() if free is None else free), np.zeros(())
     if known is not None and known.covariance is not None:
-        free = free & (np.diag(known.covariance) > 0)
-        precision[np.ix_(free, free)] = np.linalg.pinv(
-            known.covariance[np.ix_(free, free)], rcond=1e-14, hermitian=True
-        )
-    index = np.flatnonzero(free)
-    precision = precision[np.ix_(index, index)]
-    damping = 1e-3
-    now = _normal(views, points, cameras, plates, noise, index, known, precision)
-    for _ in range(_ITERATIONS):
-        step, steps = _solve(now, damping)
-        moved = cameras.moved(_spread(step, index, len(free))), plates.moved(steps)
-        then = _normal(views, points, *moved, noise, index, known, precision)
-        if not then.cost < now.cost:
-            damping *= 8
-            if damping > 1e10:
-                break
-            continue
-        small = now.cost - then.cost < 1e-9 * now.cost
-        (cameras, plates), now, damping = moved, then, max(damping / 8, 1e-12)
-        if small:
-            break
-    return _finished(views, points, cameras, plates, noise, index, now)
-
-
-def _finished(
-    views: Views,
-    points: np.ndarray,
-    cameras: Cameras,
-    plates: Plates,
-    noise: np.ndarray,
-    index: np.ndarray,
-    now: _Normal,
-) -> Bundle:
-    inverse = np.linalg.inv(now.b)
-    schur = now.a - np.einsum("kpi,kij,kqj->pq", now.e, inverse, now.e)
-    scale = np.sqrt(np.diag(schur).clip(1e-300))
-    scaled = schur / np.outer(scale, scale)
-    shared = (
-        np.linalg.pinv(scaled, rcond=1e-13, hermitian=True) / np.outer(scale, scale) if len(index) else np.zeros((0, 0))
-    )
-    reach = inverse @ np.swapaxes(now.e, 1, 2)
-    covariance = np.zeros((len(cameras.names),) * 2)
-    covariance[np.ix_(index, index)] = shared
-    residuals = views.corners - _predict(views, points, cameras, plates)[0]
-    adjusted = replace(cameras, covariance=covariance, noise=noise)
-    return Bundle(
-        adjusted,
-        plates,
-        inverse + reach @ shared @ np.swapaxes(reach, 1, 2),
-        inverse,
-        residuals,
-        noise,
-        now.cost,
-        scaled,
-    )
-
-
-def _solve(normal: _Normal, damping: float) -> tuple[np.ndarray, np.ndarray]:
-    b = normal.b + damping * normal.b * np.eye(6)
-    a = normal.a + damping * normal.a * np.eye(len(normal.a))
-    inverse = np.linalg.inv(b)
-    reach = normal.e @ inverse
-    schur = a - np.einsum("kpi,kqi->pq", reach, normal.e)
-    step = (
-        np.linalg.lstsq(schur, normal.ga - np.einsum("kpi,ki->p", reach, normal.gb), rcond=1e-15)[0]
-        if len(a)
-        else np.zeros(0)
-    )
-    return step, (inverse @ (normal.gb - np.einsum("kpi,p->ki", normal.e, step))[..., None])[..., 0]
-
-
-def _spread(step: np.ndarray, index: np.ndarray, size: int) -> np.ndarray:
-    out = np.zeros(size)
-    out[index] = step
-    return out
+        index = index[np.diag(known.covariance)[index] > 0]
+        precision = np.linalg.pinv(known.covariance[np.ix_(index, index)], rcond=1e-14, hermitian=True)
+    problem = _Problem(views, points, noise, index, known, precision)
+    return problem.finish(descend(problem, problem.place(cameras, plates), _RULES).state)
 
 
 def _predict(

@@ -1,4 +1,4 @@
-"""The calibration pattern: a chessboard on a plate, known by its inner corners and the size of a square, which gives the scale.
+"""The calibration pattern: a chessboard on a plate, known by its inner corners and the side of a square, which gives the scale.
 
     z is into the plate; the origin is the middle of the inner corners, where a pose is measured best.
 
@@ -6,7 +6,9 @@
        |
        y          rows
 
-The square left above the first inner corner is black.
+The square left above the first inner corner is black. Images of it with known truth (pinhole, lens, blur, noise, uneven light
+and a cluttered room) test what reads images, and try a camera's place before it is mounted. Rays go backwards: every pixel is
+split into `fine` x `fine`, each part's ray meets the plate or the room behind it, and the means are blurred and given noise.
 """
 
 from __future__ import annotations
@@ -15,8 +17,11 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import gaussian_filter, zoom
+from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.vision.cameras import compute_rays, project
 
 _MIN_CORNERS = 3  # inner corners a side
 
@@ -87,3 +92,128 @@ def parse_pattern(size: str, square: float) -> Pattern:
     if found is None:
         raise InputError("bad_option", f"--pattern {size}: write the inner corners as COLUMNSxROWS, such as 9x6")
     return Pattern(int(found[1]), int(found[2]), square)
+
+
+BLACK, WHITE = 35.0, 205.0  # grey values of the print
+
+
+@dataclass(frozen=True)
+class Photography:
+    """What comes between the scene and the file.
+
+    Attributes:
+        blur: Standard deviation of the point spread [px].
+        noise: Standard deviation of a pixel [grey values of 255].
+        gradient: Share by which light changes from one side of the image to the other.
+        exposure: Factor on all grey values; below 0.2 images are too dark to use.
+        fine: Parts into which a pixel is split, each way.
+    """
+
+    blur: float = 0.7
+    noise: float = 2.0
+    gradient: float = 0.4
+    exposure: float = 1.0
+    fine: int = 4
+
+
+def render(
+    pattern: Pattern,
+    rotation: np.ndarray,
+    position: np.ndarray,
+    intrinsics: np.ndarray,
+    size: tuple[int, int],
+    rng: np.random.Generator,
+    *,
+    background: np.ndarray | None = None,
+    photography: Photography | None = None,
+) -> np.ndarray:
+    """Return an image (height, width) uint8 of a plate.
+
+    Args:
+        pattern: The chessboard; its plate has a white rim one square wide.
+        rotation: Of the pattern in the camera's frame (3, 3).
+        position: Of the pattern's middle in the camera's frame (3,) [m].
+        intrinsics: The camera's nine numbers.
+        size: Width and height [px].
+        rng: Of the noise.
+        background: What is behind the plate (height, width), grey values; plain grey without.
+        photography: Blur, noise and light.
+    """
+    photo = photography or Photography()
+    width, height = size
+    image = np.full((height, width), 90.0) if background is None else background.astype(float).copy()
+    _plate_into(image, pattern, rotation, position, np.asarray(intrinsics, float), photo.fine)
+    image *= photo.exposure * _light(width, height, photo.gradient, rng)
+    image = gaussian_filter(image, photo.blur) if photo.blur > 0 else image
+    image += photo.noise * rng.standard_normal(image.shape)
+    return np.clip(np.round(image), 0, 255).astype(np.uint8)
+
+
+def render_clutter(size: tuple[int, int], rng: np.random.Generator, *, things: int = 60) -> np.ndarray:
+    """Return a room (height, width): soft shades, and boxes, black squares and bars of any grey value before them."""
+    width, height = size
+    coarse = rng.uniform(60, 160, (5, 7))
+    image = np.asarray(zoom(coarse, (height / 5, width / 7), order=1))[:height, :width]
+    v, u = np.mgrid[0:height, 0:width]
+    for _ in range(things):
+        angle, middle = rng.uniform(0, np.pi), rng.uniform((0, 0), (width, height))
+        half = rng.uniform(3, 0.06 * width, 2) * rng.choice([1.0, 1.0, 2.5], 2)
+        along = np.cos(angle) * (u - middle[0]) + np.sin(angle) * (v - middle[1])
+        across = np.cos(angle) * (v - middle[1]) - np.sin(angle) * (u - middle[0])
+        image[(np.abs(along) < half[0]) & (np.abs(across) < half[1])] = rng.choice([20.0, 60.0, 120.0, 200.0])
+    return image
+
+
+def draw_facing_rotation(tilt: float, towards: float, roll: float) -> np.ndarray:
+    """Return the rotation (3, 3) of a plate that faces the camera, then is tilted about an axis in it [rad]."""
+    axis = np.array([np.cos(towards), np.sin(towards), 0.0])
+    return (Rotation.from_rotvec(tilt * axis) * Rotation.from_rotvec([0, 0, roll])).as_matrix()
+
+
+def _plate_into(
+    image: np.ndarray, pattern: Pattern, rotation: np.ndarray, position: np.ndarray, k: np.ndarray, fine: int
+) -> None:
+    """Draw the plate where its pixels are."""
+    half = np.array(pattern.half_size) + pattern.square
+    rim = np.array([[sx * half[0], sy * half[1], 0.0] for sx in (-1, 0, 1) for sy in (-1, 0, 1)])
+    at = rim @ rotation.T + position
+    if np.any(at[:, 2] <= 1e-3):
+        return
+    seen = project(at, k)
+    height, width = image.shape
+    low = np.clip(np.floor(seen.min(axis=0) - 4), 0, [width, height]).astype(int)
+    high = np.clip(np.ceil(seen.max(axis=0) + 5), 0, [width, height]).astype(int)
+    if np.any(high <= low):
+        return
+    ray = compute_rays(np.stack(np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True))), axis=-1), k)
+    by_v, by_u = np.gradient(ray, axis=(0, 1))  # within a pixel rays are even
+    steps = (np.arange(fine) + 0.5) / fine - 0.5
+    share = grey = np.zeros(ray.shape[:2])
+    for dv in steps:
+        for du in steps:
+            shade, hit = _shade(ray + du * by_u + dv * by_v, pattern, rotation, position, half)
+            share, grey = share + hit / fine**2, grey + shade * hit / fine**2
+    region = image[low[1] : high[1], low[0] : high[0]]
+    region[...] = region * (1 - share) + grey
+
+
+def _shade(
+    ray: np.ndarray, pattern: Pattern, rotation: np.ndarray, position: np.ndarray, half: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the print's grey value where rays meet the plate, and whether they do."""
+    normal = rotation[:, 2]
+    towards = np.concatenate([ray, np.ones((*ray.shape[:-1], 1))], axis=-1)
+    with np.errstate(all="ignore"):
+        depth = (normal @ position) / (towards @ normal)
+        x, y = ((depth[..., None] * towards - position) @ rotation[:, :2]).transpose(2, 0, 1)
+        hit = (depth > 0) & (np.abs(x) < half[0]) & (np.abs(y) < half[1])
+        inside = (np.abs(x) < half[0] - pattern.square) & (np.abs(y) < half[1] - pattern.square)
+        squares = np.floor((x + half[0]) / pattern.square) + np.floor((y + half[1]) / pattern.square)
+        black = inside & (np.mod(squares, 2) == 0)
+    return np.where(black, BLACK, WHITE), hit
+
+
+def _light(width: int, height: int, gradient: float, rng: np.random.Generator) -> np.ndarray:
+    angle = rng.uniform(0, 2 * np.pi)
+    u, v = np.linspace(-0.5, 0.5, width), np.linspace(-0.5, 0.5, height)
+    return 1 - gradient * (0.5 + np.cos(angle) * u[None, :] + np.sin(angle) * v[:, None]).clip(0, 1)

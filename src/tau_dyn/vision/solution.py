@@ -1,25 +1,182 @@
 """From corners to cameras and plates: start, adjustment with the noise that the residuals show, and images that do not belong.
 
-What images cannot tell is said, not guessed: a plate tilted alike in all images (as on a robot whose plate only
-translates) leaves the focal length and the distance to be told apart by the lens' bending alone.
+A start has focal lengths from pictures of planes (homographies by direct linear transformation, Hartley 1997), plates before
+each camera, then cameras to each other. What images cannot tell is said, not guessed: a plate tilted alike in all images (as on
+a robot whose plate only translates) leaves the focal length and the distance to be told apart by the lens' bending alone.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.vision.bundle import Bundle, Views, adjust
+from tau_dyn.vision.bundle import Bundle, Plates, Views, adjust
 from tau_dyn.vision.cameras import Cameras
 from tau_dyn.vision.pattern import Pattern
-from tau_dyn.vision.start import (
-    estimate_initial_cameras,
-    estimate_relative_cameras,
-    estimate_rig_poses,
-    estimate_view_poses,
-)
+
+
+def estimate_homography(flat: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Return `H` (3, 3) with pixels ~ H [flat; 1], least squares, from points (n, 2) and pixels (n, 2), n >= 4."""
+    (a, ta), (b, tb) = _normalised(flat), _normalised(pixels)
+    one, zero = np.ones(len(a)), np.zeros((len(a), 3))
+    p = np.column_stack([a, one])
+    rows = np.concatenate([np.hstack([p, zero, -b[:, :1] * p]), np.hstack([zero, p, -b[:, 1:] * p])])
+    h = np.linalg.inv(tb) @ np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 3) @ ta
+    return h / np.linalg.norm(h)
+
+
+def apply(h: np.ndarray, flat: np.ndarray) -> np.ndarray:
+    """Return pixels (n, 2) of points (n, 2)."""
+    at = np.column_stack([flat, np.ones(len(flat))]) @ h.T
+    return at[:, :2] / at[:, 2:]
+
+
+def estimate_focal_length(homographies: list[np.ndarray], middle: np.ndarray) -> float | None:
+    """Return the focal length [px] of square pixels with the principal point at `middle` (2,), None where planes do not tell it.
+
+    Zhang 2000, (3) and (4): the plane's axes are orthogonal and of one length, two equations a picture in 1 / f^2.
+    """
+    shift = np.array([[1, 0, -middle[0]], [0, 1, -middle[1]], [0, 0, 1.0]])
+    a, b = [], []
+    for h in homographies:
+        g = shift @ h
+        g = g / np.linalg.norm(g[:, :2])
+        for x, y in ((g[:, 0], g[:, 1]), (g[:, 0] + g[:, 1], g[:, 0] - g[:, 1])):
+            a.append(x[0] * y[0] + x[1] * y[1])
+            b.append(-x[2] * y[2])
+    square = np.dot(a, a)
+    inverse = np.dot(a, b) / square if square > 0 else 0.0
+    return float(1 / np.sqrt(inverse)) if inverse > 0 else None
+
+
+def compute_plane_pose(h: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return rotation (3, 3) and position (3,) of a plane before a pinhole `k` (fx, fy, cx, cy), from its homography."""
+    m = np.linalg.inv(np.array([[k[0], 0, k[2]], [0, k[1], k[3]], [0, 0, 1.0]])) @ h
+    m = m / np.sqrt(np.linalg.norm(m[:, 0]) * np.linalg.norm(m[:, 1]))
+    m = -m if m[2, 2] < 0 else m
+    u, _, vt = np.linalg.svd(np.column_stack([m[:, 0], m[:, 1], np.cross(m[:, 0], m[:, 1])]))
+    return u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt, m[:, 2]
+
+
+def compute_mirrored_tilt(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Return the other rotation that looks alike from far: the plate's normal mirrored about the line of sight.
+
+    Schweighofer & Pinz 2006: a small or far plane has two poses of almost one picture.
+    """
+    sight = position / np.linalg.norm(position)
+    normal = rotation[:, 2]
+    mirrored = 2 * (normal @ sight) * sight - normal
+    axis = np.cross(normal, mirrored)
+    s, c = np.linalg.norm(axis), float(normal @ mirrored)
+    if s < 1e-9:
+        return rotation
+    axis = axis / s
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return (np.eye(3) + s * cross + (1 - c) * cross @ cross) @ rotation
+
+
+def _normalised(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return points about their middle at a mean distance of sqrt 2, and the transformation (3, 3) that did it."""
+    middle = points.mean(axis=0)
+    scale = np.sqrt(2) / np.linalg.norm(points - middle, axis=1).mean()
+    t = np.array([[scale, 0, -scale * middle[0]], [0, scale, -scale * middle[1]], [0, 0, 1.0]])
+    return scale * (points - middle), t
+
+
+def estimate_initial_cameras(views: Views, pattern: Pattern, sizes: np.ndarray, lens: str) -> Cameras:
+    """Return cameras in one place with focal lengths from the images (c, 2 sizes) and no distortion."""
+    n = len(sizes)
+    inner = np.zeros((n, 9))
+    flat = pattern.points[:, :2]
+    for c in range(n):
+        middle = (sizes[c] - 1) / 2
+        pictures = [estimate_homography(flat, corners) for corners in views.corners[views.camera == c]]
+        f = estimate_focal_length(pictures, middle)
+        width = float(sizes[c].max())
+        inner[c, :4] = [*[f if f is not None and 0.3 * width < f < 20 * width else 1.2 * width] * 2, *middle]
+    return Cameras(inner, np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)), sizes, lens)
+
+
+def estimate_view_poses(views: Views, pattern: Pattern, cameras: Cameras) -> tuple[Plates, np.ndarray]:
+    """Return a plate for each view in its own camera's frame (v), the better of two tilts, and by how much it is (v,).
+
+    The margin is the difference in weighted squared residuals, with a noise of 1 px; small where both tilts explain the picture.
+    """
+    alone = replace(cameras, rotation=np.tile(np.eye(3), (cameras.n, 1, 1)), position=np.zeros((cameras.n, 3)))
+    seen = Views(views.corners, views.camera, np.arange(len(views.camera)))
+    starts = [
+        compute_plane_pose(estimate_homography(pattern.points[:, :2], c), cameras.intrinsics[k])
+        for c, k in zip(views.corners, views.camera, strict=True)
+    ]
+    one = Plates(np.array([r for r, _ in starts]), np.array([t for _, t in starts]))
+    first = _alone(seen, pattern, alone, one)
+    other = Plates(
+        np.array([compute_mirrored_tilt(r, t) for r, t in zip(*first.plates, strict=True)]), first.plates.position
+    )
+    second = _alone(seen, pattern, alone, other)
+    costs = np.array([(b.residuals**2).sum(axis=(1, 2)) for b in (first, second)])
+    better = costs[1] < costs[0]
+    rotation = np.where(better[:, None, None], second.plates.rotation, first.plates.rotation)
+    position = np.where(better[:, None], second.plates.position, first.plates.position)
+    same = Rotation.from_matrix(
+        np.swapaxes(first.plates.rotation, 1, 2) @ second.plates.rotation
+    ).magnitude() < np.radians(2)
+    return Plates(rotation, position), np.where(same, np.inf, np.abs(costs[1] - costs[0]))
+
+
+def _alone(views: Views, pattern: Pattern, cameras: Cameras, plates: Plates) -> Bundle:
+    return adjust(
+        views, pattern.points, cameras, plates, noise=np.ones(cameras.n), free=np.zeros(len(cameras.names), bool)
+    )
+
+
+def estimate_relative_cameras(views: Views, plates: Plates, cameras: Cameras) -> Cameras:
+    """Return cameras at their places to the first, the medians over plates that both see; `plates` one a view.
+
+    Raises:
+        CannotAnswer: Two cameras see no plate at one moment.
+    """
+    rotation, position = cameras.rotation.copy(), cameras.position.copy()
+    first = {plate: k for k, plate in enumerate(views.plate) if views.camera[k] == 0}
+    for c in range(1, cameras.n):
+        pairs = [(first[views.plate[k]], k) for k in np.flatnonzero(views.camera == c) if views.plate[k] in first]
+        if not pairs:
+            raise CannotAnswer(
+                "not_visible",
+                f"no image pair shows the pattern to camera 1 and camera {c + 1} at one moment, so their places to each other "
+                "are unknown",
+                "take images of the plate where both cameras see it whole",
+            )
+        turned = np.array([plates.rotation[k] @ plates.rotation[i].T for i, k in pairs])
+        middle = _median_rotation(turned)
+        shifts = [plates.position[k] - middle @ plates.position[i] for i, k in pairs]
+        rotation[c], position[c] = middle, np.median(shifts, axis=0)
+    return replace(cameras, rotation=rotation, position=position)
+
+
+def _median_rotation(rotations: np.ndarray) -> np.ndarray:
+    """Return the rotation (3, 3) nearest to all others (m, 3, 3); a few wrong tilts do not move it."""
+    trace = np.einsum("aij,bij->ab", rotations, rotations)
+    angle = np.arccos(((trace - 1) / 2).clip(-1, 1))
+    return rotations[int(np.argmin(angle.sum(axis=1)))]
+
+
+def estimate_rig_poses(views: Views, plates: Plates, cameras: Cameras) -> Plates:
+    """Return one plate a moment in the first camera's frame, from the view of the first camera that saw it."""
+    n = int(views.plate.max()) + 1
+    rotation, position = np.zeros((n, 3, 3)), np.zeros((n, 3))
+    for k in reversed(range(len(views.camera))):
+        back = cameras.rotation[views.camera[k]].T
+        if k == int(
+            np.flatnonzero(views.plate == views.plate[k])[np.argmin(views.camera[views.plate == views.plate[k]])]
+        ):
+            rotation[views.plate[k]] = back @ plates.rotation[k]
+            position[views.plate[k]] = back @ (plates.position[k] - cameras.position[views.camera[k]])
+    return Plates(rotation, position)
+
 
 MIN_VIEWS = 4
 """Views a camera of unknown numbers needs."""

@@ -10,7 +10,7 @@ from tau_dyn.calibrate import Geometry
 from tau_dyn.calibrate.frames import Frame
 from tau_dyn.calibrate.poses.automation import build_geometry
 from tau_dyn.calibrate.poses.camera import Camera, CameraPattern, build_camera_frame, build_target_frame
-from tau_dyn.calibrate.poses.tracker import Tracker
+from tau_dyn.calibrate.poses.devices import Tracker
 from tau_dyn.mechanism import Poses, build_rods, inverse_kinematics
 from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 

@@ -24,7 +24,7 @@ from tau_dyn.calibrate.poses import (
     plan_campaign,
     read_progress,
 )
-from tau_dyn.calibrate.poses.progress_file import build_new_progress, run_campaign
+from tau_dyn.calibrate.poses.campaign_files import build_new_progress, run_campaign
 from tau_dyn.calibrate.poses.reachable import find_reachable
 from tau_dyn.calibrate.poses.tour import plan_tour
 from tau_dyn.exceptions import CannotAnswer

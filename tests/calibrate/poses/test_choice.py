@@ -22,14 +22,17 @@ from tau_dyn.calibrate.poses import (
     compute_doubling_gain,
     compute_min_poses,
 )
-from tau_dyn.calibrate.poses.choice import choose_from
-from tau_dyn.calibrate.poses.criteria import NAMES, build_criterion, compute_observability_indices
-from tau_dyn.calibrate.poses.design import PoseDesign, build_design
+from tau_dyn.calibrate.poses.choice import choose_from, predict
+from tau_dyn.calibrate.poses.criteria import (
+    NAMES,
+    PoseExchange,
+    build_criterion,
+    compute_observability_indices,
+    leave_one_out,
+)
+from tau_dyn.calibrate.poses.design import PoseDesign, build_design, refine
 from tau_dyn.calibrate.poses.devices import add_noise, transform_to_device
-from tau_dyn.calibrate.poses.exchange import PoseExchange, leave_one_out
 from tau_dyn.calibrate.poses.monte_carlo import draw_robot, simulate_measurement
-from tau_dyn.calibrate.poses.prediction import predict
-from tau_dyn.calibrate.poses.refine import refine
 from tau_dyn.exceptions import InputError
 
 

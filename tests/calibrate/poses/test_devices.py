@@ -15,9 +15,7 @@ from pose_rigs import MIDDLE, at, camera, candidates, l1, tracker
 from tau_dyn.calibrate.poses import PathCheck, read_camera, read_tracker
 from tau_dyn.calibrate.poses.camera import CameraPattern, build_camera_frame
 from tau_dyn.calibrate.poses.devices import transform_to_device
-from tau_dyn.calibrate.poses.line_of_sight import find_occlusions
-from tau_dyn.calibrate.poses.reachable import Reachable
-from tau_dyn.calibrate.poses.visible import find_visible
+from tau_dyn.calibrate.poses.reachable import Reachable, find_occlusions, find_visible
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import Surroundings
 from tau_dyn.kinematics.obstacles import build_surroundings

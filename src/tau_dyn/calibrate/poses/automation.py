@@ -12,21 +12,22 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tau_dyn.calibrate.families import get_family
 from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.models import get_family
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.poses.camera import Camera
-from tau_dyn.calibrate.poses.choice import PoseChoice, choose_from
+from tau_dyn.calibrate.poses.campaign_files import (
+    CampaignProgress,
+    build_new_progress,
+    format_rapid_module,
+    format_tour_csv,
+)
+from tau_dyn.calibrate.poses.choice import PoseChoice, choose_from, predict
 from tau_dyn.calibrate.poses.design import build_design
 from tau_dyn.calibrate.poses.devices import MeasuringDevice, UniformDevice
 from tau_dyn.calibrate.poses.monte_carlo import MonteCarloCalibration, require_accuracy, simulate_calibrations
-from tau_dyn.calibrate.poses.path_check import PathCheck
-from tau_dyn.calibrate.poses.prediction import predict
-from tau_dyn.calibrate.poses.progress_file import CampaignProgress, build_new_progress
-from tau_dyn.calibrate.poses.rapid import format_rapid_module, format_tour_csv
-from tau_dyn.calibrate.poses.reachable import WANTED, Reachable, Safety, find_reachable
-from tau_dyn.calibrate.poses.tour import Tour, plan_tour
-from tau_dyn.calibrate.poses.visible import Visible, find_visible
+from tau_dyn.calibrate.poses.reachable import WANTED, Reachable, Safety, Visible, find_reachable, find_visible
+from tau_dyn.calibrate.poses.tour import PathCheck, Tour, plan_tour
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.kinematics.workspace import PoseRequirements, build_machine
 from tau_dyn.mechanism import Poses

@@ -1,26 +1,140 @@
-"""Choose the poses to measure among candidates, and say what they will give."""
+"""The poses to measure among candidates, how accurate a calibration with them will be, and how many are enough.
+
+The tool's error at a place is `D dp` with `dp ~ N(0, P)`, so its mean square over the workspace has
+
+    mean  tr(P L),     variance  2 tr(P L P L),     L = mean of D' D.
+
+With twice the information this part `s` of the held-out error falls to `s / sqrt(2)` while the device's noise `w` stays. Poses
+are enough where `1 - sqrt(s^2 / 2 + w^2) / sqrt(s^2 + w^2)` falls below a threshold, or where `s` has come down to an accuracy
+that was asked for. Fewer than the rank needs cannot be fitted at all.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from tau_dyn.calibrate.frames import DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
-from tau_dyn.calibrate.poses.criteria import SMOOTH, build_criterion, compute_observability_indices
+from tau_dyn.calibrate.geometry_fit import count_required_poses
+from tau_dyn.calibrate.poses.criteria import SMOOTH, PoseExchange, build_criterion, compute_observability_indices
 from tau_dyn.calibrate.poses.design import PoseDesign, build_design
-from tau_dyn.calibrate.poses.exchange import PoseExchange
-from tau_dyn.calibrate.poses.pose_count import (
-    MIN_DOUBLING_GAIN,
-    add_poses_until_enough,
-    compute_doubling_gain,
-    compute_min_poses,
-)
-from tau_dyn.calibrate.poses.prediction import CalibrationPrediction, predict
 from tau_dyn.exceptions import InputError
+
+
+class CalibrationPrediction(NamedTuple):
+    """What a set of poses will give.
+
+    Attributes:
+        poses: Number of poses.
+        rms: Root mean square error of the tool's position over the workspace [m], from the parameters' uncertainty.
+        scatter: Standard deviation of that from campaign to campaign [m].
+        worst: The same root mean square at the worst place [m].
+        held_out: Root mean square of measured minus predicted positions at other poses [m]: `rms` and the device's
+            noise.
+        turn: Root mean square orientation error [rad], nan where the tool does not turn.
+        stderr: Standard errors of the parameters that can be told (r,), each in its unit.
+    """
+
+    poses: int
+    rms: float
+    scatter: float
+    worst: float
+    held_out: float
+    turn: float
+    stderr: np.ndarray
+
+    def to_dict(self, names: tuple[str, ...]) -> dict[str, object]:
+        """Return it for a JSON result."""
+        return {
+            "poses": self.poses,
+            "position": {"rms": self.rms, "scatter": self.scatter, "worst": self.worst, "held_out": self.held_out},
+            "orientation": {"rms": self.turn},
+            "stderr": dict(zip(names, self.stderr.tolist(), strict=True)),
+        }
+
+
+def predict(design: PoseDesign, index: np.ndarray) -> CalibrationPrediction:
+    """Return what a fit to some of the candidates will give.
+
+    Args:
+        design: Candidates.
+        index: Those that are measured (n,).
+    """
+    p = design.covariance(index)
+    weight = np.einsum("nir,nis->rs", design.places, design.places) / len(design.places)
+    square = float(np.trace(p @ weight))
+    half = p @ weight
+    scatter = float(np.sqrt(2 * np.trace(half @ half)))
+    each = np.einsum("nir,rs,nis->n", design.places, p, design.places, optimize=True)
+    noise = float(np.trace(design.noise[:, :3, :3].mean(axis=0)))
+    turn = float("nan")
+    if design.turns.shape[1]:
+        turned = np.einsum("nir,rs,nis->n", design.turns, p, design.turns, optimize=True)
+        turn = float(np.sqrt(turned.mean()))
+    rms = float(np.sqrt(max(square, 0.0)))
+    return CalibrationPrediction(
+        len(index),
+        rms,
+        scatter / max(2 * rms, 1e-300),
+        float(np.sqrt(each.max())),
+        float(np.sqrt(square + noise)),
+        turn,
+        np.sqrt(np.diag(p)) * design.scales,
+    )
+
+
+MIN_DOUBLING_GAIN = 0.03
+"""Share by which twice as many poses must make the held-out error smaller to be worth it."""
+_UNKNOWN = 1.0
+"""Standard error, in scales, from which a parameter is as good as unknown."""
+
+
+def compute_min_poses(design: PoseDesign) -> int:
+    """Return the fewest poses with which the model can be fitted and its noise judged."""
+    rank = design.found.rank
+    if rank >= design.n * design.per_pose:  # the candidates are too few to show what more of them would tell
+        rank = len(design.found.names)
+    return count_required_poses(rank, design.per_pose)
+
+
+def compute_doubling_gain(made: CalibrationPrediction) -> float:
+    """Return the share by which twice as many poses would make the held-out error smaller."""
+    noise = made.held_out**2 - made.rms**2
+    return 1.0 - float(np.sqrt((0.5 * made.rms**2 + noise) / made.held_out**2))
+
+
+def add_poses_until_enough(
+    design: PoseDesign, search: PoseExchange, *, gain: float, target: float | None, most: int
+) -> tuple[np.ndarray, list[CalibrationPrediction]]:
+    """Pick poses until they are enough, and return them with the accuracy predicted on the way.
+
+    Args:
+        design: Candidates.
+        search: Picks them.
+        gain: Threshold of `compute_doubling_gain`.
+        target: Accuracy asked for [m]; replaces the threshold.
+        most: Most poses.
+    """
+    least, chosen, curve = compute_min_poses(design), [], []
+    for k in search.pick():
+        chosen.append(k)
+        if len(chosen) < least:
+            continue
+        curve.append(predict(design, np.array(chosen)))
+        if _enough(design, curve[-1], gain, target) or len(chosen) >= most:
+            break
+    return np.array(chosen), curve
+
+
+def _enough(design: PoseDesign, made: CalibrationPrediction, gain: float, target: float | None) -> bool:
+    if target is not None:
+        return made.rms <= target
+    return compute_doubling_gain(made) < gain and bool((made.stderr < _UNKNOWN * design.scales).all())
+
 
 MAX_POSES = 400
 """Poses that `auto` takes at most: a day's work with a tracker."""

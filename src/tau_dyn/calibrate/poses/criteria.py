@@ -1,4 +1,4 @@
-r"""How good a set of poses is, from its information matrix `M` (in scales); every value is a logarithm, to be made large.
+"""How good a set of poses is, from its information matrix `M` (in scales), and sets chosen by it: picked, then exchanged.
 
     tool           average predicted variance of the tool over the workspace, tr(M^-1 L); V-optimal, the default
     worst          the same at the worst place of the workspace; G-optimal
@@ -7,13 +7,18 @@ r"""How good a set of poses is, from its information matrix `M` (in scales); eve
     smallest       sigma_min (Nahvi et al. 1994; Williams et al. 2006)
     amplification  sigma_min^2 / sigma_max (Nahvi & Hollerbach 1996)
 
-The thesis prints the last one upside down: (5.14) sets sigma_max^2 / sigma_min equal to sigma_max / cond(J), which is
-sigma_min, and asks for less than 200. The source's index is sigma_min^2 / sigma_max = sigma_min / cond(J), to be large.
+Every value is a logarithm, to be made large. The thesis prints the last one upside down: (5.14) sets sigma_max^2 / sigma_min
+equal to sigma_max / cond(J), which is sigma_min. The source's index is sigma_min^2 / sigma_max = sigma_min / cond(J), to be
+large.
+
+`pick` adds the pose that helps most, again and again. `exchanged` improves a set by excursions (Mitchell 1974, DETMAX): it adds
+one, two or three poses and takes as many away again, or the other way round, and keeps what is better. Which poses are worth an
+exact look tells the criterion's gradient. `leave_one_out` is the thesis' rule (5.9).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -126,3 +131,98 @@ def compute_observability_indices(information: np.ndarray) -> dict[str, float]:
         "noise_amplification_index": low**2 / high if high > 0 else 0.0,
         "log_determinant": float(np.linalg.slogdet(information)[1]),
     }
+
+
+PRIOR = 0.1
+"""Singular value that every parameter has before any pose: known to ten times its scale; keeps few poses comparable."""
+_LOOKED_AT = 24
+"""Poses that are tried exactly in every step."""
+_EXCURSION = 3  # poses that an exchange may add before it removes as many
+_BETTER = 1e-7  # gain of the criterion that is more than rounding
+
+
+class PoseExchange:
+    """Candidates' information, and the steps on sets of them.
+
+    Args:
+        blocks: Every candidate's derivative in units of the noise (N, m, r).
+        criterion: What is made large.
+    """
+
+    def __init__(self, blocks: np.ndarray, criterion: Criterion) -> None:
+        """Keep what every step needs."""
+        self.blocks, self.criterion = blocks, criterion
+        self.n, _, self.r = blocks.shape
+        self._flat = np.ascontiguousarray(blocks.reshape(-1, self.r))
+
+    def information(self, index: np.ndarray) -> np.ndarray:
+        """Return a set's information matrix (r, r), with the prior."""
+        part = self.blocks[index].reshape(-1, self.r)
+        return part.T @ part + PRIOR**2 * np.eye(self.r)
+
+    def value(self, index: np.ndarray) -> float:
+        """Return a set's value."""
+        return float(self.criterion.value(self.information(index)))
+
+    def pick(self) -> Iterator[int]:
+        """Yield candidates one after the other, each the one that helps the set so far most."""
+        m, free = self.information(np.zeros(0, int)), np.ones(self.n, bool)
+        while free.any():
+            k, m = self._best(m, np.flatnonzero(free), +1)
+            free[k] = False
+            yield k
+
+    def exchanged(self, index: np.ndarray, most: int = 500) -> np.ndarray:
+        """Return a set of as many poses that no short excursion makes better, in ascending order.
+
+        Args:
+            index: Where to start (n,).
+            most: Excursions that are tried at most.
+        """
+        chosen, length, first = np.array(index), 1, +1
+        m = self.information(chosen)
+        value = float(self.criterion.value(m))
+        for _ in range(most):
+            if length > min(_EXCURSION, self.n - len(chosen), len(chosen) - 1):
+                break
+            new, moved = self._excursion(chosen, m, length, first)
+            better = float(self.criterion.value(moved))
+            if better > value + _BETTER:
+                chosen, m, value, length, first = new, moved, better, 1, +1
+            elif first > 0:
+                first = -1
+            else:
+                length, first = length + 1, +1
+        return np.sort(chosen)
+
+    def _excursion(self, chosen: np.ndarray, m: np.ndarray, length: int, first: int) -> tuple[np.ndarray, np.ndarray]:
+        for sign in (first, -first):
+            for _ in range(length):
+                pool = np.setdiff1d(np.arange(self.n), chosen) if sign > 0 else chosen
+                k, m = self._best(m, pool, sign)
+                chosen = np.append(chosen, k) if sign > 0 else chosen[chosen != k]
+        return chosen, self.information(chosen)  # summed anew, so that rounding does not pile up
+
+    def _best(self, m: np.ndarray, pool: np.ndarray, sign: int) -> tuple[int, np.ndarray]:
+        """Return the pose of a pool to add (+1) or take away (-1), and the information afterwards."""
+        flat = self._flat if len(pool) == self.n else self.blocks[pool].reshape(-1, self.r)
+        first_order = np.sum((flat @ self.criterion.gradient(m)) * flat, axis=1).reshape(len(pool), -1).sum(axis=1)
+        look = pool[np.argsort(-sign * first_order, kind="stable")[:_LOOKED_AT]]
+        changed = m + sign * np.swapaxes(self.blocks[look], 1, 2) @ self.blocks[look]
+        k = int(np.argmax(self.criterion.value(changed)))
+        return int(look[k]), changed[k]
+
+
+def leave_one_out(blocks: np.ndarray, n: int) -> np.ndarray:
+    """Return the thesis' choice (5.9): the `n` poses without which the condition number would be largest.
+
+    Args:
+        blocks: Derivatives in units of the noise (N, m, r).
+        n: Number of poses.
+    """
+    information = np.einsum("nir,nis->rs", blocks, blocks)
+    condition = np.empty(len(blocks))
+    for part in np.array_split(np.arange(len(blocks)), max(1, len(blocks) // 100)):
+        s = np.linalg.eigvalsh(information - np.swapaxes(blocks[part], 1, 2) @ blocks[part])
+        condition[part] = s[:, -1] / np.maximum(s[:, 0], 1e-300)
+    return np.sort(np.argsort(-condition, kind="stable")[:n])

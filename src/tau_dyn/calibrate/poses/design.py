@@ -1,28 +1,28 @@
-r"""What every candidate pose would tell: the fit's own analytic derivatives, in units of the measuring noise.
+"""What every candidate pose would tell: the fit's own analytic derivatives, in units of the measuring noise.
 
-A candidate gives `m` numbers with covariance `S_k`; their derivative by the parameters is `J_k`, columns times the
-parameters' scales (as in `identifiability.py`). The information of a set of poses is `M = sum J_k' S_k^-1 J_k`. `fit`
-weighs all poses alike, so its parameters have
+A candidate gives `m` numbers with covariance `S_k`; their derivative by the parameters is `J_k`, columns times the parameters'
+scales. The information of a set of poses is `M = sum J_k' S_k^-1 J_k`. A fit that weighs all poses alike has
 
     P = A^-1 B A^-1,   A = sum J_k' W J_k,   B = sum J_k' W S_k W J_k,
 
-`W` from the mean noise; `P = M^-1` where all poses are measured equally well, or where each is weighed by its own
-noise (`refine.py`). Reference: Hollerbach, Khalil & Gautier 2016, 6.3.
+`W` from the mean noise; `P = M^-1` where all poses are measured equally well, or where `refine` weighs each by its own noise: a
+camera measures depth ten times worse than what lies across. Reference: Hollerbach, Khalil & Gautier 2016, 6.3.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tau_dyn.calibrate.fit_problem import FitState, Problem
 from tau_dyn.calibrate.frames import DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
-from tau_dyn.calibrate.identifiability import STRUCTURAL, Identifiability, find_identifiable
+from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.residuals import FitState, Problem
-from tau_dyn.calibrate.unknowns import Unknowns, collect
+from tau_dyn.calibrate.unknowns import STRUCTURAL, Identifiability, Unknowns, collect, find_identifiable
+from tau_dyn.estimate import DescentRules, LinearSystem, descend, factor_system
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Poses
 
@@ -240,3 +240,77 @@ def _covariances(noise: tuple[float, ...] | np.ndarray, n: int) -> np.ndarray:
             f"[rad], above zero, not {noise}",
         )
     return np.repeat(np.diag(np.repeat(sigma**2, 3))[None], n, axis=0)
+
+
+_STEPS = 20  # Gauss-Newton steps; bounds the time
+_AT_REST = 1e-6
+"""Longest last step, in standard errors."""
+
+
+def refine(fitted: GeometryFit, covariance: np.ndarray) -> GeometryFit:
+    """Return a fit with every pose weighed by its own covariance.
+
+    Args:
+        fitted: A fit with forward residuals.
+        covariance: Of the measured numbers (N, m, m), as `Device.covariance` gives them; orientations are left out
+            where the fit has none.
+
+    Raises:
+        InputError: Covariances that do not belong to these poses, or a fit with other residuals.
+    """
+    n, m = fitted.residuals.shape
+    if fitted.kind != "forward":
+        raise InputError(
+            "unsupported", f"only forward residuals can be weighed by a device's covariance, not {fitted.kind} ones"
+        )
+    if covariance.ndim != 3 or len(covariance) != n or covariance.shape[1] < m or not np.isfinite(covariance).all():
+        raise InputError("wrong_shape", f"the fit has {n} poses of {m} numbers, the covariances are {covariance.shape}")
+    problem = Problem(fitted.geometry, fitted.poses, fitted.unknowns, fitted.kind, m == 6)
+    kept = np.flatnonzero(fitted.unknowns.free)[fitted.identifiability.kept]
+    weighed = _CovarianceProblem(problem, np.linalg.cholesky(covariance[:, :m, :m]), kept)
+    rules = DescentRules(_STEPS, small_step=_AT_REST * float(np.sqrt(len(kept) / (n * m))), small_gain=0.0)
+    end = descend(weighed, fitted.state, rules)
+    system, (flat, r) = weighed.linearise(end.state), weighed.whiten(end.state)
+    cov = np.zeros_like(fitted.cov)
+    of_noise = float(r @ r) / max(len(r) - len(kept), 1)
+    cov[np.ix_(fitted.identifiability.kept, fitted.identifiability.kept)] = system.covariance * of_noise
+    columns = np.zeros((n, m, len(kept)))
+    columns[end.state.ok] = flat.reshape(-1, m, len(kept))
+    residuals = problem.residuals(end.state)
+    return replace(fitted, state=end.state, cov=cov, residuals=residuals, columns=columns, converged=end.converged)
+
+
+@dataclass(frozen=True, eq=False)
+class _CovarianceProblem:
+    """Residuals `S_k^-1/2 r_k` of a fit's kept unknowns, as a least-squares problem."""
+
+    problem: Problem
+    root: np.ndarray
+    kept: np.ndarray
+
+    def whiten(self, state: FitState) -> tuple[np.ndarray, np.ndarray]:
+        """Return columns (rows, r) and residuals (rows,) of the poses that are predicted."""
+        ok = state.ok
+        columns = np.linalg.solve(self.root[ok], self.problem.columns(state)[ok][:, :, self.kept])
+        r = np.linalg.solve(self.root[ok], self.problem.residuals(state)[ok][:, :, None])
+        return columns.reshape(-1, len(self.kept)), r.ravel()
+
+    def linearise(self, state: FitState) -> LinearSystem:
+        """Return the linear system about a state."""
+        return factor_system(*self.whiten(state), self.problem.unknowns.scales[self.kept])
+
+    def move(self, state: FitState, step: np.ndarray) -> FitState:
+        """Return the state after a step of the kept unknowns."""
+        whole = np.zeros(len(self.problem.unknowns.rows))
+        whole[self.kept] = step
+        return self.problem.moved(state, whole)
+
+    def gain(self, state: FitState, trial: FitState) -> float:
+        """Return by how much the sum falls; losing a pose is no way down."""
+        if trial.ok.sum() < state.ok.sum():
+            return -np.inf
+        return self._cost(state) - self._cost(trial)
+
+    def _cost(self, state: FitState) -> float:
+        r = np.linalg.solve(self.root[state.ok], self.problem.residuals(state)[state.ok][:, :, None])
+        return float(np.sum(r**2))

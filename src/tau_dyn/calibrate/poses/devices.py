@@ -1,4 +1,8 @@
-"""What a measuring device must be able to say: which poses it sees, how well, and what it would measure."""
+"""What a measuring device must be able to say, which poses it sees, how well, what it would measure; and a laser tracker.
+
+A reflector is seen from within a cone about its axis: about 30 degrees for a corner cube, 75 for a cat's eye, 45 in pitch and yaw
+for a target that tells its orientation too (Leica Geosystems 2009). The tracker's noise grows with the distance.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.frames import DeviceFrames
+from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.mechanism import Poses
 
 SEEN = ""
@@ -114,3 +118,85 @@ def add_noise(poses: Poses, covariance: np.ndarray, rng: np.random.Generator) ->
     if error.shape[1] == 3:
         return Poses(poses.position + error, poses.rotation)
     return Poses(poses.position + error[:, :3], Rotation.from_rotvec(error[:, 3:]).as_matrix() @ poses.rotation)
+
+
+@dataclass(frozen=True, eq=False)
+class Tracker:
+    """A laser tracker that stands still.
+
+    Attributes:
+        pose: The tracker in the robot's base frame, z upwards.
+        on_tool: The reflector in the tool frame, z out of it.
+        along: Standard deviation of the measured distance [m].
+        across: Standard deviation of both angles [rad].
+        turn: Standard deviation of orientations [rad], None where the target tells none.
+        distance: Nearest and farthest distance [m].
+        incidence: Half angle of the reflector's cone [rad].
+        elevation: Lowest and highest elevation of the beam [rad].
+        name: For messages.
+    """
+
+    pose: Frame
+    on_tool: Frame
+    along: float = 10e-6
+    across: float = 5e-6
+    turn: float | None = None
+    distance: tuple[float, float] = (0.5, 30.0)
+    incidence: float = float(np.deg2rad(30.0))
+    elevation: tuple[float, float] = (float(-np.pi / 4), float(np.pi / 4))
+    name: str = "tracker"
+
+    @property
+    def frames(self) -> DeviceFrames:
+        """The base in the tracker's frame, the reflector on the tool."""
+        return DeviceFrames((self.pose.inverse,), (self.on_tool,))
+
+    @property
+    def turned(self) -> bool:
+        """Whether the target tells its orientation."""
+        return self.turn is not None
+
+    @property
+    def place(self) -> np.ndarray:
+        """Where it looks from (3,) [m]."""
+        return self.pose.translation
+
+    def reasons(self, tool: Poses) -> np.ndarray:
+        """Return why the beam does not come back (N,), '' where it does."""
+        at = transform_to_device(self.frames, tool)
+        out = np.full(len(at.position), SEEN, dtype=object)
+        away = np.maximum(np.linalg.norm(at.position, axis=1), 1e-9)
+        cosine = -np.einsum("ni,ni->n", at.rotation[:, :, 2], at.position) / away
+        height = np.arcsin(np.clip(at.position[:, 2] / away, -1, 1))
+        rules = (
+            (f"nearer than {self.distance[0]:g} m", away < self.distance[0]),
+            (f"farther than {self.distance[1]:g} m", away > self.distance[1]),
+            ("reflector turned away", cosine <= 0),
+            (f"reflector hit at more than {np.rad2deg(self.incidence):.0f} degrees", cosine < np.cos(self.incidence)),
+            ("below the tracker's elevation", height < self.elevation[0]),
+            ("above the tracker's elevation", height > self.elevation[1]),
+        )
+        for words, wrong in rules:
+            out[wrong & (out == SEEN)] = words
+        return out
+
+    def marks(self, tool: Poses) -> np.ndarray:
+        """Return the reflector (N, 1, 3) [m] in the robot's base frame."""
+        return transform_to_base(self.frames, tool).position[:, None]
+
+    def covariance(self, tool: Poses) -> np.ndarray:
+        """Return the covariance of what it measures (N, 3, 3) or (N, 6, 6)."""
+        at = transform_to_device(self.frames, tool).position
+        away = np.linalg.norm(at, axis=1)
+        beam = at / np.maximum(away, 1e-9)[:, None]
+        outer = beam[:, :, None] * beam[:, None]
+        place = self.along**2 * outer + (self.across * away)[:, None, None] ** 2 * (np.eye(3) - outer)
+        if self.turn is None:
+            return place
+        full = np.zeros((len(at), 6, 6))
+        full[:, :3, :3], full[:, 3:, 3:] = place, self.turn**2 * np.eye(3)
+        return full
+
+    def measure(self, tool: Poses, rng: np.random.Generator) -> Poses:
+        """Return the reflector's pose with noise."""
+        return add_noise(transform_to_device(self.frames, tool), self.covariance(tool), rng)

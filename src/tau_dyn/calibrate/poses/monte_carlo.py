@@ -16,11 +16,9 @@ import numpy as np
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.poses.choice import PoseChoice
+from tau_dyn.calibrate.poses.choice import PoseChoice, compute_doubling_gain, predict
+from tau_dyn.calibrate.poses.design import refine
 from tau_dyn.calibrate.poses.devices import MeasuringDevice, transform_to_device
-from tau_dyn.calibrate.poses.pose_count import compute_doubling_gain
-from tau_dyn.calibrate.poses.prediction import predict
-from tau_dyn.calibrate.poses.refine import refine
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 
 _MAX_ERROR_RATIO = 2.0

@@ -1,12 +1,12 @@
-"""Candidate poses: a grid over the workspace (of a robot of rods), or positions spread over the joints' travel.
+"""Candidate poses: a grid over the workspace or positions spread over the joints' travel, and which of them a device sees.
 
-The machine's dimensions are only about known, so candidates keep a safety distance from obstacles, from the
-workspace's border and from the ends of the joints' travel, and a safety angle from the ball joints' limits (thesis
-5.6).
+The machine's dimensions are only about known, so candidates keep a safety distance from obstacles, from the workspace's border
+and from the ends of the joints' travel, and a safety angle from the ball joints' limits (thesis 5.6).
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
@@ -15,9 +15,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
-from tau_dyn.calibrate.poses.path_check import PathCheck
+from tau_dyn.calibrate.poses.devices import SEEN, MeasuringDevice
+from tau_dyn.calibrate.poses.tour import PathCheck
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.kinematics import Obstacle
+from tau_dyn.kinematics import Obstacle, PlacedSolid, Surroundings, build_capsule, build_standing_solid, find_collisions
 from tau_dyn.kinematics.workspace import (
     INSIDE,
     PoseChecker,
@@ -219,3 +220,130 @@ def _over_travel(
 
 def _wider(obstacle: Obstacle, distance: float) -> Obstacle:
     return replace(obstacle, margin=max(obstacle.margin, distance))
+
+
+_BEAM = 1e-4  # [m] radius of a line of sight
+_FREE = 0.02  # [m] before the mark that may be hidden: the target's own mount
+
+
+def check_place(device: MeasuringDevice, around: Surroundings) -> None:
+    """Refuse a device that stands inside an obstacle.
+
+    Raises:
+        InputError: It does; names both.
+    """
+    if device.place is None:
+        return
+    for solid in around.obstacles:
+        if solid.blocks == "robot" and solid.distance(device.place[None])[0] < 0:
+            place = ", ".join(f"{x:g}" for x in device.place)
+            raise InputError(
+                "invalid_value",
+                f"the {device.name} at ({place}) m stands inside the obstacle '{solid.name}'; move one of them",
+            )
+
+
+def find_occlusions(
+    device: MeasuringDevice, tool: Poses, q: np.ndarray, around: Surroundings, machine: WorkspaceModel | None
+) -> np.ndarray:
+    """Return what hides the target at each pose (N,), '' where nothing does.
+
+    Args:
+        device: Looks.
+        tool: Tool poses (N).
+        q: Actuated positions there (N, na).
+        around: Obstacles; zones that only the tool must keep out of hide nothing.
+        machine: The robot, whose own solids hide as well; None leaves them out.
+    """
+    out = np.full(len(q), SEEN, dtype=object)
+    if device.place is None or not len(q):
+        return out
+    solids = [(o.name, build_standing_solid(o.shape, o.placement)) for o in around.obstacles if o.blocks == "robot"]
+    if machine is not None:
+        bodies = zip(machine.bodies, machine.solids(q, tool), strict=True)
+        solids += [
+            (f"the robot's own {body.name}", solid) for body, solid in bodies if not _carries(body.joint, machine)
+        ]
+    marks = device.marks(tool)
+    for k in range(marks.shape[1]):
+        beam = _beam(device.place, marks[:, k])
+        for name, solid in solids:
+            left = np.flatnonzero(out == SEEN)
+            if len(left):
+                hit = np.broadcast_to(find_collisions(beam.take(left), solid.take(left)), len(left))
+                out[left[hit]] = f"hidden by {name}"
+    return out
+
+
+def _beam(place: np.ndarray, marks: np.ndarray) -> PlacedSolid:
+    along = marks - place
+    size = np.linalg.norm(along, axis=1, keepdims=True)
+    end = place + along * np.maximum(1 - _FREE / np.maximum(size, 1e-9), 0.0)
+    start = np.repeat(place[None], len(marks), axis=0)
+    return build_capsule(_BEAM, float(size.max(initial=1e-6)), start, end)
+
+
+def _carries(joint: int, machine: WorkspaceModel) -> bool:
+    """Return whether a body is the tool's own link, which holds the target."""
+    robot = machine.robot
+    frame = robot.tool_frame if robot.tool_frame is not None else robot.model.nframes - 1
+    return robot.model.frames[frame].parentJoint == joint
+
+
+_HELP = {
+    "nearer": "a device farther away",
+    "farther": "a device nearer to the robot",
+    "pattern not wholly": "a wider lens, a smaller pattern, or a camera farther away",
+    "pattern seen from behind": "a pattern that faces the camera",
+    "pattern seen at": "a pattern that faces the camera",
+    "behind": "a camera that looks at the robot",
+    "reflector": "a reflector that faces the tracker",
+    "below": "a tracker that stands lower or farther away",
+    "above": "a tracker that stands higher or farther away",
+    "hidden": "another place for the device, or fewer obstacles",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Visible:
+    """Candidates that a device sees.
+
+    Attributes:
+        index: Which of the reachable poses (n,).
+        reasons: Why the others are not, with their number, most frequent first.
+    """
+
+    index: np.ndarray
+    reasons: dict[str, int]
+
+
+def find_visible(
+    device: MeasuringDevice, poses: Reachable, around: Surroundings, machine: WorkspaceModel | None
+) -> Visible:
+    """Return which poses a device sees.
+
+    Args:
+        device: The device.
+        poses: Where the robot may be.
+        around: Obstacles that may stand between.
+        machine: The robot, whose own solids may hide the target; None leaves them out.
+
+    Raises:
+        InputError: The device stands in an obstacle.
+        CannotAnswer: It sees none of the poses; says mostly why.
+    """
+    check_place(device, around)
+    why = device.reasons(poses.tool)
+    left = np.flatnonzero(why == SEEN)
+    why[left] = find_occlusions(device, poses.tool.take(left), poses.q[left], around, machine)
+    index = np.flatnonzero(why == SEEN)
+    reasons = dict(Counter(why[why != SEEN].tolist()).most_common())
+    if not len(index):
+        word = next(iter(reasons))
+        remedy = next((text for start, text in _HELP.items() if word.startswith(start)), "another place for the device")
+        raise CannotAnswer(
+            "not_visible",
+            f"the {device.name} sees none of the {poses.n} poses in reach (mostly: {word}, {reasons[word]} of them)",
+            remedy,
+        )
+    return Visible(index, reasons)

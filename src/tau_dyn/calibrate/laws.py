@@ -1,9 +1,15 @@
-r"""What carts and drives do beside moving along a straight line: each law is a few more parameters, zero in the nominal robot.
+r"""What joints and carts do beside moving as their encoders say: a law is a few more parameters, zero in the nominal robot.
 
-A `DriveLaw` changes the position that a joint really has, `q_eff = q + e(q)`; a `GuideLaw` displaces all rod ends
-that a slide carries, `A = A_0 + d(q)`, in base axes. Both are given `q` alone, so that forward kinematics stays a
-function of `q`; a load-dependent law takes its loads from the nominal robot, whose errors change them by parts in a
-thousand. Reference: thesis 4.2, 5.3 and figures 4.3, 5.2.
+A `JointLaw` changes the position that a joint really has, `q_real = q + sum of e`:
+
+- periodic errors of pinions, racks and resolvers, `e = s sin(2 pi q / T) + c cos(2 pi q / T)`;
+- eccentricity of an encoder disc, `e = s sin q + c cos q`;
+- coupling, `e = k q_other`: another joint's drive turns this one along;
+- compliance of a drive, `e = c F . n`, `F` the rods' pull; what an arm's joints yield to gravity stands in `gravity.py`.
+
+A `GuideLaw` displaces all rod ends that a slide carries, `A = A_0 + d(q)`, in base axes. Laws are given `q` alone, so that
+forward kinematics stays a function of `q`; a load-dependent law takes its loads from the nominal robot, whose errors change them
+by parts in a thousand. References: thesis 4.2, 5.3, figures 4.3, 5.2; Whitney, Lozinski & Rourke 1986.
 """
 
 from __future__ import annotations
@@ -18,12 +24,14 @@ from tau_dyn.mechanism import Rods, list_path
 from tau_dyn.parameters import Parameter, Parameters
 
 AXES = ("x", "y", "z")
+_COUPLING_STDERR = 0.1
+"""Share of another joint's motion that may be coupled in, one standard deviation."""
 Loads = Callable[[np.ndarray], np.ndarray]
 """`q` (N, na) -> force of the rods on each actuated slide (N, na, 3) [N], in base axes."""
 
 
-class DriveShift(NamedTuple):
-    """A joint's error (N,), its slope by `q` (N,) and by the law's parameters (N, p)."""
+class JointShift(NamedTuple):
+    """A joint's error (N,), its slope by all positions (N, na) and by the law's parameters (N, p)."""
 
     error: np.ndarray
     slope: np.ndarray
@@ -38,7 +46,7 @@ class GuideShift(NamedTuple):
     columns: np.ndarray
 
 
-class DriveLaw(Protocol):
+class JointLaw(Protocol):
     """An error of one joint's position."""
 
     @property
@@ -51,7 +59,7 @@ class DriveLaw(Protocol):
         """Its parameters, at their nominal values."""
         ...
 
-    def drive(self, values: np.ndarray, q: np.ndarray) -> DriveShift:
+    def shift(self, values: np.ndarray, q: np.ndarray) -> JointShift:
         """Return the error at `q` (N, na)."""
         ...
 
@@ -69,9 +77,34 @@ class GuideLaw(Protocol):
         """Its parameters, at their nominal values."""
         ...
 
-    def guide(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
+    def displace(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
         """Return the displacements at `q` (N, na)."""
         ...
+
+
+class MovedJoints(NamedTuple):
+    """Where joints really are.
+
+    Attributes:
+        real: Positions (N, na).
+        by_encoder: Their derivative by what the encoders say (N, na, na).
+        columns: Each law's joint, and the derivative of its position by the law's parameters (N, p).
+    """
+
+    real: np.ndarray
+    by_encoder: np.ndarray
+    columns: tuple[tuple[int, np.ndarray], ...]
+
+
+def move_joints(laws: Sequence[JointLaw], values: Sequence[np.ndarray], q: np.ndarray) -> MovedJoints:
+    """Return where joints really are when their encoders say `q` (N, na), each law at its values."""
+    real, by_encoder, columns = np.array(q, float), np.tile(np.eye(q.shape[1]), (len(q), 1, 1)), []
+    for law, own in zip(laws, values, strict=True):
+        shift = law.shift(own, q)
+        real[:, law.actuator] += shift.error
+        by_encoder[:, law.actuator] += shift.slope
+        columns.append((law.actuator, shift.columns))
+    return MovedJoints(real, by_encoder, tuple(columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,14 +137,95 @@ class PeriodicDriveLaw:
             ]
         )
 
-    def drive(self, values: np.ndarray, q: np.ndarray) -> DriveShift:
+    def shift(self, values: np.ndarray, q: np.ndarray) -> JointShift:
         """Return the error."""
         a, b, period = values
         x = q[:, self.actuator]
         w = 2 * np.pi / period
         s, c = np.sin(w * x), np.cos(w * x)
         slope = w * (a * c - b * s)
-        return DriveShift(a * s + b * c, slope, np.column_stack([s, c, -slope * x / period]))
+        return JointShift(a * s + b * c, _by_own(q, self.actuator, slope), np.column_stack([s, c, -slope * x / period]))
+
+
+@dataclass(frozen=True)
+class EccentricityLaw:
+    """An encoder disc or gear that turns off its axis.
+
+    Attributes:
+        joint: Joint name.
+        actuator: Its index.
+    """
+
+    joint: str
+    actuator: int
+
+    @property
+    def parameters(self) -> Parameters:
+        """Two amplitudes."""
+        return Parameters(Parameter(f"{self.joint}.eccentricity_{x}", 0.0, "rad", origin="law") for x in ("sin", "cos"))
+
+    def shift(self, values: np.ndarray, q: np.ndarray) -> JointShift:
+        """Return the error."""
+        x = q[:, self.actuator]
+        columns, slope = np.column_stack([np.sin(x), np.cos(x)]), np.column_stack([np.cos(x), -np.sin(x)]) @ values
+        return JointShift(columns @ values, _by_own(q, self.actuator, slope), columns)
+
+
+@dataclass(frozen=True)
+class CouplingLaw:
+    """Motion that another joint's drive passes on, by a gear train in the arm or an encoder against the ground.
+
+    Attributes:
+        joint: Joint name.
+        actuator: Its index.
+        other: Name of the joint that moves it along.
+        source: That joint's index.
+        ratio: Nominal share: 0, or 1 or -1 where all of the other joint's motion is added.
+    """
+
+    joint: str
+    actuator: int
+    other: str
+    source: int
+    ratio: float = 0.0
+
+    @property
+    def parameters(self) -> Parameters:
+        """The share."""
+        name = f"{self.joint}.coupling_{self.other}"
+        return Parameters([Parameter(name, self.ratio, "1", prior_stderr=_COUPLING_STDERR, origin="law")])
+
+    def shift(self, values: np.ndarray, q: np.ndarray) -> JointShift:
+        """Return the error."""
+        other = q[:, self.source]
+        return JointShift(values[0] * other, _by_own(q, self.source, np.full(len(q), values[0])), other[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class DriveComplianceLaw:
+    """A drive that yields to its rods' pull: `e = drive_compliance F . n` along its guideway.
+
+    Attributes:
+        joint: Slide's name.
+        actuator: Its index.
+        direction: Unit vector of the guideway (3,).
+        loads: The rods' pull.
+    """
+
+    joint: str
+    actuator: int
+    direction: np.ndarray
+    loads: Loads
+
+    @property
+    def parameters(self) -> Parameters:
+        """One compliance."""
+        return Parameters([Parameter(f"{self.joint}.drive_compliance", 0.0, "m/N", origin="law")])
+
+    def shift(self, values: np.ndarray, q: np.ndarray) -> JointShift:
+        """Return the error."""
+        along = self.loads(q)[:, self.actuator] @ self.direction
+        return JointShift(values[0] * along, np.zeros(q.shape), along[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +254,7 @@ class GuideBendLaw:
         inner = range(1, len(self.knots) - 1)
         return Parameters(Parameter(f"{self.joint}.bend_{k}_{a}", 0.0, "m", origin="law") for k in inner for a in AXES)
 
-    def guide(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
+    def displace(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
         """Return the displacements."""
         x, knots = q[:, self.actuator], self.knots
         k = np.clip(np.searchsorted(knots, x) - 1, 0, len(knots) - 2)
@@ -180,7 +294,7 @@ class RodPathLaw:
         """Three drifts."""
         return Parameters(Parameter(f"{self.rod}.drift_{a}", 0.0, "1", origin="law") for a in AXES)
 
-    def guide(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
+    def displace(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
         """Return the displacements."""
         x = q[:, self.actuator]
         columns = x[:, None, None] * np.eye(3)
@@ -213,38 +327,11 @@ class CartComplianceLaw:
         """One compliance."""
         return Parameters([Parameter(f"{self.joint}.guideway_compliance", 0.0, "m/N", origin="law")])
 
-    def guide(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
+    def displace(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
         """Return the displacements."""
         force = self.loads(q)[:, self.actuator]
         across = force - (force @ self.direction)[:, None] * self.direction
         return _on_rods(values[0] * across, np.zeros_like(across), across[:, :, None], self.rods, self.n_rods)
-
-
-@dataclass(frozen=True, eq=False)
-class DriveComplianceLaw:
-    """A drive that yields to its rods' pull: `e = drive_compliance F . n` along its guideway.
-
-    Attributes:
-        joint: Slide's name.
-        actuator: Its index.
-        direction: Unit vector of the guideway (3,).
-        loads: The rods' pull.
-    """
-
-    joint: str
-    actuator: int
-    direction: np.ndarray
-    loads: Loads
-
-    @property
-    def parameters(self) -> Parameters:
-        """One compliance."""
-        return Parameters([Parameter(f"{self.joint}.drive_compliance", 0.0, "m/N", origin="law")])
-
-    def drive(self, values: np.ndarray, q: np.ndarray) -> DriveShift:
-        """Return the error."""
-        along = self.loads(q)[:, self.actuator] @ self.direction
-        return DriveShift(values[0] * along, np.zeros(len(q)), along[:, None])
 
 
 def find_carried_rods(rods: Rods, actuator: int) -> tuple[int, ...]:
@@ -265,3 +352,10 @@ def _on_rods(shift: np.ndarray, slope: np.ndarray, columns: np.ndarray, rods: Se
     for k in rods:
         out[:, k], by_q[:, k], by[:, k] = shift, slope, columns
     return GuideShift(out, by_q, by)
+
+
+def _by_own(q: np.ndarray, joint: int, slope: np.ndarray) -> np.ndarray:
+    """Return a slope (N,) by one joint as one by all (N, na)."""
+    out = np.zeros(q.shape)
+    out[:, joint] = slope
+    return out

@@ -1,0 +1,397 @@
+r"""What a fit to poses makes small, its derivatives by all unknowns, and the descent in rounds that settle noise and weights.
+
+    forward   measured minus predicted position [m] and the rotation between them [rad] (thesis (5.5))
+    closure   |A(q) - B(X)| - L of every rod at the measured pose [m]: always exists, but weighs poses by their
+              geometry (thesis (5.1))
+    inverse   actuated positions that the measured pose asks for, minus those commanded [m or rad]
+
+A rotation residual is a rotation vector in the device's axes; its derivative leaves out terms of the residual's own size
+(`J_l^-1(r) = I - O(r)`), which are gone at the optimum. Minimised is
+
+    sum_k w_k |r_k / (e_k sigma)|^2 + sum_i ((theta_i - nominal_i) / scale_i)^2,
+
+`e_k` stated standard errors over their median. The second sum says that a robot is built to its drawing within `scale` (10 mm,
+10 mrad): it decides nothing that poses can tell, and keeps combinations that they hardly see from running away. The noise
+`sigma` of each block (position, orientation) is its sum of squares by what the parameters leave of it, `n_b - trace(H_b)`, `H`
+the hat matrix. Reference: Khalil & Dombre 2002, 11.5; Everett 1989; Renaud et al. 2006.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from tau_dyn.calibrate.frames import DeviceFrames, compute_rotation_between
+from tau_dyn.calibrate.geometry import KNOWN_BEFOREHAND, Closure, Geometry
+from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.unknowns import Identifiability, Unknowns, find_identifiable
+from tau_dyn.estimate import (
+    DescentRules,
+    LinearSystem,
+    compute_robust_weights,
+    descend,
+    estimate_distance_scale,
+    factor_system,
+)
+from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.mechanism import Poses
+
+KINDS = ("forward", "closure", "inverse")
+
+
+class FitState(NamedTuple):
+    """Where a fit stands.
+
+    Attributes:
+        theta: The geometry's parameters (p,).
+        frames: Device and target.
+        base: Predicted tool poses in the robot's base frame (N).
+        ok: Whether they were found (N,).
+        slack: Backlash of the actuated joints (na,) [m or rad].
+    """
+
+    theta: np.ndarray
+    frames: DeviceFrames
+    base: Poses
+    ok: np.ndarray
+    slack: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Residuals of one kind, and their derivatives.
+
+    Attributes:
+        geometry: The mechanism.
+        poses: What was measured.
+        unknowns: What may change.
+        kind: `forward`, `closure` or `inverse`.
+        turned: Whether measured orientations count.
+    """
+
+    geometry: Geometry
+    poses: PoseSet
+    unknowns: Unknowns
+    kind: str
+    turned: bool
+
+    def __post_init__(self) -> None:
+        """Refuse kinds that this mechanism or these poses do not have."""
+        if self.kind not in KINDS:
+            raise UnknownName("kind of residual", self.kind, KINDS)
+        if self.kind != "forward" and self.geometry.orients and self.poses.rotation is None:
+            raise InputError(
+                "missing_column",
+                f"{self.poses.source}: the {self.kind} residual needs measured orientations (qx_tool ..); "
+                "use the forward residual",
+            )
+
+    @property
+    def blocks(self) -> tuple[int, ...]:
+        """Sizes of a pose's residuals of one unit each: (3, 3) for position and orientation."""
+        if self.kind == "forward":
+            return (3, 3) if self.turned else (3,)
+        return (self._rows,)
+
+    @cached_property
+    def relative(self) -> np.ndarray:
+        """Standard errors of the residuals relative to each other (N, m), as the poses' file states them."""
+        m = sum(self.blocks)
+        return self.poses.relative_errors(m) if self.kind == "forward" else np.ones((self.poses.n, m))
+
+    @property
+    def _rows(self) -> int:
+        q, poses = self.poses.q[:1], Poses(np.zeros((1, 3)), np.eye(3)[None])
+        if self.kind == "inverse":
+            return q.shape[1]
+        return self._require(self.geometry.closure(self.geometry.parameters.values, q, poses)).gap.shape[1]
+
+    def place(self, theta: np.ndarray, frames: DeviceFrames, slack: np.ndarray, start: Poses | None) -> FitState:
+        """Return the state at these values, tool poses searched from `start`."""
+        found = self.geometry.forward(theta, compute_actuated_positions(self.poses, slack), start)
+        return FitState(theta, frames, found.poses, found.ok, slack)
+
+    def moved(self, state: FitState, step: np.ndarray) -> FitState:
+        """Return the state after a step (P,) of all unknowns."""
+        geometry, device, tool, slack = self.unknowns.split(step)
+        start = state.base if state.ok.all() else None
+        return self.place(state.theta + geometry, state.frames.moved(device, tool), state.slack + slack, start)
+
+    def residuals(self, state: FitState) -> np.ndarray:
+        """Return residuals (N, m), nan where a pose cannot be predicted."""
+        if self.kind == "forward":
+            seen = state.frames.measured(state.base, self.poses.setup)
+            position = self.poses.position - seen.position
+            if not self.turned:
+                return position
+            assert self.poses.rotation is not None
+            rotation = np.full_like(position, np.nan)
+            rotation[state.ok] = compute_rotation_between(self.poses.rotation[state.ok], seen.rotation[state.ok])
+            return np.concatenate([position, rotation], axis=1)
+        at = self._measured_in_base(state)
+        found = self._closure(state, at)
+        if self.kind == "closure":
+            return -found.gap
+        return -np.linalg.solve(_require_square(found.by_joint), found.gap[:, :, None])[:, :, 0]
+
+    def columns(self, state: FitState) -> np.ndarray:
+        """Return minus the residuals' derivative by all unknowns (N, m, P)."""
+        at = state.base if self.kind == "forward" else self._measured_in_base(state)
+        seen = state.frames.measured(at, self.poses.setup)
+        device, tool = state.frames.columns(at, seen, self.poses.setup)
+        slack = -0.5 * self.poses.approach[:, None] * self.unknowns.plays  # half of it to each side
+        if self.kind == "forward":
+            q = compute_actuated_positions(self.poses, state.slack)
+            own = self.geometry.tool_by_parameter(state.theta, q, at)
+            play = np.zeros((len(q), 6, q.shape[1]))
+            if self.unknowns.plays:
+                play = self.geometry.tool_by_joint(state.theta, q, at) * slack
+            moved, split = state.frames.carried(at, np.concatenate([own, play], axis=2), self.poses.setup), own.shape[2]
+            twist = np.concatenate([moved[:, :, :split], device, tool, moved[:, :, split:]], axis=2)
+            return twist if self.turned else twist[:, :3]
+        found = self._closure(state, at)
+        base = state.frames.brought(at, np.concatenate([device, tool], axis=2), self.poses.setup)
+        # the measurement stays, so the base pose moves back
+        columns = np.concatenate([found.by_parameter, -found.by_pose @ base, found.by_joint * slack], axis=2)
+        return columns if self.kind == "closure" else np.linalg.solve(_require_square(found.by_joint), columns)
+
+    def _measured_in_base(self, state: FitState) -> Poses:
+        if self.geometry.orients:
+            return state.frames.in_base(self.poses.poses, self.poses.setup)
+        seen = state.frames.measured(state.base, self.poses.setup)
+        back = state.frames.in_base(Poses(self.poses.position, seen.rotation), self.poses.setup)
+        return Poses(back.position, state.base.rotation)
+
+    def _closure(self, state: FitState, at: Poses) -> Closure:
+        return self._require(
+            self.geometry.closure(state.theta, compute_actuated_positions(self.poses, state.slack), at)
+        )
+
+    def _require(self, found: Closure | None) -> Closure:
+        if found is None:
+            raise InputError("unsupported", "this mechanism has no closure equations; use the forward residual")
+        return found
+
+
+def _require_square(slope: np.ndarray) -> np.ndarray:
+    if slope.shape[1] != slope.shape[2]:
+        raise InputError(
+            "unsupported",
+            f"the inverse residual needs as many closure equations as actuated joints, not {slope.shape[1]} for "
+            f"{slope.shape[2]}; use the forward or the closure residual",
+        )
+    return slope
+
+
+def compute_actuated_positions(poses: PoseSet, slack: np.ndarray) -> np.ndarray:
+    """Return actuated positions (N, na) behind the backlash: a joint that came from below stands half of it too low."""
+    return poses.q - 0.5 * slack * poses.approach if slack.any() else poses.q
+
+
+_MAX_ROUNDS = 15  # bounds the time of a fit that does not converge
+_MAX_STEPS = 15  # of Gauss-Newton in one round
+_RELATIVE_CHANGE_TOL = 1e-2  # of the noise: what a round may still change
+_NEAR = 0.2  # change of the noise below which a round walks to the end
+_FREE_FRAMES = 1e3  # how much less than dimensions frames are known beforehand
+_UNIDENTIFIABLE_PRIOR_WEIGHT = 1e5  # prior of parameters that poses cannot tell, in units of 1 / scale
+_FULL_STEPS = 4  # undamped Gauss-Newton steps along a curved valley
+_MIN_NOISE = 1e-9  # [m or rad], of poses without noise
+_RANK_TOLERANCE = 1e-14  # rounding: the prior tells every unknown something
+_RULES = DescentRules(_MAX_STEPS, small_step=1e-3, small_gain=0.02, first_damping=0.1, growth=5.0, max_trials=10)
+"""A step is the last that moves predictions by a thousandth of the noise (rms) or gains a seventh of a standard error."""
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedProblem:
+    """A `Problem` as `descend` takes it: residuals over their noise, weights against bad poses, the prior.
+
+    Attributes:
+        problem: Residuals and their derivatives.
+        robust: Kind of weights.
+        noise: Standard deviation of each block of residuals.
+        trust: Of the prior of each free unknown (f,), in units of 1 / scale.
+        homeless: Which free unknowns have no nominal value, or none that counts (f,).
+    """
+
+    problem: Problem
+    robust: str
+    noise: tuple[float, ...]
+    trust: np.ndarray
+    homeless: np.ndarray
+
+    @classmethod
+    def of(cls, problem: Problem, robust: str, noise: tuple[float, ...]) -> WeightedProblem:
+        """Return the problem with the usual prior: dimensions within their scales, frames anywhere."""
+        u, free = problem.unknowns, np.flatnonzero(problem.unknowns.free)
+        frame = (free >= u.n_geometry) & (free < u.n_geometry + u.n_device + u.n_tool)
+        return cls(problem, robust, noise, np.where(frame, 1 / _FREE_FRAMES, 1.0), frame)
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """Indices of the free unknowns (f,)."""
+        return np.flatnonzero(self.problem.unknowns.free)
+
+    @cached_property
+    def scales(self) -> np.ndarray:
+        """Their scales (f,)."""
+        return self.problem.unknowns.scales[self.free]
+
+    @cached_property
+    def nominal(self) -> np.ndarray:
+        """Nominal values of all unknowns (P,); frames at rest, as the target sits where the file's tool is."""
+        u = self.problem.unknowns
+        values = np.array([p.value for p in u.rows])
+        values[u.n_geometry : u.n_geometry + u.n_device + u.n_tool] = 0.0
+        return values
+
+    @property
+    def cuts(self) -> list[slice]:
+        """The blocks of residuals."""
+        ends = np.cumsum((0, *self.problem.blocks))
+        return [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Noise of every residual (N, m), as stated standard errors weigh the poses."""
+        return self.problem.relative * np.repeat(self.noise, self.problem.blocks)
+
+    def whiten(self, state: FitState) -> tuple[np.ndarray, np.ndarray]:
+        """Return residuals (N, m) in units of the noise and weights (N,); poses without prediction weigh nothing."""
+        r = np.where(state.ok[:, None], self.problem.residuals(state) / self.sigma, 0.0)
+        return r, np.where(state.ok, compute_robust_weights(self.robust, np.linalg.norm(r, axis=1), r.shape[1]), 0.0)
+
+    def columns(self, state: FitState, w: np.ndarray) -> np.ndarray:
+        """Return whitened derivatives by the free unknowns (N, m, f) at weights (N,)."""
+        columns = self.problem.columns(state)[:, :, self.free] / self.sigma[:, :, None] * np.sqrt(w)[:, None, None]
+        return np.where(state.ok[:, None, None], columns, 0.0)
+
+    def linearise(self, state: FitState) -> LinearSystem:
+        """Return the linear system about a state: the poses' rows, then the prior's."""
+        r, w = self.whiten(state)
+        rows = np.vstack([self.columns(state, w).reshape(-1, len(self.free)), np.diag(self.trust / self.scales)])
+        target = np.concatenate([(r * np.sqrt(w)[:, None]).ravel(), -self._prior(state)])
+        return factor_system(rows, target, self.scales, _RANK_TOLERANCE)
+
+    def move(self, state: FitState, step: np.ndarray) -> FitState:
+        """Return the state after a step (f,)."""
+        whole = np.zeros(len(self.problem.unknowns.rows))
+        whole[self.free] = step
+        return self.problem.moved(state, whole)
+
+    def gain(self, state: FitState, trial: FitState) -> float:
+        """Return by how much the sum falls at the state's weights; losing a pose is no way down."""
+        if trial.ok.sum() < state.ok.sum():
+            return -np.inf
+        (before, w), (after, _) = self.whiten(state), self.whiten(trial)
+        prior = np.sum(self._prior(state) ** 2) - np.sum(self._prior(trial) ** 2)
+        return float(np.sum(w[:, None] * (before**2 - after**2)) + prior)
+
+    def deviation(self, state: FitState) -> np.ndarray:
+        """Return how far free unknowns are from nominal (f,); the homeless count as at home, wherever they are."""
+        frames = [p.value for p in state.frames.parameters()]
+        values = np.concatenate([state.theta, frames, state.slack])
+        return np.where(self.homeless, 0.0, (values - self.nominal)[self.free])
+
+    def _prior(self, state: FitState) -> np.ndarray:
+        return self.deviation(state) / self.scales * self.trust
+
+    def estimate_noise(self, state: FitState) -> tuple[float, ...]:
+        """Return each block's noise by what the parameters leave of its residuals."""
+        r, w = self.whiten(state)
+        hat = self.linearise(state).leverage[: r.size].reshape(r.shape)
+        out, used = [], w > 0
+        for cut, size, s in zip(self.cuts, self.problem.blocks, self.noise, strict=True):
+            n = float(used.sum()) * size
+            left = max(n - float(hat[used][:, cut].sum()), 1.0)
+            if self.robust == "none":
+                ratio = np.sqrt(float(np.sum(r[used][:, cut] ** 2)) / left)
+            else:
+                ratio = estimate_distance_scale(np.linalg.norm(r[used][:, cut], axis=1), size) * np.sqrt(n / left)
+            out.append(max(float(s * ratio), _MIN_NOISE))
+        return tuple(out)
+
+    def identify(self, state: FitState) -> Identifiability:
+        """Return what the poses can tell at a state, or prior knowledge of what is known beforehand."""
+        u = self.problem.unknowns
+        columns = self.columns(state, self.whiten(state)[1]).reshape(-1, len(self.free))
+        priority = u.priority[self.free]
+        known = np.diag(1 / self.scales)[priority == KNOWN_BEFOREHAND]
+        return find_identifiable(
+            np.vstack([columns, known]), tuple(u.names[k] for k in self.free), self.scales, priority
+        )
+
+    def compute_covariance(self, state: FitState, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return weights (N,), whitened columns of the kept unknowns (N, m, r) and the covariance of the free ones (f, f)."""
+        _, w = self.whiten(state)
+        columns, cov = self.columns(state, w)[:, :, kept], np.zeros((len(self.free),) * 2)
+        if len(kept):
+            rows = np.vstack([columns.reshape(-1, len(kept)), np.diag(self.trust[kept] / self.scales[kept])])
+            system = factor_system(rows, np.zeros(len(rows)), self.scales[kept], _RANK_TOLERANCE)
+            cov[np.ix_(kept, kept)] = system.covariance
+        return w, columns, cov
+
+
+class Rounds(NamedTuple):
+    """Where descents in rounds ended: the state, the problem at the noise that settled, steps tried, whether at rest."""
+
+    state: FitState
+    weighted: WeightedProblem
+    steps: int
+    converged: bool
+
+
+def descend_in_rounds(problem: Problem, robust: str, noise: tuple[float, ...] | None, state: FitState) -> Rounds:
+    """Walk down from a state in rounds that settle noise and weights; a given noise stays."""
+    weighted = WeightedProblem.of(problem, robust, noise or (1.0,) * len(problem.blocks))
+    if noise is None:
+        r = (problem.residuals(state) / problem.relative)[state.ok]
+        first = tuple(max(float(np.sqrt(np.mean(r[:, cut] ** 2))), _MIN_NOISE) for cut in weighted.cuts)
+        weighted = replace(weighted, noise=first)
+    steps, near = 0, False
+    for _ in range(_MAX_ROUNDS):
+        end = descend(weighted, state, replace(_RULES, max_steps=_MAX_STEPS if near else 3))
+        state, steps = end.state, steps + end.trials
+        new = weighted.estimate_noise(state) if noise is None else noise
+        change = max(abs(a / b - 1) for a, b in zip(new, weighted.noise, strict=True))
+        weighted, near = replace(weighted, noise=new), change < _NEAR
+        if end.converged and change < _RELATIVE_CHANGE_TOL:
+            return Rounds(state, weighted, steps, True)
+    return Rounds(state, weighted, steps, False)
+
+
+def descend_near(weighted: WeightedProblem, state: FitState, max_steps: int) -> FitState:
+    """Return the state after a few steps at a known noise."""
+    return descend(weighted, state, replace(_RULES, max_steps=max_steps)).state
+
+
+def reset_unidentifiable(weighted: WeightedProblem, state: FitState, found: Identifiability) -> FitState:
+    """Return the state with parameters that cannot be told at their nominal values, the others making up for it.
+
+    The target's place among them: left adrift along what nobody sees, it would take dimensions with it.
+    """
+    u = weighted.problem.unknowns
+    tool = u.n_geometry + u.n_device
+    place = (weighted.free >= tool) & ((weighted.free - tool) % 6 < 3)
+    own = found.dropped[(~weighted.homeless | place)[found.dropped]]
+    trust, homeless = weighted.trust.copy(), weighted.homeless.copy()
+    homeless[own], trust[own] = False, _UNIDENTIFIABLE_PRIOR_WEIGHT
+    held = replace(weighted, trust=trust, homeless=homeless)
+    if not np.any(held.deviation(state)[own]):
+        return state
+    for _ in range(_FULL_STEPS):  # whole steps get along a curved valley where a falling sum would not
+        trial = held.move(state, held.linearise(state).step(0.0)[0])
+        if trial.ok.sum() < state.ok.sum():
+            break
+        state = trial
+    state = descend_near(held, state, 2 * _MAX_STEPS)
+    step = np.zeros(len(u.rows))
+    step[held.free[own]] = -held.deviation(state)[own]
+    _, device, tool_step, _ = u.split(step)
+    theta, exact = state.theta.copy(), held.free[own]
+    exact = exact[exact < u.n_geometry]
+    theta[exact] = held.nominal[exact]  # to the last bit, not by a step
+    start = state.base if state.ok.all() else None
+    return held.problem.place(theta, state.frames.moved(device, tool_step), state.slack, start)
