@@ -150,7 +150,7 @@ def test_what_cannot_be_an_effect_is_refused(wrong, why):
 
 def test_a_class_may_come_again(monkeypatch):
     """A notebook's cell that is run twice registers its class twice; the last one counts, and ours stay ours."""
-    monkeypatch.setattr("tau_dyn.effects.registry.EFFECTS", known := dict(EFFECTS))
+    monkeypatch.setattr("tau_dyn.effects.catalogue.EFFECTS", known := dict(EFFECTS))
     again = made()
     assert register(Spring) is Spring and register(again) is again and register(Stribeck) is Stribeck
     assert known["spring_of_a_test"] is again and "spring_of_a_test" not in EFFECTS

@@ -10,7 +10,7 @@ import numpy as np
 
 from tau_dyn.effects.effect import Effect
 from tau_dyn.effects.motion import JointMotion, Motion
-from tau_dyn.effects.words import format_amount, format_quantity, spell_unit
+from tau_dyn.effects.words import format_amount, format_percent, format_quantity, spell_unit
 from tau_dyn.parameters import Parameter, Parameters
 
 
@@ -20,8 +20,10 @@ class JointwiseEffect(Effect):
     A subclass says its quantities and their force per unit parameter; this class lays the columns out joint by joint.
     """
 
-    # (name, unit with F for the force unit, V for the speed unit and Q for the position's)
     quantities: ClassVar[tuple[tuple[str, str], ...]]
+    """Name and unit, with F for the force unit, V for the speed unit and Q for the position's."""
+    sentence: ClassVar[str] = ""
+    """What is said of a joint, with its quantities in braces, shares in per cent; empty for their names and amounts."""
 
     @property
     def terms(self) -> tuple[tuple[str, str], ...]:
@@ -66,7 +68,10 @@ class JointwiseEffect(Effect):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return what `describe` says of one joint, whose parameters are given by quantity."""
-        return " and ".join(f"{name.replace('_', ' ')} of {format_amount(p)}" for name, p in values.items())
+        if not self.sentence:
+            return " and ".join(f"{name.replace('_', ' ')} of {format_amount(p)}" for name, p in values.items())
+        said = {name: format_percent(p) if p.unit == "1" else format_amount(p) for name, p in values.items()}
+        return self.sentence.format(**said)
 
     def setting(self, key: str, joint: str) -> str:
         """Return a setting in words, such as `20.9 mm`."""

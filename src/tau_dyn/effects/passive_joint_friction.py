@@ -14,10 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.effects.effect import Effect
-from tau_dyn.effects.motion import Motion
-from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.scene import Scene
+from tau_dyn.effects.effect import Effect, PlausibleRange
+from tau_dyn.effects.motion import Motion, Scene
 from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameter, Parameters
 

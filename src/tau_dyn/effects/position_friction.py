@@ -14,11 +14,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.polynomial import legendre
 
-from tau_dyn.effects.effect import Effect
+from tau_dyn.effects.effect import Effect, PlausibleRange
 from tau_dyn.effects.jointwise import JointwiseEffect
-from tau_dyn.effects.motion import JointMotion
-from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.scene import Scene
+from tau_dyn.effects.motion import JointMotion, Scene
 from tau_dyn.effects.words import format_quantity, spell_unit
 from tau_dyn.parameters import Parameter
 

@@ -1,9 +1,13 @@
-"""Two joints that share a reducer: a motor turns with the sum of two joints' motion and loads both.
+"""Drives that are not as the robot file says: another rotor, another torque constant, a motor that two joints share.
 
-    tau_i += F,  tau_j += F,   F = inertia (a_i + a_j) + viscous (v_i + v_j) + coulomb sign(v_i + v_j)
+    armature           tau += armature_error a
+    drive_gain         tau_log = (1 + gain_error) tau
+    reducer_coupling   tau_i += F, tau_j += F,   F = inertia (a_i + a_j) + viscous (v_i + v_j) + coulomb sign(v_i + v_j)
 
-Robot wrists are often built so (joints 5 and 6 of the Staubli TX40). Reference: Gautier & Venture 2013; the motor's own
-drive terms stand beside each joint's.
+Where nobody gives a drive's inertia the baseline estimates it (`identify/drive_inertia.py`); where the file gives it, a gear
+ratio may be forgotten in its square. A gain scales all masses and all friction alike, so only a mass known by other means tells
+it. Robot wrists often share a motor (joints 5 and 6 of the Staubli TX40), which turns with the sum of two joints. Reference:
+Gautier & Khalil 1990; Gautier & Briot 2014; Gautier & Venture 2013.
 """
 
 from __future__ import annotations
@@ -12,13 +16,52 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from tau_dyn.effects.effect import Effect
-from tau_dyn.effects.motion import Motion
-from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.scene import Scene, list_joint_pairs
+from tau_dyn.effects.effect import Effect, PlausibleRange
+from tau_dyn.effects.jointwise import JointwiseEffect
+from tau_dyn.effects.motion import JointMotion, Motion, Scene, list_joint_pairs
 from tau_dyn.effects.words import format_amount, spell_unit
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters
+
+
+class Armature(JointwiseEffect):
+    """Reflected rotor inertia beyond the robot file's."""
+
+    name = "armature"
+    cause = True
+    confirmed_as = "parameter"
+    equation = "tau += armature_error a"
+    reference = "Gautier & Khalil 1990"
+    reveals = "quick accelerations of each joint alone, at poses where its load's inertia differs"
+    mistaken_for = ("link_mass", "payload", "reducer_coupling", "joint_compliance")
+    # A rotor counts by its gear ratio's square: it is up to all of a joint's inertia, or several times what a file has
+    plausible = (PlausibleRange("armature_error", -1.0, 5.0, of="inertia"),)
+    quantities = (("armature_error", "F s^2/Q"),)
+    sentence = "a drive inertia that differs from the robot file's by {armature_error}"
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return the acceleration."""
+        return [joint.a]
+
+
+class DriveGain(JointwiseEffect):
+    """A force that is reported too large or too small by a factor."""
+
+    name = "drive_gain"
+    cause = True
+    equation = "tau_log = (1 + gain_error) tau"
+    reference = "Gautier & Briot 2014"
+    reveals = "one motion without and with a weighed payload, its mass fixed by --fix"
+    mistaken_for = ("payload", "link_mass")
+    # Torque constants scatter by 10 % and fall by 20 % with warm magnets
+    plausible = (PlausibleRange("gain_error", -0.3, 0.3),)
+    needs = ("force",)
+    quantities = (("gain_error", "1"),)
+    sentence = "a drive whose reported force is off by {gain_error}"
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return the force of the model without this effect."""
+        return [joint.signal("force")]
 
 
 class ReducerCoupling(Effect):
