@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from tau_dyn.coded_warning import get_code
-from tau_dyn.diagnose import Gain, channel_pipeline, diagnose, internal_validation
-from tau_dyn.diagnose.channel_pipeline import confirm_cause, select_confirmed, select_supported
+from tau_dyn.diagnose import Gain, diagnose, internal_validation
+from tau_dyn.diagnose.claims import recommend, select_confirmed, select_supported
 from tau_dyn.diagnose.confirm import Confirmation
 from tau_dyn.diagnose.data_split import TEST
+from tau_dyn.diagnose.internal_validation import confirm_cause
 from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap
 from tau_dyn.diagnose.plausibility import find_inconsistent
-from tau_dyn.diagnose.recommendation import recommend
 from tau_dyn.diagnose.stepwise_selection import select_causes
 from tau_dyn.effects import Delay, PlausibleRange, QuadraticDrag, Stribeck, build_friction_model
 from tau_dyn.model import Model
@@ -100,7 +100,7 @@ def test_one_recording_has_one_delay():
 def test_a_gain_that_may_be_zero_confirms_nothing(make, rng, monkeypatch):
     """The interval of the gain decides, not its value."""
     channel = make.bench(rng, drag, n=8000, causes=(QuadraticDrag,))
-    monkeypatch.setattr(channel_pipeline, "compute_gain", lambda *_: Gain(10.0, 9.0, 10.0, (-0.1, 20.0)))
+    monkeypatch.setattr("tau_dyn.diagnose.claims.compute_gain", lambda *_: Gain(10.0, 9.0, 10.0, (-0.1, 20.0)))
     claims, _ = stand(channel, rng)
     assert "gain" in claims.why_not[0] and claims.kept == []
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from tau_dyn.diagnose import Unexplained, companions
-from tau_dyn.diagnose.channel_pipeline import confirm_cause, select_confirmed, select_supported
+from tau_dyn.diagnose.claims import select_confirmed, select_supported
 from tau_dyn.diagnose.companions import demote_companions, find_companion
+from tau_dyn.diagnose.internal_validation import confirm_cause
 from tau_dyn.diagnose.stepwise_selection import select_causes
 from tau_dyn.effects import Stribeck, ViscousCurvature
 from tau_dyn.parameters import Parameter, Parameters

@@ -8,9 +8,10 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 from scipy.interpolate import CubicSpline
 
-from tau_dyn.diagnose.deflection import build_deflection_channel, diagnose_deflection
+from tau_dyn.diagnose.deflection import build_deflection_channel
 from tau_dyn.diagnose.noise import fit_noise_models
 from tau_dyn.diagnose.null_model import NullModel
+from tau_dyn.diagnose.pipeline import diagnose_deflection
 from tau_dyn.diagnose.stiffness import estimate_stiffness
 from tau_dyn.effects import EFFECTS
 from tau_dyn.log import ColumnMap, Log
@@ -177,7 +178,7 @@ def test_quick_scan_explains_what_the_exact_columns_do(rng) -> None:
     make = EFFECTS["transmission_error"]
     effects = [make(["elbow"], ["N m"], **s) for s in make.grid(channel.scene, ("elbow",))]
     quick = channel.scan(
-        effects, ground, np.column_stack([ground.e, ground.draw_null_residuals(8, np.random.default_rng(0))])
+        effects, ground.whiten, np.column_stack([ground.e, ground.draw_null_residuals(8, np.random.default_rng(0))])
     )
     assert quick is not None
     best = effects[int(np.argmax(quick[:, 0]))]

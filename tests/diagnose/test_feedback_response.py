@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from scipy.signal import csd, welch
 
 from tau_dyn.diagnose import diagnose
-from tau_dyn.diagnose.channel_pipeline import MIN_AMPLITUDE_Z
+from tau_dyn.diagnose.claims import MIN_AMPLITUDE_Z
 from tau_dyn.diagnose.feedback_response import apply_feedback_taps, estimate_feedback_taps
 from tau_dyn.diagnose.filters import decimate_log
 from tau_dyn.diagnose.group_tests import CandidateCause, GroupTest
@@ -89,7 +89,7 @@ def test_logs_made_of_noise_alone_answer_it_as_the_measured_one_did():
     motion = model.motion(q, v, a, np.sign(v), t=t)
     piece = SimpleNamespace(motion=motion, log=log, preparation=SimpleNamespace(position_cutoff_hz=60.0))
     channel = SimpleNamespace(outputs=axis.actuated, prepared=[piece])
-    (made,) = simulate_noise_only_logs(cast(Any, channel), model, [log], [20.0], rng)
+    (made,) = simulate_noise_only_logs(cast(Any, channel.prepared), model, [log], [20.0], rng)
     taps = estimate_feedback_taps(made, axis.actuated, 20.0)
     assert_allclose(taps, loop, rtol=0.05, atol=0.05 * 6e4)
 
@@ -108,7 +108,7 @@ def test_made_logs_round_as_the_measured_one_did():
     channel = SimpleNamespace(outputs=axis.actuated, prepared=[piece])
     found = []
     for _ in range(60):
-        (made,) = simulate_noise_only_logs(cast(Any, channel), model, [log], [20.0], rng)
+        (made,) = simulate_noise_only_logs(cast(Any, channel.prepared), model, [log], [20.0], rng)
         error = made.channels["q_axis"] - q[:, 0]
         found.append([np.mean(error[part] ** 2) for part in (slice(500, 3500), slice(4500, 7500))])
     assert_allclose(np.sqrt(np.mean(found, axis=0)), np.hypot(step / np.sqrt(12), sd), rtol=0.12)
@@ -127,7 +127,7 @@ def test_a_log_that_is_thinned_keeps_the_answer_with_its_phase():
     motion = model.motion(zero, zero, zero, zero, t=thin.t)
     piece = SimpleNamespace(motion=motion, log=thin, preparation=SimpleNamespace(position_cutoff_hz=50.0))
     channel = SimpleNamespace(outputs=axis.actuated, prepared=[piece])
-    (made,) = simulate_noise_only_logs(cast(Any, channel), model, [log], [30.0], rng)
+    (made,) = simulate_noise_only_logs(cast(Any, channel.prepared), model, [log], [30.0], rng)
     assert made.rate_hz == pytest.approx(250.0)
     f, crossed = csd(made.channels["q_axis"], made.channels["tau_axis"], 250.0, nperseg=250)
     _, power = welch(made.channels["q_axis"], 250.0, nperseg=250)

@@ -9,11 +9,12 @@ from raising import raises_code
 
 from tau_dyn.diagnose import diagnose
 from tau_dyn.diagnose.aliases import compute_alias_periods
+from tau_dyn.diagnose.candidate_scan import ColumnCache, compute_explained
 from tau_dyn.diagnose.filters import choose_diagnosis_preparation
 from tau_dyn.diagnose.noise import fit_noise_models
 from tau_dyn.diagnose.null_model import NullModel
+from tau_dyn.diagnose.pipeline import diagnose_tool
 from tau_dyn.diagnose.tool import build_tool_channel
-from tau_dyn.diagnose.tool_diagnosis import diagnose_tool
 from tau_dyn.diagnose.tool_pieces import build_tool_segment
 from tau_dyn.effects import EFFECTS
 from tau_dyn.log import Log
@@ -160,7 +161,7 @@ def test_a_cyclic_error_at_places_too_far_apart_has_no_known_period(rng) -> None
     assert not found.extended_model.effects
     channel = build_tool_channel(model, [log])
     ground = NullModel.of(channel, (0,), fit_noise_models(channel, (0,)))
-    periods = np.array(compute_alias_periods(channel, ground, found.findings[0].effects[0]))
+    periods = np.array(compute_alias_periods(ColumnCache(channel), ground, found.findings[0].effects[0]))
     assert len(periods) > 10
     assert np.abs(periods / PERIOD - 1).min() < 0.01  # the truth is among them
     folded = np.mod(1 / periods * 0.05 + 0.5, 1) - 0.5  # periods a step, without whole ones
@@ -209,10 +210,10 @@ def test_quick_columns_are_the_exact_ones_through_the_filter(rng) -> None:
     channel = build_tool_channel(model, [recorded(t, q, tool_at(load), rng)])
     ground = NullModel.of(channel, (0,), fit_noise_models(channel, (0,)))
     effect = EFFECTS["transmission_error"](["cart3"], ["N"], period=PERIOD)
-    quick = channel.scan([effect], ground, ground.e[:, None])
+    quick = compute_explained([effect], ColumnCache(channel), ground, ground.e[:, None])
     C = ground.whiten_columns(channel.columns(effect))
     s = C.T @ ground.e
-    assert quick is not None
+    assert channel.quick_columns(effect) is not None
     assert quick[0, 0] == pytest.approx(s @ np.linalg.solve(ground.gram(C), s), rel=0.1)
 
 

@@ -147,7 +147,7 @@ def fit_group(
 def _fit_alike(effects: list[Effect], library: ColumnCache, ground: NullModel, both: np.ndarray) -> GroupTest:
     """Scan settings with the same number of columns against the residual and the noise draws (R, 1 + D)."""
     sided = find_nonnegative(effects[0])
-    explained = _explained(effects, library, ground, both)
+    explained = compute_explained(effects, library, ground, both)
     best = int(np.argmax(explained[:, 0]))
     noise = explained[:, 1:].max(axis=0)
     simple = bool(sided.all()) and len(sided) == 1
@@ -212,15 +212,20 @@ def match_settings(fit: GroupTest, library: ColumnCache, ground: NullModel) -> G
     return replace(exact, statistic=max(0.0, -misfit(best)))
 
 
-def _explained(effects: list[Effect], library: ColumnCache, ground: NullModel, both: np.ndarray) -> np.ndarray:
-    """Return what each setting explains of the residual and of each noise draw (g, 1 + D)."""
-    scanned = library.channel.scan(effects, ground, both)
+def compute_explained(
+    effects: Sequence[Effect], library: ColumnCache, ground: NullModel, both: np.ndarray
+) -> np.ndarray:
+    """Return what each setting explains of each column of white residuals (R, d): (g, d), by the channel's short cuts."""
+    channel = library.channel
+    scanned = channel.scan(effects, ground.whiten, both)
     found = np.full((len(effects), both.shape[1]), np.nan) if scanned is None else scanned
     left = np.flatnonzero(np.isnan(found[:, 0]))
     for start in range(0, len(left), _CHUNK):
-        part = left[start : start + _CHUNK]
-        rows = np.stack([ground.whiten_columns(library.columns(effects[k])) for k in part], axis=1)
-        found[part] = ground.explained(rows, both, find_nonnegative(effects[0]))
+        part = [effects[k] for k in left[start : start + _CHUNK]]
+        quick = [channel.quick_columns(effect) for effect in part]
+        made = [c or library.columns(effect) for c, effect in zip(quick, part, strict=True)]
+        rows = np.stack([ground.whiten_columns(c) for c in made], axis=1)
+        found[left[start : start + _CHUNK]] = ground.explained(rows, both, find_nonnegative(effects[0]))
     return found
 
 

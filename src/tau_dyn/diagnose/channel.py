@@ -11,18 +11,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import ClassVar
 
 import numpy as np
 
 from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
 from tau_dyn.effects import Effect, Scene, StructuralCompliance
-from tau_dyn.estimate import RegressionRun
+from tau_dyn.estimate import RegressionRun, Whitener
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
-
-if TYPE_CHECKING:
-    from tau_dyn.diagnose.null_model import NullModel
 
 _USES = {TRAIN: "train on", VALIDATION: "confirm on", TEST: "measure the gain on"}
 
@@ -41,6 +38,9 @@ class Channel(ABC):
         scene: What the motion offers.
         causes: Effects that may be found here.
     """
+
+    has_unnamed_structures: ClassVar[bool] = True
+    """Whether a residual is searched for structure without a name."""
 
     name: str
     outputs: tuple[str, ...]
@@ -63,8 +63,12 @@ class Channel(ABC):
         """Return the columns without any sample left out, for drawing."""
         return self.columns(effect)
 
-    def scan(self, effects: Sequence[Effect], ground: NullModel, both: np.ndarray) -> np.ndarray | None:
-        """Return what thousands of settings explain of residuals (R, d), as (g, d).
+    def quick_columns(self, effect: Effect) -> Sequence[np.ndarray] | None:
+        """Return columns (n, m, k) of each run quicker made than the exact ones and as good; None where there are none."""
+        return None
+
+    def scan(self, effects: Sequence[Effect], whiten: Whitener, both: np.ndarray) -> np.ndarray | None:
+        """Return what thousands of settings explain of white residuals (R, d), as (g, d).
 
         Settings without a short cut are nan; without any at all the answer is None.
         """

@@ -18,8 +18,8 @@ import numpy as np
 from tau_dyn.diagnose.candidate_scan import ColumnCache
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.data_split import TRAIN, VALIDATION
-from tau_dyn.diagnose.plausibility import measure_friction
 from tau_dyn.diagnose.result import Unexplained
+from tau_dyn.diagnose.scenes import measure_friction
 from tau_dyn.diagnose.stepwise_selection import SelectedCause
 from tau_dyn.effects import Effect, Motion, Scene
 from tau_dyn.estimate import solve_scaled

@@ -10,26 +10,23 @@ stiffer than it is. A compliance is quasi-static: it holds below the resonance o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tau_dyn.diagnose.channel import Channel, refuse_scarce
-from tau_dyn.diagnose.channel_diagnosis import diagnose_channel
 from tau_dyn.diagnose.data_split import split_by_blocks
 from tau_dyn.diagnose.deflection_clock import ClockOffset
 from tau_dyn.diagnose.deflection_pieces import DeflectionSegment, build_deflection_segment, list_encoder_pairs
 from tau_dyn.diagnose.filters import choose_diagnosis_preparation, compute_border_gap_s
-from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.diagnose.periodogram import build_force_terms, compute_period_statistics, select_output_rows
-from tau_dyn.diagnose.result import Diagnosis
 from tau_dyn.diagnose.scenes import build_scene, find_shared_signals
 from tau_dyn.effects import EFFECTS, Effect, JointwiseDisplacement, Scene
+from tau_dyn.estimate import Whitener
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify import Preparation, drop_duplicate_logs, drop_trained_logs
+from tau_dyn.identify import Preparation
 from tau_dyn.log import Log, decimate, resample_segments
-from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot
 
@@ -52,12 +49,12 @@ class DeflectionChannel(Channel):
             raise InputError("unsupported", f"effect {effect.name} does not come between two encoders of a joint")
         return self.pieces[run].passed(effect.displacement(self.pieces[run].motion))
 
-    def scan(self, effects: Sequence[Effect], ground: NullModel, both: np.ndarray) -> np.ndarray | None:
+    def scan(self, effects: Sequence[Effect], whiten: Whitener, both: np.ndarray) -> np.ndarray | None:
         """Scan periods by Fourier transforms over the position; see `periodogram.py`."""
         if not effects[0].dense:
             return None
         joint = self.scene.index(effects[0].joints[0])
-        u, mask = select_output_rows(ground.whiten, joint, both)
+        u, mask = select_output_rows(whiten, joint, both)
         q, v = (np.concatenate([run.signals[key][:, joint] for run in self.runs]) for key in ("q", "v"))
         periods = np.array([effect.settings["period"] for effect in effects])
         return compute_period_statistics(q, v, u, mask, periods, self.preparation.force_cutoff_hz, build_force_terms(q))
@@ -129,40 +126,6 @@ def build_deflection_channel(
         "record a minute of motion in both directions, over several speeds and loads",
     )
     return channel
-
-
-def diagnose_deflection(
-    robot: Robot,
-    logs: Log | Iterable[Log],
-    *,
-    holdout: Log | Iterable[Log] = (),
-    causes: Sequence[type[Effect]] | None = None,
-    seed: int = 0,
-    progress: Callable[[str], None] = lambda step: None,
-) -> Diagnosis:
-    """Find out what comes between the two encoders of a joint.
-
-    Args:
-        robot: Names the joints; its masses play no part.
-        logs: Logs to train on, with `q_J`, `tau_J` and `q_link_J` of the same joints.
-        holdout: Logs for confirming and for measuring the gain; without any, blocks of the logs are set aside (60/20/20).
-        causes: Causes that may be found; by default all that come between two encoders.
-        seed: Seed of noise draws and intervals.
-        progress: Called with a word for each step.
-
-    Raises:
-        InputError: A log lacks a column.
-        CannotAnswer: The logs are too short for three parts.
-    """
-    warnings: list[str] = []
-    train, held = ([x] if isinstance(x, Log) else list(x) for x in (logs, holdout))
-    train = drop_duplicate_logs(train, warnings)
-    held = drop_duplicate_logs(drop_trained_logs(train, held, warnings), warnings)
-    if not train:
-        raise InputError("missing_input", "no log was given")
-    progress("columns")
-    channel = build_deflection_channel(robot, train, held, causes)
-    return diagnose_channel(channel, Model.of(robot), seed=seed, progress=progress, warnings=warnings, held=bool(held))
 
 
 def _zeros(

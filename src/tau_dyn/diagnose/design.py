@@ -71,12 +71,12 @@ class Setting:
     @classmethod
     def of(cls, diagnosis: Diagnosis) -> Setting:
         """Read it off a diagnosis; noise is what its extended model leaves."""
-        prepared = diagnosis.settings["preparation"]
+        prepared = diagnosis.preparation
+        assert prepared is not None  # other channels have been refused
         rate, noise = estimate_output_noise(diagnosis.traces, diagnosis.extended.rms)
-        threshold = np.asarray(prepared["speed_threshold"], float)
-        cutoff = float(prepared["position_cutoff_hz"])
-        highest = max(float(prepared["force_cutoff_hz"]), min(MAX_FREQUENCY_HZ, cutoff / 2))
-        return cls(diagnosis.model, noise, rate, threshold, float(prepared["window_s"]), cutoff, highest)
+        cutoff = prepared.position_cutoff_hz
+        highest = max(prepared.force_cutoff_hz, min(MAX_FREQUENCY_HZ, cutoff / 2))
+        return cls(diagnosis.model, noise, rate, prepared.speed_threshold, prepared.window_s, cutoff, highest)
 
 
 def estimate_output_noise(traces: Sequence[TimeTrace], rms: np.ndarray) -> tuple[float, tuple[Autoregression, ...]]:

@@ -14,12 +14,11 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from tau_dyn.diagnose.deflection import diagnose_deflection
-from tau_dyn.diagnose.force_diagnosis import Progress, diagnose_forces, fit_baseline
+from tau_dyn.diagnose.force_baseline import Progress, fit_baseline
 from tau_dyn.diagnose.kinds import has_forces, has_links, has_tool, is_tool_inconsistent
 from tau_dyn.diagnose.merge import merge_diagnoses
+from tau_dyn.diagnose.pipeline import diagnose_deflection, diagnose_forces, diagnose_tool
 from tau_dyn.diagnose.result import Diagnosis
-from tau_dyn.diagnose.tool_diagnosis import diagnose_tool
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import (
     Choices,
@@ -82,27 +81,32 @@ def diagnose(
         )
         if not train:
             raise InputError("missing_input", "no log was given")
-        found = []
-        if not (has_tool(prepared.robot, train) or has_links(train)):
+        tool, links, forces = has_tool(prepared.robot, train), has_links(train), has_forces(prepared.robot, train)
+        if not (tool or links):
             require_forces(prepared.robot, train)
-        if has_forces(prepared.robot, train) or not (has_tool(prepared.robot, train) or has_links(train)):
-            case = fit_baseline(prepared, train, held, preparation, exclude, progress, warnings)
-            found.append(diagnose_forces(case, seed, progress, warnings))
-        base = found[0].model if found else prepared
-        if has_tool(base.robot, train) and (not found or is_tool_inconsistent(base, train)):
+        found: list[Diagnosis] = []
+        if forces or not (tool or links):
+            case = fit_baseline(prepared, train, held, preparation, exclude, progress)
+            found.append(diagnose_forces(case, seed=seed, progress=progress, warnings=warnings))
+        base, doubts = (found[0].model, ()) if found else (prepared, warnings)
+        if tool and (not found or is_tool_inconsistent(base, train)):
             with_tool = [log for log in held if has_tool(base.robot, [log])]
             try:
-                found.append(diagnose_tool(base, train, holdout=with_tool, seed=seed, progress=progress))
+                found.append(
+                    diagnose_tool(base, train, holdout=with_tool, seed=seed, progress=progress, warnings=doubts)
+                )
             except CannotAnswer as fault:
                 if not found:
                     raise
                 more = f"tool positions were not looked at: {fault.missing}"  # forces have their answer
                 found[0] = replace(found[0], warnings=(*found[0].warnings, more))
-        if has_links(train):
-            found.append(diagnose_deflection(base.robot, train, holdout=held, seed=seed, progress=progress))
+        if links:
+            found.append(
+                diagnose_deflection(base.robot, train, holdout=held, seed=seed, progress=progress, warnings=doubts)
+            )
         return _forces_missed(merge_diagnoses(found), prepared.robot, train)
     except CannotAnswer as fault:
-        fault.warnings = tuple(dict.fromkeys(warnings))
+        fault.warnings = tuple(dict.fromkeys((*warnings, *fault.warnings)))
         raise
 
 

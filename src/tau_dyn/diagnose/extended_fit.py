@@ -40,6 +40,12 @@ class EvaluatedFit:
     residuals: list[np.ndarray]
     errors: OutputErrors
 
+    @property
+    def parameters(self) -> Parameters:
+        """The fitted parameters."""
+        assert self.estimate is not None  # only the nominal values have none
+        return self.estimate.parameters
+
 
 def build_extended_regression(channel: Channel, effects: Sequence[Effect]) -> Regression:
     """Return the baseline's regression with the columns of further effects."""

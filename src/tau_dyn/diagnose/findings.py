@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from tau_dyn.diagnose.candidate_scan import get_columns
 from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.claims import Claims, Waterfall
 from tau_dyn.diagnose.confirm import Confirmation
 from tau_dyn.diagnose.data_split import EVERY, TRAIN, VALIDATION
+from tau_dyn.diagnose.extended_fit import fit_extended_model
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
-from tau_dyn.diagnose.result import Finding, Gain, Signature
+from tau_dyn.diagnose.result import Finding, Gain, OutputErrors, Signature, Unexplained, Verdict
 from tau_dyn.diagnose.settings_refinement import differentiate_settings
-from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection
-from tau_dyn.effects import Effect, spell_unit
+from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
+from tau_dyn.effects import Effect, format_quantity, spell_unit
 from tau_dyn.estimate import scale_columns
 from tau_dyn.parameters import Parameter, Parameters
 
+_MAX_LISTED = 3  # causes that a sentence names
 _POINTS = 2000  # of a plot; more cannot be seen
 _DEPENDENT = 1e-8
 """Part of the largest eigenvalue below which columns count as dependent."""
@@ -26,6 +30,30 @@ _BLIND = 0.01
 _WITHIN = " The held-out logs hardly excite it; validation blocks of the training logs confirmed it."
 _TWIN_EXPERIMENT = "record {reveals}; that separates it from {twins}"
 _EQUIVALENT = "no log of this kind separates it from {twins}; the force is the same"
+
+
+def build_findings(
+    channel: Channel,
+    hunt: StepwiseSelection,
+    claims: Claims,
+    bars: Waterfall,
+    rng: np.random.Generator,
+) -> list[Finding]:
+    """Return what is said of every cause found, confirmed or not."""
+    found, kept = [], claims.kept
+    hunt = replace(hunt, found=claims.found)
+    for one, test, why_not in zip(claims.found, claims.tests, claims.why_not, strict=True):
+        effects, fit, gain = one.candidate.effects, bars.judgements[-1], None
+        if not why_not:
+            gain = bars.gains[kept.index(one)]
+        else:
+            fit = fit_extended_model(channel, [*build_effects(kept), *effects], None, rng)
+        names = {n for e in effects for n in e.parameters.names}
+        values = Parameters([p for p in fit.parameters if p.name in names])
+        signature = build_signature(channel, effects, fit.residuals, values)
+        finding = build_finding(channel, hunt, one, test, values, gain, signature, kept=not why_not)
+        found.append(replace(finding, why_not_confirmed=why_not))
+    return found
 
 
 def build_finding(
@@ -187,3 +215,108 @@ def build_axis(channel: Channel, effect: Effect, output: str) -> tuple[str, list
     if effect.name in ("delay", "joint_compliance", "transmission_error"):
         return f"acceleration of {joint} [{position}/s^2]", [v[f"a_{joint}"] for v in variables]
     return f"speed of {joint} [{position}/s]", [v[f"v_{joint}"] for v in variables]
+
+
+def describe_diagnosis(
+    channel: Channel,
+    verdict: Verdict,
+    findings: Sequence[Finding],
+    aliased: Sequence[Finding],
+    unexplained: Sequence[Unexplained],
+    errors: tuple[OutputErrors, OutputErrors],
+) -> str:
+    """Return the answer in one or two sentences, as a colleague would say it.
+
+    Args:
+        channel: The measurements.
+        verdict: The verdict.
+        findings: All findings.
+        aliased: Those whose period is open.
+        unexplained: Structure without a name.
+        errors: Of the refitted and of the extended model.
+    """
+    if channel.name == "force":
+        return _describe_forces(verdict, findings, unexplained, *errors)
+    named = [f for f in findings if f.status == "confirmed"]
+    if channel.name == "tool":
+        return _describe_tool(named, aliased, *errors)
+    return _describe_deflection(channel, named, unexplained, *errors)
+
+
+def _describe_forces(
+    verdict: Verdict,
+    findings: Sequence[Finding],
+    unexplained: Sequence[Unexplained],
+    before: OutputErrors,
+    after: OutputErrors,
+) -> str:
+    """Return the answer in one or two sentences."""
+    missed = f"The residual of the refitted model is {before.relative_error_percent:.2g} % of the measured force"
+    confirmed = [f for f in findings if f.status == "confirmed"]
+    if confirmed:
+        text = f"{missed}; with {_listed(confirmed)} it is {after.relative_error_percent:.2g} %."
+        text += "".join(f" {f.sentence}" for f in findings if f.status == "parameter" and f.cause == "payload")
+    elif verdict in ("named", "cannot_tell"):
+        f = next(f for f in findings if f.status == "parameter")
+        text = f"{missed}. {f.sentence}"
+        if verdict == "cannot_tell":
+            text += f" Indistinguishable with these data: {f.cause} and {', '.join(f.indistinguishable_from)}."
+    elif verdict == "nothing_found":
+        text = f"{missed}. No model error was detected."
+    else:
+        text = f"{missed}."
+    if any(u.status == "confirmed" for u in unexplained):
+        u = unexplained[0]
+        what = ", ".join(u.depends_on)
+        share = f"{100 * u.share_of_residual_variance:.0f} % of its residual"
+        text += f" Significant unexplained structure at {u.joint} depends on {what} ({share})."
+    return text
+
+
+def _listed(findings: Sequence[Finding]) -> str:
+    """Return causes with their joints, at most three of them."""
+    said = [f"{f.cause.replace('_', ' ')} ({', '.join(f.joints)})" for f in findings[:_MAX_LISTED]]
+    if len(findings) > _MAX_LISTED:
+        said.append(f"{len(findings) - _MAX_LISTED} more")
+    return said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"
+
+
+def _describe_tool(
+    named: Sequence[Finding], aliased: Sequence[Finding], before: OutputErrors, after: OutputErrors
+) -> str:
+    """Return what a colleague would say first."""
+    one, other = (format_quantity(float(np.linalg.norm(e.rms)), "m") for e in (before, after))
+    text = f"The measured tool is {one} (rms) from forward kinematics"
+    if named:
+        causes = " and ".join(f"{f.cause} ({', '.join(f.joints)})" for f in named)
+        return f"{text}; with {causes} it is {other}."
+    if aliased:
+        return f"{text}. {aliased[0].sentence} These positions cannot tell which."
+    return f"{text}, and no cause that we know explains any of it."
+
+
+def _describe_deflection(
+    channel: Channel,
+    named: Sequence[Finding],
+    unexplained: Sequence[Unexplained],
+    before: OutputErrors,
+    after: OutputErrors,
+) -> str:
+    """Return what a colleague would say first."""
+    one, other = (
+        ", ".join(
+            f"{format_quantity(float(r), u)} at {o}" for r, u, o in zip(e.rms, channel.units, e.outputs, strict=True)
+        )
+        for e in (before, after)
+    )
+    text = f"The {channel.name} is {one} (rms)"
+    if named:
+        causes = " and ".join(f"{f.cause} ({', '.join(f.joints)})" for f in named)
+        text += f"; with {causes}, {other} is left unexplained"
+    else:
+        text += ", and no cause that we know explains any of it"
+    left = next((u for u in unexplained if u.status == "confirmed"), None)
+    if left is not None:
+        share = f"{100 * left.share_of_residual_variance:.0f} % of its residual"
+        text += f". What is left at {left.joint} depends on {', '.join(left.depends_on)} and has no name ({share})"
+    return f"{text}."

@@ -13,7 +13,6 @@ from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION, split_by_blocks
 from tau_dyn.diagnose.filters import compute_border_gap_s
 from tau_dyn.diagnose.force_timing import ForceTiming, find_timing
 from tau_dyn.diagnose.noise import WHOLE_TIME
-from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.diagnose.periodogram import (
     LONG,
     build_displacement_terms,
@@ -21,10 +20,9 @@ from tau_dyn.diagnose.periodogram import (
     compute_period_statistics,
     select_output_rows,
 )
-from tau_dyn.diagnose.plausibility import measure_scales
-from tau_dyn.diagnose.scenes import build_scene, find_shared_signals
+from tau_dyn.diagnose.scenes import build_scene, find_shared_signals, measure_scales
 from tau_dyn.effects import EFFECTS, GRAVITY_TURN, DisplacementEffect, Effect, Motion, Scene
-from tau_dyn.estimate import Regression, RegressionRun
+from tau_dyn.estimate import Regression, RegressionRun, Whitener
 from tau_dyn.identify import Preparation, PreparedSegment, prepare_segment
 from tau_dyn.log import Log, decimate, lowpass
 from tau_dyn.model import COMPUTED, Model
@@ -70,13 +68,13 @@ class ForceChannel(Channel):
         """Return the columns without any sample left out, for drawing."""
         return [piece.columns(effect.columns(piece.motion), gated=False) for piece in self.prepared]
 
-    def scan(self, effects: Sequence[Effect], ground: NullModel, both: np.ndarray) -> np.ndarray | None:
+    def scan(self, effects: Sequence[Effect], whiten: Whitener, both: np.ndarray) -> np.ndarray | None:
         """Scan periods by Fourier transforms over the position; long ones are left open (nan). See `periodogram.py`."""
         first = effects[0]
         if not first.dense:
             return None
         joint = self.scene.index(first.joints[0])
-        u, mask = select_output_rows(ground.whiten, joint, both)
+        u, mask = select_output_rows(whiten, joint, both)
         q, v, a = (np.concatenate([getattr(m, key)[:, joint] for m in self.thinned]) for key in ("q", "v", "a"))
         terms = build_force_terms(q)
         if isinstance(first, DisplacementEffect):

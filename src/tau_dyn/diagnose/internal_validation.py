@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS
+from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, get_columns
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.channel_pipeline import confirm_cause
-from tau_dyn.diagnose.confirm import Confirmation
+from tau_dyn.diagnose.confirm import Confirmation, confirm
 from tau_dyn.diagnose.data_split import TRAIN, divide_training
 from tau_dyn.diagnose.group_tests import FAMILY_LEVEL
 from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap
@@ -30,6 +29,12 @@ class ConfirmationResults:
 
     causes: tuple[Confirmation, ...]
     structure: StructureTest | None
+
+
+def confirm_cause(channel: Channel, hunt: StepwiseSelection, one: SelectedCause) -> Confirmation:
+    """Test one cause on the confirmation part, the others accounted for."""
+    effects, others = (get_columns(hunt.library, x) for x in (one.candidate.effects, hunt.others(one)))
+    return confirm(channel, hunt.noise, effects, others)
 
 
 def confirm_all(channel: Channel, hunt: StepwiseSelection, structure: Structure | None) -> ConfirmationResults:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from tau_dyn.diagnose.channel_pipeline import get_sort_key
 from tau_dyn.diagnose.result import Diagnosis, Verdict
 from tau_dyn.effects import Effect, JointwiseEffect
 from tau_dyn.parameters import Parameters
@@ -25,7 +24,7 @@ def merge_diagnoses(found: Sequence[Diagnosis]) -> Diagnosis:
         return first
     limits = {limit.cause: limit for one in reversed(found) for limit in one.limits}
     findings = sorted(
-        (f for one in found for f in one.findings), key=lambda f: (*get_sort_key(f)[:2], f.channel != first.channel)
+        (f for one in found for f in one.findings), key=lambda f: (*f.rank[:2], f.channel != first.channel)
     )
     named = {f.cause for f in findings}
     untestable = {u.cause: u for one in reversed(found) for u in one.untestable}

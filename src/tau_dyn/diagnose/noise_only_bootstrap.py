@@ -21,10 +21,10 @@ from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.data_split import TRAIN
 from tau_dyn.diagnose.feedback_response import apply_feedback_taps, estimate_feedback_taps
 from tau_dyn.diagnose.filters import decimate_log
-from tau_dyn.diagnose.force import ForceChannel
 from tau_dyn.diagnose.group_tests import FAMILY_LEVEL, GROUP_LEVEL, CandidateCause
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_score_test
 from tau_dyn.effects import Effect
+from tau_dyn.identify import PreparedSegment
 from tau_dyn.log import Log, estimate_encoder_noise, estimate_quantisation_step, lowpass
 from tau_dyn.model import Model
 
@@ -36,19 +36,23 @@ _MAX_CUTOFF_SHARE = 0.45
 
 
 def simulate_noise_only_logs(
-    channel: ForceChannel, model: Model, logs: Sequence[Log], smooth_hz: Sequence[float], rng: np.random.Generator
+    prepared: Sequence[PreparedSegment],
+    model: Model,
+    logs: Sequence[Log],
+    smooth_hz: Sequence[float],
+    rng: np.random.Generator,
 ) -> list[Log]:
     """Return logs as the fitted baseline would have made them: fresh encoder noise, and in the forces only the answer to it.
 
     Args:
-        channel: The measured channel.
+        prepared: The measured pieces, ready for making columns.
         model: The fitted baseline.
-        logs: Its pieces as they were logged, before they were thinned.
+        logs: The pieces as they were logged, before they were thinned.
         smooth_hz: Low-pass of each piece's positions [Hz].
         rng: Where the noise comes from.
     """
-    found, joints = [], channel.outputs
-    for piece, log, smooth in zip(channel.prepared, logs, smooth_hz, strict=True):
+    found, joints = [], prepared[0].motion.joints
+    for piece, log, smooth in zip(prepared, logs, smooth_hz, strict=True):
         m, cutoff = piece.motion, piece.preparation.position_cutoff_hz
         whole = model.motion(m.q, m.v, m.a, np.sign(m.v), t=m.t, signals=m.signals)  # the made motion's own reversals
         force = model.columns(whole) @ model.parameters.values

@@ -83,9 +83,9 @@ def propose_motion(
         )
     if trials < 1:
         raise InputError("invalid_value", f"a motion is chosen among at least one trial, not {trials}")
-    setting, rng = Setting.of(diagnosis), np.random.default_rng(seed)
     signals = _signals(diagnosis.model)
     question = find_design_goal(diagnosis, signals)
+    setting, rng = Setting.of(diagnosis), np.random.default_rng(seed)
     number = max(1, round(duration / PIECE_S))
     length = (duration - (number - 1) * (_REST_S + _STILL_S)) / number
     progress("motions to choose from")

@@ -11,6 +11,7 @@ import numpy as np
 from tau_dyn.coded_warning import format_warnings
 from tau_dyn.diagnose.output_errors import Gain, OutputErrors, Step
 from tau_dyn.effects import Effect
+from tau_dyn.identify import Preparation
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter
 from tau_dyn.shown import Shown
@@ -81,6 +82,12 @@ class Finding:
     channel: str = "force"
     confirmation: tuple[float, float] | None = None
     why_not_confirmed: str = ""
+
+    @property
+    def rank(self) -> tuple[bool, bool, float]:
+        """Its place: confirmed ones first, by how much they take off the held-out error; the rest by score."""
+        worth = self.score if self.gain is None else self.gain.rms_before**2 - self.gain.rms_after**2
+        return self.status == "parameter", self.status == "suspected", -worth
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
@@ -220,6 +227,7 @@ class Diagnosis(Shown):
         recommendation: Which model to use: `extended`, `refitted`, or `neither`.
         recommendation_why: The reason, in a sentence.
         simulation: Closed-loop simulation against the measured log, before and after, where a controller was given.
+        preparation: Filters and masks of forces; None for other channels.
         settings: How the data were prepared and tests calibrated, for the page's foot.
     """
 
@@ -247,6 +255,7 @@ class Diagnosis(Shown):
     recommendation: Choice = "refitted"
     recommendation_why: str = ""
     simulation: Mapping[str, Any] | None = None
+    preparation: Preparation | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property

@@ -15,11 +15,9 @@ from functools import cached_property
 
 import numpy as np
 
-from tau_dyn.diagnose.candidate_scan import find_nonnegative
 from tau_dyn.diagnose.channel import Channel, refuse_scarce
 from tau_dyn.diagnose.data_split import split_by_blocks
 from tau_dyn.diagnose.filters import choose_diagnosis_preparation, compute_border_gap_s
-from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.diagnose.scenes import build_scene, find_shared_signals
 from tau_dyn.diagnose.tool_pieces import (
     OUTPUTS,
@@ -39,7 +37,6 @@ from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 
 _DEPENDENT = 1e-6  # relative norm that is left of a dependent column by rounding
-_CHUNK = 32  # effects computed at once; bounds memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +46,8 @@ class ToolChannel(Channel):
     Attributes:
         pieces: The stretches.
     """
+
+    has_unnamed_structures = False  # of a tool's axes, which no single joint moves
 
     pieces: tuple[ToolSegment, ...]
 
@@ -64,22 +63,6 @@ class ToolChannel(Channel):
         piece = self.pieces[run]
         return piece.passed(effect.tool_columns(piece.motion, piece.jacobian))
 
-    def scan(self, effects: Sequence[Effect], ground: NullModel, both: np.ndarray) -> np.ndarray | None:
-        """Scan thousands of periods on decimated motion, each sample weakened as the low-pass weakens its local frequency."""
-        if not effects[0].dense:
-            return None
-        found = []
-        for start in range(0, len(effects), _CHUNK):
-            part = effects[start : start + _CHUNK]
-            made = [
-                np.concatenate([self._quick(effect, piece, motion) for effect in part], axis=2)
-                for piece, motion in zip(self.pieces, self.thinned, strict=True)
-            ]
-            C = ground.whiten_columns(made)
-            rows = C.reshape(len(C), len(part), C.shape[1] // len(part))
-            found.append(ground.explained(rows, both, find_nonnegative(part[0])))
-        return np.concatenate(found)
-
     @cached_property
     def thinned(self) -> tuple[Motion, ...]:
         """The motions at the regression's rate."""
@@ -90,13 +73,18 @@ class ToolChannel(Channel):
             found.append(Motion.of(p.motion.joints, q, v, a, sign, t=p.t, signals=signals))
         return tuple(found)
 
-    def _quick(self, effect: Effect, piece: ToolSegment, motion: Motion) -> np.ndarray:
-        assert isinstance(effect, DisplacementEffect)
-        columns = effect.tool_columns(motion, piece.jacobian[:: piece.factor])
-        if piece.cutoff_hz is None:
-            return columns
-        f = effect.local_frequency(motion)[:, :1, None]  # type: ignore[attr-defined]
-        return columns / compute_attenuation(f, piece.cutoff_hz)
+    def quick_columns(self, effect: Effect) -> Sequence[np.ndarray] | None:
+        """Return a dense effect's columns on decimated motion, weakened as the low-pass weakens each sample's local frequency."""
+        if not effect.dense or not isinstance(effect, DisplacementEffect):
+            return None
+        found = []
+        for piece, motion in zip(self.pieces, self.thinned, strict=True):
+            columns = effect.tool_columns(motion, piece.jacobian[:: piece.factor])
+            if piece.cutoff_hz is not None:
+                f = effect.local_frequency(motion)[:, :1, None]  # type: ignore[attr-defined]
+                columns = columns / compute_attenuation(f, piece.cutoff_hz)
+            found.append(columns)
+        return found
 
     def variables(self) -> list[Mapping[str, np.ndarray]]:
         """Return positions, speeds (of poses: the way from the one before), accelerations and time of each run."""

@@ -1,24 +1,24 @@
-"""What every channel goes through after its search: confirmation, the waterfall, findings, and what a page draws.
+"""Which of the causes found stand, what each gains, and which model to use.
 
-`select_confirmed` and `select_supported` set the status of a cause: `confirmed`, or `suspected` with the reason.
-
-Forces, tool positions and deflections differ in how their channel is built and in what is said about them; the stages here are
-the same for all.
+A cause is `confirmed` or `suspected` with the reason: held-out data show it, do not predict worse with it, it is plausible, no
+mere inexactness of another one, and the last part gains by it. The model recommended is the extended one where the held-out
+error of the causes' joints falls with its 95 % interval above zero and no joint becomes significantly worse; the refitted one;
+or neither, where the held-out logs are not of the machine that was trained on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, get_columns
+from tau_dyn.diagnose.candidate_scan import get_columns
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.companions import find_companion
 from tau_dyn.diagnose.confirm import Confirmation, confirm
-from tau_dyn.diagnose.data_split import EVERY, TEST, TRAIN, VALIDATION
+from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
 from tau_dyn.diagnose.extended_fit import (
     EvaluatedFit,
     build_extended_regression,
@@ -28,34 +28,12 @@ from tau_dyn.diagnose.extended_fit import (
     restrict_to_parts,
     solve_with_fallback,
 )
-from tau_dyn.diagnose.findings import build_finding, build_signature
-from tau_dyn.diagnose.floor import estimate_noise_floor
-from tau_dyn.diagnose.group_tests import FAMILY_LEVEL
-from tau_dyn.diagnose.plausibility import (
-    find_edge,
-    find_implausible,
-    find_inconsistent,
-    is_distinct_from_zero,
-    measure_friction,
-    widen_scales,
-)
-from tau_dyn.diagnose.result import (
-    Choice,
-    Diagnosis,
-    Finding,
-    Gain,
-    Limit,
-    Step,
-    TimeTrace,
-    Unexplained,
-    Untestable,
-    Verdict,
-)
+from tau_dyn.diagnose.plausibility import find_edge, find_implausible, find_inconsistent, is_distinct_from_zero
+from tau_dyn.diagnose.result import Choice, Gain, Step
+from tau_dyn.diagnose.scenes import measure_friction, widen_scales
 from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
-from tau_dyn.effects import EFFECTS, Effect
 from tau_dyn.estimate import PhysicalConstraints
-from tau_dyn.model import Model
-from tau_dyn.parameters import Parameters
+from tau_dyn.identify import MAX_HELD_OUT_RATIO, describe_foreign_joints
 
 MIN_AMPLITUDE_Z = 2.0
 """Standard errors that the amplitudes of a claimed cause must be off zero in the extended model, all in one Wald test."""
@@ -67,8 +45,6 @@ _WORSE = "held-out data are predicted worse with it"
 _ZERO = "no amplitude of it is distinct from zero beside the other causes"
 _VETO = "the last part of the data does not show it"
 _NO_GAIN = "its gain is not above zero (95 % interval {:.2g} to {:.2g} %)"
-HELD_OUT = "the blocks of the held-out {what} alternate: half are validation data, half are test data"
-SHARED = "the blocks of the {what} alternate: 60 % training, 20 % validation and 20 % test data"
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,12 +86,6 @@ class Waterfall(NamedTuple):
     judgements: list[EvaluatedFit]
     gains: list[Gain]
     nominal: EvaluatedFit | None = None
-
-
-def confirm_cause(channel: Channel, hunt: StepwiseSelection, one: SelectedCause) -> Confirmation:
-    """Test one cause on the confirmation part, the others accounted for."""
-    effects, others = (get_columns(hunt.library, x) for x in (one.candidate.effects, hunt.others(one)))
-    return confirm(channel, hunt.noise, effects, others)
 
 
 def select_confirmed(
@@ -222,7 +192,7 @@ def select_supported(
 
 def _reject_by_amplitude(channel: Channel, hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> Claims:
     """Reject what is not distinct from zero, implausible, at an edge, or not shown by the last part; all at once."""
-    values, before = get_fitted_parameters(bars.judgements[-1]), get_fitted_parameters(bars.judgements[0])
+    values, before = bars.judgements[-1].parameters, bars.judgements[0].parameters
     estimate, scene, kept = bars.judgements[-1].estimate, channel.scene, claims.kept
     assert estimate is not None  # only the nominal bar has none
     scales = scene.scales
@@ -253,7 +223,7 @@ def _borne_out(
 def _reject_companion(channel: Channel, hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> Claims:
     """Reject a cause that may only be the inexactness of another one's law."""
     kept = claims.kept
-    found = find_companion(channel, hunt.library, kept, get_fitted_parameters(bars.judgements[-1]))
+    found = find_companion(channel, hunt.library, kept, bars.judgements[-1].parameters)
     return claims.judge(claims.found.index(kept[found[0]]), found[1]) if found else claims
 
 
@@ -284,148 +254,73 @@ def _reject_without_gain(claims: Claims, bars: Waterfall) -> Claims:
     return claims.judge(claims.found.index(claims.kept[n]), why)
 
 
-def build_findings(
-    channel: Channel,
-    hunt: StepwiseSelection,
-    claims: Claims,
-    bars: Waterfall,
-    rng: np.random.Generator,
-) -> list[Finding]:
-    """Return what is said of every cause found, confirmed or not."""
-    found, kept = [], claims.kept
-    hunt = replace(hunt, found=claims.found)
-    for one, test, why_not in zip(claims.found, claims.tests, claims.why_not, strict=True):
-        effects, fit, gain = one.candidate.effects, bars.judgements[-1], None
-        if not why_not:
-            gain = bars.gains[kept.index(one)]
-        else:
-            fit = fit_extended_model(channel, [*build_effects(kept), *effects], None, rng)
-        names = {n for e in effects for n in e.parameters.names}
-        values = Parameters([p for p in get_fitted_parameters(fit) if p.name in names])
-        signature = build_signature(channel, effects, fit.residuals, values)
-        finding = build_finding(channel, hunt, one, test, values, gain, signature, kept=not why_not)
-        found.append(replace(finding, why_not_confirmed=why_not))
-    return found
+class Recommendation(NamedTuple):
+    """What to use, and why, in a sentence; and what to warn of."""
 
-
-def build_extended_model(model: Model, fit: EvaluatedFit, effects: Sequence[Effect]) -> Model:
-    """Return a model with further effects and all values that the fit has; what belongs to the recording stays out."""
-    more = Parameters([p for effect in effects for p in effect.parameters])
-    extended = replace(model, effects=(*model.effects, *effects), effect_parameters=model.effect_parameters + more)
-    values = get_fitted_parameters(fit)
-    return extended.with_parameters(
-        Parameters([values[p.name] if p.name in values else p for p in extended.parameters])
-    )
-
-
-def _with_finding_errors(model: Model, findings: Sequence[Finding]) -> Model:
-    """Return the model with its findings' standard errors, which count the settings' uncertainty: a parameter has one."""
-    own = {p.name: p.stderr for f in findings if f.status == "confirmed" for p in f.parameters}
-    return model.with_parameters(
-        Parameters(replace(p, stderr=own[p.name]) if own.get(p.name) else p for p in model.parameters)
-    )
-
-
-def get_fitted_parameters(fit: EvaluatedFit) -> Parameters:
-    """Return a fit's parameters."""
-    assert fit.estimate is not None  # only the nominal bar has none
-    return fit.estimate.parameters
-
-
-def get_sort_key(finding: Finding) -> tuple[bool, bool, float]:
-    """Order findings: confirmed ones first, by how much they take off the held-out error; the rest by score."""
-    gain = finding.gain
-    worth = finding.score if gain is None else gain.rms_before**2 - gain.rms_after**2
-    return finding.status == "parameter", finding.status == "suspected", -worth
-
-
-def build_time_traces(channel: Channel, before: EvaluatedFit, after: EvaluatedFit) -> tuple[TimeTrace, ...]:
-    """Return what the time view draws."""
-    found = []
-    for k, run in enumerate(channel.runs):
-        one, other = (j.regression.runs[k].W_all @ j.theta for j in (before, after))
-        found.append(TimeTrace(run.name, run.t, run.y_all, one, other, run.usable, channel.parts[k]))
-    return tuple(found)
-
-
-def measure_part_durations(channel: Channel) -> tuple[float, float, float]:
-    """Return how long each part is [s]."""
-    steps = [float(np.median(np.diff(run.t))) if len(run.t) > 1 else 0.0 for run in channel.runs]
-    one, two, three = (
-        sum(dt * int(np.sum(part == which)) for dt, part in zip(steps, channel.parts, strict=True)) for which in EVERY
-    )
-    return one, two, three
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """What a channel says of its data in its own words; see `Diagnosis`."""
-
-    verdict: Verdict
-    sentence: str
-    how: str
-    findings: Sequence[Finding]
-    unexplained: tuple[Unexplained, ...] = ()
-    limits: tuple[Limit, ...] = ()
-    untestable: tuple[Untestable, ...] = ()
-    experiment: str = ""
+    choice: Choice
+    why: str
     warnings: Sequence[str] = ()
-    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
-def build_diagnosis(
-    channel: Channel,
-    hunt: StepwiseSelection,
-    claims: Claims,
-    bars: Waterfall,
-    model: Model,
-    answer: Answer,
-    seed: int,
-    recommendation: tuple[Choice, str, Sequence[str]],
-) -> Diagnosis:
-    """Put a diagnosis together from its stages.
+def recommend(
+    channel: Channel, hunt: StepwiseSelection, claims: Claims, bars: Waterfall, rng: np.random.Generator
+) -> Recommendation:
+    """Return the recommendation.
 
     Args:
         channel: The data.
         hunt: The search.
-        claims: What stands of it.
-        bars: Its waterfall.
-        model: The model before any fit.
-        answer: What is said.
-        seed: Seed of whatever was random.
-        recommendation: Which model to use, why, and what to warn of.
+        claims: Causes, with those that stand.
+        bars: The waterfall.
+        rng: For intervals.
     """
     before, after = bars.judgements[0], bars.judgements[-1]
-    floor = estimate_noise_floor(channel, after, np.random.default_rng(seed))
-    extended = build_extended_model(model, after, [e for e in build_effects(claims.kept) if e.name in EFFECTS])
-    return Diagnosis(
-        verdict=answer.verdict,
-        sentence=answer.sentence,
-        channel=channel.name,
-        outputs=channel.outputs,
-        units=channel.units,
-        baseline=before.errors,
-        extended=after.errors,
-        noise_floor=floor,
-        waterfall=(*bars.steps, Step("noise_floor", floor)),
-        findings=tuple(sorted(answer.findings, key=get_sort_key)),
-        unexplained=answer.unexplained,
-        limits=tuple(dict.fromkeys(answer.limits)),
-        untestable=tuple(dict.fromkeys(answer.untestable)),
-        model=build_extended_model(model, before, ()),
-        extended_model=_with_finding_errors(extended, answer.findings),
-        traces=build_time_traces(channel, before, after),
-        n_parts=measure_part_durations(channel),
-        how=answer.how,
-        warnings=tuple(dict.fromkeys((*answer.warnings, *recommendation[2]))),
-        seed=seed,
-        experiment=answer.experiment,
-        recommendation=recommendation[0],
-        recommendation_why=recommendation[1],
-        settings={
-            **answer.settings,
-            "noise_draws": N_NULL_DRAWS,
-            "family_level": FAMILY_LEVEL,
-            "causes_tried": hunt.n_causes,
-        },
-    )
+    if foreign := describe_foreign_joints(find_foreign_joints(channel, after)):
+        return Recommendation("neither", str(foreign[0]), foreign)
+    if bars.nominal is not None and is_worse(loss := _whole_gain(channel, bars.nominal, before, rng)):
+        more = -loss.reduction_percent
+        why = f"the held-out error of the refitted model is {more:.2g} % larger than with the robot file's values"
+        return Recommendation("neither", why)
+    if not claims.kept:
+        return Recommendation("refitted", "no cause is confirmed")
+    worse = [
+        (joint, -gain.reduction_percent)
+        for joint in channel.outputs
+        if is_worse(gain := compute_gain(channel, before.residuals, after.residuals, [joint], rng))
+    ]
+    if worse:
+        listed = ", ".join(f"{joint} by {loss:.2g} %" for joint, loss in worse)
+        return Recommendation("refitted", f"the confirmed causes increase the held-out error at {listed}")
+    effects = build_effects(claims.kept)
+    joints = {joint for effect in effects for joint in effect.joints}
+    shown = confirm(channel, hunt.noise, get_columns(hunt.library, effects), (), TEST, fitted_on=(TRAIN, VALIDATION))
+    gain = compute_gain(channel, before.residuals, after.residuals, sorted(joints), rng, shown)
+    low, high = gain.ci95
+    if low <= 0:
+        return Recommendation(
+            "refitted", f"the held-out error does not fall significantly (95 % interval [{low:.2g}, {high:.2g}] %)"
+        )
+    why = f"the held-out error of the causes' joints falls by {gain.reduction_percent:.2g} %"
+    return Recommendation("extended", f"{why} (95 % interval [{low:.2g}, {high:.2g}] %), and no joint becomes worse")
+
+
+def find_foreign_joints(channel: Channel, fit: EvaluatedFit) -> list[tuple[str, float]]:
+    """Return the outputs whose held-out rms is many times the training rms, with the ratio; none without held-out logs."""
+    if not any(np.all(part == TRAIN) for part in channel.parts):
+        return []
+    found = []
+    for k, output in enumerate(channel.outputs):
+        trained, held = (_rms(channel, fit.residuals, parts, k) for parts in ((TRAIN,), (VALIDATION, TEST)))
+        if trained > 0 and held > MAX_HELD_OUT_RATIO * trained:
+            found.append((output, held / trained))
+    return found
+
+
+def _rms(channel: Channel, residuals: Sequence[np.ndarray], parts: tuple[int, ...], k: int) -> float:
+    masks = channel.masks(*parts)
+    e = np.concatenate([x[m[:, k], k] for x, m in zip(residuals, masks, strict=True)])
+    return float(np.sqrt(np.mean(e**2))) if len(e) else 0.0
+
+
+def _whole_gain(channel: Channel, one: EvaluatedFit, other: EvaluatedFit, rng: np.random.Generator) -> Gain:
+    return compute_gain(channel, one.residuals, other.residuals, channel.outputs, rng)
