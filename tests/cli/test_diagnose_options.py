@@ -17,8 +17,8 @@ from tau_dyn.log import Log
 from tau_dyn.simulate import Trajectory
 
 ROOM = import_module("tau_dyn.diagnose")  # `tau_dyn.diagnose` itself is the function
-PROPOSE = import_module("tau_dyn.diagnose.propose")
-SIMULATED = import_module("tau_dyn.diagnose.simulated")
+PROPOSE = import_module("tau_dyn.diagnose.proposal.propose")
+SIMULATED = import_module("tau_dyn.diagnose.diagnosis")
 
 LAW = "position_gain: 20\nvelocity_gain: 240\n"
 

@@ -7,9 +7,16 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, ColumnCache, fit_group, list_joint_groups, scan_causes
-from tau_dyn.diagnose.data_split import TRAIN, VALIDATION
-from tau_dyn.diagnose.group_tests import GroupTest, combine_group_tests
+from tau_dyn.diagnose.candidate_scan import (
+    N_NULL_DRAWS,
+    ColumnCache,
+    GroupTest,
+    combine_group_tests,
+    fit_group,
+    list_joint_groups,
+    scan_causes,
+)
+from tau_dyn.diagnose.channel import TRAIN, VALIDATION
 from tau_dyn.effects import Delay, PositionFriction, QuadraticDrag, ReducerCoupling, Stribeck, ThermalDrift
 
 CLEAN = 300

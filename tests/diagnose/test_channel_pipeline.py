@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from tau_dyn.coded_warning import get_code
-from tau_dyn.diagnose import Gain, diagnose, internal_validation
+from tau_dyn.diagnose import Gain, confirmation, diagnose
+from tau_dyn.diagnose.channel import TEST
 from tau_dyn.diagnose.claims import recommend, select_confirmed, select_supported
-from tau_dyn.diagnose.confirm import Confirmation
-from tau_dyn.diagnose.data_split import TEST
-from tau_dyn.diagnose.internal_validation import confirm_cause
+from tau_dyn.diagnose.confirmation import Confirmation, confirm_cause
 from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap
 from tau_dyn.diagnose.plausibility import find_inconsistent
 from tau_dyn.diagnose.stepwise_selection import select_causes
@@ -131,10 +130,10 @@ def test_without_held_out_logs_there_is_no_second_search(make, rng):
     """Blocks that take turns have heard all that the logs can say: what is silent there stays as it is, and nothing is made."""
     channel = make.bench(rng, causes=(QuadraticDrag,))
     hunt = select_causes(channel, rng, lambda step: None)
-    tests = internal_validation.ConfirmationResults((Confirmation(0.1, 0.9, 0.4),), None)
+    tests = confirmation.ConfirmationResults((Confirmation(0.1, 0.9, 0.4),), None)
     assert tests.causes[0].is_inconclusive
     never = NoiseOnlyBootstrap(lambda: pytest.fail("noise was made for a search that cannot say anything"))
-    assert internal_validation.confirm_within_training(channel, hunt, tests, 0.1, rng, never) is tests
+    assert confirmation.confirm_within_training(channel, hunt, tests, 0.1, rng, never) is tests
 
 
 def test_noise_is_made_once_and_divided_as_a_second_search_is(make, rng):

@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.diagnose.confirm import confirm
-from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
+from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION
+from tau_dyn.diagnose.confirmation import confirm
 from tau_dyn.effects import PositionFriction, Stribeck, ViscousAsymmetry
 
 EFFECT = ViscousAsymmetry(("x",), ("N",))

@@ -9,9 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, ColumnCache, scan_causes
+from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS, ColumnCache, scan_causes
 from tau_dyn.diagnose.detection_limits import compute_detection_limits, select_median_setting, solve_noncentrality
-from tau_dyn.diagnose.group_tests import FAMILY_LEVEL
 from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, adjust_p_value_bonferroni
 from tau_dyn.effects import (
     CoulombAsymmetry,

@@ -13,12 +13,16 @@ from numpy.testing import assert_allclose
 from scipy.signal import csd, welch
 
 from tau_dyn.diagnose import diagnose
+from tau_dyn.diagnose.candidate_scan import CandidateCause, GroupTest
 from tau_dyn.diagnose.claims import MIN_AMPLITUDE_Z
-from tau_dyn.diagnose.feedback_response import apply_feedback_taps, estimate_feedback_taps
-from tau_dyn.diagnose.filters import decimate_log
-from tau_dyn.diagnose.group_tests import CandidateCause, GroupTest
-from tau_dyn.diagnose.noise_only_bootstrap import estimate_noncentrality, simulate_noise_only_logs
+from tau_dyn.diagnose.noise_only_bootstrap import (
+    apply_feedback_taps,
+    estimate_feedback_taps,
+    estimate_noncentrality,
+    simulate_noise_only_logs,
+)
 from tau_dyn.diagnose.plausibility import is_distinct_from_zero
+from tau_dyn.diagnose.preparation import decimate_log
 from tau_dyn.effects import CyclicRipple, build_friction_model
 from tau_dyn.estimate import BaseParameters
 from tau_dyn.log import Log, lowpass

@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tau_dyn.diagnose.noise import fit_noise_models
-from tau_dyn.diagnose.null_model import NullModel
+from tau_dyn.diagnose.null_model import NullModel, fit_noise_models
 from tau_dyn.estimate import Autoregression
 
 

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tau_dyn.diagnose.group_tests import GroupTest
-from tau_dyn.diagnose.plausibility import SEARCH_MARGIN
-from tau_dyn.diagnose.scenes import build_scene
-from tau_dyn.diagnose.stepwise_selection import select_causes
+from tau_dyn.diagnose.candidate_scan import GroupTest
+from tau_dyn.diagnose.channel import build_scene
+from tau_dyn.diagnose.stepwise_selection import SEARCH_MARGIN, select_causes
 from tau_dyn.effects import (
     CyclicRipple,
     Motion,

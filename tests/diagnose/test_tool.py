@@ -8,14 +8,12 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.diagnose import diagnose
-from tau_dyn.diagnose.aliases import compute_alias_periods
 from tau_dyn.diagnose.candidate_scan import ColumnCache, compute_explained
-from tau_dyn.diagnose.filters import choose_diagnosis_preparation
-from tau_dyn.diagnose.noise import fit_noise_models
-from tau_dyn.diagnose.null_model import NullModel
+from tau_dyn.diagnose.detection_limits import compute_alias_periods
+from tau_dyn.diagnose.null_model import NullModel, fit_noise_models
 from tau_dyn.diagnose.pipeline import diagnose_tool
-from tau_dyn.diagnose.tool import build_tool_channel
-from tau_dyn.diagnose.tool_pieces import build_tool_segment
+from tau_dyn.diagnose.preparation import choose_diagnosis_preparation
+from tau_dyn.diagnose.tool_channel import build_tool_channel, build_tool_segment
 from tau_dyn.effects import EFFECTS
 from tau_dyn.log import Log
 from tau_dyn.mechanism import GantryTauMechanism

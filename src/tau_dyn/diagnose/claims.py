@@ -15,10 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.diagnose.candidate_scan import get_columns
-from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.companions import find_companion
-from tau_dyn.diagnose.confirm import Confirmation, confirm
-from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
+from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION, Channel, measure_friction, widen_scales
+from tau_dyn.diagnose.confirmation import Confirmation, confirm
 from tau_dyn.diagnose.extended_fit import (
     EvaluatedFit,
     build_extended_regression,
@@ -28,9 +26,14 @@ from tau_dyn.diagnose.extended_fit import (
     restrict_to_parts,
     solve_with_fallback,
 )
-from tau_dyn.diagnose.plausibility import find_edge, find_implausible, find_inconsistent, is_distinct_from_zero
+from tau_dyn.diagnose.plausibility import (
+    find_companion,
+    find_edge,
+    find_implausible,
+    find_inconsistent,
+    is_distinct_from_zero,
+)
 from tau_dyn.diagnose.result import Choice, Gain, Step
-from tau_dyn.diagnose.scenes import measure_friction, widen_scales
 from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
 from tau_dyn.estimate import PhysicalConstraints
 from tau_dyn.identify import MAX_HELD_OUT_RATIO, describe_foreign_joints

@@ -8,15 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from tau_dyn.diagnose.candidate_scan import get_columns
-from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.channel import EVERY, TRAIN, VALIDATION, Channel
 from tau_dyn.diagnose.claims import Claims, Waterfall
-from tau_dyn.diagnose.confirm import Confirmation
-from tau_dyn.diagnose.data_split import EVERY, TRAIN, VALIDATION
+from tau_dyn.diagnose.confirmation import Confirmation
 from tau_dyn.diagnose.extended_fit import fit_extended_model
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.diagnose.result import Finding, Gain, OutputErrors, Signature, Unexplained, Verdict
-from tau_dyn.diagnose.settings_refinement import differentiate_settings
-from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
+from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects, differentiate_settings
 from tau_dyn.effects import Effect, format_quantity, spell_unit
 from tau_dyn.estimate import scale_columns
 from tau_dyn.parameters import Parameter, Parameters

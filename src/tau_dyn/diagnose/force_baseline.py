@@ -14,16 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.data_split import TRAIN
-from tau_dyn.diagnose.filters import (
-    choose_diagnosis_preparation,
-    clear_cutoff,
-    decimate_log,
-    keep_diagnosable,
-    smooth_cutoffs,
-)
-from tau_dyn.diagnose.force import (
+from tau_dyn.diagnose.channel import TRAIN, Channel
+from tau_dyn.diagnose.force_channel import (
     ForceChannel,
     build_force_channel,
     build_force_regression,
@@ -32,6 +24,13 @@ from tau_dyn.diagnose.force import (
 )
 from tau_dyn.diagnose.noise_only_bootstrap import simulate_noise_only_logs
 from tau_dyn.diagnose.periodogram import build_force_terms, compute_period_statistics
+from tau_dyn.diagnose.preparation import (
+    choose_diagnosis_preparation,
+    clear_cutoff,
+    decimate_log,
+    keep_diagnosable,
+    smooth_cutoffs,
+)
 from tau_dyn.effects import TransmissionError
 from tau_dyn.estimate import PhysicalConstraints, Regression, solve_least_squares
 from tau_dyn.exceptions import CannotAnswer

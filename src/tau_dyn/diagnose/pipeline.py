@@ -15,28 +15,23 @@ from dataclasses import replace
 import numpy as np
 
 from tau_dyn.coded_warning import get_code
-from tau_dyn.diagnose.aliases import find_alias_periods, leave_period_open
-from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS
-from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS
+from tau_dyn.diagnose.channel import EVERY, Channel
 from tau_dyn.diagnose.claims import Claims, Recommendation, Waterfall, recommend, select_confirmed, select_supported
-from tau_dyn.diagnose.companions import demote_companions, measure_net_forces
-from tau_dyn.diagnose.data_split import EVERY
-from tau_dyn.diagnose.deflection import build_deflection_channel
-from tau_dyn.diagnose.detection_limits import compute_detection_limits
-from tau_dyn.diagnose.extended_fit import EvaluatedFit
-from tau_dyn.diagnose.filters import compute_border_gap_s
+from tau_dyn.diagnose.confirmation import build_unexplained, confirm_all, confirm_within_training
+from tau_dyn.diagnose.deflection_channel import build_deflection_channel
+from tau_dyn.diagnose.detection_limits import compute_detection_limits, find_alias_periods, leave_period_open
+from tau_dyn.diagnose.extended_fit import EvaluatedFit, estimate_noise_floor
 from tau_dyn.diagnose.findings import build_findings, describe_diagnosis
-from tau_dyn.diagnose.floor import estimate_noise_floor
 from tau_dyn.diagnose.force_baseline import FittedBaseline, Progress
-from tau_dyn.diagnose.group_tests import FAMILY_LEVEL
-from tau_dyn.diagnose.internal_validation import confirm_all, confirm_within_training
 from tau_dyn.diagnose.noise_only_bootstrap import N_BOOTSTRAP_DRAWS, NoiseOnlyBootstrap
 from tau_dyn.diagnose.nominal import find_parameter_changes
+from tau_dyn.diagnose.plausibility import demote_companions, measure_net_forces
+from tau_dyn.diagnose.preparation import compute_border_gap_s
 from tau_dyn.diagnose.resonances import add_band_note, add_resonances
 from tau_dyn.diagnose.result import Diagnosis, Finding, Step, TimeTrace, Unexplained, Untestable, Verdict
 from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, build_effects, select_causes
-from tau_dyn.diagnose.tool import ToolChannel, build_tool_channel
-from tau_dyn.diagnose.unexplained import build_unexplained
+from tau_dyn.diagnose.tool_channel import ToolChannel, build_tool_channel
 from tau_dyn.diagnose.unknown_structure import Structure, compute_structure_p_value, find_structure
 from tau_dyn.effects import EFFECTS, Effect
 from tau_dyn.exceptions import InputError

@@ -236,7 +236,7 @@ def _felt(motion: Motion | JointMotion, frequency: float) -> np.ndarray:
     """Return the force that a mode answers to.
 
     Quasi-statically the load's acceleration is a fourth derivative of the encoder's reading, of which only the clear part is
-    of use (`diagnose/force.py`). A mode within that band weakens what is above its own frequency; for it, cutting the force off
+    of use (`diagnose/force_channel.py`). A mode within that band weakens what is above its own frequency; for it, cutting the force off
     would bend its resonance.
     """
     clear = motion.signals.get("clear_hz")

@@ -8,11 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from tau_dyn.diagnose.channel import Channel, refuse_scarce
-from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION, split_by_blocks
-from tau_dyn.diagnose.filters import compute_border_gap_s
-from tau_dyn.diagnose.force_timing import ForceTiming, find_timing
-from tau_dyn.diagnose.noise import WHOLE_TIME
+from tau_dyn.diagnose.channel import (
+    TEST,
+    TRAIN,
+    VALIDATION,
+    Channel,
+    build_scene,
+    find_shared_signals,
+    measure_scales,
+    refuse_scarce,
+    split_by_blocks,
+)
+from tau_dyn.diagnose.null_model import WHOLE_TIME
 from tau_dyn.diagnose.periodogram import (
     LONG,
     build_displacement_terms,
@@ -20,7 +27,7 @@ from tau_dyn.diagnose.periodogram import (
     compute_period_statistics,
     select_output_rows,
 )
-from tau_dyn.diagnose.scenes import build_scene, find_shared_signals, measure_scales
+from tau_dyn.diagnose.preparation import ForceTiming, compute_border_gap_s, find_timing
 from tau_dyn.effects import EFFECTS, GRAVITY_TURN, DisplacementEffect, Effect, Motion, Scene
 from tau_dyn.estimate import Regression, RegressionRun, Whitener
 from tau_dyn.identify import Preparation, PreparedSegment, prepare_segment
@@ -235,7 +242,7 @@ def _with_signals(
     """Return a piece whose motion has what a fitted model says of it: loads, inertia, predicted forces.
 
     Loads and inertia are smooth, so they are computed at the regression's rate and interpolated; forces are not. `force` is
-    that of the values with the recording's timing taken out; see `force_timing.py`.
+    that of the values with the recording's timing taken out; see `preparation.py`.
     """
     m, t = piece.motion, piece.log.t
     few = np.unique(np.append(np.arange(0, len(t), piece.factor), len(t) - 1))

@@ -15,32 +15,175 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy import stats
 
-from tau_dyn.diagnose.candidates import build_candidate_pieces
-from tau_dyn.diagnose.design import (
+from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL
+from tau_dyn.diagnose.preparation import smooth_cutoff
+from tau_dyn.diagnose.proposal.design import (
     Setting,
     add_computed_signals,
     build_measured_motion,
     build_planned_motion,
     compute_gram_matrix,
 )
-from tau_dyn.diagnose.filters import smooth_cutoff
-from tau_dyn.diagnose.plan import (
+from tau_dyn.diagnose.proposal.plan import (
+    Contrast,
+    DesignGoal,
     DesignMotion,
     DiscriminationDesign,
     add_mirrored_contrasts,
     build_design_scene,
     build_detection_plan,
     build_discrimination_plan,
+    build_refusal,
+    find_design_goal,
+    find_other_experiment,
     get_required_signals,
 )
-from tau_dyn.diagnose.proposal_words import list_motion_notes
-from tau_dyn.diagnose.question import DesignGoal, build_refusal, find_design_goal, find_other_experiment
 from tau_dyn.diagnose.result import Diagnosis
+from tau_dyn.diagnose.stepwise_selection import MIN_2LOGL_DIFFERENCE
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log, resample_segments
 from tau_dyn.model import Model
-from tau_dyn.simulate import Trajectory, concatenate
+from tau_dyn.simulate import (
+    Trajectory,
+    build_fourier_motion,
+    build_multisine_on_stroke,
+    build_random_binary_motion,
+    build_slow_motion,
+    build_stroke_motion,
+    compute_top_speed,
+    concatenate,
+)
+
+_Maker = Callable[[Model, float, int, np.random.Generator], Trajectory]
+
+
+def _fourier(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
+    """Return sines, the lowest 0.05 to 0.2 Hz, the highest 0.4 to 3 Hz."""
+    slow, fast = 0.05 * 4 ** rng.uniform(), 0.4 * 7.5 ** rng.uniform()
+    return build_fourier_motion(model, duration, seed, harmonics=int(rng.integers(3, 8)), slow_hz=slow, fast_hz=fast)
+
+
+def _very_slow(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
+    """Return strokes of 0.3 to 6 % of the highest speed."""
+    return build_stroke_motion(
+        model, duration, seed, speeds=tuple(np.geomspace(0.003, 0.06, 6) * rng.uniform(0.7, 1.4, 6))
+    )
+
+
+def _strokes(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
+    """Return strokes from slow to full speed."""
+    lowest = 0.01 * 20 ** rng.uniform()
+    return build_stroke_motion(model, duration, seed, speeds=tuple(np.geomspace(lowest, 1.0, int(rng.integers(4, 9)))))
+
+
+def _multisine(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
+    """Return strokes with a multisine of a band between 1 and 14 Hz riding on them."""
+    low = rng.uniform(1.0, 4.0)
+    return build_multisine_on_stroke(model, duration, seed, band_hz=(low, rng.uniform(low + 3, 14.0)))
+
+
+def _slow(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
+    """Return slow circles of 1 to 30 % of the highest speed, a reversal a second."""
+    return build_slow_motion(
+        model, duration, seed, speed=float(compute_top_speed(model).min()) * 0.01 * 30 ** rng.uniform()
+    )
+
+
+def _binary(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
+    """Return random binary speeds of 10 to 90 %."""
+    return build_random_binary_motion(model, duration, seed, share=0.1 * 9 ** rng.uniform())
+
+
+_KINDS: tuple[_Maker, ...] = (_fourier, _very_slow, _strokes, _binary, _slow, _multisine)
+
+
+def build_candidate_pieces(model: Model, duration: float, count: int, rng: np.random.Generator) -> list[Trajectory]:
+    """Return `count` motions of this length [s], kinds in turn; those that the robot's limits forbid are left out.
+
+    Raises:
+        InputError: The limits forbid all of them, or they are too short.
+    """
+    found, fault = [], None
+    for k in range(count):
+        try:
+            found.append(_KINDS[k % len(_KINDS)](model, duration, int(rng.integers(2**31)), rng))
+        except InputError as error:
+            fault = error
+    if not found:
+        raise fault or InputError("invalid_value", "a motion is chosen among at least one trial")
+    return found
+
+
+TRAINED = 0.6
+"""Share of a log that is searched for causes; the rest confirms and measures."""
+_N_TRIALS = 300  # random outcomes; a probability is known to 3 %
+_FRESH = 20.0
+"""Times smaller that an effect is seen, above which the measured motion hardly showed it."""
+
+
+def estimate_identification_probability(strength: float, rival: bool = True) -> float:
+    """Return how probably a search on a log of this lambda ranks the true cause clearly above its rival.
+
+    Twice the log-likelihood ratio of the two is normal about lambda with variance 4 lambda (Cox 1962); twins are told apart
+    from `MIN_2LOGL_DIFFERENCE` up. Without a rival it is the power of the search itself, about `_N_TRIALS` tries counted.
+    """
+    trained = TRAINED * strength
+    if not rival:
+        return float(stats.ncx2.sf(stats.chi2.isf(FAMILY_LEVEL / _N_TRIALS, 1), 1, trained))
+    return float(stats.norm.cdf((trained - MIN_2LOGL_DIFFERENCE) / (2 * np.sqrt(trained)))) if trained > 0 else 0.0
+
+
+def list_motion_notes(
+    plan: DiscriminationDesign, question: DesignGoal, new: np.ndarray, old: np.ndarray | None
+) -> list[str]:
+    """Return what to expect of a motion.
+
+    Args:
+        plan: What was judged.
+        question: What is open.
+        new: Strength of each line along the proposed motion.
+        old: The same along the measured motion, in the same time; None where it is not known.
+    """
+    if not question.pairs:
+        return _sight(plan, new, old)
+    notes = []
+    for k, line in enumerate(plan.lines):
+        against = f"from {line.rival}" if line.rival else "from noise"
+        text = f"if {line.cause} is the cause, this motion separates it {against}: noncentrality {_sure(new[k], line)}"
+        notes.append(text if old is None else f"{text}; the measured motion, in the same time: {_sure(old[k], line)}")
+    told = {name for line in plan.lines for name in (line.cause, line.rival)}
+    cause = question.pairs[0][0].cause
+    lost = [(r, find_other_experiment(cause, r)) for _, r in question.pairs if r and r not in told]
+    return [*notes, *(f"no motion separates {cause} from {twin}: {how}" for twin, how in (*lost, *question.beyond))]
+
+
+def _sight(plan: DiscriminationDesign, new: np.ndarray, old: np.ndarray | None) -> list[str]:
+    """Return how much smaller effects show than along the measured motion; of each cause the joint that gains least counts."""
+    causes = dict.fromkeys(line.cause for line in plan.lines)
+    if old is None:
+        return [f"this motion excites {', '.join(causes)}"]
+    left = np.sqrt(np.maximum(old, 0.0) / np.maximum(new, 1e-300))
+    ratio = {c: max(x for x, line in zip(left, plan.lines, strict=True) if line.cause == c) for c in causes}
+    fresh = [c for c in causes if ratio[c] < 1 / _FRESH]
+    before = sorted((x, c) for c, x in ratio.items() if c not in fresh)
+    notes = [f"this motion excites causes that the measured one hardly excites: {', '.join(fresh)}"] if fresh else []
+    if before:
+        (low, best), (high, worst) = before[0], before[-1]
+        middle = float(np.median([x for x, _ in before]))
+        notes.append(
+            f"detection limits, relative to those of the measured motion in the same time: {middle:.2g} in the median of "
+            f"{len(before)} cause(s), from {low:.2g} ({best}) to {high:.2g} ({worst})"
+        )
+    return notes
+
+
+def _sure(strength: float, line: Contrast) -> str:
+    chance = 100 * estimate_identification_probability(strength, bool(line.rival))
+    size = "over 99 %" if chance > 99 else "under 1 %" if chance < 1 else f"{chance:.0f} %"
+    return f"{strength:.3g} (probability of correct identification {size})"
+
 
 PIECE_S = 14.0
 """Length of a piece, about [s]."""
