@@ -36,10 +36,10 @@ def test_the_last_part_has_a_veto(make, last: float, within: bool, stands: bool)
 
     channel = make.bench(rng, hidden, n=8000, causes=(QuadraticDrag,))
     hunt = select_causes(channel, rng, lambda step: None)
-    tests = [replace(confirm_cause(channel, hunt, one), within=within) for one in hunt.found]
-    claims = select_confirmed(channel, hunt, tests)
+    tests = [replace(confirm_cause(hunt, one), within=within) for one in hunt.found]
+    claims = select_confirmed(hunt, tests)
     assert [one.candidate.cause for one in claims.kept] == ["quadratic_drag"]
-    stood, bars = select_supported(channel, hunt, claims, rng)
+    stood, bars = select_supported(hunt, claims, rng)
     assert stood.kept == (claims.kept if stands else [])
     assert len(bars.gains) == len(stood.kept) and bool(stood.why_not[0]) != stands
 
@@ -47,9 +47,9 @@ def test_the_last_part_has_a_veto(make, last: float, within: bool, stands: bool)
 def stand(channel, rng):
     """Return the claims that stand of one cause, and the recommendation."""
     hunt = select_causes(channel, rng, lambda step: None)
-    claims = select_confirmed(channel, hunt, [confirm_cause(channel, hunt, one) for one in hunt.found])
-    claims, bars = select_supported(channel, hunt, claims, rng)
-    return claims, recommend(channel, hunt, claims, bars, rng)
+    claims = select_confirmed(hunt, [confirm_cause(hunt, one) for one in hunt.found])
+    claims, bars = select_supported(hunt, claims, rng)
+    return claims, recommend(hunt, claims, bars, rng)
 
 
 def drag(motion):
@@ -133,7 +133,7 @@ def test_without_held_out_logs_there_is_no_second_search(make, rng):
     tests = confirmation.ConfirmationResults((Confirmation(0.1, 0.9, 0.4),), None)
     assert tests.causes[0].is_inconclusive
     never = NoiseOnlyBootstrap(lambda: pytest.fail("noise was made for a search that cannot say anything"))
-    assert confirmation.confirm_within_training(channel, hunt, tests, 0.1, rng, never) is tests
+    assert confirmation.confirm_within_training(hunt, tests, 0.1, rng, never) is tests
 
 
 def test_noise_is_made_once_and_divided_as_a_second_search_is(make, rng):

@@ -9,7 +9,7 @@ from raising import raises_code
 from scipy.interpolate import CubicSpline
 
 from tau_dyn.diagnose.deflection_channel import build_deflection_channel, estimate_stiffness
-from tau_dyn.diagnose.null_model import NullModel, fit_noise_models
+from tau_dyn.diagnose.null_model import ColumnCache, NullModel, fit_noise_models
 from tau_dyn.diagnose.pipeline import diagnose_deflection
 from tau_dyn.effects import EFFECTS
 from tau_dyn.log import ColumnMap, Log
@@ -172,7 +172,7 @@ def test_quick_scan_explains_what_the_exact_columns_do(rng) -> None:
     load = q.copy()
     load[:, 1] -= 2e-5 * np.sin(2 * np.pi * q[:, 1] / 0.04)
     channel = build_deflection_channel(robot, [recorded(t, q, tau, load, rng)])
-    ground = NullModel.of(channel, (0,), fit_noise_models(channel, (0,)))
+    ground = NullModel.of(ColumnCache(channel), (0,), fit_noise_models(channel, (0,)))
     make = EFFECTS["transmission_error"]
     effects = [make(["elbow"], ["N m"], **s) for s in make.grid(channel.scene, ("elbow",))]
     quick = channel.scan(

@@ -95,7 +95,7 @@ def test_what_stays_is_weighed_again_when_another_cause_is_dropped(make, monkeyp
     channel = make.bench(np.random.default_rng(2), lambda m: 80 * m.v * np.abs(m.v), n=6000, causes=(QuadraticDrag,))
     (plain,) = select_causes(channel, np.random.default_rng(1), lambda step: None).found
 
-    def dropped(channel, library, found, noise, level):
+    def dropped(ground, found, level):
         (one,) = found
         (fit,) = one.candidate.fits
         return [replace(one, candidate=replace(one.candidate, fits=(replace(fit, statistic=9.0),)))]
@@ -171,7 +171,7 @@ def test_a_look_alike_takes_a_name_only_by_far(monkeypatch, other, inflation, ou
     """Explaining 12 more in twice the log-likelihood, of rows that scatter as they should, a law without a name is likelier."""
     module = importlib.import_module("tau_dyn.diagnose.stepwise_selection")
     fit = GroupTest(PositionFriction(("x",), ("N",)), 143.0, 1.0, 2, False, inflation, np.zeros(1))
-    monkeypatch.setattr(module, "rescore_group", lambda fit, library, ground: replace(fit, statistic=float(other)))
+    monkeypatch.setattr(module, "rescore_group", lambda fit, ground: replace(fit, statistic=float(other)))
     assert module._outshone(fit, None, None) is outshone
 
 

@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.diagnose import diagnose
-from tau_dyn.diagnose.candidate_scan import ColumnCache, compute_explained
+from tau_dyn.diagnose.candidate_scan import compute_explained
 from tau_dyn.diagnose.detection_limits import compute_alias_periods
-from tau_dyn.diagnose.null_model import NullModel, fit_noise_models
+from tau_dyn.diagnose.null_model import ColumnCache, NullModel, fit_noise_models
 from tau_dyn.diagnose.pipeline import diagnose_tool
 from tau_dyn.diagnose.preparation import choose_diagnosis_preparation
 from tau_dyn.diagnose.tool_channel import build_tool_channel, build_tool_segment
@@ -158,8 +158,8 @@ def test_a_cyclic_error_at_places_too_far_apart_has_no_known_period(rng) -> None
     assert "steps of" in found.experiment and "uneven" in found.experiment and "50 mm" in found.sentence
     assert not found.extended_model.effects
     channel = build_tool_channel(model, [log])
-    ground = NullModel.of(channel, (0,), fit_noise_models(channel, (0,)))
-    periods = np.array(compute_alias_periods(ColumnCache(channel), ground, found.findings[0].effects[0]))
+    ground = NullModel.of(ColumnCache(channel), (0,), fit_noise_models(channel, (0,)))
+    periods = np.array(compute_alias_periods(ground, found.findings[0].effects[0]))
     assert len(periods) > 10
     assert np.abs(periods / PERIOD - 1).min() < 0.01  # the truth is among them
     folded = np.mod(1 / periods * 0.05 + 0.5, 1) - 0.5  # periods a step, without whole ones
@@ -206,9 +206,9 @@ def test_quick_columns_are_the_exact_ones_through_the_filter(rng) -> None:
     load = q.copy()
     load[:, 2] -= cyclic(q[:, 2])
     channel = build_tool_channel(model, [recorded(t, q, tool_at(load), rng)])
-    ground = NullModel.of(channel, (0,), fit_noise_models(channel, (0,)))
+    ground = NullModel.of(ColumnCache(channel), (0,), fit_noise_models(channel, (0,)))
     effect = EFFECTS["transmission_error"](["cart3"], ["N"], period=PERIOD)
-    quick = compute_explained([effect], ColumnCache(channel), ground, ground.e[:, None])
+    quick = compute_explained([effect], ground, ground.e[:, None])
     C = ground.whiten_columns(channel.columns(effect))
     s = C.T @ ground.e
     assert channel.quick_columns(effect) is not None

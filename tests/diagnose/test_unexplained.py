@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, ColumnCache
+from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS
 from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION
 from tau_dyn.diagnose.confirmation import Confirmation, build_unexplained, discriminate_structures
 from tau_dyn.diagnose.force_channel import ForceChannel
@@ -34,10 +34,10 @@ def told(make, rng, motion, hidden):
     """Return the structure that a bench with a hidden force shows, and what is said of it."""
     channel = make.bench(rng, hidden, motions=(motion,))
     ground = make.ground(channel)
-    found = find_structure(channel, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
-    hunt = StepwiseSelection((), (make.noise,) * 3, ground, (), ColumnCache(channel), 1)
-    said = discriminate_structures(channel, hunt, found)
-    return found, said, build_unexplained(channel, hunt, said)[0]
+    found = find_structure(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
+    hunt = StepwiseSelection((), ground, ())
+    said = discriminate_structures(hunt, found)
+    return found, said, build_unexplained(hunt, said)[0]
 
 
 def by_third(m):
@@ -83,11 +83,11 @@ def drifting(make, rng, motions, drift, parts):
 
     channel = make.bench(rng, hidden, motions=motions, parts=parts)
     ground = make.ground(channel)
-    found = find_structure(channel, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
+    found = find_structure(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
     assert found is not None and found.variables == ("t",)
-    hunt = StepwiseSelection((), (make.noise,) * 3, ground, (), ColumnCache(channel), 1)
-    said = discriminate_structures(channel, hunt, found)
-    return said.test.is_confirmed, build_unexplained(channel, hunt, said)[0].status
+    hunt = StepwiseSelection((), ground, ())
+    said = discriminate_structures(hunt, found)
+    return said.test.is_confirmed, build_unexplained(hunt, said)[0].status
 
 
 @pytest.mark.parametrize(("elsewhere", "status"), [(1.0, "confirmed"), (-1.0, "suspected")])

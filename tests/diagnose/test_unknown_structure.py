@@ -28,7 +28,7 @@ def structure(make, seed, hidden=None, level=FAMILY_LEVEL, **more):
     more = more or {"joints": JOINTS}
     channel = make.bench(rng, *([hidden] if hidden else []), **more)
     ground = make.ground(channel)
-    return find_structure(channel, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), level)
+    return find_structure(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), level)
 
 
 @pytest.mark.parametrize("seed", range(4))

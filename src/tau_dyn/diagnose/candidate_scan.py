@@ -177,62 +177,17 @@ _MATCHED = 2e-3
 """Relative accuracy of a setting that agrees with its amplitude: below any standard error."""
 
 
-class EffectColumns(Sequence[np.ndarray]):
-    """An effect's columns (n, m, k) of each run, made when first asked for: most are tried on the training logs alone."""
-
-    def __init__(self, channel: Channel, effect: Effect) -> None:
-        """Make nothing yet."""
-        self._channel, self._effect = channel, effect
-        self._made: dict[int, np.ndarray] = {}
-
-    def __len__(self) -> int:
-        """Return the number of runs."""
-        return len(self._channel.runs)
-
-    def __getitem__(self, run: int) -> np.ndarray:  # type: ignore[override]  # slices are of no use here
-        """Return the columns of one run."""
-        if run >= len(self):
-            raise IndexError(run)
-        if run not in self._made:
-            self._made[run] = self._channel.run_columns(self._effect, run)
-        return self._made[run]
-
-
-class ColumnCache:
-    """Columns of effects on one channel, made once."""
-
-    def __init__(self, channel: Channel) -> None:
-        """Start empty."""
-        self.channel = channel
-        self._made: dict[tuple, EffectColumns] = {}
-
-    def columns(self, effect: Effect) -> EffectColumns:
-        """Return an effect's exact columns."""
-        return self._made.setdefault(get_effect_key(effect), EffectColumns(self.channel, effect))
-
-
-def get_columns(library: ColumnCache, effects: Sequence[Effect]) -> list[EffectColumns]:
-    """Return the columns (n, m, k) of several effects."""
-    return [library.columns(effect) for effect in effects]
-
-
-def get_effect_key(effect: Effect) -> tuple:
-    """Return what tells two effects apart."""
-    return (effect.name, effect.joints, tuple(sorted(effect.settings.items())), effect.label)
-
-
 def find_nonnegative(effect: Effect) -> np.ndarray:
     """Return which amplitudes only make sense from zero up (k,)."""
     return np.array([p.lower >= 0 for p in effect.parameters])
 
 
 def scan_causes(
-    library: ColumnCache, ground: NullModel, draws: np.ndarray, causes: Sequence[type[Effect]], taken: set[tuple]
+    ground: NullModel, draws: np.ndarray, causes: Sequence[type[Effect]], taken: set[tuple]
 ) -> list[CandidateCause]:
     """Try every cause; return those that can be tried at all.
 
     Args:
-        library: Makes columns.
         ground: What is accounted for already.
         draws: Noise after the same projection (R, D).
         causes: The causes.
@@ -240,9 +195,7 @@ def scan_causes(
     """
     found = []
     for cls in causes:
-        tried = [
-            fit_group(library, ground, draws, cls, group) for group in list_joint_groups(library.channel, cls, taken)
-        ]
+        tried = [fit_group(ground, draws, cls, group) for group in list_joint_groups(ground.channel, cls, taken)]
         fits = [fit for fit in tried if fit is not None]
         if fits:
             found.append(combine_group_tests(cls.name, fits))
@@ -264,11 +217,9 @@ def _covered(group: tuple[str, ...], taken: set[str]) -> bool:
     return set(group) <= taken
 
 
-def fit_group(
-    library: ColumnCache, ground: NullModel, draws: np.ndarray, cls: type[Effect], group: tuple[str, ...]
-) -> GroupTest | None:
+def fit_group(ground: NullModel, draws: np.ndarray, cls: type[Effect], group: tuple[str, ...]) -> GroupTest | None:
     """Scan one cause's settings on one group of joints; None where there is nothing to try."""
-    scene = library.channel.scene
+    scene = ground.channel.scene
     grid = cls.grid(scene, group)
     if not grid:
         return None
@@ -277,18 +228,18 @@ def fit_group(
     effects = [plain.with_settings(**setting) for setting in grid]
     both = np.concatenate([ground.e[:, None], draws], axis=1)
     if cls.dense:
-        return _fit_alike(effects, library, ground, both[:, : 1 + DENSE_DRAWS])
+        return _fit_alike(effects, ground, both[:, : 1 + DENSE_DRAWS])
     sizes = [len(effect.parameters) for effect in effects]
     alike = [[e for e, size in zip(effects, sizes, strict=True) if size == n] for n in sorted(set(sizes))]
-    fits = [_fit_alike(part, library, ground, both) for part in alike]
+    fits = [_fit_alike(part, ground, both) for part in alike]
     best = max(fits, key=lambda fit: fit.penalised_statistic)
     return replace(best, n_effective_tests=best.n_effective_tests * len(alike))
 
 
-def _fit_alike(effects: list[Effect], library: ColumnCache, ground: NullModel, both: np.ndarray) -> GroupTest:
+def _fit_alike(effects: list[Effect], ground: NullModel, both: np.ndarray) -> GroupTest:
     """Scan settings with the same number of columns against the residual and the noise draws (R, 1 + D)."""
     sided = find_nonnegative(effects[0])
-    explained = compute_explained(effects, library, ground, both)
+    explained = compute_explained(effects, ground, both)
     best = int(np.argmax(explained[:, 0]))
     noise = explained[:, 1:].max(axis=0)
     simple = bool(sided.all()) and len(sided) == 1
@@ -296,13 +247,13 @@ def _fit_alike(effects: list[Effect], library: ColumnCache, ground: NullModel, b
     near = tuple(dict(effects[k].settings) for k in (best - 1, best + 1) if 0 <= k < len(effects))
     T = float(explained[best, 0])
     fit = GroupTest(effects[best], T, tries, len(sided), simple, 1.0, noise, near)
-    fit = rescore_group(fit, library, ground) if T > 4 else fit
-    return match_settings(fit, library, ground) if T > _WORTH_MATCHING else fit
+    fit = rescore_group(fit, ground) if T > 4 else fit
+    return match_settings(fit, ground) if T > _WORTH_MATCHING else fit
 
 
-def rescore_group(fit: GroupTest, library: ColumnCache, ground: NullModel) -> GroupTest:
+def rescore_group(fit: GroupTest, ground: NullModel) -> GroupTest:
     """Return a fit with its exact `T` and its inflation by blocks."""
-    C = ground.whiten_columns(library.columns(fit.effect))
+    C = ground.rows(fit.effect)
     T, s, G = compute_score_test(ground, C, find_nonnegative(fit.effect))
     return GroupTest(
         fit.effect,
@@ -316,7 +267,7 @@ def rescore_group(fit: GroupTest, library: ColumnCache, ground: NullModel) -> Gr
     )
 
 
-def match_settings(fit: GroupTest, library: ColumnCache, ground: NullModel) -> GroupTest:
+def match_settings(fit: GroupTest, ground: NullModel) -> GroupTest:
     """Return a fit whose matched setting equals its amplitude, the best between points of the grid, and what it explains so.
 
     The constrained misfit `|e - x c(x)|^2` is minimised over `x`, with `c(x)` the column at the setting `x` (Brent 1973, without
@@ -328,12 +279,12 @@ def match_settings(fit: GroupTest, library: ColumnCache, ground: NullModel) -> G
     if not effect.matched:
         return fit
     ((key, _),) = effect.matched.items()
-    scene = library.channel.scene
+    scene = ground.channel.scene
 
     def misfit(x: float) -> float:
         if x == 0:
             return 0.0
-        c = ground.whiten_columns(library.columns(effect.with_settings(**{key: x})))
+        c = ground.rows(effect.with_settings(**{key: x}))
         return float(x**2 * ground.gram(c)[0, 0] - 2 * x * (c.T @ ground.e)[0])
 
     grid = sorted({setting[key] for setting in type(effect).grid(scene, effect.joints)})
@@ -349,22 +300,20 @@ def match_settings(fit: GroupTest, library: ColumnCache, ground: NullModel) -> G
     proposed = type(effect).propose(scene, effect.joints)
     if proposed is not None and misfit(proposed) < (1 - _PROPOSAL_MARGIN) * misfit(best):
         best = proposed
-    exact = rescore_group(replace(fit, effect=effect.with_settings(**{key: best})), library, ground)
+    exact = rescore_group(replace(fit, effect=effect.with_settings(**{key: best})), ground)
     return replace(exact, statistic=max(0.0, -misfit(best)))
 
 
-def compute_explained(
-    effects: Sequence[Effect], library: ColumnCache, ground: NullModel, both: np.ndarray
-) -> np.ndarray:
+def compute_explained(effects: Sequence[Effect], ground: NullModel, both: np.ndarray) -> np.ndarray:
     """Return what each setting explains of each column of white residuals (R, d): (g, d), by the channel's short cuts."""
-    channel = library.channel
+    channel = ground.channel
     scanned = channel.scan(effects, ground.whiten, both)
     found = np.full((len(effects), both.shape[1]), np.nan) if scanned is None else scanned
     left = np.flatnonzero(np.isnan(found[:, 0]))
     for start in range(0, len(left), _CHUNK):
         part = [effects[k] for k in left[start : start + _CHUNK]]
         quick = [channel.quick_columns(effect) for effect in part]
-        made = [c or library.columns(effect) for c, effect in zip(quick, part, strict=True)]
+        made = [c or ground.library.columns(effect) for c, effect in zip(quick, part, strict=True)]
         rows = np.stack([ground.whiten_columns(c) for c in made], axis=1)
         found[left[start : start + _CHUNK]] = ground.explained(rows, both, find_nonnegative(effects[0]))
     return found

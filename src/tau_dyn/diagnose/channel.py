@@ -169,6 +169,10 @@ class Channel(ABC):
         """Return which samples (n, m) of each run are usable and belong to these parts."""
         return [run.usable & np.isin(part, parts)[:, None] for run, part in zip(self.runs, self.parts, strict=True)]
 
+    def gather(self, arrays: Sequence[np.ndarray], output: int, *parts: int) -> np.ndarray:
+        """Return the usable samples (R, ...) of one output that belong to these parts, of arrays (n, m, ...) over the runs."""
+        return np.concatenate([x[m[:, output], output] for x, m in zip(arrays, self.masks(*parts), strict=True)])
+
     @cached_property
     def free_columns(self) -> list[np.ndarray]:
         """Columns that the baseline may refit (n, m, p'), of each run."""

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.diagnose.candidate_scan import get_columns
 from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION, Channel, measure_friction, widen_scales
 from tau_dyn.diagnose.confirmation import Confirmation, confirm
 from tau_dyn.diagnose.extended_fit import (
@@ -86,27 +85,23 @@ class Waterfall(NamedTuple):
     """The waterfall: its steps, the values before any fit, the fits, and each cause's gain over the bar before it."""
 
     steps: list[Step]
-    judgements: list[EvaluatedFit]
+    fits: list[EvaluatedFit]
     gains: list[Gain]
     nominal: EvaluatedFit | None = None
 
 
 def select_confirmed(
-    channel: Channel,
-    hunt: StepwiseSelection,
-    tests: Sequence[Confirmation],
-    *,
-    physics: PhysicalConstraints | None = None,
+    hunt: StepwiseSelection, tests: Sequence[Confirmation], physics: PhysicalConstraints | None = None
 ) -> Claims:
     """Return the causes that the held-out part shows and that do not make its prediction worse.
 
     A cause may be there and yet, with many amplitudes from a short log, predict badly where the training part never was.
     """
     claims = Claims(hunt.found, tuple(_NOT_SHOWN if not t.is_inconclusive else _SILENT for t in tests), tuple(tests))
-    before = _missed(channel, (), physics) if any(test.is_confirmed for test in tests) else 0.0
+    before = _missed(hunt.channel, (), physics) if any(test.is_confirmed for test in tests) else 0.0
     for k, test in enumerate(tests):
         if test.is_confirmed:
-            after = _missed(channel, [*claims.kept, hunt.found[k]], physics)
+            after = _missed(hunt.channel, [*claims.kept, hunt.found[k]], physics)
             better = after <= (1 + MAX_RELATIVE_RMS_INCREASE) * before
             claims = claims.judge(k, "" if better else _WORSE)
             before = after if better else before
@@ -117,58 +112,48 @@ def _missed(channel: Channel, found: Sequence[SelectedCause], physics: PhysicalC
     """Return the rms on the confirmation part, outputs by their own size, of a fit of the training part."""
     regression = build_extended_regression(channel, build_effects(found))
     theta = solve_with_fallback(restrict_to_parts(regression, channel, TRAIN), physics).theta
-    masks = channel.masks(VALIDATION)
-    shares = []
+    residuals, shares = regression.residuals(theta), []
     for k in range(len(channel.outputs)):
-        e, y = (
-            np.concatenate([x[m[:, k], k] for x, m in zip(values, masks, strict=True)])
-            for values in (regression.residuals(theta), channel.target)
-        )
+        e, y = (channel.gather(values, k, VALIDATION) for values in (residuals, channel.target))
         shares.append(float(np.sum(e**2)) / max(float(np.sum((y - y.mean()) ** 2)), 1e-300) if len(y) else 0.0)
     return float(np.sqrt(np.sum(shares)))
 
 
 def build_waterfall(
-    channel: Channel,
     hunt: StepwiseSelection,
     kept: Sequence[SelectedCause],
     rng: np.random.Generator,
-    *,
     nominal: np.ndarray | None = None,
     physics: PhysicalConstraints | None = None,
 ) -> Waterfall:
     """Fit and judge the baseline, then with one cause more each time.
 
     Args:
-        channel: The data.
         hunt: The search.
         kept: Confirmed causes in the order found.
         rng: For intervals.
         nominal: The baseline's values before any fit (p,); by default its parameters' own.
         physics: What makes the baseline's values physical.
     """
+    channel, gains = hunt.channel, []
     values = channel.parameters.values if nominal is None else nominal
     first = evaluate_fit(channel, build_extended_regression(channel, ()), values, None, rng)
-    steps = [Step("nominal", first.errors)]
-    judgements = [fit_extended_model(channel, (), physics, rng)]
-    steps.append(Step("refitted", judgements[0].errors))
-    gains = []
+    fits = [fit_extended_model(channel, (), physics, rng)]
+    steps = [Step("nominal", first.errors), Step("refitted", fits[0].errors)]
     for k, one in enumerate(kept):
-        judgements.append(fit_extended_model(channel, build_effects(kept[: k + 1]), physics, rng))
+        fits.append(fit_extended_model(channel, build_effects(kept[: k + 1]), physics, rng))
         joints = sorted({j for e in one.candidate.effects for j in e.joints}, key=channel.scene.joints.index)
-        steps.append(Step(f"{one.candidate.cause} {' '.join(joints)}", judgements[-1].errors))
-        own, before = (get_columns(hunt.library, build_effects(x)) for x in ([one], kept[:k]))
-        shown = confirm(channel, hunt.noise, own, before, TEST, fitted_on=(TRAIN, VALIDATION))
-        gains.append(compute_gain(channel, judgements[-2].residuals, judgements[-1].residuals, joints, rng, shown))
-    return Waterfall(steps, judgements, gains, first)
+        steps.append(Step(f"{one.candidate.cause} {' '.join(joints)}", fits[-1].errors))
+        own = hunt.columns(one.candidate.effects)
+        shown = confirm(hunt.ground, own, build_effects(kept[:k]), TEST, fitted_on=(TRAIN, VALIDATION))
+        gains.append(compute_gain(channel, fits[-2].residuals, fits[-1].residuals, joints, rng, shown))
+    return Waterfall(steps, fits, gains, first)
 
 
 def select_supported(
-    channel: Channel,
     hunt: StepwiseSelection,
     claims: Claims,
     rng: np.random.Generator,
-    *,
     nominal: np.ndarray | None = None,
     physics: PhysicalConstraints | None = None,
 ) -> tuple[Claims, Waterfall]:
@@ -180,12 +165,12 @@ def select_supported(
     that look at one cause alone come first, as what they turn down may be what makes another one worse.
     """
     while True:
-        bars = build_waterfall(channel, hunt, claims.kept, rng, nominal=nominal, physics=physics)
-        judged_again = _reject_by_amplitude(channel, hunt, claims, bars)
+        bars = build_waterfall(hunt, claims.kept, rng, nominal, physics)
+        judged_again = _reject_by_amplitude(hunt, claims, bars)
         if judged_again is claims:
-            judged_again = _reject_companion(channel, hunt, claims, bars)
+            judged_again = _reject_companion(hunt, claims, bars)
         if judged_again is claims:
-            judged_again = _drop_worse_joints(channel, claims, bars, rng)
+            judged_again = _drop_worse_joints(hunt.channel, claims, bars, rng)
         if judged_again is claims:
             judged_again = _reject_without_gain(claims, bars)
         if judged_again is claims:
@@ -193,10 +178,10 @@ def select_supported(
         claims = judged_again
 
 
-def _reject_by_amplitude(channel: Channel, hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> Claims:
+def _reject_by_amplitude(hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> Claims:
     """Reject what is not distinct from zero, implausible, at an edge, or not shown by the last part; all at once."""
-    values, before = bars.judgements[-1].parameters, bars.judgements[0].parameters
-    estimate, scene, kept = bars.judgements[-1].estimate, channel.scene, claims.kept
+    values, before = bars.fits[-1].parameters, bars.fits[0].parameters
+    estimate, scene, kept = bars.fits[-1].estimate, hunt.channel.scene, claims.kept
     assert estimate is not None  # only the nominal bar has none
     scales = scene.scales
     if scales:
@@ -208,25 +193,17 @@ def _reject_by_amplitude(channel: Channel, hunt: StepwiseSelection, claims: Clai
         why = "" if is_distinct_from_zero(effects, estimate, MIN_AMPLITUDE_Z) else _ZERO
         why = why or find_implausible(effects, values, scales) or find_edge(effects, scene)
         why = why or find_inconsistent(effects, values, scene.step_s)
-        if not why and not _borne_out(channel, hunt, claims.tests[k], kept, one):
+        others = build_effects([other for other in kept if other is not one])
+        if not (why or claims.tests[k].within or confirm(hunt.ground, hunt.columns(effects), others, TEST).share > 0):
             why = _VETO
         claims = claims.judge(k, why) if why else claims
     return claims
 
 
-def _borne_out(
-    channel: Channel, hunt: StepwiseSelection, test: Confirmation, kept: Sequence[SelectedCause], one: SelectedCause
-) -> bool:
-    """Tell whether the last part shows some of a cause, beside the others kept."""
-    effects, others = one.candidate.effects, build_effects([other for other in kept if other is not one])
-    own, beside = (get_columns(hunt.library, x) for x in (effects, others))
-    return test.within or confirm(channel, hunt.noise, own, beside, TEST).share > 0
-
-
-def _reject_companion(channel: Channel, hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> Claims:
+def _reject_companion(hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> Claims:
     """Reject a cause that may only be the inexactness of another one's law."""
     kept = claims.kept
-    found = find_companion(channel, hunt.library, kept, bars.judgements[-1].parameters)
+    found = find_companion(hunt.library, kept, bars.fits[-1].parameters)
     return claims.judge(claims.found.index(kept[found[0]]), found[1]) if found else claims
 
 
@@ -234,7 +211,7 @@ def _drop_worse_joints(channel: Channel, claims: Claims, bars: Waterfall, rng: n
     """Drop, of causes on several joints, those joints whose error grows significantly by the cause on them."""
     for n, one in enumerate(claims.kept):
         fits = one.candidate.fits
-        before, after = (bars.judgements[n + k].residuals for k in (0, 1))
+        before, after = (bars.fits[n + k].residuals for k in (0, 1))
         gains = [compute_gain(channel, before, after, fit.effect.joints, rng) for fit in fits]
         left = tuple(fit for fit, gain in zip(fits, gains, strict=True) if not is_worse(gain))
         if 0 < len(left) < len(fits):
@@ -265,22 +242,15 @@ class Recommendation(NamedTuple):
     warnings: Sequence[str] = ()
 
 
-def recommend(
-    channel: Channel, hunt: StepwiseSelection, claims: Claims, bars: Waterfall, rng: np.random.Generator
-) -> Recommendation:
-    """Return the recommendation.
-
-    Args:
-        channel: The data.
-        hunt: The search.
-        claims: Causes, with those that stand.
-        bars: The waterfall.
-        rng: For intervals.
-    """
-    before, after = bars.judgements[0], bars.judgements[-1]
+def recommend(hunt: StepwiseSelection, claims: Claims, bars: Waterfall, rng: np.random.Generator) -> Recommendation:
+    """Return which model to use, given the causes with those that stand, and their waterfall."""
+    channel = hunt.channel
+    before, after = bars.fits[0], bars.fits[-1]
     if foreign := describe_foreign_joints(find_foreign_joints(channel, after)):
         return Recommendation("neither", str(foreign[0]), foreign)
-    if bars.nominal is not None and is_worse(loss := _whole_gain(channel, bars.nominal, before, rng)):
+    if bars.nominal is not None and is_worse(
+        loss := compute_gain(channel, bars.nominal.residuals, before.residuals, channel.outputs, rng)
+    ):
         more = -loss.reduction_percent
         why = f"the held-out error of the refitted model is {more:.2g} % larger than with the robot file's values"
         return Recommendation("neither", why)
@@ -296,7 +266,7 @@ def recommend(
         return Recommendation("refitted", f"the confirmed causes increase the held-out error at {listed}")
     effects = build_effects(claims.kept)
     joints = {joint for effect in effects for joint in effect.joints}
-    shown = confirm(channel, hunt.noise, get_columns(hunt.library, effects), (), TEST, fitted_on=(TRAIN, VALIDATION))
+    shown = confirm(hunt.ground, hunt.columns(effects), (), TEST, fitted_on=(TRAIN, VALIDATION))
     gain = compute_gain(channel, before.residuals, after.residuals, sorted(joints), rng, shown)
     low, high = gain.ci95
     if low <= 0:
@@ -313,17 +283,10 @@ def find_foreign_joints(channel: Channel, fit: EvaluatedFit) -> list[tuple[str, 
         return []
     found = []
     for k, output in enumerate(channel.outputs):
-        trained, held = (_rms(channel, fit.residuals, parts, k) for parts in ((TRAIN,), (VALIDATION, TEST)))
+        trained, held = (
+            float(np.sqrt(np.mean(e**2))) if len(e := channel.gather(fit.residuals, k, *parts)) else 0.0
+            for parts in ((TRAIN,), (VALIDATION, TEST))
+        )
         if trained > 0 and held > MAX_HELD_OUT_RATIO * trained:
             found.append((output, held / trained))
     return found
-
-
-def _rms(channel: Channel, residuals: Sequence[np.ndarray], parts: tuple[int, ...], k: int) -> float:
-    masks = channel.masks(*parts)
-    e = np.concatenate([x[m[:, k], k] for x, m in zip(residuals, masks, strict=True)])
-    return float(np.sqrt(np.mean(e**2))) if len(e) else 0.0
-
-
-def _whole_gain(channel: Channel, one: EvaluatedFit, other: EvaluatedFit, rng: np.random.Generator) -> Gain:
-    return compute_gain(channel, one.residuals, other.residuals, channel.outputs, rng)

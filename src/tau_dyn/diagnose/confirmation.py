@@ -27,14 +27,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS, PRIOR_WEIGHT_BLOCKS, get_columns
+from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS, PRIOR_WEIGHT_BLOCKS
 from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION, Channel, divide_training
 from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_score_test
 from tau_dyn.diagnose.result import Unexplained
 from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects, select_causes
 from tau_dyn.diagnose.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, find_structure, list_indistinguishable
-from tau_dyn.estimate import Autoregression, Whitener, scale_columns
+from tau_dyn.effects import Effect
+from tau_dyn.estimate import Whitener, scale_columns
 
 SIGNIFICANCE_LEVEL = 0.02  # of a confirmation, one test on data not used by the selection
 _MIN_EXPECTED_Z = 4.0
@@ -67,20 +68,18 @@ class Confirmation:
 
 
 def confirm(
-    channel: Channel,
-    noise: Sequence[Autoregression],
-    effect_columns: Sequence[Sequence[np.ndarray]],
-    other_columns: Sequence[Sequence[np.ndarray]],
+    ground: NullModel,
+    columns: Sequence[Sequence[np.ndarray]],
+    others: Sequence[Effect],
     part: int = VALIDATION,
     fitted_on: tuple[int, ...] = (TRAIN,),
 ) -> Confirmation:
-    """Test one cause's columns (lists over runs of (n, m, k)) beside those of the other causes, on a part of the data."""
-    train, held = (Whitener.of(channel.runs, channel.masks(*which), noise) for which in (fitted_on, (part,)))
+    """Test columns (lists over runs of (n, m, k)) beside other effects on a part of the data, under the ground's noise."""
+    channel, beside = ground.channel, [ground.library.columns(effect) for effect in others]
+    train, held = (Whitener.of(channel.runs, channel.masks(*which), ground.noise) for which in (fitted_on, (part,)))
     prior_rows, prior_y = channel.prior
-    B_t, B_c = (
-        np.concatenate([w(channel.free_columns), *(w(c) for c in other_columns)], axis=1) for w in (train, held)
-    )
-    C_t, C_c = (np.concatenate([w(c) for c in effect_columns], axis=1) for w in (train, held))
+    B_t, B_c = (np.concatenate([w(channel.free_columns), *(w(c) for c in beside)], axis=1) for w in (train, held))
+    C_t, C_c = (np.concatenate([w(c) for c in columns], axis=1) for w in (train, held))
     y_t, y_c = train(channel.target), held(channel.target)
     k = B_t.shape[1]
     prior = np.concatenate([prior_rows, np.zeros((len(prior_y), k - prior_rows.shape[1]))], axis=1)
@@ -143,15 +142,10 @@ def _regress(
     return Confirmation(share, stderr, float(stats.t.sf(share / stderr, dof)))
 
 
-def detect_effect(
-    channel: Channel,
-    noise: Sequence[Autoregression],
-    effect_columns: Sequence[Sequence[np.ndarray]],
-    other_columns: Sequence[Sequence[np.ndarray]],
-) -> Confirmation:
+def detect_effect(ground: NullModel, columns: Sequence[Sequence[np.ndarray]], others: Sequence[Effect]) -> Confirmation:
     """Test whether columns explain anything of the held-out part, with amplitudes of their own there."""
-    ground = NullModel.of(channel, (VALIDATION,), noise, other_columns)
-    C = np.concatenate([ground.whiten_columns(c) for c in effect_columns], axis=1)
+    ground = NullModel.of(ground.library, (VALIDATION,), ground.noise, others)
+    C = np.concatenate([ground.whiten_columns(c) for c in columns], axis=1)
     T, _, _ = compute_score_test(ground, C, np.zeros(C.shape[1], bool), _LEFT)
     return Confirmation(1.0, np.nan, float(stats.chi2.sf(T, C.shape[1])))
 
@@ -176,13 +170,13 @@ class StructureTest:
     alike: tuple[tuple[str, ...], ...] = ()
 
 
-def discriminate_structures(channel: Channel, hunt: StepwiseSelection, structure: Structure) -> StructureTest:
+def discriminate_structures(hunt: StepwiseSelection, structure: Structure) -> StructureTest:
     """Return which of the sets of variables that explain as much on the training part it is by the confirmation part as well.
 
     As many of them as are tried count in its chance.
     """
-    several = [structure, *list_indistinguishable(channel, hunt.ground, structure)]
-    tests = [confirm_structure(channel, hunt, one) for one in several]
+    several = [structure, *list_indistinguishable(hunt.ground, structure)]
+    tests = [confirm_structure(hunt, one) for one in several]
     worth = [one.penalised_statistic + _evidence(test) for one, test in zip(several, tests, strict=True)]
     k = int(np.argmax(worth))
     near = (one.variables for one, x in zip(several, worth, strict=True) if x > worth[k] - MIN_2LOGL_DIFFERENCE)
@@ -195,14 +189,13 @@ def _evidence(test: Confirmation) -> float:
     return max(0.0, float(stats.norm.isf(max(test.p_value, 1e-300)))) ** 2
 
 
-def confirm_structure(channel: Channel, hunt: StepwiseSelection, structure: Structure) -> Confirmation:
+def confirm_structure(hunt: StepwiseSelection, structure: Structure) -> Confirmation:
     """Test a structure on the confirmation part, all causes found accounted for.
 
     A drift in time is another one in another log; there it only has to be present, not to be the same.
     """
-    others = get_columns(hunt.library, build_effects(hunt.found))
-    test = detect_effect if _drifts_anew(channel, structure) else confirm
-    return test(channel, hunt.noise, [structure.columns], others)
+    test = detect_effect if _drifts_anew(hunt.channel, structure) else confirm
+    return test(hunt.ground, [structure.columns], build_effects(hunt.found))
 
 
 def _drifts_anew(channel: Channel, structure: Structure) -> bool:
@@ -211,25 +204,25 @@ def _drifts_anew(channel: Channel, structure: Structure) -> bool:
     return "t" in structure.variables and not shared
 
 
-def build_unexplained(channel: Channel, hunt: StepwiseSelection, told: StructureTest | None) -> tuple[Unexplained, ...]:
+def build_unexplained(hunt: StepwiseSelection, told: StructureTest | None) -> tuple[Unexplained, ...]:
     """Return the structure, confirmed or not."""
     if told is None:
         return ()
     s = told.structure
-    status = "confirmed" if told.test.is_confirmed and _borne_out(channel, hunt, told) else "suspected"
+    status = "confirmed" if told.test.is_confirmed and _borne_out(hunt, told) else "suspected"
     return (
         Unexplained(s.output, s.variables, s.share, s.formula, s.p_value, status, indistinguishable_from=told.alike),
     )
 
 
-def _borne_out(channel: Channel, hunt: StepwiseSelection, told: StructureTest) -> bool:
+def _borne_out(hunt: StepwiseSelection, told: StructureTest) -> bool:
     """Tell whether the last part is predicted better, with the 95 % interval above zero, as it has to be with a cause.
 
     Of another log's drift, it has to show what the confirmation part of that log says.
     """
-    others = get_columns(hunt.library, build_effects(hunt.found))
-    known = VALIDATION if _drifts_anew(channel, told.structure) else TRAIN
-    shown = confirm(channel, hunt.noise, [told.structure.columns], others, TEST, fitted_on=(known,))
+    known = VALIDATION if _drifts_anew(hunt.channel, told.structure) else TRAIN
+    others = build_effects(hunt.found)
+    shown = confirm(hunt.ground, [told.structure.columns], others, TEST, fitted_on=(known,))
     return shown.share - Z95 * shown.stderr > MIN_GAINING_SHARE
 
 
@@ -241,20 +234,18 @@ class ConfirmationResults:
     structure: StructureTest | None
 
 
-def confirm_cause(channel: Channel, hunt: StepwiseSelection, one: SelectedCause) -> Confirmation:
+def confirm_cause(hunt: StepwiseSelection, one: SelectedCause) -> Confirmation:
     """Test one cause on the confirmation part, the others accounted for."""
-    effects, others = (get_columns(hunt.library, x) for x in (one.candidate.effects, hunt.others(one)))
-    return confirm(channel, hunt.noise, effects, others)
+    return confirm(hunt.ground, hunt.columns(one.candidate.effects), hunt.others(one))
 
 
-def confirm_all(channel: Channel, hunt: StepwiseSelection, structure: Structure | None) -> ConfirmationResults:
+def confirm_all(hunt: StepwiseSelection, structure: Structure | None) -> ConfirmationResults:
     """Test everything found on the confirmation part."""
-    causes = tuple(confirm_cause(channel, hunt, one) for one in hunt.found)
-    return ConfirmationResults(causes, structure and discriminate_structures(channel, hunt, structure))
+    causes = tuple(confirm_cause(hunt, one) for one in hunt.found)
+    return ConfirmationResults(causes, structure and discriminate_structures(hunt, structure))
 
 
 def confirm_within_training(
-    channel: Channel,
     hunt: StepwiseSelection,
     tests: ConfirmationResults,
     gap_s: float,
@@ -264,7 +255,6 @@ def confirm_within_training(
     """Return the tests, those on which the confirmation part is silent repeated within the training logs.
 
     Args:
-        channel: The data.
         hunt: The search on all of the training part.
         tests: What the confirmation part says.
         gap_s: Memory of the filters, left out beside a block's border [s].
@@ -272,20 +262,21 @@ def confirm_within_training(
         noise: What encoder noise alone makes.
     """
     every = [*tests.causes, *([tests.structure.test] if tests.structure else [])]
+    channel = hunt.channel
     whole = any(np.all(part == TRAIN) for part in channel.parts)
     if not whole or not any(test.is_inconclusive for test in every):
         return tests
     inner = replace(channel, parts=tuple(divide_training(channel.runs, channel.parts, gap_s)))
     again = select_causes(inner, rng, lambda step: None, sift=noise.within(inner.parts).reject_artefacts)
     causes = tuple(
-        _better(test, inner, again, _alike(again, one)) if test.is_inconclusive else test
+        _better(test, again, _alike(again, one)) if test.is_inconclusive else test
         for one, test in zip(hunt.found, tests.causes, strict=True)
     )
     left = tests.structure
     if left is not None and left.test.is_inconclusive:
-        found = find_structure(inner, again.ground, again.ground.draw_null_residuals(N_NULL_DRAWS, rng), FAMILY_LEVEL)
+        found = find_structure(again.ground, again.ground.draw_null_residuals(N_NULL_DRAWS, rng), FAMILY_LEVEL)
         if found and found.output == left.structure.output and set(found.variables) & set(left.structure.variables):
-            test = confirm_structure(inner, again, found)
+            test = confirm_structure(again, found)
             left = replace(left, test=replace(test, within=True)) if test.is_confirmed else left
     return ConfirmationResults(causes, left)
 
@@ -300,10 +291,8 @@ def _joints(found: SelectedCause) -> set[str]:
     return {joint for effect in found.candidate.effects for joint in effect.joints}
 
 
-def _better(
-    before: Confirmation, inner: Channel, again: StepwiseSelection, other: SelectedCause | None
-) -> Confirmation:
+def _better(before: Confirmation, again: StepwiseSelection, other: SelectedCause | None) -> Confirmation:
     if other is None:
         return before
-    test = confirm_cause(inner, again, other)
+    test = confirm_cause(again, other)
     return replace(test, within=True) if test.is_confirmed else before

@@ -20,12 +20,10 @@ from scipy import optimize, stats
 from tau_dyn.diagnose.candidate_scan import (
     FAMILY_LEVEL,
     CandidateCause,
-    ColumnCache,
     GroupTest,
     compute_explained,
-    get_columns,
 )
-from tau_dyn.diagnose.channel import EVERY, TRAIN, Channel
+from tau_dyn.diagnose.channel import EVERY, Channel
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.diagnose.result import Finding, Limit, Untestable
 from tau_dyn.diagnose.stepwise_selection import MIN_2LOGL_DIFFERENCE, SelectedCause, StepwiseSelection
@@ -39,10 +37,10 @@ _WHOLE = 0.5
 
 
 def compute_detection_limits(
-    channel: Channel, search: StepwiseSelection, named: Sequence[str]
+    search: StepwiseSelection, named: Sequence[str]
 ) -> tuple[tuple[Limit, ...], tuple[Untestable, ...]]:
     """Return detection limits of the causes that were tried and not found, and what could not be tried."""
-    limits, untestable = [], []
+    channel, limits, untestable = search.channel, [], []
     tried = {c.cause: c for c in search.last}
     for cls in channel.causes:
         if cls.name in named:
@@ -57,10 +55,10 @@ def compute_detection_limits(
                 )
             )
         else:
-            limit = _limit(channel, search.library, search.ground, tried[cls.name], len(search.last))
+            limit = _limit(search.ground, tried[cls.name], len(search.last))
             if isinstance(limit, str):
                 untestable.append(Untestable(cls.name, limit, cls.reveals))
-            elif limit is None and _owned(search.library, search.ground, tried[cls.name]):
+            elif limit is None and _owned(search.ground, tried[cls.name]):
                 continue  # the baseline has it, under another name
             elif limit is None:
                 why = "on this motion the refit of the baseline absorbs nearly all of it"
@@ -77,9 +75,7 @@ def solve_noncentrality(level: float, dof: int, power: float = POWER) -> float:
     return float(root.root)
 
 
-def _limit(
-    channel: Channel, library: ColumnCache, ground: NullModel, candidate: CandidateCause, causes: int
-) -> Limit | str | None:
+def _limit(ground: NullModel, candidate: CandidateCause, causes: int) -> Limit | str | None:
     """Return the limit at the joint where a plausible cause is hardest to see, or why no plausible one would be seen."""
     found: list[tuple[float, str, str]] = []
     beyond: list[tuple[float, str, str]] = []
@@ -87,12 +83,12 @@ def _limit(
         if len(fit.effect.joints) > 1 and any(len(f.effect.joints) == 1 for f in candidate.tested):
             continue
         tests = len(candidate.tested) * (2 if len(candidate.tested) > 1 else 1)  # each alone, and all together
-        amplitude = _amplitude(channel, library, ground, fit, tests * causes)
+        amplitude = _amplitude(ground, fit, tests * causes)
         if amplitude is None:
             continue  # a joint that hardly moves says nothing of the others
         first = next(iter(fit.effect.parameters))
         values = fit.effect.parameters.with_values({first.name: max(amplitude, first.lower)})
-        plausible = not fit.effect.find_implausible(values, channel.scene.scales)
+        plausible = not fit.effect.find_implausible(values, ground.channel.scene.scales)
         (found if plausible else beyond).append((amplitude, first.unit, "+".join(fit.effect.joints)))
     if not found and beyond:
         amplitude, unit, joint = min(beyond)
@@ -106,12 +102,10 @@ def _limit(
     return Limit(candidate.cause, amplitude, unit, phrase)
 
 
-def _amplitude(
-    channel: Channel, library: ColumnCache, ground: NullModel, fit: GroupTest, families: int
-) -> float | None:
+def _amplitude(ground: NullModel, fit: GroupTest, families: int) -> float | None:
     """Return the amplitude seen with 95 % power, or None where it would exceed half of what is measured."""
-    effect = select_median_setting(channel, fit.effect)
-    C = ground.whiten_columns(library.columns(effect))
+    effect = select_median_setting(ground.channel, fit.effect)
+    C = ground.rows(effect)
     units = [p.unit for p in effect.parameters]
     C = C[:, [unit == units[0] for unit in units]]
     G, raw = ground.gram(C), C.T @ C
@@ -121,14 +115,14 @@ def _amplitude(
     level = FAMILY_LEVEL / families / fit.n_effective_tests * (2 if fit.one_sided else 1)
     size = float(np.sqrt(solve_noncentrality(min(level, 0.5), k) * fit.overdispersion * k / np.trace(G)))
     force = size * float(np.sqrt(np.trace(raw) / k))
-    measured = float(np.linalg.norm(ground.whiten(channel.target) / ground.scale))
+    measured = float(np.linalg.norm(ground.whiten(ground.channel.target) / ground.scale))
     return None if force > _WHOLE * measured else size
 
 
-def _owned(library: ColumnCache, ground: NullModel, candidate: CandidateCause) -> bool:
+def _owned(ground: NullModel, candidate: CandidateCause) -> bool:
     """Tell whether the baseline has parameters for exactly this, and not only on a motion that never turns back."""
     for fit in candidate.tested:
-        C = ground.whiten_columns(library.columns(fit.effect))
+        C = ground.rows(fit.effect)
         if np.trace(ground.gram(C)) > OWNED * np.trace(C.T @ C):
             return False
     joints = {joint for fit in candidate.tested for joint in fit.effect.joints}
@@ -162,15 +156,15 @@ _PER_PERIOD = 2.5
 _MIN_EXPLAINED_SHARE = 0.8  # share of the best that a grid point explains where a finer one may explain all
 
 
-def find_alias_periods(channel: ToolChannel, hunt: StepwiseSelection) -> list[tuple[float, ...]]:
+def find_alias_periods(hunt: StepwiseSelection) -> list[tuple[float, ...]]:
     """Return the periods [m or rad] that each cyclic error found may have; none for other causes and motion sampled in time."""
+    poses = isinstance(hunt.channel, ToolChannel) and hunt.channel.poses
     found: list[tuple[float, ...]] = []
     for one in hunt.found:
         effect = one.candidate.effects[0]
         found.append(())
-        if channel.poses and effect.dense and "period" in effect.settings:
-            ground = NullModel.of(channel, (TRAIN,), hunt.noise, get_columns(hunt.library, hunt.others(one)))
-            found[-1] = compute_alias_periods(hunt.library, ground, effect)
+        if poses and effect.dense and "period" in effect.settings:
+            found[-1] = compute_alias_periods(hunt.ground.beside(hunt.others(one)), effect)
     return found
 
 
@@ -197,15 +191,14 @@ def leave_period_open(channel: Channel, one: SelectedCause, finding: Finding, pe
     )
 
 
-def compute_alias_periods(library: ColumnCache, ground: NullModel, effect: Effect) -> tuple[float, ...]:
+def compute_alias_periods(ground: NullModel, effect: Effect) -> tuple[float, ...]:
     """Return the periods [m or rad] that explain as much as an effect's own, longest first; only its own where it is sure.
 
     Args:
-        library: Columns on the measurements' channel.
         ground: Everything else accounted for.
         effect: An effect with a setting `period`.
     """
-    scene = library.channel.scene
+    scene = ground.channel.scene
     k = scene.index(effect.joints[0])
     travel = float(scene.high[k] - scene.low[k])
     lines = np.array([1 / s["period"] for s in type(effect).grid(scene, effect.joints) if "period" in s])
@@ -213,11 +206,11 @@ def compute_alias_periods(library: ColumnCache, ground: NullModel, effect: Effec
     if travel <= 0 or not len(lines):
         return (effect.settings["period"],)
     step = float(np.median(np.abs(np.diff(lines)))) if len(lines) > 1 else 1 / travel
-    rough = _explained(library, ground, effect, lines)
+    rough = _explained(ground, effect, lines)
     starts = [own, *lines[rough > rough.max() * _MIN_EXPLAINED_SHARE - MIN_2LOGL_DIFFERENCE]]
     fine = np.concatenate([x + step * np.linspace(-0.5, 0.5, 2 * _FINE + 1) for x in starts])
     fine = np.concatenate([[own], fine[fine > 0]])
-    found = list(zip(_explained(library, ground, effect, fine), fine, strict=True))
+    found = list(zip(_explained(ground, effect, fine), fine, strict=True))
     top = max(T for T, _ in found)
     kept: list[float] = []
     for T, line in sorted(found, reverse=True):
@@ -234,7 +227,7 @@ def compute_position_spacing(channel: Channel, joint: str) -> float:
     return float(np.median(moved)) if len(moved) else 0.0
 
 
-def _explained(library: ColumnCache, ground: NullModel, effect: Effect, lines: np.ndarray) -> np.ndarray:
+def _explained(ground: NullModel, effect: Effect, lines: np.ndarray) -> np.ndarray:
     """Return `T` (g,) of the effect with these numbers of periods a metre or radian (g,)."""
     settings = [effect.with_settings(period=float(1 / line)) for line in lines]
-    return compute_explained(settings, library, ground, ground.e[:, None])[:, 0]
+    return compute_explained(settings, ground, ground.e[:, None])[:, 0]

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.diagnose.candidate_scan import get_columns
 from tau_dyn.diagnose.channel import EVERY, TRAIN, VALIDATION, Channel
 from tau_dyn.diagnose.claims import Claims, Waterfall
 from tau_dyn.diagnose.confirmation import Confirmation
@@ -31,17 +30,16 @@ _EQUIVALENT = "no log of this kind separates it from {twins}; the force is the s
 
 
 def build_findings(
-    channel: Channel,
     hunt: StepwiseSelection,
     claims: Claims,
     bars: Waterfall,
     rng: np.random.Generator,
 ) -> list[Finding]:
     """Return what is said of every cause found, confirmed or not."""
-    found, kept = [], claims.kept
+    channel, found, kept = hunt.channel, [], claims.kept
     hunt = replace(hunt, found=claims.found)
     for one, test, why_not in zip(claims.found, claims.tests, claims.why_not, strict=True):
-        effects, fit, gain = one.candidate.effects, bars.judgements[-1], None
+        effects, fit, gain = one.candidate.effects, bars.fits[-1], None
         if not why_not:
             gain = bars.gains[kept.index(one)]
         else:
@@ -49,13 +47,12 @@ def build_findings(
         names = {n for e in effects for n in e.parameters.names}
         values = Parameters([p for p in fit.parameters if p.name in names])
         signature = build_signature(channel, effects, fit.residuals, values)
-        finding = build_finding(channel, hunt, one, test, values, gain, signature, kept=not why_not)
+        finding = build_finding(hunt, one, test, values, gain, signature, kept=not why_not)
         found.append(replace(finding, why_not_confirmed=why_not))
     return found
 
 
 def build_finding(
-    channel: Channel,
     search: StepwiseSelection,
     found: SelectedCause,
     confirmation: Confirmation,
@@ -68,7 +65,6 @@ def build_finding(
     """Return the finding.
 
     Args:
-        channel: Where it was found.
         search: The whole search; the other causes count as accounted for.
         found: The cause.
         confirmation: Its test on held-out data.
@@ -77,12 +73,12 @@ def build_finding(
         signature: Its plot.
         kept: Whether it is part of the extended model.
     """
+    channel = search.channel
     place = channel.scene.joints.index
     effects = tuple(sorted(found.candidate.effects, key=lambda effect: [place(j) for j in effect.joints]))
-    others = get_columns(search.library, search.others(found))
-    ground = NullModel.of(channel, (TRAIN, VALIDATION), search.noise, others)
+    ground = NullModel.of(search.library, (TRAIN, VALIDATION), search.ground.noise, search.others(found))
     inflation = max(fit.overdispersion for fit in found.candidate.fits)
-    parameters = estimate_uncertainty(search, ground, effects, values, inflation)
+    parameters = estimate_uncertainty(ground, effects, values, inflation)
     joints = tuple(dict.fromkeys(j for effect in effects for j in effect.joints))
     twins = tuple(dict.fromkeys([*(t for e in effects for t in e.equivalent), *found.rivals]))
     first = effects[0]
@@ -112,18 +108,17 @@ def build_finding(
 
 
 def estimate_uncertainty(
-    search: StepwiseSelection, ground: NullModel, effects: Sequence[Effect], values: Parameters, inflation: float
+    ground: NullModel, effects: Sequence[Effect], values: Parameters, inflation: float
 ) -> Parameters:
     """Return amplitudes and refined settings with standard errors that count each other's uncertainty.
 
     What the baseline's refit absorbs (a shared motor's inertia, which the links' inertia takes) has none: data do not tell it.
     """
-    library, rows = search.library, []
-    columns = [ground.whiten_columns(library.columns(effect)) for effect in effects]
+    rows, columns = [], [ground.rows(effect) for effect in effects]
     slopes = []
     for effect in effects:
         amplitude = values.select(effect.parameters.names).values
-        slopes += [ground.whiten_columns(x) for x in differentiate_settings(effect, amplitude, library)]
+        slopes += [ground.whiten_columns(x) for x in differentiate_settings(effect, amplitude, ground.channel)]
     everything, norm = scale_columns(np.concatenate([*columns, *slopes], axis=1))
     variance = _variances(ground.gram(everything)) / norm**2
     stderr = iter(None if np.isnan(x) else float(np.sqrt(inflation * x)) for x in variance)

@@ -22,9 +22,9 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, GROUP_LEVEL, CandidateCause, ColumnCache, find_nonnegative
+from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, GROUP_LEVEL, CandidateCause, find_nonnegative
 from tau_dyn.diagnose.channel import TRAIN, Channel
-from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_score_test
+from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, ColumnCache, NullModel, compute_score_test
 from tau_dyn.diagnose.preparation import decimate_log
 from tau_dyn.effects import Effect
 from tau_dyn.identify import PreparedSegment
@@ -165,10 +165,7 @@ class NoiseOnlyBootstrap:
 
     def fit_null_models(self, ground: NullModel, effects: Sequence[Effect]) -> list[NullModel]:
         """Return the training part of each channel with effects accounted for, white as `ground` is."""
-        return [
-            NullModel.of(channel, (TRAIN,), ground.noise, [library.columns(effect) for effect in effects])
-            for channel, library in zip(self.channels, self.libraries, strict=True)
-        ]
+        return [NullModel.of(library, (TRAIN,), ground.noise, effects) for library in self.libraries]
 
     def reject_artefacts(
         self, ground: NullModel, candidate: CandidateCause, others: Sequence[Effect], n: int

@@ -24,6 +24,7 @@ from numpy.polynomial import legendre
 from scipy import linalg
 
 from tau_dyn.diagnose.channel import Channel
+from tau_dyn.effects import Effect
 from tau_dyn.estimate import Autoregression, Whitener, fit_autoregression, solve_scaled
 from tau_dyn.log import find_true_runs
 
@@ -49,7 +50,7 @@ def fit_noise_models(
             for r in range(len(channel.runs))
         ]
         rows = np.concatenate([x[m[:, k]] for x, m in zip(columns, masks, strict=True)])
-        y = np.concatenate([x[m[:, k], k] for x, m in zip(channel.target, masks, strict=True)])
+        y = channel.gather(channel.target, k, *parts)
         theta = solve_scaled(rows, y, 1e-7)
         stretches = []
         for x, y_run, mask in zip(columns, channel.target, masks, strict=True):
@@ -97,12 +98,52 @@ MIN_UNABSORBED_SHARE = 1e-4
 because encoder noise sits in the baseline's columns: a smooth copy of one of them would be left with that noise, and find it."""
 
 
+class EffectColumns(Sequence[np.ndarray]):
+    """An effect's columns (n, m, k) of each run, made when first asked for: most are tried on the training logs alone."""
+
+    def __init__(self, channel: Channel, effect: Effect) -> None:
+        """Make nothing yet."""
+        self._channel, self._effect = channel, effect
+        self._made: dict[int, np.ndarray] = {}
+
+    def __len__(self) -> int:
+        """Return the number of runs."""
+        return len(self._channel.runs)
+
+    def __getitem__(self, run: int) -> np.ndarray:  # type: ignore[override]  # slices are of no use here
+        """Return the columns of one run."""
+        if run >= len(self):
+            raise IndexError(run)
+        if run not in self._made:
+            self._made[run] = self._channel.run_columns(self._effect, run)
+        return self._made[run]
+
+
+class ColumnCache:
+    """Columns of effects on one channel, made once."""
+
+    def __init__(self, channel: Channel) -> None:
+        """Start empty."""
+        self.channel = channel
+        self._made: dict[tuple, EffectColumns] = {}
+
+    def columns(self, effect: Effect) -> EffectColumns:
+        """Return an effect's exact columns."""
+        return self._made.setdefault(_get_key(effect), EffectColumns(self.channel, effect))
+
+
+def _get_key(effect: Effect) -> tuple:
+    """Return what tells two effects apart."""
+    return (effect.name, effect.joints, tuple(sorted(effect.settings.items())), effect.label)
+
+
 @dataclass(frozen=True, eq=False)
 class NullModel:
     """White rows of one part with everything accounted for projected out.
 
     Attributes:
-        channel: Where the data come from.
+        library: Makes columns of the channel that the data come from.
+        parts: The parts of the data.
         whiten: Makes rows of arrays over the runs.
         Q: Orthonormal basis of what is accounted for (R, r).
         e: What it leaves of the measurements (R,).
@@ -110,7 +151,8 @@ class NullModel:
         scale: Standard deviation of white rows (1 where the noise model is right); rows are divided by it.
     """
 
-    channel: Channel
+    library: ColumnCache
+    parts: tuple[int, ...]
     whiten: Whitener
     Q: np.ndarray
     e: np.ndarray
@@ -119,16 +161,13 @@ class NullModel:
 
     @classmethod
     def of(
-        cls,
-        channel: Channel,
-        parts: Sequence[int],
-        noise: Sequence[Autoregression],
-        extra: Sequence[Sequence[np.ndarray]] = (),
+        cls, library: ColumnCache, parts: Sequence[int], noise: Sequence[Autoregression], effects: Sequence[Effect] = ()
     ) -> NullModel:
-        """Project out the baseline's free columns and further columns (lists over runs of (n, m, k))."""
+        """Project out the baseline's free columns and those of effects."""
+        channel = library.channel
         whiten = Whitener.of(channel.runs, channel.masks(*parts), noise)
         prior_rows, prior_y = channel.prior
-        B = [whiten(channel.free_columns), *(whiten(c) for c in extra)]
+        B = [whiten(channel.free_columns), *(whiten(library.columns(effect)) for effect in effects)]
         blank = np.zeros((len(prior_y), sum(c.shape[1] for c in B[1:])))
         stacked = np.concatenate([np.concatenate(B, axis=1), np.concatenate([prior_rows, blank], axis=1)])
         y = np.concatenate([whiten(channel.target), prior_y])
@@ -137,12 +176,25 @@ class NullModel:
         n = whiten.n_rows
         dof = max(1, n - Q.shape[1])
         scale = float(np.sqrt(e @ e / dof))
-        return cls(channel, whiten, Q[:n], e[:n] / scale, tuple(noise), scale)
+        return cls(library, tuple(parts), whiten, Q[:n], e[:n] / scale, tuple(noise), scale)
+
+    def beside(self, effects: Sequence[Effect]) -> NullModel:
+        """Return the same part under the same noise, with these effects accounted for."""
+        return NullModel.of(self.library, self.parts, self.noise, effects)
+
+    @property
+    def channel(self) -> Channel:
+        """Where the data come from."""
+        return self.library.channel
 
     @property
     def n_rows(self) -> int:
         """Number of white rows R."""
         return len(self.e)
+
+    def rows(self, effect: Effect) -> np.ndarray:
+        """Return white rows (R, k) of an effect's exact columns, scaled like the residual."""
+        return self.whiten_columns(self.library.columns(effect))
 
     def whiten_columns(self, columns: Sequence[np.ndarray]) -> np.ndarray:
         """Return white rows (R, k) of columns over the runs, scaled like the residual."""
@@ -153,9 +205,9 @@ class NullModel:
         noise = rng.standard_normal((self.n_rows, count))
         return noise - self.Q @ (self.Q.T @ noise)
 
-    def augment(self, extra: Sequence[Sequence[np.ndarray]]) -> NullModel:
-        """Return what is left with further columns (lists over runs of (n, m, k)) accounted for too."""
-        more = orthonormalise(self.project_out(np.concatenate([self.whiten_columns(c) for c in extra], axis=1)))
+    def augment(self, effects: Sequence[Effect]) -> NullModel:
+        """Return what is left with further effects accounted for too."""
+        more = orthonormalise(self.project_out(np.concatenate([self.rows(effect) for effect in effects], axis=1)))
         return replace(self, Q=np.concatenate([self.Q, more], axis=1), e=self.e - more @ (more.T @ self.e))
 
     def gram(self, C: np.ndarray) -> np.ndarray:

@@ -31,7 +31,7 @@ from tau_dyn.diagnose.preparation import compute_border_gap_s
 from tau_dyn.diagnose.resonances import add_band_note, add_resonances
 from tau_dyn.diagnose.result import Diagnosis, Finding, Step, TimeTrace, Unexplained, Untestable, Verdict
 from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, build_effects, select_causes
-from tau_dyn.diagnose.tool_channel import ToolChannel, build_tool_channel
+from tau_dyn.diagnose.tool_channel import build_tool_channel
 from tau_dyn.diagnose.unknown_structure import Structure, compute_structure_p_value, find_structure
 from tau_dyn.effects import EFFECTS, Effect
 from tau_dyn.exceptions import InputError
@@ -152,42 +152,42 @@ def diagnose_channel(
     structure = None
     if channel.has_unnamed_structures:
         draws = hunt.ground.draw_null_residuals(N_NULL_DRAWS, rng)
-        structure = find_structure(channel, hunt.ground, draws, FAMILY_LEVEL)
+        structure = find_structure(hunt.ground, draws, FAMILY_LEVEL)
     if noise:
         hunt, structure = _reject_artefacts(noise, hunt, structure)
     progress("confirming")
-    tests = confirm_all(channel, hunt, structure)
+    tests = confirm_all(hunt, structure)
     if case and noise:
         gap_s = compute_border_gap_s(case.preparation.force_cutoff_hz, case.channel.prepared[0].log.rate_hz)
-        tests = confirm_within_training(channel, hunt, tests, gap_s, rng, noise)
-    claims = select_confirmed(channel, hunt, tests.causes, physics=physics)
+        tests = confirm_within_training(hunt, tests, gap_s, rng, noise)
+    claims = select_confirmed(hunt, tests.causes, physics)
     spoiled = _describe_spoiled(warnings) if case else ""
     claims = claims.reject_all(spoiled) if spoiled else claims
-    periods = find_alias_periods(channel, hunt) if isinstance(channel, ToolChannel) else [()] * len(hunt.found)
+    periods = find_alias_periods(hunt)
     for k, fitting in enumerate(periods):
         claims = claims.judge(k, "several periods fit alike") if len(fitting) > 1 else claims
     progress("measuring the gain")
     nominal = model.parameters.values if case else None
-    claims, bars = select_supported(channel, hunt, claims, rng, nominal=nominal, physics=physics)
-    before, after = bars.judgements[0], bars.judgements[-1]
-    findings = build_findings(channel, hunt, claims, bars, rng)
+    claims, bars = select_supported(hunt, claims, rng, nominal, physics)
+    before, after = bars.fits[0], bars.fits[-1]
+    findings = build_findings(hunt, claims, bars, rng)
     findings = [
         leave_period_open(channel, one, finding, fitting) if len(fitting) > 1 else finding
         for one, finding, fitting in zip(hunt.found, findings, periods, strict=True)
     ]
     aliased = [finding for finding, fitting in zip(findings, periods, strict=True) if len(fitting) > 1]
-    unexplained = build_unexplained(channel, hunt, tests.structure)
+    unexplained = build_unexplained(hunt, tests.structure)
     if case:
         findings = [add_band_note(finding, case.clear_hz) for finding in findings]
         changed = find_parameter_changes(model, model.parameters, after.parameters, after.estimate)
         findings += [replace(f, status="suspected", why_not_confirmed=spoiled) if spoiled else f for f in changed]
-        sizes = measure_net_forces(channel, hunt.library, claims.kept, after.parameters)
+        sizes = measure_net_forces(hunt.library, claims.kept, after.parameters)
         unexplained = demote_companions(unexplained, channel.outputs, after.errors.rms, sizes.max(axis=0, initial=0.0))
     if spoiled:
         unexplained = tuple(replace(u, status="suspected") for u in unexplained)
-    limits, untestable = compute_detection_limits(channel, hunt, [f.cause for f in findings])
+    limits, untestable = compute_detection_limits(hunt, [f.cause for f in findings])
     verdict = "cannot_tell" if spoiled else _judge(findings, unexplained, aliased)
-    use = Recommendation("neither", spoiled) if spoiled else recommend(channel, hunt, claims, bars, rng)
+    use = Recommendation("neither", spoiled) if spoiled else recommend(hunt, claims, bars, rng)
     floor = estimate_noise_floor(channel, after, np.random.default_rng(seed))
     preparation = case and case.preparation
     return Diagnosis(
@@ -221,7 +221,7 @@ def diagnose_channel(
             **({"preparation": preparation.to_dict()} if preparation else {}),
             "noise_draws": N_NULL_DRAWS,
             "family_level": FAMILY_LEVEL,
-            "causes_tried": hunt.n_causes,
+            "causes_tried": len(hunt.last),
         },
     )
 
@@ -238,7 +238,7 @@ def _reject_artefacts(
     """Leave out what encoder noise alone could have made, beside all that was found."""
     kept = []
     for one in hunt.found:
-        left = noise.reject_artefacts(hunt.ground, one.candidate, hunt.others(one), hunt.n_causes)
+        left = noise.reject_artefacts(hunt.ground, one.candidate, hunt.others(one), len(hunt.last))
         if left is not None:
             kept.append(replace(one, candidate=left))
     if structure is not None:
@@ -275,7 +275,7 @@ def _choose_experiment(verdict: Verdict, findings: Sequence[Finding]) -> str:
 def _build_extended_model(model: Model, claims: Claims, bars: Waterfall, findings: Sequence[Finding]) -> Model:
     """Return the model with the causes that stand; findings' standard errors count the settings' uncertainty, and are taken."""
     effects = [effect for effect in build_effects(claims.kept) if effect.name in EFFECTS]
-    extended = _extend(model, bars.judgements[-1], effects)
+    extended = _extend(model, bars.fits[-1], effects)
     own = {p.name: p.stderr for f in findings if f.status == "confirmed" for p in f.parameters}
     return extended.with_parameters(
         Parameters(replace(p, stderr=own[p.name]) if own.get(p.name) else p for p in extended.parameters)

@@ -18,8 +18,8 @@ from itertools import product
 import numpy as np
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import ColumnCache
 from tau_dyn.diagnose.channel import TRAIN, VALIDATION, Channel, measure_friction
+from tau_dyn.diagnose.null_model import ColumnCache
 from tau_dyn.diagnose.result import Unexplained
 from tau_dyn.diagnose.stepwise_selection import SelectedCause
 from tau_dyn.effects import Effect, JointScales, Motion, Scene, format_quantity, spell_unit
@@ -117,41 +117,37 @@ _SMALL = "it is {:.1f} % of the force of {} there, whose law is not known as exa
 _ONE_CURVE = "{} alone meets the joint's friction to {:.1f} %, and no law of friction is known more exactly than that"
 
 
-def measure_net_forces(
-    channel: Channel, library: ColumnCache, kept: Sequence[SelectedCause], values: Parameters
-) -> np.ndarray:
+def measure_net_forces(library: ColumnCache, kept: Sequence[SelectedCause], values: Parameters) -> np.ndarray:
     """Return the rms force (causes, m) of each cause, net of what the baseline absorbs of it."""
+    channel = library.channel
     sizes = np.zeros((len(kept), len(channel.outputs)))
     for k in range(len(channel.outputs)):
         base = _take_rows(channel, channel.free_columns, k)
         for n, one in enumerate(kept):
-            force = _compute_force(channel, library, one.candidate.effects, values, k)
+            force = _compute_force(library, one.candidate.effects, values, k)
             if force.any():
                 sizes[n, k] = _measure_rms(_remove(base, force))
     return sizes
 
 
-def find_companion(
-    channel: Channel, library: ColumnCache, kept: Sequence[SelectedCause], values: Parameters
-) -> tuple[int, str] | None:
+def find_companion(library: ColumnCache, kept: Sequence[SelectedCause], values: Parameters) -> tuple[int, str] | None:
     """Return the place of a cause that is no larger, on each of its joints, than another cause's law is inexact, and why.
 
     Args:
-        channel: The channel.
         library: The exact columns of effects.
         kept: The causes that stand.
         values: The fitted amplitudes of all of them.
     """
     if len(kept) < 2:
         return None
-    sizes = measure_net_forces(channel, library, kept, values)
+    sizes = measure_net_forces(library, kept, values)
     largest, which = sizes.max(axis=0), sizes.argmax(axis=0)
     for n in range(len(kept)):
         joints = np.flatnonzero(sizes[n] > 0)
         share = sizes[n, joints] / largest[joints]
         if len(joints) and share.max() < MAX_LAW_ERROR:
             return n, _SMALL.format(100 * share.max(), kept[which[joints[np.argmax(share)]]].candidate.cause)
-    return _find_second_speed_law(kept, values, channel.scene)
+    return _find_second_speed_law(kept, values, library.channel.scene)
 
 
 def _find_second_speed_law(kept: Sequence[SelectedCause], values: Parameters, scene: Scene) -> tuple[int, str] | None:
@@ -219,14 +215,12 @@ def _get_amplitudes(effect: Effect, values: Parameters, joint: str) -> np.ndarra
     return np.array([values[name].value for name in one.parameters.names])
 
 
-def _compute_force(
-    channel: Channel, library: ColumnCache, effects: Sequence[Effect], values: Parameters, output: int
-) -> np.ndarray:
+def _compute_force(library: ColumnCache, effects: Sequence[Effect], values: Parameters, output: int) -> np.ndarray:
     """Return the force of effects on an output (N,)."""
     force = np.zeros(1)
     for effect in effects:
         theta = np.array([values[name].value for name in effect.parameters.names])
-        force = force + _take_rows(channel, library.columns(effect), output) @ theta
+        force = force + _take_rows(library.channel, library.columns(effect), output) @ theta
     return force
 
 

@@ -20,54 +20,61 @@ from tau_dyn.diagnose.candidate_scan import (
     MIN_SHARE_OF_STRONGEST,
     N_NULL_DRAWS,
     CandidateCause,
-    ColumnCache,
     GroupTest,
     combine_group_tests,
     compute_penalised_statistic,
     find_nonnegative,
-    get_columns,
     match_settings,
     rescore_group,
     scan_causes,
 )
 from tau_dyn.diagnose.channel import TRAIN, Channel
-from tau_dyn.diagnose.null_model import NullModel, fit_noise_models
+from tau_dyn.diagnose.null_model import ColumnCache, NullModel, fit_noise_models
 from tau_dyn.diagnose.unknown_structure import Structure, find_structure
 from tau_dyn.effects import Effect
-from tau_dyn.estimate import Autoregression, scale_columns
+from tau_dyn.estimate import scale_columns
 
 _STEPS = 3  # Gauss-Newton steps of the settings
 _TERM_LEVEL = 1e-4
 """Chance at which noise alone adds a term to a law."""
 _WIDE = 2.0  # factor by which a range of settings is widened
+MAX_CAUSES = 5
+"""Causes looked for at most."""
+MIMIC_MARGIN = 12.0
+"""Merit by which an unnamed structure must beat a cause to unseat it: chance alone, over all sets of variables, gives 12."""
+MIMIC_RATIO = 1.5
+"""And how many times more it must explain, unless it needs less freedom; a cause that is most of the truth keeps its name, and
+what is left gets none."""
+STEADIER_RATIO = 1.15
+"""The same where the cause explains by fits and starts, as a wrong law does, and the structure alike at all times."""
 
 
-def refine_settings(candidate: CandidateCause, library: ColumnCache, ground: NullModel) -> CandidateCause:
+def refine_settings(candidate: CandidateCause, ground: NullModel) -> CandidateCause:
     """Return a candidate with its settings adjusted by Gauss-Newton steps within the neighbouring grid points.
 
     A setting that agrees with an amplitude is found together with it.
     """
     fits = []
     for fit in candidate.fits:
-        fit = match_settings(fit, library, ground)
+        fit = match_settings(fit, ground)
         for _ in range(_STEPS if fit.effect.refined else 0):
-            moved = _step(fit.effect, library, ground, fit.neighbours)
+            moved = _step(fit.effect, ground, fit.neighbours)
             if moved is None:
                 break
-            better = rescore_group(replace(fit, effect=moved), library, ground)
+            better = rescore_group(replace(fit, effect=moved), ground)
             if not better.statistic > fit.statistic + 0.01:
                 break
             fit = better
-        fits.append(_grown(fit, library, ground))
+        fits.append(_grown(fit, ground))
     return replace(candidate, fits=tuple(fits))
 
 
-def _grown(fit: GroupTest, library: ColumnCache, ground: NullModel) -> GroupTest:
+def _grown(fit: GroupTest, ground: NullModel) -> GroupTest:
     """Return a fit with as many terms of its law as earn their freedom."""
     key = fit.effect.grows
     while key:
         more = fit.effect.with_settings(**{key: fit.effect.settings[key] + 1})
-        better = rescore_group(replace(fit, effect=more, dof=len(more.parameters)), library, ground)
+        better = rescore_group(replace(fit, effect=more, dof=len(more.parameters)), ground)
         if not (better.statistic - fit.statistic) / better.overdispersion > stats.chi2.isf(
             _TERM_LEVEL, better.dof - fit.dof
         ):
@@ -76,26 +83,26 @@ def _grown(fit: GroupTest, library: ColumnCache, ground: NullModel) -> GroupTest
     return fit
 
 
-def drop_redundant_groups(candidate: CandidateCause, library: ColumnCache, ground: NullModel) -> CandidateCause:
+def drop_redundant_groups(candidate: CandidateCause, ground: NullModel) -> CandidateCause:
     """Return a candidate with the groups that explain something beside its stronger ones, and what each explains there.
 
     What a joint does leaks through the baseline's refit into the others, where the same cause would be found again.
     """
     kept = [candidate.fits[0]]
     for fit in candidate.fits[1:]:
-        beside = rescore_group(fit, library, ground.augment(get_columns(library, [one.effect for one in kept])))
+        beside = rescore_group(fit, ground.augment([one.effect for one in kept]))
         if beside.statistic > beside.threshold:
             kept.append(beside)
     return replace(candidate, fits=tuple(kept))
 
 
-def estimate_amplitudes(effect: Effect, library: ColumnCache, ground: NullModel) -> np.ndarray:
+def estimate_amplitudes(effect: Effect, ground: NullModel) -> np.ndarray:
     """Return an effect's amplitudes (k,) beside what the ground accounts for, within their bounds at zero.
 
     Minimises `x' G x - 2 x' C'e` with `G` the Gram matrix of what the ground leaves of the columns `C`; directions that it
     leaves nothing of stay at zero.
     """
-    C = ground.whiten_columns(library.columns(effect))
+    C = ground.rows(effect)
     scale = np.maximum(np.linalg.norm(C, axis=0), 1e-300)
     values, vectors = np.linalg.eigh(ground.gram(C / scale))
     seen = values > 1e-9 * max(values[-1], 1e-300)
@@ -110,22 +117,24 @@ def estimate_amplitudes(effect: Effect, library: ColumnCache, ground: NullModel)
     return x / scale
 
 
-def differentiate_settings(effect: Effect, amplitude: np.ndarray, library: ColumnCache) -> list[list[np.ndarray]]:
+def differentiate_settings(effect: Effect, amplitude: np.ndarray, channel: Channel) -> list[list[np.ndarray]]:
     """Return, for each refined setting, the change of the effect's force per unit of it (n, m, 1) of each run."""
     found = []
     for key in effect.refined:
         step = 1e-3 * abs(effect.settings[key]) or 1e-6
-        ends = [library.channel.columns(effect.with_settings(**{key: effect.settings[key] + x})) for x in (step, -step)]
+        ends = [channel.columns(effect.with_settings(**{key: effect.settings[key] + x})) for x in (step, -step)]
         found.append([((a - b) @ amplitude / (2 * step))[:, :, None] for a, b in zip(*ends, strict=True)])
     return found
 
 
-def _step(effect: Effect, library: ColumnCache, ground: NullModel, limits: Sequence[dict[str, float]]) -> Effect | None:
-    C = ground.whiten_columns(library.columns(effect))
-    amplitude = estimate_amplitudes(effect, library, ground)
+def _step(effect: Effect, ground: NullModel, limits: Sequence[dict[str, float]]) -> Effect | None:
+    C = ground.rows(effect)
+    amplitude = estimate_amplitudes(effect, ground)
     if not np.any(amplitude):
         return None
-    D = np.concatenate([ground.whiten_columns(x) for x in differentiate_settings(effect, amplitude, library)], axis=1)
+    D = np.concatenate(
+        [ground.whiten_columns(x) for x in differentiate_settings(effect, amplitude, ground.channel)], axis=1
+    )
     both, norm = scale_columns(np.concatenate([C, D], axis=1))
     solution = np.linalg.lstsq(ground.gram(both), both.T @ ground.e, rcond=1e-8)[0] / norm
     changed = {}
@@ -152,30 +161,29 @@ ArtefactFilter = Callable[[NullModel, CandidateCause, Sequence[Effect], int], Ca
 
 def choose_next_cause(
     significant: Sequence[CandidateCause],
-    library: ColumnCache,
     ground: NullModel,
     others: Sequence[Effect],
     n: int,
     sift: ArtefactFilter | None,
 ) -> tuple[CandidateCause, tuple[str, ...]] | None:
     """Return the strongest cause that is no artefact, its settings refined, and its twins; None if there is none."""
-    left = [drop_redundant_groups(c, library, ground) for c in significant]
+    left = [drop_redundant_groups(c, ground) for c in significant]
     while left:
         strongest, twins = _strongest(left)
-        own, more = _drop_shadowed_joints(strongest, left, library, ground)
-        best = refine_settings(own, library, ground)
+        own, more = _drop_shadowed_joints(strongest, left, ground)
+        best = refine_settings(own, ground)
         genuine = sift(ground, best, others, n) if sift else best
-        if genuine is not None and _is_believable(genuine, library, ground):
+        if genuine is not None and _is_believable(genuine, ground):
             return genuine, tuple(dict.fromkeys((*twins, *more)))
         left = [c for c in left if c is not strongest]
     return None
 
 
-def _is_believable(candidate: CandidateCause, library: ColumnCache, ground: NullModel) -> bool:
+def _is_believable(candidate: CandidateCause, ground: NullModel) -> bool:
     """Return whether amplitudes lie near their plausible ranges; far beyond them a law only mimics something else."""
     for fit in candidate.fits:
-        values = fit.effect.parameters.with_values(estimate_amplitudes(fit.effect, library, ground))
-        if fit.effect.find_implausible(values, library.channel.scene.scales, SEARCH_MARGIN):
+        values = fit.effect.parameters.with_values(estimate_amplitudes(fit.effect, ground))
+        if fit.effect.find_implausible(values, ground.channel.scene.scales, SEARCH_MARGIN):
             return False
     return True
 
@@ -200,7 +208,7 @@ def _strongest(significant: Sequence[CandidateCause]) -> tuple[CandidateCause, t
 
 
 def _drop_shadowed_joints(
-    best: CandidateCause, significant: Sequence[CandidateCause], library: ColumnCache, ground: NullModel
+    best: CandidateCause, significant: Sequence[CandidateCause], ground: NullModel
 ) -> tuple[CandidateCause, tuple[str, ...]]:
     """Return a cause without the joints at which it is the shadow of another one that explains more, and its twins elsewhere.
 
@@ -215,7 +223,7 @@ def _drop_shadowed_joints(
         merit = compute_penalised_statistic([own], scatter)
         same = [(cause, other) for cause, other in alone if set(other.effect.joints) == set(fit.effect.joints)]
         near = [x for x in same if compute_penalised_statistic([x[1]], scatter) > merit - MIN_2LOGL_DIFFERENCE]
-        over = [(cause, other) for cause, other in near if _is_shadow(own, other, library, ground)]
+        over = [(cause, other) for cause, other in near if _is_shadow(own, other, ground)]
         if any(compute_penalised_statistic([other], scatter) > merit + TAKEOVER_2LOGL_MARGIN for _, other in over):
             continue
         kept.append(fit)
@@ -223,20 +231,9 @@ def _drop_shadowed_joints(
     return replace(best, fits=tuple(kept) or best.fits[:1]), tuple(twins)
 
 
-def _is_shadow(fit: GroupTest, other: GroupTest, library: ColumnCache, ground: NullModel) -> bool:
-    left = rescore_group(fit, library, ground.augment([library.columns(other.effect)]))
+def _is_shadow(fit: GroupTest, other: GroupTest, ground: NullModel) -> bool:
+    left = rescore_group(fit, ground.augment([other.effect]))
     return left.statistic <= max(left.threshold, MIN_SHARE_OF_STRONGEST * fit.statistic)
-
-
-MAX_CAUSES = 5
-"""Causes looked for at most."""
-MIMIC_MARGIN = 12.0
-"""Merit by which an unnamed structure must beat a cause to unseat it: chance alone, over all sets of variables, gives 12."""
-MIMIC_RATIO = 1.5
-"""And how many times more it must explain, unless it needs less freedom; a cause that is most of the truth keeps its name, and
-what is left gets none."""
-STEADIER_RATIO = 1.15
-"""The same where the cause explains by fits and starts, as a wrong law does, and the structure alike at all times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,19 +257,27 @@ class StepwiseSelection:
 
     Attributes:
         found: Causes in the order found.
-        noise: Noise model of each output.
         ground: The training part with baseline and causes accounted for.
-        last: All causes tried beside those found, none significant.
-        library: Columns made on the way.
-        n_causes: Causes that could be tried.
+        last: All causes that could be tried, beside those found, none significant.
     """
 
     found: tuple[SelectedCause, ...]
-    noise: tuple[Autoregression, ...]
     ground: NullModel
     last: tuple[CandidateCause, ...]
-    library: ColumnCache
-    n_causes: int
+
+    @property
+    def channel(self) -> Channel:
+        """The measurements."""
+        return self.ground.channel
+
+    @property
+    def library(self) -> ColumnCache:
+        """Columns made on the way."""
+        return self.ground.library
+
+    def columns(self, effects: Sequence[Effect]) -> list[Sequence[np.ndarray]]:
+        """Return the columns (n, m, k) of each run of several effects."""
+        return [self.library.columns(effect) for effect in effects]
 
     def others(self, one: SelectedCause) -> list[Effect]:
         """Return the effects of all causes found but one."""
@@ -301,38 +306,35 @@ def select_causes(
     found: list[SelectedCause] = []
     pending: list[tuple[str, ...]] = []  # rivals of each; the next round shows whether they still explain anything
     while True:
-        noise, ground, candidates = _scan_candidates(channel, library, [f.candidate for f in found], rng)
+        ground, candidates = _scan_beside(library, found, rng)
         significant = [c for c in candidates if adjust_p_value_bonferroni(c, candidates) < level]
         if pending and len(pending) == len(found):
             still = {c.cause for c in significant}
             found[-1] = replace(found[-1], rivals=tuple(r for r in pending[-1] if r not in still))
         if not significant or len(found) >= MAX_CAUSES or len(pending) >= 2 * MAX_CAUSES:
             break
-        taken = choose_next_cause(significant, library, ground, build_effects(found), len(candidates), sift)
+        taken = choose_next_cause(significant, ground, build_effects(found), len(candidates), sift)
         if taken is None:
             break
         best, twins = taken
         progress(f"found {best.cause}")
         pending.append(twins)
-        found.append(SelectedCause(best, adjust_p_value_bonferroni(best, candidates), ()))
-        found = _merged(found)
-    kept = _eliminate_backward(channel, library, found, noise, level)
-    kept = _reject_lack_of_fit(channel, library, kept, noise, ground.draw_null_residuals(N_NULL_DRAWS, rng))
+        found = _join(found, SelectedCause(best, adjust_p_value_bonferroni(best, candidates), ()))
+    kept = _eliminate_backward(ground, found, level)
+    kept = _reject_lack_of_fit(ground, kept, ground.draw_null_residuals(N_NULL_DRAWS, rng))
     if kept != found:
-        kept = _anew(channel, library, kept, noise)
-        noise, ground, candidates = _scan_candidates(channel, library, [f.candidate for f in kept], rng)
-    return StepwiseSelection(tuple(kept), noise, ground, tuple(candidates), library, len(candidates))
+        kept = _refine_again(ground, kept)
+        ground, candidates = _scan_beside(library, kept, rng)
+    return StepwiseSelection(tuple(kept), ground, tuple(candidates))
 
 
-def _merged(found: list[SelectedCause]) -> list[SelectedCause]:
-    """Let a cause that was found again, on further joints, join what was found first."""
-    last = found[-1]
-    for k, one in enumerate(found[:-1]):
+def _join(found: list[SelectedCause], last: SelectedCause) -> list[SelectedCause]:
+    """Return the causes with one more; one that was found before gets the further joints."""
+    for k, one in enumerate(found):
         if one.candidate.cause == last.candidate.cause:
             fits = (*one.candidate.fits, *last.candidate.fits)
-            joined = replace(one, candidate=replace(one.candidate, fits=fits))
-            return [*found[:k], joined, *found[k + 1 : -1]]
-    return found
+            return [*found[:k], replace(one, candidate=replace(one.candidate, fits=fits)), *found[k + 1 :]]
+    return [*found, last]
 
 
 def adjust_p_value_bonferroni(candidate: CandidateCause, candidates: Sequence[CandidateCause]) -> float:
@@ -340,39 +342,36 @@ def adjust_p_value_bonferroni(candidate: CandidateCause, candidates: Sequence[Ca
     return min(1.0, candidate.p_value * len(candidates))
 
 
-def _scan_candidates(
-    channel: Channel, library: ColumnCache, found: Sequence[CandidateCause], rng: np.random.Generator
-) -> tuple[tuple[Autoregression, ...], NullModel, list[CandidateCause]]:
-    effects = [effect for candidate in found for effect in candidate.effects]
-    extra = get_columns(library, effects)
-    noise = fit_noise_models(channel, (TRAIN,), extra)
-    ground = NullModel.of(channel, (TRAIN,), noise, extra)
+def _scan_beside(
+    library: ColumnCache, found: Sequence[SelectedCause], rng: np.random.Generator
+) -> tuple[NullModel, list[CandidateCause]]:
+    """Return the training part with the causes found accounted for, and all causes tried beside them."""
+    effects = build_effects(found)
+    noise = fit_noise_models(library.channel, (TRAIN,), [library.columns(effect) for effect in effects])
+    ground = NullModel.of(library, (TRAIN,), noise, effects)
     taken = {(effect.name, effect.joints) for effect in effects}
-    return (
-        noise,
-        ground,
-        scan_causes(library, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), channel.causes, taken),
-    )
+    draws = ground.draw_null_residuals(N_NULL_DRAWS, rng)
+    return ground, scan_causes(ground, draws, library.channel.causes, taken)
 
 
-def _eliminate_backward(
-    channel: Channel, library: ColumnCache, found: list[SelectedCause], noise: Sequence[Autoregression], level: float
-) -> list[SelectedCause]:
+def _rescore_beside(
+    ground: NullModel, found: Sequence[SelectedCause], one: SelectedCause
+) -> tuple[NullModel, list[GroupTest]]:
+    """Return the null model with all other causes accounted for, and what the groups of one explain there."""
+    beside = ground.beside(build_effects([other for other in found if other is not one]))
+    return beside, [rescore_group(fit, beside) for fit in one.candidate.fits]
+
+
+def _eliminate_backward(ground: NullModel, found: list[SelectedCause], level: float) -> list[SelectedCause]:
     """Drop, weakest first, what no longer explains anything beside the others."""
     kept = list(found)
     while len(kept) > 1:
         judged = []
         for k, one in enumerate(kept):
-            others = build_effects([*kept[:k], *kept[k + 1 :]])
-            ground = NullModel.of(channel, (TRAIN,), noise, get_columns(library, others))
-            fits = [rescore_group(fit, library, ground) for fit in one.candidate.fits]
-            beside = combine_group_tests(one.candidate.cause, fits)
-            chance = min(
-                1.0,
-                float(stats.chi2.sf(beside.statistic, sum(f.dof for f in fits)))
-                * np.prod([f.n_effective_tests for f in fits]),
-            )
-            judged.append((chance, k))
+            _, fits = _rescore_beside(ground, kept, one)
+            statistic = combine_group_tests(one.candidate.cause, fits).statistic
+            tail = float(stats.chi2.sf(statistic, sum(f.dof for f in fits)))
+            judged.append((min(1.0, tail * np.prod([f.n_effective_tests for f in fits])), k))
         worst, k = max(judged)
         if worst < level:
             break
@@ -380,26 +379,16 @@ def _eliminate_backward(
     return kept
 
 
-def _anew(
-    channel: Channel, library: ColumnCache, kept: Sequence[SelectedCause], noise: Sequence[Autoregression]
-) -> list[SelectedCause]:
+def _refine_again(ground: NullModel, kept: Sequence[SelectedCause]) -> list[SelectedCause]:
     """Return what was kept, weighed and refined beside the others that were: what was dropped had explained a part of it."""
     found = list(kept)
     for k, one in enumerate(found):
-        others = build_effects([other for other in found if other is not one])
-        ground = NullModel.of(channel, (TRAIN,), noise, get_columns(library, others))
-        fits = tuple(rescore_group(fit, library, ground) for fit in one.candidate.fits)
-        found[k] = replace(one, candidate=refine_settings(replace(one.candidate, fits=fits), library, ground))
+        beside, fits = _rescore_beside(ground, found, one)
+        found[k] = replace(one, candidate=refine_settings(replace(one.candidate, fits=tuple(fits)), beside))
     return found
 
 
-def _reject_lack_of_fit(
-    channel: Channel,
-    library: ColumnCache,
-    found: list[SelectedCause],
-    noise: Sequence[Autoregression],
-    draws: np.ndarray,
-) -> list[SelectedCause]:
+def _reject_lack_of_fit(ground: NullModel, found: list[SelectedCause], draws: np.ndarray) -> list[SelectedCause]:
     """Drop what only mimics a law or a structure without a name: where smooth functions of some variables explain far more.
 
     A true cause leaves nothing behind, so no structure in its place explains much more than it does. Smooth functions that
@@ -407,20 +396,17 @@ def _reject_lack_of_fit(
     """
     kept = []
     for one in found:
-        others = build_effects([other for other in found if other is not one])
-        ground = NullModel.of(channel, (TRAIN,), noise, get_columns(library, others))
-        fits = [rescore_group(fit, library, ground) for fit in one.candidate.fits]
-        structure = find_structure(channel, ground, draws, level=1.0)
-        rivals = [f for f in fits if structure is not None and structure.output in f.effect.joints]
-        mimics = [f for f in rivals if structure is not None and _beaten(f, structure)]
-        mimics += [f for f in fits if f not in mimics and _outshone(f, library, ground)]
+        beside, fits = _rescore_beside(ground, found, one)
+        structure = find_structure(beside, draws, level=1.0)
+        mimics = [f for f in fits if structure and structure.output in f.effect.joints and _is_beaten(f, structure)]
+        mimics += [f for f in fits if f not in mimics and _is_outshone(f, beside)]
         left = tuple(f for f, new in zip(one.candidate.fits, fits, strict=True) if new not in mimics)
         if left:
             kept.append(replace(one, candidate=replace(one.candidate, fits=left)) if mimics else one)
     return kept
 
 
-def _beaten(fit: GroupTest, structure: Structure) -> bool:
+def _is_beaten(fit: GroupTest, structure: Structure) -> bool:
     own = compute_penalised_statistic(
         [fit], 1.0
     )  # as a structure's: which explains more is no matter of either's scatter over time
@@ -433,7 +419,7 @@ def _beaten(fit: GroupTest, structure: Structure) -> bool:
     return structure.penalised_statistic > MIMIC_RATIO * fit.statistic or structure.dof < fit.dof or steadier
 
 
-def _outshone(fit: GroupTest, library: ColumnCache, ground: NullModel) -> bool:
+def _is_outshone(fit: GroupTest, ground: NullModel) -> bool:
     """Tell whether a law without a name, as free as this one, is more likely."""
-    others = [rescore_group(replace(fit, effect=effect), library, ground) for effect in fit.effect.lookalikes()]
+    others = [rescore_group(replace(fit, effect=effect), ground) for effect in fit.effect.lookalikes()]
     return any((other.statistic - fit.statistic) / fit.overdispersion > MIN_2LOGL_DIFFERENCE for other in others)

@@ -16,7 +16,6 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.diagnose.candidate_scan import PRIOR_WEIGHT_BLOCKS
-from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.noise_only_bootstrap import (
     NONCENTRALITY_SAFETY_FACTOR,
     NoiseOnlyBootstrap,
@@ -159,37 +158,36 @@ class Structure:
         return self.on.variables
 
 
-def find_structure(channel: Channel, ground: NullModel, draws: np.ndarray, level: float) -> Structure | None:
+def find_structure(ground: NullModel, draws: np.ndarray, level: float) -> Structure | None:
     """Return the strongest dependence that noise does not explain at this family-wise level, or None."""
-    shapes, tries = _tried(channel, ground, draws)
+    shapes, tries = _tried(ground, draws)
     if not shapes:
         return None
     best = shapes[0]
-    if level < 1 and _chance(best, tries, _inflation(channel, ground, best.on)) >= level:
+    if level < 1 and _chance(best, tries, _inflation(ground, best.on)) >= level:
         return None
     near = [
         s
         for s in shapes[1:]
         if s.on.output == best.on.output and s.penalised_statistic > best.penalised_statistic - MIN_2LOGL_DIFFERENCE
     ]
-    return _structure(channel, ground, best, tries, tuple(near[:_MAX_INDISTINGUISHABLE]))
+    return _structure(ground, best, tries, tuple(near[:_MAX_INDISTINGUISHABLE]))
 
 
-def list_indistinguishable(channel: Channel, ground: NullModel, structure: Structure) -> list[Structure]:
+def list_indistinguishable(ground: NullModel, structure: Structure) -> list[Structure]:
     """Return the structures that a structure was not told apart from on the training part."""
-    return [_structure(channel, ground, shape, structure.n_effective_tests, ()) for shape in structure.alike]
+    return [_structure(ground, shape, structure.n_effective_tests, ()) for shape in structure.alike]
 
 
 def _structure(
-    channel: Channel,
     ground: NullModel,
     shape: _StructureCandidate,
     tries: float,
     alike: tuple[_StructureCandidate, ...],
 ) -> Structure:
-    k = channel.outputs.index(shape.on.output)
+    k = ground.channel.outputs.index(shape.on.output)
     rows = np.flatnonzero(ground.whiten.index == k)
-    inflation = _inflation(channel, ground, shape.on)
+    inflation = _inflation(ground, shape.on)
     return Structure(
         shape.on,
         shape.statistic / inflation,
@@ -198,8 +196,8 @@ def _structure(
         tries,
         shape.penalised_statistic,
         min(1.0, shape.statistic / max(float(ground.e[rows] @ ground.e[rows]), 1e-300)),
-        [_placed(b, k, len(channel.outputs)) for b in shape.on.bases(channel.variables())],
-        _formula(channel, ground, shape),
+        [_placed(b, k, len(ground.channel.outputs)) for b in shape.on.bases(ground.channel.variables())],
+        _formula(ground, shape),
         alike,
     )
 
@@ -210,12 +208,12 @@ def _chance(shape: _StructureCandidate, tries: float, inflation: float) -> float
     return float(-np.expm1(tries * np.log1p(-tail)))
 
 
-def _tried(channel: Channel, ground: NullModel, draws: np.ndarray) -> tuple[list[_StructureCandidate], float]:
+def _tried(ground: NullModel, draws: np.ndarray) -> tuple[list[_StructureCandidate], float]:
     """Return all sets of variables, the largest merit first, and how many independent tries the search over them amounts to."""
-    values = channel.variables()
+    values = ground.channel.variables()
     found: list[_StructureCandidate] = []
     noise_chances = []
-    for k, output in enumerate(channel.outputs):
+    for k, output in enumerate(ground.channel.outputs):
         rows = np.flatnonzero(ground.whiten.index == k)
         both = np.concatenate([ground.e[rows, None], draws[rows]], axis=1)
         Q = ground.Q[rows]
@@ -256,11 +254,11 @@ def _rows(ground: NullModel, output: int, basis: Sequence[np.ndarray]) -> np.nda
     return ground.whiten.one(output, basis) / ground.scale
 
 
-def _inflation(channel: Channel, ground: NullModel, on: Dependence) -> float:
+def _inflation(ground: NullModel, on: Dependence) -> float:
     """Return the scatter of blocks over what the noise model says, at least 1."""
-    k = channel.outputs.index(on.output)
+    k = ground.channel.outputs.index(on.output)
     rows = np.flatnonzero(ground.whiten.index == k)
-    C = _rows(ground, k, on.bases(channel.variables()))
+    C = _rows(ground, k, on.bases(ground.channel.variables()))
     left = C - ground.Q[rows] @ (ground.Q[rows].T @ C)
     gamma = np.linalg.lstsq(left, ground.e[rows], rcond=1e-7)[0]
     along = left @ gamma
@@ -272,12 +270,12 @@ def _inflation(channel: Channel, ground: NullModel, on: Dependence) -> float:
     return max(1.0, (count * float(np.sum(scores**2)) / square + PRIOR_WEIGHT_BLOCKS) / (count + PRIOR_WEIGHT_BLOCKS))
 
 
-def _formula(channel: Channel, ground: NullModel, shape: _StructureCandidate) -> str:
+def _formula(ground: NullModel, shape: _StructureCandidate) -> str:
     """Return the one product of simple terms that explains nearly all, or an empty text."""
-    k = channel.outputs.index(shape.on.output)
+    k = ground.channel.outputs.index(shape.on.output)
     rows = np.flatnonzero(ground.whiten.index == k)
     best, text = _SIMPLE * shape.statistic, ""
-    for label, bases in shape.on.terms(channel.variables()).items():
+    for label, bases in shape.on.terms(ground.channel.variables()).items():
         C = _rows(ground, k, bases)
         A = ground.Q[rows].T @ C
         G = float(np.sum(C**2) - np.sum(A**2))
