@@ -22,8 +22,8 @@ def test_what_is_far_smaller_than_another_cause_may_be_its_inexactness(monkeypat
     """Beside a cause of 30 N on a joint one of 2 N stands; one of 1 N is less than the other's law is known to."""
     kept = [SimpleNamespace(candidate=SimpleNamespace(cause=c, effects=())) for c in ("drive_gain", "stribeck")]
     monkeypatch.setattr(plausibility, "measure_net_forces", lambda *_: np.array(sizes)[:, None])
-    nothing, channel = cast(Any, None), SimpleNamespace(scene=SimpleNamespace(joints=()))
-    found = find_companion(cast(Any, channel), nothing, cast(Any, kept), nothing)
+    library = SimpleNamespace(channel=SimpleNamespace(scene=SimpleNamespace(joints=())))
+    found = find_companion(cast(Any, library), cast(Any, kept), cast(Any, None))
     assert (found is not None) is companion
     if found:
         assert found[0] == 1 and "drive_gain" in found[1]
@@ -59,7 +59,8 @@ def test_two_curves_of_friction_are_two_causes(monkeypatch, knee: float, peak: f
     kept = [SimpleNamespace(candidate=SimpleNamespace(cause=e.name, effects=(e,))) for e in (curved, stribeck)]
     scene = SimpleNamespace(joints=("x",), index=lambda joint: 0, slow=np.array([0.02]), fast=np.array([1.0]))
     monkeypatch.setattr(plausibility, "measure_net_forces", lambda *_: np.ones((2, 1)))
-    found = find_companion(cast(Any, SimpleNamespace(scene=scene)), cast(Any, None), cast(Any, kept), values)
+    library = SimpleNamespace(channel=SimpleNamespace(scene=scene))
+    found = find_companion(cast(Any, library), cast(Any, kept), values)
     assert (found is not None) is companion
 
 

@@ -250,11 +250,12 @@ def test_a_joint_on_which_encoder_noise_makes_the_cause_is_left_out(monkeypatch)
     )
     monkeypatch.setattr(noise_only_bootstrap, "NullModel", SimpleNamespace(of=lambda *parts: None))
     monkeypatch.setattr(
-        noise_only_bootstrap, "estimate_noncentrality", lambda blanks, ground, columns, sided: made[columns[0]]
+        noise_only_bootstrap, "estimate_noncentrality", lambda blanks, ground, columns, *_: made[columns[0]]
     )
 
     def fit(joint: str, T: float) -> GroupTest:
-        return GroupTest(cast(Any, SimpleNamespace(joints=(joint,), parameters=[])), T, 1.0, 1, False, 1.0, np.zeros(1))
+        effect = SimpleNamespace(joints=(joint,), parameters=[SimpleNamespace(lower=-np.inf)])
+        return GroupTest(cast(Any, effect), T, 1.0, 1, False, 1.0, np.zeros(1))
 
     a, b, ground = fit("a", 22.0), fit("b", 60.0), cast(Any, SimpleNamespace(noise=()))
     noise = noise_only_bootstrap.NoiseOnlyBootstrap(lambda: [None])

@@ -172,7 +172,7 @@ def test_a_look_alike_takes_a_name_only_by_far(monkeypatch, other, inflation, ou
     module = importlib.import_module("tau_dyn.diagnose.stepwise_selection")
     fit = GroupTest(PositionFriction(("x",), ("N",)), 143.0, 1.0, 2, False, inflation, np.zeros(1))
     monkeypatch.setattr(module, "rescore_group", lambda fit, ground: replace(fit, statistic=float(other)))
-    assert module._outshone(fit, None, None) is outshone
+    assert module._is_outshone(fit, None) is outshone
 
 
 def test_friction_along_the_way_ends_where_the_training_ends(make):

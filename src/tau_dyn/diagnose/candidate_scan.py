@@ -17,7 +17,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.null_model import NullModel, compute_score_test
+from tau_dyn.diagnose.null_model import NullModel, compute_overdispersion, compute_score_test, count_effective_tests
 from tau_dyn.effects import Effect
 
 FAMILY_LEVEL = 0.05
@@ -166,8 +166,6 @@ N_NULL_DRAWS = 60  # draws of noise; their mean and scatter fix the level of a s
 DENSE_DRAWS = 24
 """Of a scan of thousands of periods, whose largest value hardly varies."""
 _CHUNK = 64  # settings computed at once; bounds memory
-PRIOR_WEIGHT_BLOCKS = 10.0
-"""Weight of 'the noise model is right' against the scatter of blocks, in blocks."""
 _WORTH_MATCHING = 30.0
 """What a setting must explain for it to be fitted before it is chosen; the best of chance is some 20."""
 _PROPOSAL_MARGIN = 0.03
@@ -320,24 +318,15 @@ def compute_explained(effects: Sequence[Effect], ground: NullModel, both: np.nda
 
 
 def _tries(noise: np.ndarray, dof: int, simple: bool) -> float:
-    """Return the number of independent tries `m` with `P(T <= t) = F(t)^m`, by maximum likelihood.
-
-    Where all amplitudes of a one-sided column come out negative `T` is zero: a draw seen only as `T <= 0`.
-    """
+    """Return the number of independent tries; a draw in which a one-sided amplitude comes out negative is seen as `T <= 0`."""
     tail = stats.chi2.sf(noise, dof) / (2 if simple else 1)
     seen = int(np.sum(noise > 0)) if simple else len(noise)
-    return float(max(1.0, -seen / np.sum(np.log1p(-np.clip(tail, 1e-12, 0.5 if simple else 1 - 1e-12)))))
+    return count_effective_tests(np.clip(tail, 1e-12, 0.5 if simple else 1 - 1e-12), seen)
 
 
 def _inflation(ground: NullModel, C: np.ndarray, s: np.ndarray, G: np.ndarray) -> float:
-    """Return the scatter of 2 s blocks' scores along the fitted direction over what the noise model says."""
-    amplitude = np.linalg.lstsq(G, s, rcond=1e-9)[0]
-    along = ground.project_out(C @ amplitude)
+    """Return the overdispersion of scores along the fitted direction."""
+    along = ground.project_out(C @ np.linalg.lstsq(G, s, rcond=1e-9)[0])
     square = float(along @ along)
-    if square <= 0:
-        return 1.0
-    e = ground.e - along * float(along @ ground.e) / square
-    blocks = np.bincount(ground.whiten.block, along * e)
-    count = len(np.unique(ground.whiten.block))
-    ratio = float(np.sum(blocks**2)) / square
-    return max(1.0, (count * ratio + PRIOR_WEIGHT_BLOCKS) / (count + PRIOR_WEIGHT_BLOCKS))
+    e = ground.e - along * float(along @ ground.e) / max(square, 1e-300)
+    return compute_overdispersion(ground.whiten.block, along * e, square)

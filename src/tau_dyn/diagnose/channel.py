@@ -23,7 +23,7 @@ import numpy as np
 from tau_dyn.effects import Effect, JointScales, Motion, Scene, StructuralCompliance
 from tau_dyn.estimate import RegressionRun, Whitener
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.log import compute_edge_samples
+from tau_dyn.log import Log, compute_edge_samples, decimate, lowpass
 from tau_dyn.parameters import Parameters
 
 TRAIN, VALIDATION, TEST = EVERY = (0, 1, 2)
@@ -202,6 +202,58 @@ class Channel(ABC):
         for row, (k, p) in zip(rows, known, strict=True):
             row[k] = 1 / float(p.prior_stderr or 1.0)
         return rows, np.array([p.value / float(p.prior_stderr or 1.0) for _, p in known])
+
+
+POSE_S = 1.0
+"""Poses held still count one by one, whatever the time between them: each stands for this long [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredSegment:
+    """One even stretch of a log, or its poses held still, with a position that the encoders do not read.
+
+    Attributes:
+        log: The stretch.
+        motion: Motion of the encoders at the log's rate, with what effects feel.
+        measured: Measured outputs (N, m) [m or rad].
+        predicted: What the encoders alone say of them (N, m).
+        usable: Samples that count (N,) or (N, m).
+        cutoff_hz: Low-pass on both sides [Hz]; None for poses.
+        factor: Decimation.
+    """
+
+    log: Log
+    motion: Motion
+    measured: np.ndarray
+    predicted: np.ndarray
+    usable: np.ndarray
+    cutoff_hz: float | None
+    factor: int
+
+    def passed(self, x: np.ndarray) -> np.ndarray:
+        """Return an array (N, ...) as the fit sees it (n, ...): low-passed and decimated."""
+        if self.cutoff_hz is None:
+            return x
+        return decimate(lowpass(x, self.cutoff_hz, self.log.rate_hz), self.factor)
+
+    @property
+    def t(self) -> np.ndarray:
+        """Time of the fit's samples (n,) [s]."""
+        return POSE_S * np.arange(len(self.measured)) if self.cutoff_hz is None else decimate(self.log.t, self.factor)
+
+    def run(self, W: np.ndarray) -> RegressionRun:
+        """Return the baseline's regression with these columns (n, m, p)."""
+        y, usable = self.passed(self.measured - self.predicted), self.usable
+        if self.cutoff_hz is not None:
+            usable = mask_filter_edges(usable, self.cutoff_hz, self.log.rate_hz, self.factor)
+        usable = np.broadcast_to(usable.reshape(len(y), -1), y.shape)
+        signals = {key: decimate(getattr(self.motion, key), self.factor) for key in ("q", "v", "a")}
+        return RegressionRun(self.log.name, self.t, W, y, usable, W, y, signals)
+
+
+def name_by_joint(joints: Sequence[str], **arrays: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the columns of arrays (n, na) by name and joint, such as `v_cart1`."""
+    return {f"{key}_{joint}": x[:, k] for key, x in arrays.items() for k, joint in enumerate(joints)}
 
 
 def refuse_scarce(channel: Channel, least: int | Mapping[int, int], short: str, have: str, wanted: str) -> None:

@@ -27,10 +27,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS, PRIOR_WEIGHT_BLOCKS
+from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS
 from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION, Channel, divide_training
 from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap
-from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_score_test
+from tau_dyn.diagnose.null_model import (
+    MIN_UNABSORBED_SHARE,
+    PRIOR_WEIGHT_BLOCKS,
+    NullModel,
+    compute_overdispersion,
+    compute_score_test,
+)
 from tau_dyn.diagnose.result import Unexplained
 from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects, select_causes
 from tau_dyn.diagnose.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, find_structure, list_indistinguishable
@@ -133,10 +139,8 @@ def _regress(
     if square <= 0 or seen <= 0:
         return Confirmation(0.0, np.inf, 1.0)
     variance = max(float(rest @ rest) / max(1, len(r) - 1), 1e-300)
-    blocks = np.bincount(held.block, along[: len(r)] * rest)
     count = len(np.unique(held.block))
-    ratio = float(np.sum(blocks**2)) / (variance * square)
-    inflation = max(1.0, (count * ratio + PRIOR_WEIGHT_BLOCKS) / (count + PRIOR_WEIGHT_BLOCKS))
+    inflation = compute_overdispersion(held.block, along[: len(r)] * rest, variance * square)
     share, stderr = float(solution[0]) * square / seen, float(np.sqrt(inflation * variance * square)) / seen
     dof = max(2.0, count + PRIOR_WEIGHT_BLOCKS - 1)
     return Confirmation(share, stderr, float(stats.t.sf(share / stderr, dof)))

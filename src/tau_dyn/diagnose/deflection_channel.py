@@ -22,15 +22,16 @@ from tau_dyn.diagnose.channel import (
     TRAIN,
     VALIDATION,
     Channel,
+    MeasuredSegment,
     build_scene,
     find_directions,
     find_shared_signals,
-    mask_filter_edges,
+    name_by_joint,
     refuse_scarce,
     split_by_blocks,
 )
 from tau_dyn.diagnose.extended_fit import build_extended_regression, fit_extended_model, restrict_to_parts
-from tau_dyn.diagnose.periodogram import build_force_terms, compute_period_statistics, select_output_rows
+from tau_dyn.diagnose.null_model import build_force_terms, compute_period_statistics, select_output_rows
 from tau_dyn.diagnose.preparation import choose_diagnosis_preparation, compute_border_gap_s
 from tau_dyn.effects import (
     EFFECTS,
@@ -45,10 +46,10 @@ from tau_dyn.effects import (
     Scene,
     format_amount,
 )
-from tau_dyn.estimate import RegressionRun, Whitener, solve_least_squares
+from tau_dyn.estimate import Whitener, solve_least_squares
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify import Preparation, get_measured_signals
-from tau_dyn.log import Log, decimate, differentiate, lowpass, resample_segments
+from tau_dyn.log import Log, differentiate, lowpass, resample_segments
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot
 
@@ -82,41 +83,6 @@ class ClockOffset(JointwiseDisplacement):
         return f"the {later}-side encoder's reading is {format_amount(size)} older than the {sooner} side's"
 
 
-@dataclass(frozen=True, eq=False)
-class DeflectionSegment:
-    """One even stretch of a log, at the log's rate.
-
-    Attributes:
-        log: The stretch.
-        motion: Motion of the motor-side encoders of the joints that have two, with what effects feel.
-        deflection: Motor side minus load side (N, n) [m or rad], less its mean.
-        usable: Samples whose direction of motion is known (N, n).
-        preparation: Filters.
-    """
-
-    log: Log
-    motion: Motion
-    deflection: np.ndarray
-    usable: np.ndarray
-    preparation: Preparation
-
-    @property
-    def factor(self) -> int:
-        """Decimation."""
-        return self.preparation.factor(self.log.rate_hz)
-
-    def passed(self, x: np.ndarray) -> np.ndarray:
-        """Return an array (N, ...) through the low-pass that both sides share, decimated (n, ...)."""
-        return decimate(lowpass(x, self.preparation.force_cutoff_hz, self.log.rate_hz), self.factor)
-
-    def run(self, W: np.ndarray) -> RegressionRun:
-        """Return the baseline's regression with these columns (n, m, p)."""
-        usable = mask_filter_edges(self.usable, self.preparation.force_cutoff_hz, self.log.rate_hz, self.factor)
-        y, t = self.passed(self.deflection), decimate(self.log.t, self.factor)
-        signals = {key: decimate(getattr(self.motion, key), self.factor) for key in ("q", "v", "a")}
-        return RegressionRun(self.log.name, t, W, y, usable, W, y, signals)
-
-
 def list_encoder_pairs(robot: Robot, logs: Sequence[Log]) -> tuple[str, ...]:
     """Return the joints with two encoders; the first log decides.
 
@@ -136,7 +102,7 @@ def list_encoder_pairs(robot: Robot, logs: Sequence[Log]) -> tuple[str, ...]:
     return found
 
 
-def build_deflection_segment(joints: tuple[str, ...], log: Log, preparation: Preparation) -> DeflectionSegment:
+def build_deflection_segment(joints: tuple[str, ...], log: Log, preparation: Preparation) -> MeasuredSegment:
     """Return a stretch with its deflection and the motion of the motor side."""
     read, load, force = (log.joint(key, joints) for key in ("q", "q_link", "tau"))
     for name, x in (("q_link", load), ("tau", force)):
@@ -153,7 +119,15 @@ def build_deflection_segment(joints: tuple[str, ...], log: Log, preparation: Pre
     signals = get_measured_signals(log, joints, q, v, threshold) | {"force": force, LOAD_SPEED: load_speed}
     motion = Motion.of(joints, q, v, a, sign, t=log.t, signals=signals)
     deflection = read - load
-    return DeflectionSegment(log, motion, deflection - deflection.mean(axis=0), usable, preparation)
+    return MeasuredSegment(
+        log,
+        motion,
+        deflection - deflection.mean(axis=0),
+        np.zeros_like(deflection),
+        usable,
+        preparation.force_cutoff_hz,
+        preparation.factor(log.rate_hz),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +139,7 @@ class DeflectionChannel(Channel):
         preparation: Filters.
     """
 
-    pieces: tuple[DeflectionSegment, ...]
+    pieces: tuple[MeasuredSegment, ...]
     preparation: Preparation
 
     def run_columns(self, effect: Effect, run: int) -> np.ndarray:
@@ -175,7 +149,7 @@ class DeflectionChannel(Channel):
         return self.pieces[run].passed(effect.displacement(self.pieces[run].motion))
 
     def scan(self, effects: Sequence[Effect], whiten: Whitener, both: np.ndarray) -> np.ndarray | None:
-        """Scan periods by Fourier transforms over the position; see `periodogram.py`."""
+        """Scan periods by Fourier transforms over the position; see `null_model.py`."""
         if not effects[0].dense:
             return None
         joint = self.scene.index(effects[0].joints[0])
@@ -189,11 +163,8 @@ class DeflectionChannel(Channel):
         found = []
         for piece in self.pieces:
             m = piece.motion
-            kinds = {
-                key: piece.passed(x) for key, x in (("q", m.q), ("v", m.v), ("a", m.a), ("tau", m.signal("force")))
-            }
-            row = {f"{key}_{j}": x[:, k] for key, x in kinds.items() for k, j in enumerate(m.joints)}
-            found.append(row | {"t": decimate(piece.log.t, piece.factor)})
+            q, v, a, tau = (piece.passed(x) for x in (m.q, m.v, m.a, m.signal("force")))
+            found.append(name_by_joint(m.joints, q=q, v=v, a=a, tau=tau) | {"t": piece.t})
         return found
 
 
@@ -254,7 +225,7 @@ def build_deflection_channel(
 
 
 def _zeros(
-    pieces: Sequence[DeflectionSegment], joints: tuple[str, ...], units: tuple[str, ...]
+    pieces: Sequence[MeasuredSegment], joints: tuple[str, ...], units: tuple[str, ...]
 ) -> tuple[Parameters, list[np.ndarray]]:
     """Return a zero of each joint in each log, and their columns (n, m, p) of each run."""
     logs = list(dict.fromkeys(piece.log.name for piece in pieces))
@@ -264,7 +235,7 @@ def _zeros(
     ]
     found = []
     for piece in pieces:
-        n, m, start = len(piece.log.t[:: piece.factor]), len(joints), len(joints) * logs.index(piece.log.name)
+        n, m, start = len(piece.t), len(joints), len(joints) * logs.index(piece.log.name)
         W = np.zeros((n, m, len(rows)))
         W[:, np.arange(m), start + np.arange(m)] = 1.0
         found.append(W)
@@ -272,7 +243,7 @@ def _zeros(
 
 
 def _scene(
-    joints: tuple[str, ...], units: tuple[str, ...], pieces: Sequence[DeflectionSegment], preparation: Preparation
+    joints: tuple[str, ...], units: tuple[str, ...], pieces: Sequence[MeasuredSegment], preparation: Preparation
 ) -> Scene:
     motions = [p.motion for p in pieces]
     return build_scene(

@@ -23,7 +23,7 @@ from tau_dyn.diagnose.force_channel import (
     prepare_segments,
 )
 from tau_dyn.diagnose.noise_only_bootstrap import simulate_noise_only_logs
-from tau_dyn.diagnose.periodogram import build_force_terms, compute_period_statistics
+from tau_dyn.diagnose.null_model import build_force_terms, compute_period_statistics
 from tau_dyn.diagnose.preparation import (
     choose_diagnosis_preparation,
     clear_cutoff,

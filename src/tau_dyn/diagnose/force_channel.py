@@ -16,12 +16,13 @@ from tau_dyn.diagnose.channel import (
     build_scene,
     find_shared_signals,
     measure_scales,
+    name_by_joint,
     refuse_scarce,
     split_by_blocks,
 )
-from tau_dyn.diagnose.null_model import WHOLE_TIME
-from tau_dyn.diagnose.periodogram import (
+from tau_dyn.diagnose.null_model import (
     LONG,
+    WHOLE_TIME,
     build_displacement_terms,
     build_force_terms,
     compute_period_statistics,
@@ -76,7 +77,7 @@ class ForceChannel(Channel):
         return [piece.columns(effect.columns(piece.motion), gated=False) for piece in self.prepared]
 
     def scan(self, effects: Sequence[Effect], whiten: Whitener, both: np.ndarray) -> np.ndarray | None:
-        """Scan periods by Fourier transforms over the position; long ones are left open (nan). See `periodogram.py`."""
+        """Scan periods by Fourier transforms over the position; long ones are left open (nan). See `null_model.py`."""
         first = effects[0]
         if not first.dense:
             return None
@@ -96,15 +97,12 @@ class ForceChannel(Channel):
         """Return positions, speeds, accelerations, time and temperature of each run."""
         found, begin = [], self._begins()
         for motion, start in zip(self.thinned, begin, strict=True):
-            row = {
-                f"{key}_{j}": getattr(motion, key)[:, k] for key in ("q", "v", "a") for k, j in enumerate(motion.joints)
-            }
+            row = name_by_joint(motion.joints, q=motion.q, v=motion.v, a=motion.a)
             row["t"] = np.asarray(motion.t)
             if max(begin) > 0:
                 row[WHOLE_TIME] = row["t"] + start
-            for k, j in enumerate(motion.joints):
-                if "temperature" in motion.signals:
-                    row[f"temp_{j}"] = motion.signals["temperature"][:, k]
+            if "temperature" in motion.signals:
+                row |= name_by_joint(motion.joints, temp=motion.signals["temperature"])
             found.append(row)
         return found
 

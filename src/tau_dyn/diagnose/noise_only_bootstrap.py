@@ -182,17 +182,27 @@ class NoiseOnlyBootstrap:
         chances = []
         for fit in candidate.fits:
             columns = [library.columns(fit.effect) for library in self.libraries]
-            bias = NONCENTRALITY_SAFETY_FACTOR * estimate_noncentrality(
-                blanks, ground, columns, find_nonnegative(fit.effect)
-            )
-            T = fit.statistic / fit.overdispersion
-            tail = float(stats.ncx2.sf(T, fit.dof, bias) if bias > 0 else stats.chi2.sf(T, fit.dof))
+            T, sided = fit.statistic / fit.overdispersion, find_nonnegative(fit.effect)
+            tail = compute_artefact_chance(T, blanks, ground, columns, sided)
             chances.append(min(1.0, fit.n_effective_tests * tail))
         least = min(chances)
         if least * len(candidate.tested) * n >= FAMILY_LEVEL:
             return None
         kept = tuple(f for f, chance in zip(candidate.fits, chances, strict=True) if chance <= max(GROUP_LEVEL, least))
         return replace(candidate, fits=kept)
+
+
+def compute_artefact_chance(
+    statistic: float,
+    blanks: Sequence[NullModel],
+    ground: NullModel,
+    columns: Sequence[Sequence[np.ndarray]],
+    sided: np.ndarray,
+    absorbed: float = MIN_UNABSORBED_SHARE,
+) -> float:
+    """Return the chance that encoder noise makes a statistic of these columns on each blank, by a noncentral chi-square."""
+    bias = NONCENTRALITY_SAFETY_FACTOR * estimate_noncentrality(blanks, ground, columns, sided, absorbed)
+    return float(stats.ncx2.sf(statistic, len(sided), bias) if bias > 0 else stats.chi2.sf(statistic, len(sided)))
 
 
 def estimate_noncentrality(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -99,8 +99,7 @@ class Gain:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
-        rows = {"rms_before": self.rms_before, "rms_after": self.rms_after}
-        return {**rows, "reduction_percent": self.reduction_percent, "ci95": list(self.ci95)}
+        return {**asdict(self), "ci95": list(self.ci95)}
 
 
 Verdict = Literal["named", "nothing_found", "cannot_tell", "unexplained"]
@@ -246,7 +245,7 @@ class Limit:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
-        return {"amplitude": self.amplitude, "unit": self.unit, "phrase": self.phrase}
+        return {key: x for key, x in asdict(self).items() if key != "cause"}
 
 
 @dataclass(frozen=True)
@@ -256,10 +255,6 @@ class Untestable:
     cause: str
     why: str
     experiment: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the contract's form."""
-        return {"cause": self.cause, "why": self.why, "experiment": self.experiment}
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,7 +364,7 @@ class Diagnosis(Shown):
             "findings": [finding.to_dict() for finding in self.findings],
             "unexplained": [item.to_dict() for item in self.unexplained],
             "detection_limits": {limit.cause: limit.to_dict() for limit in self.limits},
-            "untestable": [item.to_dict() for item in self.untestable],
+            "untestable": [asdict(item) for item in self.untestable],
             "simulation": None if self.simulation is None else dict(self.simulation),
             "divided": {"how": self.how, "seconds": list(self.n_parts)},
             "settings": dict(self.settings),

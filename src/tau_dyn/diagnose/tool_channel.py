@@ -19,26 +19,25 @@ from functools import cached_property
 import numpy as np
 
 from tau_dyn.diagnose.channel import (
+    POSE_S,
     Channel,
+    MeasuredSegment,
     build_scene,
     find_directions,
     find_shared_signals,
-    mask_filter_edges,
+    name_by_joint,
     refuse_scarce,
     split_by_blocks,
 )
 from tau_dyn.diagnose.preparation import choose_diagnosis_preparation, compute_border_gap_s
 from tau_dyn.effects import EFFECTS, GUIDE_ACROSS, SENSITIVITY, SIDE_FORCE, DisplacementEffect, Effect, Motion, Scene
-from tau_dyn.estimate import RegressionRun
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import MIN_RATE_HZ, Preparation, get_measured_signals
-from tau_dyn.log import Log, compute_attenuation, decimate, differentiate, lowpass, resample_segments
+from tau_dyn.log import Log, compute_attenuation, differentiate, lowpass, resample_segments
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 
 OUTPUTS = ("x_tool", "y_tool", "z_tool")
-POSE_S = 1.0
-"""Poses held still count one by one, whatever the time between them: each stands for this long [s]."""
 _MAX_RESTING_SHARE = 1e-4  # of a joint's range: it has not moved
 _STILL = 1e-9
 """Speed [m/s or rad/s] that rounding alone gives a joint which stands still without any noise."""
@@ -50,46 +49,14 @@ frames then have to agree beforehand."""
 
 
 @dataclass(frozen=True, eq=False)
-class ToolSegment:
-    """One stretch of a log with the tool measured.
+class ToolSegment(MeasuredSegment):
+    """A stretch with the tool measured, in the robot's frame as far as known; `predicted` is forward kinematics.
 
     Attributes:
-        log: The stretch.
-        motion: Motion of the encoders, at the log's rate, with the signals that effects feel.
-        tool: Measured tool positions (N, 3) [m], in the robot's frame as far as known.
-        predicted: Forward kinematics (N, 3) [m].
         jacobian: Tool velocity per actuated speed (N, 3, na).
-        usable: Samples whose directions of motion are sure (N,).
-        cutoff_hz: Low-pass on both sides [Hz]; None for poses.
-        factor: Decimation.
     """
 
-    log: Log
-    motion: Motion
-    tool: np.ndarray
-    predicted: np.ndarray
     jacobian: np.ndarray
-    usable: np.ndarray
-    cutoff_hz: float | None
-    factor: int
-
-    def passed(self, x: np.ndarray) -> np.ndarray:
-        """Return an array (N, ...) as the fit sees it (n, ...)."""
-        if self.cutoff_hz is None:
-            return x
-        return decimate(lowpass(x, self.cutoff_hz, self.log.rate_hz), self.factor)
-
-    @property
-    def seen(self) -> np.ndarray:
-        """Which of the fit's samples count (n,)."""
-        if self.cutoff_hz is None:
-            return self.usable
-        return mask_filter_edges(self.usable, self.cutoff_hz, self.log.rate_hz, self.factor)
-
-    @property
-    def t(self) -> np.ndarray:
-        """Time of the fit's samples (n,) [s]."""
-        return POSE_S * np.arange(len(self.tool)) if self.cutoff_hz is None else decimate(self.log.t, self.factor)
 
 
 def cut(log: Log) -> list[Log]:
@@ -140,7 +107,7 @@ def build_tool_segment(model: Model, log: Log, preparation: Preparation | None) 
     }
     motion = model.motion(q, v, a, sign, t=t, signals=signals, needs=("force", "rigid_force"))
     predicted, jacobian = mechanism.tool_position(q), mechanism.tool_jacobian(q)
-    return ToolSegment(log, motion, tool, predicted, jacobian, usable, cutoff, factor)
+    return ToolSegment(log, motion, tool, predicted, usable, cutoff, factor, jacobian)
 
 
 def _approach(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -158,7 +125,7 @@ def _approach(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def align_tool_frame(pieces: Sequence[ToolSegment]) -> list[ToolSegment]:
     """Lay the measuring frame on the robot's, over all pieces at once."""
-    measured = np.concatenate([p.tool[p.usable] for p in pieces])
+    measured = np.concatenate([p.measured[p.usable] for p in pieces])
     predicted = np.concatenate([p.predicted[p.usable] for p in pieces])
     if len(measured) < 3:
         raise CannotAnswer(
@@ -168,7 +135,7 @@ def align_tool_frame(pieces: Sequence[ToolSegment]) -> list[ToolSegment]:
     U, s, Vt = np.linalg.svd((predicted - p).T @ (measured - m))
     turned = s[1] > _LINE * s[0]
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt if turned else np.eye(3)
-    found = [replace(piece, tool=(piece.tool - m) @ R.T + p) for piece in pieces]
+    found = [replace(piece, measured=(piece.measured - m) @ R.T + p) for piece in pieces]
     off, spread = (measured - m) @ R.T - (predicted - p), predicted - p
     if np.linalg.norm(off) > _MAX_RELATIVE_DISTANCE * np.linalg.norm(spread):
         size = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
@@ -237,9 +204,7 @@ class ToolChannel(Channel):
             q, v, a = (x[:: piece.factor] for x in (piece.motion.q, piece.motion.v, piece.motion.a))
             if piece.cutoff_hz is None:
                 v = np.diff(q, axis=0, prepend=q[:1]) / POSE_S
-            kinds = zip("qva", (q, v, a), strict=True)
-            row = {f"{key}_{j}": x[:, k] for key, x in kinds for k, j in enumerate(piece.motion.joints)}
-            found.append(row | {"t": piece.t})
+            found.append(name_by_joint(piece.motion.joints, q=q, v=v, a=a) | {"t": piece.t})
         return found
 
 
@@ -265,7 +230,7 @@ def build_tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] =
     pieces = align_tool_frame([build_tool_segment(model, log, preparation) for log, _ in stretches])
     scene = _scene(model, pieces, preparation)
     parameters, columns = _baseline(scene, pieces)
-    runs = tuple(_run(piece, W) for piece, W in zip(pieces, columns, strict=True))
+    runs = tuple(piece.run(W) for piece, W in zip(pieces, columns, strict=True))
     out = [out for _, out in stretches]
     gap = compute_border_gap_s(preparation.force_cutoff_hz, moving[0].rate_hz) if preparation else 0.0
     parts = tuple(split_by_blocks(runs, out, any(out), gap))
@@ -317,13 +282,6 @@ def _baseline(scene: Scene, pieces: Sequence[ToolSegment]) -> tuple[Parameters, 
             Q = np.column_stack([Q, left / np.linalg.norm(left)])
     parameters = Parameters(Parameter(names[k][0], 0.0, names[k][1], origin="baseline") for k in keep)
     return parameters, [W[:, :, keep] for W in found]
-
-
-def _run(piece: ToolSegment, W: np.ndarray) -> RegressionRun:
-    y = piece.passed(piece.tool - piece.predicted)
-    usable = np.repeat(piece.seen[:, None], len(OUTPUTS), axis=1)
-    signals = {"tool": piece.passed(piece.tool), "q": piece.motion.q[:: piece.factor]}
-    return RegressionRun(piece.log.name, piece.t, W, y, usable, W, y, signals)
 
 
 def _scene(model: Model, pieces: Sequence[ToolSegment], preparation: Preparation | None) -> Scene:

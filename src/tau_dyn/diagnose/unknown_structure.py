@@ -15,13 +15,16 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import PRIOR_WEIGHT_BLOCKS
-from tau_dyn.diagnose.noise_only_bootstrap import (
-    NONCENTRALITY_SAFETY_FACTOR,
-    NoiseOnlyBootstrap,
-    estimate_noncentrality,
+from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap, compute_artefact_chance
+from tau_dyn.diagnose.null_model import (
+    WHOLE_TIME,
+    NullModel,
+    build_joined_columns,
+    compute_overdispersion,
+    compute_score_statistics,
+    count_effective_tests,
+    smooth,
 )
-from tau_dyn.diagnose.null_model import WHOLE_TIME, NullModel, build_joined_columns, compute_score_statistics, smooth
 from tau_dyn.effects import Effect
 
 Values = Mapping[str, np.ndarray]
@@ -229,8 +232,8 @@ def _tried(ground: NullModel, draws: np.ndarray) -> tuple[list[_StructureCandida
             found.append(_StructureCandidate(merit, on, float(T[0]), C.shape[1]))
     if not found:
         return [], 1.0
-    smallest = np.min(noise_chances, axis=0)
-    tries = max(1.0, -len(smallest) / float(np.sum(np.log1p(-np.clip(smallest, 1e-12, 1 - 1e-12)))))
+    smallest = np.clip(np.min(noise_chances, axis=0), 1e-12, 1 - 1e-12)
+    tries = count_effective_tests(smallest, len(smallest))
     return sorted(found, key=lambda shape: -shape.penalised_statistic), tries
 
 
@@ -242,12 +245,10 @@ def compute_structure_p_value(
     for clean in noise.channels:
         bases = structure.on.bases(clean.variables())
         columns.append([_placed(b, clean.outputs.index(structure.output), len(clean.outputs)) for b in bases])
-    dof = columns[0][0].shape[-1]
-    bias = NONCENTRALITY_SAFETY_FACTOR * estimate_noncentrality(
-        noise.fit_null_models(ground, others), ground, columns, np.zeros(dof, bool), _LEFT
-    )
-    tail = stats.ncx2.sf(structure.statistic, dof, bias) if bias > 0 else stats.chi2.sf(structure.statistic, dof)
-    return min(1.0, structure.n_effective_tests * float(tail))
+    nonnegative = np.zeros(columns[0][0].shape[-1], bool)
+    blanks = noise.fit_null_models(ground, others)
+    tail = compute_artefact_chance(structure.statistic, blanks, ground, columns, nonnegative, _LEFT)
+    return min(1.0, structure.n_effective_tests * tail)
 
 
 def _rows(ground: NullModel, output: int, basis: Sequence[np.ndarray]) -> np.ndarray:
@@ -262,12 +263,7 @@ def _inflation(ground: NullModel, on: Dependence) -> float:
     left = C - ground.Q[rows] @ (ground.Q[rows].T @ C)
     gamma = np.linalg.lstsq(left, ground.e[rows], rcond=1e-7)[0]
     along = left @ gamma
-    square = float(along @ along)
-    if square <= 0:
-        return 1.0
-    scores = np.bincount(ground.whiten.block[rows], along * (ground.e[rows] - along))
-    count = len(np.unique(ground.whiten.block[rows]))
-    return max(1.0, (count * float(np.sum(scores**2)) / square + PRIOR_WEIGHT_BLOCKS) / (count + PRIOR_WEIGHT_BLOCKS))
+    return compute_overdispersion(ground.whiten.block[rows], along * (ground.e[rows] - along), float(along @ along))
 
 
 def _formula(ground: NullModel, shape: _StructureCandidate) -> str:
