@@ -205,14 +205,8 @@ def list_joint_groups(channel: Channel, cls: type[Effect], taken: set[tuple]) ->
     if cls.untestable(channel.scene) is not None:
         return []
     mine = {joint for cause, joints in taken if cause == cls.name for joint in joints}
-    return [
-        group for group in cls.groups(channel.scene) if (cls.name, group) not in taken and not _covered(group, mine)
-    ]
-
-
-def _covered(group: tuple[str, ...], taken: set[str]) -> bool:
-    """Tell whether a cause acts on all joints of a group already; pairs may share a joint with another pair."""
-    return set(group) <= taken
+    groups = cls.groups(channel.scene)  # pairs may share a joint with another pair
+    return [group for group in groups if (cls.name, group) not in taken and not set(group) <= mine]
 
 
 def fit_group(ground: NullModel, draws: np.ndarray, cls: type[Effect], group: tuple[str, ...]) -> GroupTest | None:
@@ -330,3 +324,34 @@ def _inflation(ground: NullModel, C: np.ndarray, s: np.ndarray, G: np.ndarray) -
     square = float(along @ along)
     e = ground.e - along * float(along @ ground.e) / max(square, 1e-300)
     return compute_overdispersion(ground.whiten.block, along * e, square)
+
+
+def estimate_amplitudes(effect: Effect, ground: NullModel) -> np.ndarray:
+    """Return an effect's amplitudes (k,) beside what the ground accounts for, within their bounds at zero.
+
+    Minimises `x' G x - 2 x' C'e` with `G` the Gram matrix of what the ground leaves of the columns `C`; directions that it
+    leaves nothing of stay at zero.
+    """
+    C = ground.rows(effect)
+    scale = np.maximum(np.linalg.norm(C, axis=0), 1e-300)
+    values, vectors = np.linalg.eigh(ground.gram(C / scale))
+    seen = values > 1e-9 * max(values[-1], 1e-300)
+    values, vectors = values[seen], vectors[:, seen]
+    rows, y = np.sqrt(values)[:, None] * vectors.T, vectors.T @ (C.T @ ground.e / scale) / np.sqrt(values)
+    lower = np.where(find_nonnegative(effect), 0.0, -np.inf)
+    x = (
+        optimize.lsq_linear(rows, y, (lower, np.inf)).x
+        if np.any(lower == 0)
+        else np.linalg.lstsq(rows, y, rcond=None)[0]
+    )
+    return x / scale
+
+
+def differentiate_settings(effect: Effect, amplitude: np.ndarray, channel: Channel) -> list[list[np.ndarray]]:
+    """Return, for each refined setting, the change of the effect's force per unit of it (n, m, 1) of each run."""
+    found = []
+    for key in effect.refined:
+        step = 1e-3 * abs(effect.settings[key]) or 1e-6
+        ends = [channel.columns(effect.with_settings(**{key: effect.settings[key] + x})) for x in (step, -step)]
+        found.append([((a - b) @ amplitude / (2 * step))[:, :, None] for a, b in zip(*ends, strict=True)])
+    return found

@@ -20,7 +20,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from tau_dyn.effects import Effect, JointScales, Motion, Scene, StructuralCompliance
+from tau_dyn.effects import Effect, Motion, Scene, StructuralCompliance
 from tau_dyn.estimate import RegressionRun, Whitener
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.log import Log, compute_edge_samples, decimate, lowpass
@@ -336,48 +336,6 @@ def find_shared_signals(motions: Sequence[Motion]) -> frozenset[str]:
 def compute_fast_speeds(v: np.ndarray) -> np.ndarray:
     """Return the speed that each joint exceeds in 2 % of the samples (na,), of speeds (n, na)."""
     return np.quantile(np.abs(v), _FASTEST, axis=0)
-
-
-def measure_scales(
-    parameters: Parameters, scene: Scene, force: np.ndarray, inertia: np.ndarray
-) -> dict[str, dict[str, float]]:
-    """Return what plausible amplitudes are shares of.
-
-    Args:
-        parameters: A fitted model's, with any friction it has.
-        scene: The joints and their speeds.
-        force: Largest measured force (na,) [N or N m].
-        inertia: Largest inertia (na,) [kg or kg m^2].
-    """
-    friction = measure_friction(parameters, scene)
-    return {
-        joint: {"force": float(force[k]), "inertia": float(inertia[k])} | friction[joint]
-        for k, joint in enumerate(scene.joints)
-    }
-
-
-def measure_friction(parameters: Parameters, scene: Scene) -> dict[str, dict[str, float]]:
-    """Return the friction of each joint of a fitted model [N or N m, and per speed]; nothing where it has none."""
-    found: dict[str, dict[str, float]] = {}
-    for k, joint in enumerate(scene.joints):
-        own: dict[str, float] = {}
-        for key in ("coulomb", "viscous"):
-            names = [n for n in (f"{joint}.{key}", f"{joint}.{key}_pos", f"{joint}.{key}_neg") if n in parameters]
-            if names:
-                own[key] = float(np.mean([abs(parameters[n].value) for n in names]))
-        if {"coulomb", "viscous"} <= own.keys() and scene.fast[k] > 0:
-            fast = float(scene.fast[k])
-            own["drag"] = (own["coulomb"] + own["viscous"] * fast) / fast**2
-        found[joint] = own
-    return found
-
-
-def widen_scales(first: JointScales, *others: JointScales) -> JointScales:
-    """Return the larger of each scale: beside a friction cause the fit may leave little to the baseline's friction."""
-    return {
-        joint: {key: max([x, *(s[joint][key] for s in others if key in s.get(joint, {}))]) for key, x in own.items()}
-        for joint, own in first.items()
-    }
 
 
 def find_directions(v: np.ndarray, threshold: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION, Channel, measure_friction, widen_scales
+from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION, Channel
 from tau_dyn.diagnose.confirmation import Confirmation, confirm
 from tau_dyn.diagnose.extended_fit import (
     EvaluatedFit,
@@ -31,6 +31,8 @@ from tau_dyn.diagnose.plausibility import (
     find_implausible,
     find_inconsistent,
     is_distinct_from_zero,
+    measure_friction,
+    widen_scales,
 )
 from tau_dyn.diagnose.result import Choice, Gain, Step
 from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects

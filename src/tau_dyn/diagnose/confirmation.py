@@ -181,16 +181,14 @@ def discriminate_structures(hunt: StepwiseSelection, structure: Structure) -> St
     """
     several = [structure, *list_indistinguishable(hunt.ground, structure)]
     tests = [confirm_structure(hunt, one) for one in several]
-    worth = [one.penalised_statistic + _evidence(test) for one, test in zip(several, tests, strict=True)]
+    evidence = [
+        max(0.0, float(stats.norm.isf(max(test.p_value, 1e-300)))) ** 2 for test in tests
+    ]  # twice the log-likelihood
+    worth = [one.penalised_statistic + x for one, x in zip(several, evidence, strict=True)]
     k = int(np.argmax(worth))
     near = (one.variables for one, x in zip(several, worth, strict=True) if x > worth[k] - MIN_2LOGL_DIFFERENCE)
     alike = dict.fromkeys(v for v in near if set(v) != set(several[k].variables))
     return StructureTest(several[k], replace(tests[k], p_value=min(1.0, len(several) * tests[k].p_value)), tuple(alike))
-
-
-def _evidence(test: Confirmation) -> float:
-    """Return what a test says for a structure, in twice the log-likelihood."""
-    return max(0.0, float(stats.norm.isf(max(test.p_value, 1e-300)))) ** 2
 
 
 def confirm_structure(hunt: StepwiseSelection, structure: Structure) -> Confirmation:
@@ -273,7 +271,7 @@ def confirm_within_training(
     inner = replace(channel, parts=tuple(divide_training(channel.runs, channel.parts, gap_s)))
     again = select_causes(inner, rng, lambda step: None, sift=noise.within(inner.parts).reject_artefacts)
     causes = tuple(
-        _better(test, again, _alike(again, one)) if test.is_inconclusive else test
+        _confirm_again(test, again, one) if test.is_inconclusive else test
         for one, test in zip(hunt.found, tests.causes, strict=True)
     )
     left = tests.structure
@@ -285,18 +283,12 @@ def confirm_within_training(
     return ConfirmationResults(causes, left)
 
 
-def _alike(again: StepwiseSelection, one: SelectedCause) -> SelectedCause | None:
-    """Return the same cause on one of its joints, found again."""
-    same = (other for other in again.found if other.candidate.cause == one.candidate.cause)
-    return next((other for other in same if _joints(other) & _joints(one)), None)
-
-
-def _joints(found: SelectedCause) -> set[str]:
-    return {joint for effect in found.candidate.effects for joint in effect.joints}
-
-
-def _better(before: Confirmation, again: StepwiseSelection, other: SelectedCause | None) -> Confirmation:
-    if other is None:
-        return before
-    test = confirm_cause(again, other)
-    return replace(test, within=True) if test.is_confirmed else before
+def _confirm_again(before: Confirmation, again: StepwiseSelection, one: SelectedCause) -> Confirmation:
+    """Return the test of the same cause, found again on one of its joints, where it confirms; else the one from before."""
+    joints = {joint for effect in one.candidate.effects for joint in effect.joints}
+    for other in again.found:
+        shared = any(joints & set(effect.joints) for effect in other.candidate.effects)
+        if other.candidate.cause == one.candidate.cause and shared:
+            test = confirm_cause(again, other)
+            return replace(test, within=True) if test.is_confirmed else before
+    return before

@@ -17,12 +17,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import optimize, stats
 
-from tau_dyn.diagnose.candidate_scan import (
-    FAMILY_LEVEL,
-    CandidateCause,
-    GroupTest,
-    compute_explained,
-)
+from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, CandidateCause, GroupTest, compute_explained
 from tau_dyn.diagnose.channel import EVERY, Channel
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.diagnose.result import Finding, Limit, Untestable

@@ -70,11 +70,6 @@ def is_tool_inconsistent(model: Model, logs: Sequence[Log]) -> bool:
     return False
 
 
-def has_links(logs: Sequence[Log]) -> bool:
-    """Tell whether all logs have link-side encoders."""
-    return all(log.joints("q_link") for log in logs)
-
-
 _CHOICES = ("neither", "extended", "refitted")
 """What one channel says of the model counts for all, in this order."""
 
@@ -125,9 +120,7 @@ def _extended(first: Diagnosis, others: Sequence[Diagnosis]):
         names = [n for e in new for n in e.parameters.names]
         values = one.extended_model.effect_parameters.select(names)
         model = replace(
-            model,
-            effects=(*model.effects, *new),
-            effect_parameters=model.effect_parameters + Parameters(list(values)),
+            model, effects=(*model.effects, *new), effect_parameters=model.effect_parameters + Parameters(list(values))
         )
     return model
 
@@ -234,7 +227,11 @@ def diagnose(
         )
         if not train:
             raise InputError("missing_input", "no log was given")
-        tool, links, forces = has_tool(prepared.robot, train), has_links(train), has_forces(prepared.robot, train)
+        tool, links, forces = (
+            has_tool(prepared.robot, train),
+            all(log.joints("q_link") for log in train),
+            has_forces(prepared.robot, train),
+        )
         if not (tool or links):
             require_forces(prepared.robot, train)
         found: list[Diagnosis] = []

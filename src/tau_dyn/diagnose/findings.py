@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from tau_dyn.diagnose.candidate_scan import differentiate_settings
 from tau_dyn.diagnose.channel import EVERY, TRAIN, VALIDATION, Channel
 from tau_dyn.diagnose.claims import Claims, Waterfall
 from tau_dyn.diagnose.confirmation import Confirmation
 from tau_dyn.diagnose.extended_fit import fit_extended_model
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.diagnose.result import Finding, Gain, OutputErrors, Signature, Unexplained, Verdict
-from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects, differentiate_settings
+from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
 from tau_dyn.effects import Effect, format_quantity, spell_unit
 from tau_dyn.estimate import scale_columns
 from tau_dyn.parameters import Parameter, Parameters
@@ -29,12 +30,7 @@ _TWIN_EXPERIMENT = "record {reveals}; that separates it from {twins}"
 _EQUIVALENT = "no log of this kind separates it from {twins}; the force is the same"
 
 
-def build_findings(
-    hunt: StepwiseSelection,
-    claims: Claims,
-    bars: Waterfall,
-    rng: np.random.Generator,
-) -> list[Finding]:
+def build_findings(hunt: StepwiseSelection, claims: Claims, bars: Waterfall, rng: np.random.Generator) -> list[Finding]:
     """Return what is said of every cause found, confirmed or not."""
     channel, found, kept = hunt.channel, [], claims.kept
     hunt = replace(hunt, found=claims.found)

@@ -15,7 +15,6 @@ from tau_dyn.diagnose.channel import (
     Channel,
     build_scene,
     find_shared_signals,
-    measure_scales,
     name_by_joint,
     refuse_scarce,
     split_by_blocks,
@@ -28,6 +27,7 @@ from tau_dyn.diagnose.null_model import (
     compute_period_statistics,
     select_output_rows,
 )
+from tau_dyn.diagnose.plausibility import measure_scales
 from tau_dyn.diagnose.preparation import ForceTiming, compute_border_gap_s, find_timing
 from tau_dyn.effects import EFFECTS, GRAVITY_TURN, DisplacementEffect, Effect, Motion, Scene
 from tau_dyn.estimate import Regression, RegressionRun, Whitener

@@ -147,12 +147,8 @@ class ColumnCache:
 
     def columns(self, effect: Effect) -> EffectColumns:
         """Return an effect's exact columns."""
-        return self._made.setdefault(_get_key(effect), EffectColumns(self.channel, effect))
-
-
-def _get_key(effect: Effect) -> tuple:
-    """Return what tells two effects apart."""
-    return (effect.name, effect.joints, tuple(sorted(effect.settings.items())), effect.label)
+        key = (effect.name, effect.joints, tuple(sorted(effect.settings.items())), effect.label)
+        return self._made.setdefault(key, EffectColumns(self.channel, effect))
 
 
 @dataclass(frozen=True, eq=False)

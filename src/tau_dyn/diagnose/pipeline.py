@@ -188,6 +188,8 @@ def diagnose_channel(
     limits, untestable = compute_detection_limits(hunt, [f.cause for f in findings])
     verdict = "cannot_tell" if spoiled else _judge(findings, unexplained, aliased)
     use = Recommendation("neither", spoiled) if spoiled else recommend(hunt, claims, bars, rng)
+    experiments = (f.experiment for f in aliased or findings if f.experiment and verdict == "cannot_tell")
+    experiment = _MEND if spoiled else next(experiments, "")
     floor = estimate_noise_floor(channel, after, np.random.default_rng(seed))
     preparation = case and case.preparation
     return Diagnosis(
@@ -213,7 +215,7 @@ def diagnose_channel(
         how=how,
         warnings=tuple(dict.fromkeys((*warnings, *use.warnings))),
         seed=seed,
-        experiment=_MEND if spoiled else _choose_experiment(verdict, aliased or findings),
+        experiment=experiment,
         recommendation=use.choice,
         recommendation_why=use.why,
         preparation=preparation,
@@ -266,10 +268,6 @@ def _judge(findings: Sequence[Finding], unexplained: Sequence[Unexplained], alia
     if parameters:
         return "named"
     return "unexplained" if any(u.status == "confirmed" for u in unexplained) else "nothing_found"
-
-
-def _choose_experiment(verdict: Verdict, findings: Sequence[Finding]) -> str:
-    return next((f.experiment for f in findings if f.experiment), "") if verdict == "cannot_tell" else ""
 
 
 def _build_extended_model(model: Model, claims: Claims, bars: Waterfall, findings: Sequence[Finding]) -> Model:

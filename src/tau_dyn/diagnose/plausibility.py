@@ -18,7 +18,7 @@ from itertools import product
 import numpy as np
 from scipy import stats
 
-from tau_dyn.diagnose.channel import TRAIN, VALIDATION, Channel, measure_friction
+from tau_dyn.diagnose.channel import TRAIN, VALIDATION
 from tau_dyn.diagnose.null_model import ColumnCache
 from tau_dyn.diagnose.result import Unexplained
 from tau_dyn.diagnose.stepwise_selection import SelectedCause
@@ -30,6 +30,48 @@ INCONSISTENT_LEVEL = 1e-3
 """Significance level of a difference between joints; standard errors of amplitudes may be some tens of per cent too small."""
 EDGE_TOLERANCE = 1e-3
 """Relative distance from the end of a grid within which a setting counts as at the edge."""
+
+
+def measure_scales(
+    parameters: Parameters, scene: Scene, force: np.ndarray, inertia: np.ndarray
+) -> dict[str, dict[str, float]]:
+    """Return what plausible amplitudes are shares of.
+
+    Args:
+        parameters: A fitted model's, with any friction it has.
+        scene: The joints and their speeds.
+        force: Largest measured force (na,) [N or N m].
+        inertia: Largest inertia (na,) [kg or kg m^2].
+    """
+    friction = measure_friction(parameters, scene)
+    return {
+        joint: {"force": float(force[k]), "inertia": float(inertia[k])} | friction[joint]
+        for k, joint in enumerate(scene.joints)
+    }
+
+
+def measure_friction(parameters: Parameters, scene: Scene) -> dict[str, dict[str, float]]:
+    """Return the friction of each joint of a fitted model [N or N m, and per speed]; nothing where it has none."""
+    found: dict[str, dict[str, float]] = {}
+    for k, joint in enumerate(scene.joints):
+        own: dict[str, float] = {}
+        for key in ("coulomb", "viscous"):
+            names = [n for n in (f"{joint}.{key}", f"{joint}.{key}_pos", f"{joint}.{key}_neg") if n in parameters]
+            if names:
+                own[key] = float(np.mean([abs(parameters[n].value) for n in names]))
+        if {"coulomb", "viscous"} <= own.keys() and scene.fast[k] > 0:
+            fast = float(scene.fast[k])
+            own["drag"] = (own["coulomb"] + own["viscous"] * fast) / fast**2
+        found[joint] = own
+    return found
+
+
+def widen_scales(first: JointScales, *others: JointScales) -> JointScales:
+    """Return the larger of each scale: beside a friction cause the fit may leave little to the baseline's friction."""
+    return {
+        joint: {key: max([x, *(s[joint][key] for s in others if key in s.get(joint, {}))]) for key, x in own.items()}
+        for joint, own in first.items()
+    }
 
 
 def find_edge(effects: Sequence[Effect], scene: Scene) -> str:
@@ -121,12 +163,18 @@ def measure_net_forces(library: ColumnCache, kept: Sequence[SelectedCause], valu
     """Return the rms force (causes, m) of each cause, net of what the baseline absorbs of it."""
     channel = library.channel
     sizes = np.zeros((len(kept), len(channel.outputs)))
+    usable = sum(int(mask.sum()) for mask in channel.masks(TRAIN, VALIDATION))
+    every = 1 + usable // (_MAX_ROWS * len(channel.outputs))  # thinned evenly
     for k in range(len(channel.outputs)):
-        base = _take_rows(channel, channel.free_columns, k)
+        base = channel.gather(channel.free_columns, k, TRAIN, VALIDATION)[::every]
         for n, one in enumerate(kept):
-            force = _compute_force(library, one.candidate.effects, values, k)
+            force = np.zeros(1)
+            for effect in one.candidate.effects:
+                columns = channel.gather(library.columns(effect), k, TRAIN, VALIDATION)[::every]
+                force = force + columns @ values.select(effect.parameters.names).values
             if force.any():
-                sizes[n, k] = _measure_rms(_remove(base, force))
+                left = force - base @ solve_scaled(base, force, 1e-7)
+                sizes[n, k] = float(np.sqrt(np.mean(left**2)))
     return sizes
 
 
@@ -187,7 +235,8 @@ def measure_law_error(
     speed = np.geomspace(scene.slow[k], scene.fast[k], _SPEEDS)
     plain = np.column_stack([np.ones_like(speed), speed])
     own = measure_friction(values, scene).get(joint, {})
-    extra = sum(_compute_curve(effect, speed, joint) @ _get_amplitudes(effect, values, joint) for effect in every)
+    alone = [_restrict(effect, joint) for effect in every]
+    extra = sum(_compute_curve(e, speed) @ values.select(e.parameters.names).values for e in alone)
     total = plain @ [own.get("coulomb", 0.0), own.get("viscous", 0.0)] + extra
     weight = 1 / np.maximum(np.abs(total), np.abs(total).max() * 1e-3)
     errors = []
@@ -195,51 +244,23 @@ def measure_law_error(
         factors = iter(steps)
         moved = [e.with_settings(**{key: e.settings[key] * next(factors) for key in e.refined}) for e in law]
         columns = (
-            np.column_stack([plain, *(_compute_curve(effect, speed, joint) for effect in moved)]) * weight[:, None]
+            np.column_stack([plain, *(_compute_curve(_restrict(effect, joint), speed) for effect in moved)])
+            * weight[:, None]
         )
         left = total * weight - columns @ solve_scaled(columns, total * weight, 1e-7)
         errors.append(float(np.abs(left).max()))
     return min(errors)
 
 
-def _compute_curve(effect: Effect, speed: np.ndarray, joint: str) -> np.ndarray:
-    """Return an effect's force on a joint per unit amplitude at speeds (N,), as (N, p)."""
-    one = type(effect)((joint,), (effect.units[joint],), label=effect.label, **effect.settings)
+def _restrict(effect: Effect, joint: str) -> Effect:
+    """Return an effect on one of its joints alone."""
+    return type(effect)((joint,), (effect.units[joint],), label=effect.label, **effect.settings)
+
+
+def _compute_curve(effect: Effect, speed: np.ndarray) -> np.ndarray:
+    """Return a single joint's effect per unit amplitude at speeds (N,), as (N, p)."""
     still = np.zeros((len(speed), 1))
-    return one.columns(Motion.of((joint,), still, speed[:, None], still))[:, 0]
-
-
-def _get_amplitudes(effect: Effect, values: Parameters, joint: str) -> np.ndarray:
-    """Return an effect's fitted amplitudes on a joint (p,)."""
-    one = type(effect)((joint,), (effect.units[joint],), label=effect.label, **effect.settings)
-    return np.array([values[name].value for name in one.parameters.names])
-
-
-def _compute_force(library: ColumnCache, effects: Sequence[Effect], values: Parameters, output: int) -> np.ndarray:
-    """Return the force of effects on an output (N,)."""
-    force = np.zeros(1)
-    for effect in effects:
-        theta = np.array([values[name].value for name in effect.parameters.names])
-        force = force + _take_rows(library.channel, library.columns(effect), output) @ theta
-    return force
-
-
-def _take_rows(channel: Channel, columns: Sequence[np.ndarray], output: int) -> np.ndarray:
-    """Return an output's columns (N, p) on the data that causes are found and confirmed on, thinned evenly."""
-    masks = channel.masks(TRAIN, VALIDATION)
-    every = 1 + sum(int(mask.sum()) for mask in masks) // (_MAX_ROWS * len(channel.outputs))
-    rows = [c[m[:, output], output] for c, m in zip(columns, masks, strict=True)]
-    return np.concatenate(rows)[::every]
-
-
-def _remove(columns: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Return what columns do not reproduce of a force (N,)."""
-    return force - columns @ solve_scaled(columns, force, 1e-7)
-
-
-def _measure_rms(force: np.ndarray) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(force**2)))
+    return effect.columns(Motion.of(effect.joints, still, speed[:, None], still))[:, 0]
 
 
 def demote_companions(

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import stats
 
 from tau_dyn.diagnose.candidate_scan import (
     FAMILY_LEVEL,
@@ -23,7 +23,8 @@ from tau_dyn.diagnose.candidate_scan import (
     GroupTest,
     combine_group_tests,
     compute_penalised_statistic,
-    find_nonnegative,
+    differentiate_settings,
+    estimate_amplitudes,
     match_settings,
     rescore_group,
     scan_causes,
@@ -94,37 +95,6 @@ def drop_redundant_groups(candidate: CandidateCause, ground: NullModel) -> Candi
         if beside.statistic > beside.threshold:
             kept.append(beside)
     return replace(candidate, fits=tuple(kept))
-
-
-def estimate_amplitudes(effect: Effect, ground: NullModel) -> np.ndarray:
-    """Return an effect's amplitudes (k,) beside what the ground accounts for, within their bounds at zero.
-
-    Minimises `x' G x - 2 x' C'e` with `G` the Gram matrix of what the ground leaves of the columns `C`; directions that it
-    leaves nothing of stay at zero.
-    """
-    C = ground.rows(effect)
-    scale = np.maximum(np.linalg.norm(C, axis=0), 1e-300)
-    values, vectors = np.linalg.eigh(ground.gram(C / scale))
-    seen = values > 1e-9 * max(values[-1], 1e-300)
-    values, vectors = values[seen], vectors[:, seen]
-    rows, y = np.sqrt(values)[:, None] * vectors.T, vectors.T @ (C.T @ ground.e / scale) / np.sqrt(values)
-    lower = np.where(find_nonnegative(effect), 0.0, -np.inf)
-    x = (
-        optimize.lsq_linear(rows, y, (lower, np.inf)).x
-        if np.any(lower == 0)
-        else np.linalg.lstsq(rows, y, rcond=None)[0]
-    )
-    return x / scale
-
-
-def differentiate_settings(effect: Effect, amplitude: np.ndarray, channel: Channel) -> list[list[np.ndarray]]:
-    """Return, for each refined setting, the change of the effect's force per unit of it (n, m, 1) of each run."""
-    found = []
-    for key in effect.refined:
-        step = 1e-3 * abs(effect.settings[key]) or 1e-6
-        ends = [channel.columns(effect.with_settings(**{key: effect.settings[key] + x})) for x in (step, -step)]
-        found.append([((a - b) @ amplitude / (2 * step))[:, :, None] for a, b in zip(*ends, strict=True)])
-    return found
 
 
 def _step(effect: Effect, ground: NullModel, limits: Sequence[dict[str, float]]) -> Effect | None:

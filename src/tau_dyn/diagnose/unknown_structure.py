@@ -183,10 +183,7 @@ def list_indistinguishable(ground: NullModel, structure: Structure) -> list[Stru
 
 
 def _structure(
-    ground: NullModel,
-    shape: _StructureCandidate,
-    tries: float,
-    alike: tuple[_StructureCandidate, ...],
+    ground: NullModel, shape: _StructureCandidate, tries: float, alike: tuple[_StructureCandidate, ...]
 ) -> Structure:
     k = ground.channel.outputs.index(shape.on.output)
     rows = np.flatnonzero(ground.whiten.index == k)

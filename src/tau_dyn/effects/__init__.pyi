@@ -42,11 +42,7 @@ from .motion import JointMotion as JointMotion, JointScales as JointScales, Moti
 from .passive_joint_friction import PassiveJointFriction as PassiveJointFriction
 from .periodic import CyclicRipple as CyclicRipple, TransmissionError as TransmissionError
 from .position_friction import PositionFriction as PositionFriction
-from .speed_friction import (
-    QuadraticDrag as QuadraticDrag,
-    Stribeck as Stribeck,
-    ViscousCurvature as ViscousCurvature,
-)
+from .speed_friction import QuadraticDrag as QuadraticDrag, Stribeck as Stribeck, ViscousCurvature as ViscousCurvature
 from .structural_compliance import StructuralCompliance as StructuralCompliance
 from .timing import (
     Delay as Delay,

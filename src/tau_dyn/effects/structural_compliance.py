@@ -236,8 +236,8 @@ def _felt(motion: Motion | JointMotion, frequency: float) -> np.ndarray:
     """Return the force that a mode answers to.
 
     Quasi-statically the load's acceleration is a fourth derivative of the encoder's reading, of which only the clear part is
-    of use (`diagnose/force_channel.py`). A mode within that band weakens what is above its own frequency; for it, cutting the force off
-    would bend its resonance.
+    of use. A mode within that band weakens what is above its own frequency; for it, cutting the force off would bend its
+    resonance.
     """
     clear = motion.signals.get("clear_hz")
     if clear is not None and frequency < clear[0]:

@@ -56,47 +56,30 @@ from tau_dyn.simulate import (
     concatenate,
 )
 
-_Maker = Callable[[Model, float, int, np.random.Generator], Trajectory]
+_N_KINDS = 6
 
 
-def _fourier(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
-    """Return sines, the lowest 0.05 to 0.2 Hz, the highest 0.4 to 3 Hz."""
-    slow, fast = 0.05 * 4 ** rng.uniform(), 0.4 * 7.5 ** rng.uniform()
-    return build_fourier_motion(model, duration, seed, harmonics=int(rng.integers(3, 8)), slow_hz=slow, fast_hz=fast)
-
-
-def _very_slow(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
-    """Return strokes of 0.3 to 6 % of the highest speed."""
-    return build_stroke_motion(
-        model, duration, seed, speeds=tuple(np.geomspace(0.003, 0.06, 6) * rng.uniform(0.7, 1.4, 6))
-    )
-
-
-def _strokes(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
-    """Return strokes from slow to full speed."""
-    lowest = 0.01 * 20 ** rng.uniform()
-    return build_stroke_motion(model, duration, seed, speeds=tuple(np.geomspace(lowest, 1.0, int(rng.integers(4, 9)))))
-
-
-def _multisine(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
-    """Return strokes with a multisine of a band between 1 and 14 Hz riding on them."""
-    low = rng.uniform(1.0, 4.0)
+def _build_piece(kind: int, model: Model, duration: float, rng: np.random.Generator) -> Trajectory:
+    """Return a random motion of a kind, at other speeds and frequencies each time."""
+    seed = int(rng.integers(2**31))
+    if kind == 0:  # sines, the lowest 0.05 to 0.2 Hz, the highest 0.4 to 3 Hz
+        slow, fast = 0.05 * 4 ** rng.uniform(), 0.4 * 7.5 ** rng.uniform()
+        harmonics = int(rng.integers(3, 8))
+        return build_fourier_motion(model, duration, seed, harmonics=harmonics, slow_hz=slow, fast_hz=fast)
+    if kind == 1:  # strokes of 0.3 to 6 % of the highest speed
+        speeds = np.geomspace(0.003, 0.06, 6) * rng.uniform(0.7, 1.4, 6)
+        return build_stroke_motion(model, duration, seed, speeds=tuple(speeds))
+    if kind == 2:  # strokes from slow to full speed
+        lowest = 0.01 * 20 ** rng.uniform()
+        speeds = np.geomspace(lowest, 1.0, int(rng.integers(4, 9)))
+        return build_stroke_motion(model, duration, seed, speeds=tuple(speeds))
+    if kind == 3:  # random binary speeds of 10 to 90 %
+        return build_random_binary_motion(model, duration, seed, share=0.1 * 9 ** rng.uniform())
+    if kind == 4:  # slow circles of 1 to 30 % of the highest speed, a reversal a second
+        speed = float(compute_top_speed(model).min()) * 0.01 * 30 ** rng.uniform()
+        return build_slow_motion(model, duration, seed, speed=speed)
+    low = rng.uniform(1.0, 4.0)  # strokes with a multisine of a band between 1 and 14 Hz riding on them
     return build_multisine_on_stroke(model, duration, seed, band_hz=(low, rng.uniform(low + 3, 14.0)))
-
-
-def _slow(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
-    """Return slow circles of 1 to 30 % of the highest speed, a reversal a second."""
-    return build_slow_motion(
-        model, duration, seed, speed=float(compute_top_speed(model).min()) * 0.01 * 30 ** rng.uniform()
-    )
-
-
-def _binary(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
-    """Return random binary speeds of 10 to 90 %."""
-    return build_random_binary_motion(model, duration, seed, share=0.1 * 9 ** rng.uniform())
-
-
-_KINDS: tuple[_Maker, ...] = (_fourier, _very_slow, _strokes, _binary, _slow, _multisine)
 
 
 def build_candidate_pieces(model: Model, duration: float, count: int, rng: np.random.Generator) -> list[Trajectory]:
@@ -108,7 +91,7 @@ def build_candidate_pieces(model: Model, duration: float, count: int, rng: np.ra
     found, fault = [], None
     for k in range(count):
         try:
-            found.append(_KINDS[k % len(_KINDS)](model, duration, int(rng.integers(2**31)), rng))
+            found.append(_build_piece(k % _N_KINDS, model, duration, rng))
         except InputError as error:
             fault = error
     if not found:
