@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from tau_dyn.diagnose.force_baseline import Progress, fit_baseline
 from tau_dyn.diagnose.pipeline import diagnose_deflection, diagnose_forces, diagnose_tool
-from tau_dyn.diagnose.result import Diagnosis, Verdict
+from tau_dyn.diagnose.result import Choice, Diagnosis, Verdict
 from tau_dyn.diagnose.tool_channel import OUTPUTS
 from tau_dyn.effects import Effect, JointwiseEffect
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -70,8 +70,9 @@ def is_tool_inconsistent(model: Model, logs: Sequence[Log]) -> bool:
     return False
 
 
-_CHOICES = ("neither", "extended", "refitted")
-"""What one channel says of the model counts for all, in this order."""
+_VERDICTS: tuple[Verdict, ...] = ("named", "cannot_tell", "unexplained", "nothing_found")
+_CHOICES: tuple[Choice, ...] = ("neither", "extended", "refitted")
+"""What one channel says counts for all, in this order."""
 
 
 def merge_diagnoses(found: Sequence[Diagnosis]) -> Diagnosis:
@@ -89,7 +90,7 @@ def merge_diagnoses(found: Sequence[Diagnosis]) -> Diagnosis:
     told = [one for one in others if one.verdict != "nothing_found"]
     return replace(
         first,
-        verdict=_verdict(found),
+        verdict=min((one.verdict for one in found), key=_VERDICTS.index),
         recommendation=recommended.recommendation,
         recommendation_why=recommended.recommendation_why,
         sentence=" ".join([first.sentence, *(one.sentence for one in told)]),
@@ -104,13 +105,7 @@ def merge_diagnoses(found: Sequence[Diagnosis]) -> Diagnosis:
     )
 
 
-def _verdict(found: Sequence[Diagnosis]) -> Verdict:
-    order: tuple[Verdict, ...] = ("named", "cannot_tell", "unexplained", "nothing_found")
-    said = {one.verdict for one in found}
-    return next(verdict for verdict in order if verdict in said)
-
-
-def _extended(first: Diagnosis, others: Sequence[Diagnosis]):
+def _extended(first: Diagnosis, others: Sequence[Diagnosis]) -> Model:
     """Return the first channel's extended model with the effects that the others add."""
     model = first.extended_model
     for one in others:

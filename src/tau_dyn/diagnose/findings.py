@@ -10,11 +10,10 @@ import numpy as np
 from tau_dyn.diagnose.candidate_scan import differentiate_settings
 from tau_dyn.diagnose.channel import EVERY, TRAIN, VALIDATION, Channel
 from tau_dyn.diagnose.claims import Claims, Waterfall
-from tau_dyn.diagnose.confirmation import Confirmation
 from tau_dyn.diagnose.extended_fit import fit_extended_model
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.diagnose.result import Finding, Gain, OutputErrors, Signature, Unexplained, Verdict
-from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
+from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, build_effects
 from tau_dyn.effects import Effect, format_quantity, spell_unit
 from tau_dyn.estimate import scale_columns
 from tau_dyn.parameters import Parameter, Parameters
@@ -31,75 +30,50 @@ _EQUIVALENT = "no log of this kind separates it from {twins}; the force is the s
 
 
 def build_findings(hunt: StepwiseSelection, claims: Claims, bars: Waterfall, rng: np.random.Generator) -> list[Finding]:
-    """Return what is said of every cause found, confirmed or not."""
-    channel, found, kept = hunt.channel, [], claims.kept
+    """Return what is said of every cause found, confirmed or not, with all others accounted for."""
     hunt = replace(hunt, found=claims.found)
-    for one, test, why_not in zip(claims.found, claims.tests, claims.why_not, strict=True):
-        effects, fit, gain = one.candidate.effects, bars.fits[-1], None
-        if not why_not:
-            gain = bars.gains[kept.index(one)]
-        else:
-            fit = fit_extended_model(channel, [*build_effects(kept), *effects], None, rng)
-        names = {n for e in effects for n in e.parameters.names}
-        values = Parameters([p for p in fit.parameters if p.name in names])
-        signature = build_signature(channel, effects, fit.residuals, values)
-        finding = build_finding(hunt, one, test, values, gain, signature, kept=not why_not)
-        found.append(replace(finding, why_not_confirmed=why_not))
-    return found
+    return [_build_finding(hunt, claims, bars, k, rng) for k in range(len(claims.found))]
 
 
-def build_finding(
-    search: StepwiseSelection,
-    found: SelectedCause,
-    confirmation: Confirmation,
-    values: Parameters,
-    gain: Gain | None,
-    signature: Signature | None,
-    *,
-    kept: bool,
+def _build_finding(
+    hunt: StepwiseSelection, claims: Claims, bars: Waterfall, k: int, rng: np.random.Generator
 ) -> Finding:
-    """Return the finding.
-
-    Args:
-        search: The whole search; the other causes count as accounted for.
-        found: The cause.
-        confirmation: Its test on held-out data.
-        values: Fitted values of its amplitudes.
-        gain: What it is worth.
-        signature: Its plot.
-        kept: Whether it is part of the extended model.
-    """
-    channel = search.channel
+    """Return the finding of the cause at place k."""
+    channel, one, test, why_not = hunt.channel, claims.found[k], claims.tests[k], claims.why_not[k]
+    fit, gain = bars.fits[-1], None if why_not else bars.gains[claims.kept.index(one)]
+    if why_not:  # it is not in the extended model
+        fit = fit_extended_model(channel, [*build_effects(claims.kept), *one.candidate.effects], None, rng)
+    names = {n for e in one.candidate.effects for n in e.parameters.names}
+    values = Parameters([p for p in fit.parameters if p.name in names])
     place = channel.scene.joints.index
-    effects = tuple(sorted(found.candidate.effects, key=lambda effect: [place(j) for j in effect.joints]))
-    ground = NullModel.of(search.library, (TRAIN, VALIDATION), search.ground.noise, search.others(found))
-    inflation = max(fit.overdispersion for fit in found.candidate.fits)
+    effects = tuple(sorted(one.candidate.effects, key=lambda effect: [place(j) for j in effect.joints]))
+    ground = NullModel.of(hunt.library, (TRAIN, VALIDATION), hunt.ground.noise, hunt.others(one))
+    inflation = max(group.overdispersion for group in one.candidate.fits)
     parameters = estimate_uncertainty(ground, effects, values, inflation)
-    joints = tuple(dict.fromkeys(j for effect in effects for j in effect.joints))
-    twins = tuple(dict.fromkeys([*(t for e in effects for t in e.equivalent), *found.rivals]))
     first = effects[0]
-    rivals = [twin for twin in found.rivals if twin not in first.equivalent]
-    experiment = "; ".join(
-        text.format(reveals=first.reveals, twins=", ".join(names).replace("_", " "))
-        for text, names in ((_TWIN_EXPERIMENT, rivals), (_EQUIVALENT, first.equivalent))
-        if names
-    )
+    rivals = [twin for twin in one.rivals if twin not in first.equivalent]
+    experiments = [
+        text.format(reveals=first.reveals, twins=", ".join(twins).replace("_", " "))
+        for text, twins in ((_TWIN_EXPERIMENT, rivals), (_EQUIVALENT, first.equivalent))
+        if twins
+    ]
     return Finding(
-        cause=found.candidate.cause,
-        joints=joints,
-        status=first.confirmed_as if kept else "suspected",
-        score=found.candidate.statistic,
-        p_value=found.p_value,
+        cause=one.candidate.cause,
+        joints=tuple(dict.fromkeys(j for effect in effects for j in effect.joints)),
+        status="suspected" if why_not else first.confirmed_as,
+        score=one.candidate.statistic,
+        p_value=one.p_value,
         parameters=tuple(parameters),
         gain=gain,
-        indistinguishable_from=twins,
+        indistinguishable_from=tuple(dict.fromkeys([*(t for e in effects for t in e.equivalent), *one.rivals])),
         equation=first.equation,
-        sentence=format_sentence(effects, parameters, gain) + (_WITHIN if kept and confirmation.within else ""),
-        experiment=experiment,
+        sentence=format_sentence(effects, parameters, gain) + (_WITHIN if test.within and not why_not else ""),
+        experiment="; ".join(experiments),
         effects=effects,
-        signature=signature,
+        signature=build_signature(channel, one.candidate.effects, fit.residuals, values),
         channel=channel.name,
-        confirmation=(confirmation.share, confirmation.stderr),
+        confirmation=(test.share, test.stderr),
+        why_not_confirmed=why_not,
     )
 
 
@@ -141,11 +115,7 @@ def _variances(gram: np.ndarray) -> np.ndarray:
 
 def format_sentence(effects: Sequence[Effect], parameters: Parameters, gain: Gain | None) -> str:
     """Return the finding in a sentence."""
-    said = []
-    for effect in effects:
-        where = ", ".join(effect.joints)
-        said.append(f"{where}: {effect.describe(parameters)}")
-    text = "; ".join(said)
+    text = "; ".join(f"{', '.join(effect.joints)}: {effect.describe(parameters)}" for effect in effects)
     if gain is not None:
         joints = list(dict.fromkeys(joint for effect in effects for joint in effect.joints))
         whose = f" of {joints[0]}" if len(joints) == 1 else " of these joints" if joints else ""
@@ -167,19 +137,12 @@ def build_signature(
         np.sum([c[r] @ values.select(e.parameters.names).values for e, c in zip(effects, made, strict=True)], axis=0)
         for r in range(len(channel.runs))
     ]
-    masks = channel.masks(*EVERY)
-    power = [sum(float(np.sum(np.where(m[:, k], s[:, k], 0) ** 2)) for s, m in zip(share, masks, strict=True))
-             for k in range(len(channel.outputs))]  # fmt: skip
+    power = [float(np.sum(channel.gather(share, k, *EVERY) ** 2)) for k in range(len(channel.outputs))]
     k = int(np.argmax(power))
     label, x = build_axis(channel, effects[0], channel.outputs[k])
-    xs, ys, fits = (
-        np.concatenate([v[m[:, k]] for v, m in zip(values_of, masks, strict=True)])
-        for values_of in (
-            x,
-            [e[:, k] + s[:, k] for e, s in zip(residuals, share, strict=True)],
-            [s[:, k] for s in share],
-        )
-    )
+    xs = np.concatenate([v[m[:, k]] for v, m in zip(x, channel.masks(*EVERY), strict=True)])
+    without = [e + s for e, s in zip(residuals, share, strict=True)]
+    ys, fits = (channel.gather(values_of, k, *EVERY) for values_of in (without, share))
     if not len(xs):
         return None
     keep = np.unique(np.linspace(0, len(xs) - 1, min(_POINTS, len(xs))).astype(int))

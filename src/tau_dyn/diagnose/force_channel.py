@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -154,18 +155,19 @@ def build_force_channel(
     Raises:
         CannotAnswer: Too little is left of the data for three parts.
     """
-    needs = [s for s in _SIGNALS if s != "passive" or model.robot.loops]
-    prepared, regression, timing = _with_timing(model, prepared, held, preparation, regression)
+    prepared, regression, timing = _with_timing(model, prepared, held, regression)
     turns = _gravity_turns(model, regression.parameters.values, prepared, regression.runs, [not out for out in held])
     prepared = [
-        _with_signals(piece, model, {GRAVITY_TURN: turn}, needs, clear_hz, timing)
-        for piece, turn in zip(prepared, turns, strict=True)
+        _with_signals(piece, model, turn, clear_hz, timing) for piece, turn in zip(prepared, turns, strict=True)
     ]
-    parts = split_by_blocks(
-        regression.runs, held, any(held), compute_border_gap_s(preparation.force_cutoff_hz, prepared[0].log.rate_hz)
-    )
+    gap_s = compute_border_gap_s(preparation.force_cutoff_hz, prepared[0].log.rate_hz)
+    parts = split_by_blocks(regression.runs, held, any(held), gap_s)
     campaigns = len({piece.log.name for piece, out in zip(prepared, held, strict=True) if not out})
     thinned = tuple(_thinned(piece) for piece in prepared)
+    scene = _scene(model, thinned, regression.runs, parts, preparation, campaigns)
+    if timing is not None:
+        each = zip(scene.joints, map(float, timing.delays), map(float, timing.lags), strict=True)
+        scene = replace(scene, timing={joint: (delay, lag) for joint, delay, lag in each})
     channel = ForceChannel(
         "force",
         regression.outputs,
@@ -173,17 +175,17 @@ def build_force_channel(
         model.parameters,
         regression.runs,
         tuple(parts),
-        replace(
-            _scene(model, thinned, regression.runs, parts, preparation, campaigns), timing=_by_joint(model, timing)
-        ),
+        scene,
         tuple(cls for cls in EFFECTS.values() if cls.cause),
         tuple(prepared),
         thinned,
         preparation,
     )
+    others = MIN_VALUES * len(regression.outputs)
+    rank = max(1, compute_determined_rank(regression, parts))
     refuse_scarce(
         channel,
-        _needed(regression, parts),
+        {TRAIN: VALUES_PER_COMBINATION * rank, VALIDATION: others, TEST: others},
         "too little usable data is left",
         f"the logs hold {sum(p.log.duration for p in prepared):.3g} s",
         "record a minute or more of motion in both directions, over several speeds",
@@ -195,16 +197,11 @@ def _with_timing(
     model: Model,
     prepared: Sequence[PreparedSegment],
     held: Sequence[bool],
-    preparation: Preparation,
     regression: Regression,
 ) -> tuple[Sequence[PreparedSegment], Regression, ForceTiming | None]:
     """Return the pieces and their regression without the samples into which late forces bring a reversal, and the timing."""
-
-    def find(one: Regression) -> ForceTiming | None:
-        trained = [run for run, out in zip(one.runs, held, strict=True) if not out]
-        return find_timing(trained, model.parameters.values, np.asarray(one.parameters.free))
-
-    timing = find(regression)
+    trained = [run for run, out in zip(regression.runs, held, strict=True) if not out]
+    timing = find_timing(trained, model.parameters.values, np.asarray(regression.parameters.free))
     if timing is None:
         return prepared, regression, None
     late = timing.delays + timing.lags
@@ -222,47 +219,40 @@ def compute_determined_rank(regression: Regression, parts: Sequence[np.ndarray])
     return int(np.linalg.matrix_rank(gram / np.outer(scale, scale), tol=_INDEPENDENT, hermitian=True))
 
 
-def _needed(regression: Regression, parts: Sequence[np.ndarray]) -> dict[int, int]:
-    """Return how many usable values each part needs."""
-    rank = max(1, compute_determined_rank(regression, parts))
-    others = MIN_VALUES * len(regression.outputs)
-    return {TRAIN: VALUES_PER_COMBINATION * rank, VALIDATION: others, TEST: others}
+def _interpolate(piece: PreparedSegment, compute: Callable[..., np.ndarray]) -> np.ndarray:
+    """Return what is computed of positions, speeds and accelerations, smooth, so made at the regression's rate."""
+    m, t = piece.motion, piece.log.t
+    few = np.unique(np.append(np.arange(0, len(t), piece.factor), len(t) - 1))
+    return np.asarray(CubicSpline(t[few], compute(m.q[few], m.v[few], m.a[few]))(t))
 
 
 def _with_signals(
-    piece: PreparedSegment,
-    model: Model,
-    given: Mapping[str, np.ndarray],
-    needs: Sequence[str],
-    clear_hz: float,
-    timing: ForceTiming | None = None,
+    piece: PreparedSegment, model: Model, turn: np.ndarray, clear_hz: float, timing: ForceTiming | None
 ) -> PreparedSegment:
-    """Return a piece whose motion has what a fitted model says of it: loads, inertia, predicted forces.
+    """Return a piece whose motion has what a fitted model says of it: loads, inertia, turn of gravity, predicted forces.
 
-    Loads and inertia are smooth, so they are computed at the regression's rate and interpolated; forces are not. `force` is
-    that of the values with the recording's timing taken out; see `preparation.py`.
+    `force` is that of the values with the recording's timing taken out; see `preparation.py`.
     """
-    m, t = piece.motion, piece.log.t
-    few = np.unique(np.append(np.arange(0, len(t), piece.factor), len(t) - 1))
-    q, v, a = m.q[few], m.v[few], m.a[few]
-    coarse = {name: COMPUTED[name](model.mechanism, q, v, a) for name in needs}
-    found = {**given, **{name: np.asarray(CubicSpline(t[few], x)(t)) for name, x in coarse.items()}}
-    whole = model.motion(m.q, m.v, m.a, m.sign, t=t, signals={**m.signals, **found})
-    friction = model.effect_force(whole)
-    Y = model.mechanism.regressor(m.q, m.v, m.a)
+    m, t, mechanism = piece.motion, piece.log.t, model.mechanism
+    needs = [s for s in _SIGNALS if s != "passive" or model.robot.loops]
+    smooth = {name: _interpolate(piece, partial(COMPUTED[name], mechanism)) for name in needs}
+    found = {**m.signals, GRAVITY_TURN: turn, **smooth}
+    whole = model.motion(m.q, m.v, m.a, m.sign, t=t, signals=found)
+    Y = mechanism.regressor(m.q, m.v, m.a)
     rigid = Y @ model.robot.parameters.values  # holds with a mass of zero
-    carried = lowpass(rigid, min(clear_hz, 0.4 * piece.log.rate_hz), piece.log.rate_hz)
+    force = rigid + model.effect_force(whole)
+    if timing is not None:
+        force = (
+            force + np.concatenate([Y, *(effect.columns(whole) for effect in model.effects)], axis=2) @ timing.change
+        )
     signals = {
-        **m.signals,
         **found,
-        "force": rigid + friction + _changed(model, Y, whole, timing),
-        "rigid_force": carried,
+        "force": force,
+        "rigid_force": lowpass(rigid, min(clear_hz, 0.4 * piece.log.rate_hz), piece.log.rate_hz),
         "damping": model.damping(whole),
-    }
-    signals |= {
         "wide_force": rigid,
-        "clear_hz": np.full(len(t), clear_hz),
-    }  # a mode in the clear band passes no noise on
+        "clear_hz": np.full(len(t), clear_hz),  # a mode in the clear band passes no noise on
+    }
     return replace(piece, motion=replace(m, signals=signals))
 
 
@@ -279,7 +269,7 @@ def _gravity_turns(
     weakly determined ones to explain it. So the values are refitted beside the turn, as near the nominal ones (p,) as the data
     let them be.
     """
-    turns = [_at_rest(model, piece) for piece in prepared]
+    turns = [_interpolate(piece, lambda q, v, a: model.mechanism.gravity_turn(q)) for piece in prepared]
     rows, y = [], []
     for piece, run, turn, mine in zip(prepared, runs, turns, trained, strict=True):
         if mine:
@@ -295,30 +285,7 @@ def _gravity_turns(
     unit[:-2] *= np.where([n.rsplit(".", 1)[-1] in _WEIGHING for n in model.parameters.names], _STIFFNESS, 1.0)
     change = (np.linalg.lstsq(W / unit, e, rcond=1e-4)[0] / unit)[:-2]
     near = model.with_parameters(model.parameters.with_values(nominal + change))
-    return [_at_rest(near, piece) for piece in prepared]
-
-
-def _at_rest(model: Model, piece: PreparedSegment) -> np.ndarray:
-    """Return the change of a piece's forces at rest (N, na, 2) per turn of gravity; smooth, so made at the regression's rate."""
-    t = piece.log.t
-    few = np.unique(np.append(np.arange(0, len(t), piece.factor), len(t) - 1))
-    return np.asarray(CubicSpline(t[few], model.mechanism.gravity_turn(piece.motion.q[few]))(t))
-
-
-def _by_joint(model: Model, timing: ForceTiming | None) -> dict[str, tuple[float, float]]:
-    """Return each joint's delay and time constant [s]; empty where there is none."""
-    if timing is None:
-        return {}
-    each = zip(model.robot.actuated, timing.delays, timing.lags, strict=True)
-    return {joint: (float(delay), float(lag)) for joint, delay, lag in each}
-
-
-def _changed(model: Model, Y: np.ndarray, motion: Motion, timing: ForceTiming | None) -> np.ndarray | float:
-    """Return the force (N, na) of what a timing changes in the model's values, with the rigid bodies' columns given."""
-    if timing is None:
-        return 0.0
-    columns = [Y, *(effect.columns(motion) for effect in model.effects)]
-    return np.concatenate(columns, axis=2) @ timing.change
+    return [_interpolate(piece, lambda q, v, a: near.mechanism.gravity_turn(q)) for piece in prepared]
 
 
 def _thinned(piece: PreparedSegment) -> Motion:

@@ -9,7 +9,7 @@ periods that fit alike. A single joint's deflection and a tool have no mass that
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -65,19 +65,15 @@ def diagnose_tool(
     progress: Progress = lambda step: None,
     warnings: Sequence[str] = (),
 ) -> Diagnosis:
-    """Find out what displaces the tool.
+    """Find out what displaces the tool; options and errors are those of `diagnose`.
 
     Args:
         model: Its robot's geometry gives forward kinematics, its masses the loads.
         logs: Logs with `q_J` and `x_tool y_tool z_tool`, sampled in time or poses held still.
-        holdout: Logs for confirming and for measuring the gain; without any, blocks of the logs are set aside (60/20/20).
+        holdout: Held-out logs.
         seed: Seed of noise draws and intervals.
         progress: Called with a word for each step.
         warnings: What was doubtful before.
-
-    Raises:
-        InputError: A log or the robot lacks a tool.
-        CannotAnswer: There are too few positions for three parts.
     """
     train, held = list(logs), list(holdout)
     progress("columns")
@@ -96,20 +92,16 @@ def diagnose_deflection(
     progress: Progress = lambda step: None,
     warnings: Sequence[str] = (),
 ) -> Diagnosis:
-    """Find out what comes between the two encoders of a joint.
+    """Find out what comes between the two encoders of a joint; options and errors are those of `diagnose`.
 
     Args:
         robot: Names the joints; its masses play no part.
         logs: Logs to train on, with `q_J`, `tau_J` and `q_link_J` of the same joints.
-        holdout: Logs for confirming and for measuring the gain; without any, blocks of the logs are set aside (60/20/20).
+        holdout: Held-out logs.
         causes: Causes that may be found; by default all that come between two encoders.
         seed: Seed of noise draws and intervals.
         progress: Called with a word for each step.
         warnings: What was doubtful before.
-
-    Raises:
-        InputError: A log lacks a column.
-        CannotAnswer: The logs are too short for three parts.
     """
     said = [*warnings]
     train, held = ([x] if isinstance(x, Log) else list(x) for x in (logs, holdout))
@@ -129,7 +121,7 @@ def diagnose_channel(
     how: str,
     *,
     seed: int = 0,
-    progress: Callable[[str], None] = lambda step: None,
+    progress: Progress = lambda step: None,
     warnings: Sequence[str] = (),
     case: FittedBaseline | None = None,
 ) -> Diagnosis:

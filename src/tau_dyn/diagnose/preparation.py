@@ -72,7 +72,9 @@ def choose_diagnosis_preparation(robot: Robot, logs: Sequence[Log], exclude: tup
     rate = min(log.rate_hz for log in logs)
     q = [log.joint("q", robot.actuated) for log in logs]
     noise = np.max([estimate_encoder_noise(x) for x in q], axis=0)
-    fast = np.max([_fast(x, plain.position_cutoff_hz, log) for x, log in zip(q, logs, strict=True)], axis=0)
+    smooth = [lowpass(x, plain.position_cutoff_hz, log.rate_hz) for x, log in zip(q, logs, strict=True)]
+    speeds = [compute_fast_speeds(differentiate(x, log.dt)) for x, log in zip(smooth, logs, strict=True)]
+    fast = np.max(speeds, axis=0)
     moving = fast > plain.speed_threshold
     cutoffs = np.geomspace(min(2 * plain.force_cutoff_hz, 0.4 * rate), 0.4 * rate, 40)
     gains = np.array([compute_noise_gain(rate, f) for f in cutoffs])
@@ -120,12 +122,6 @@ def keep_diagnosable(
     except TooShort as fault:
         kept_held = Kept((), (CodedWarning(CODE, fault.missing),))
     return kept.of(train), kept_held.of(held), (*kept.warnings, *kept_held.warnings)
-
-
-def _fast(q: np.ndarray, cutoff_hz: float, log: Log) -> np.ndarray:
-    """Return the speed that each joint exceeds in 2 % of the samples (na,)."""
-    v = differentiate(lowpass(q, cutoff_hz, log.rate_hz), log.dt)
-    return compute_fast_speeds(v)
 
 
 def decimate_log(log: Log, cutoff_hz: float) -> Log:

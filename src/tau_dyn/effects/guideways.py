@@ -24,15 +24,16 @@ import numpy as np
 
 from tau_dyn.effects.displacement import DisplacementEffect
 from tau_dyn.effects.effect import PlausibleRange
+from tau_dyn.effects.jointwise import JointParameters
 from tau_dyn.effects.motion import Motion, Scene
 from tau_dyn.effects.words import format_amount, format_quantity
-from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.parameters import Parameters
 
 SENSITIVITY = "cart_sensitivity"
 """Signal (N, 3, na, 3): the tool's displacement per displacement of each cart, in base axes."""
 
 
-class CartShift(DisplacementEffect):
+class CartShift(DisplacementEffect, JointParameters):
     """A displacement of carts in any direction, linear in its parameters."""
 
     needs = (SENSITIVITY,)
@@ -82,12 +83,8 @@ class GuidewayNonparallel(CartShift):
     # Guideways are laid to 0.1 to 5 mrad; 20 mrad are 2 cm in a metre, which an eye sees
     plausible = (PlausibleRange("direction", -0.02, 0.02, "rad"),)
     needs = (SENSITIVITY, GUIDE_ACROSS)
-
-    @property
-    def parameters(self) -> Parameters:
-        """Two angles a cart, at zero."""
-        names = (f"{joint}.direction_{axis}{self.label}" for joint in self.joints for axis in "yz")
-        return Parameters(Parameter(name, 0.0, "rad", origin=self.name) for name in names)
+    quantities = (("direction_y", "rad"), ("direction_z", "rad"))
+    sentence = "the guideway is off its direction by {direction_y} and {direction_z}"
 
     def shift(self, motion: Motion) -> np.ndarray:
         """Return the way along both directions as that cart's displacement per unit (N, na, 3, p)."""
@@ -97,17 +94,6 @@ class GuidewayNonparallel(CartShift):
             for axis in range(2):
                 out[:, index, :, 2 * k + axis] = motion.q[:, index, None] * across[:, index, axis]
         return out
-
-    def describe(self, parameters: Parameters) -> str:
-        """Return both angles."""
-        said = []
-        for k, joint in enumerate(self.joints):
-            names = self.parameters.names[2 * k : 2 * k + 2]
-            y, z = (format_amount(parameters[name]) for name in names)
-            said.append(
-                f"the guideway is off its direction by {y} and {z}" + (f" at {joint}" if len(self.joints) > 1 else "")
-            )
-        return "; ".join(said)
 
 
 SIDE_FORCE = "side_force"
@@ -129,12 +115,7 @@ class GuidewayCompliance(CartShift):
     plausible = (PlausibleRange("guideway_compliance", 0.0, 2e-5, "m/N"),)
     needs = (SENSITIVITY, SIDE_FORCE)
     nonnegative = True
-
-    @property
-    def parameters(self) -> Parameters:
-        """One compliance a cart, at zero."""
-        names = (f"{joint}.guideway_compliance{self.label}" for joint in self.joints)
-        return Parameters(Parameter(name, 0.0, "m/N", 0.0, origin=self.name) for name in names)
+    quantities = (("guideway_compliance", "m/N"),)
 
     def shift(self, motion: Motion) -> np.ndarray:
         """Return the force across each guideway as that cart's displacement per unit (N, na, 3, p)."""
@@ -152,7 +133,6 @@ class GuidewayCompliance(CartShift):
         return f"the cart yields across its guideway by {each}"
 
 
-_AXES = ("x", "y", "z")
 _WAVES = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)  # over the travel
 
 
@@ -168,16 +148,10 @@ class CartTilt(CartShift):
     equivalent = ("guideway_not_straight",)
     # 0.5 mrad on a lever of 0.1 m are 50 um; bent rails reach a few times that
     plausible = (PlausibleRange("tilt", -2e-4, 2e-4, "m"),)
+    quantities = tuple((f"tilt_{wave}_{axis}", "m") for wave in ("sin", "cos") for axis in "xyz")
     defaults = {"period": 1.0}
     setting_units = {"period": "Q"}
     positive = ("period",)
-
-    @property
-    def parameters(self) -> Parameters:
-        """Sine and cosine amplitude along each base axis, cart by cart, at zero."""
-        terms = [f"tilt_{wave}_{axis}" for wave in ("sin", "cos") for axis in _AXES]
-        names = (f"{joint}.{term}{self.label}" for joint in self.joints for term in terms)
-        return Parameters(Parameter(name, 0.0, "m", origin=self.name) for name in names)
 
     def shift(self, motion: Motion) -> np.ndarray:
         """Return sine and cosine along each axis as that cart's displacement per unit (N, na, 3, p)."""

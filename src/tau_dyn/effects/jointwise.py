@@ -14,11 +14,8 @@ from tau_dyn.effects.words import format_amount, format_percent, format_quantity
 from tau_dyn.parameters import Parameter, Parameters
 
 
-class JointwiseEffect(Effect):
-    """An effect that acts on each of its joints by that joint's own motion.
-
-    A subclass says its quantities and their force per unit parameter; this class lays the columns out joint by joint.
-    """
+class JointParameters(Effect):
+    """An effect with the same parameters for each of its joints, and words for each."""
 
     quantities: ClassVar[tuple[tuple[str, str], ...]]
     """Name and unit, with F for the force unit, V for the speed unit and Q for the position's."""
@@ -45,19 +42,6 @@ class JointwiseEffect(Effect):
         """Return the smallest admissible value; zero where only amplitudes from zero up make sense."""
         return 0.0 if self.nonnegative else -np.inf
 
-    @abstractmethod
-    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return the force per unit of each quantity (N,), for one joint's motion."""
-
-    def columns(self, motion: Motion) -> np.ndarray:
-        """Return force per unit parameter (N, na, p)."""
-        n = len(self.terms)
-        out = np.zeros_like(motion.v, shape=(*motion.v.shape, n * len(self.joints)))
-        for k, index in enumerate(self._indices(motion)):
-            for m, column in enumerate(self.per_joint(JointMotion.of(motion, index))):
-                out[:, index, n * k + m] = column
-        return out
-
     def describe(self, parameters: Parameters) -> str:
         """Return the effect at these values in words, joint by joint where there are several."""
         said = []
@@ -76,3 +60,23 @@ class JointwiseEffect(Effect):
     def setting(self, key: str, joint: str) -> str:
         """Return a setting in words, such as `20.9 mm`."""
         return format_quantity(self.settings[key], spell_unit(self.setting_units.get(key, ""), self.units[joint]))
+
+
+class JointwiseEffect(JointParameters):
+    """An effect that acts on each of its joints by that joint's own motion.
+
+    A subclass says its quantities and their force per unit parameter; this class lays the columns out joint by joint.
+    """
+
+    @abstractmethod
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return the force per unit of each quantity (N,), for one joint's motion."""
+
+    def columns(self, motion: Motion) -> np.ndarray:
+        """Return force per unit parameter (N, na, p)."""
+        n = len(self.terms)
+        out = np.zeros_like(motion.v, shape=(*motion.v.shape, n * len(self.joints)))
+        for k, index in enumerate(self._indices(motion)):
+            for m, column in enumerate(self.per_joint(JointMotion.of(motion, index))):
+                out[:, index, n * k + m] = column
+        return out
