@@ -17,8 +17,6 @@ from tau_dyn.log import Log
 from tau_dyn.simulate import Trajectory
 
 ROOM = import_module("tau_dyn.diagnose")  # `tau_dyn.diagnose` itself is the function
-PROPOSE = import_module("tau_dyn.diagnose.proposal.propose")
-SIMULATED = import_module("tau_dyn.diagnose.diagnosis")
 
 LAW = "position_gain: 20\nvelocity_gain: 240\n"
 
@@ -46,7 +44,7 @@ def asked(monkeypatch):
         return Trajectory(found.outputs, t[:, 0], t**2, 2 * t, 2 + 0 * t, notes=("lambda = 40",))
 
     monkeypatch.setattr(ROOM, "diagnose", lambda robot, logs, **options: seen.update(run=True) or _answer(robot))
-    monkeypatch.setattr(PROPOSE, "propose_motion", propose_motion)
+    monkeypatch.setattr(ROOM, "propose_motion", propose_motion)
     return seen
 
 
@@ -81,7 +79,7 @@ def test_where_no_motion_tells_the_status_is_3(tmp_path, log, monkeypatch, capsy
     def refuse(*args, **options):
         raise CannotAnswer("no_solution", "no motion tells a payload from a gain", "weigh the plate")
 
-    monkeypatch.setattr(PROPOSE, "propose_motion", refuse)
+    monkeypatch.setattr(ROOM, "propose_motion", refuse)
     motion, result = tmp_path / "m.csv", tmp_path / "r.json"
     assert main(["diagnose", "linear_axis", log, "--propose", str(motion), "--json", str(result)]) == 3
     said = json.loads(result.read_text())
@@ -127,7 +125,7 @@ def test_the_controller_is_an_input_and_its_simulation_a_result(tmp_path, law, m
         gains.append(float(law.velocity_gain[0]))
         return replace(found, simulation={"before": {"error": 2.0}, "after": {"error": 1.0}})
 
-    monkeypatch.setattr(SIMULATED, "add_simulation", with_simulation)
+    monkeypatch.setattr(ROOM, "add_simulation", with_simulation)
     result = tmp_path / "r.json"
     assert (
         main(["diagnose", "linear_axis", str(tmp_path / "full.csv"), "--controller", law, "--json", str(result)]) == 0

@@ -232,7 +232,7 @@ def test_what_is_missing_is_said(rng) -> None:
     t, q = poses(rng)
     log = recorded(t, q, tool_at(q), rng)
     lost = log.with_channels(z_tool=np.where(np.arange(len(t)) % 50 == 7, np.nan, log.channels["z_tool"]))
-    assert len(build_tool_channel(model, [lost]).pieces[0].tool) == len(t) - 6
+    assert len(build_tool_channel(model, [lost]).pieces[0].measured) == len(t) - 6
 
 
 def test_logs_in_different_frames_are_refused(rng) -> None:
