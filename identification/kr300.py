@@ -15,8 +15,8 @@ import numpy as np
 import pandas as pd
 
 from tau_dyn.diagnose import Diagnosis
-from tau_dyn.diagnose.deflection import build_deflection_channel, diagnose_deflection
-from tau_dyn.diagnose.stiffness import estimate_stiffness
+from tau_dyn.diagnose.deflection_channel import build_deflection_channel, estimate_stiffness
+from tau_dyn.diagnose.pipeline import diagnose_deflection
 from tau_dyn.log import read_log
 from tau_dyn.robot import load_robot
 

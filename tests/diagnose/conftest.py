@@ -12,9 +12,8 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
-from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.data_split import TRAIN
-from tau_dyn.diagnose.null_model import NullModel
+from tau_dyn.diagnose.channel import TRAIN, Channel
+from tau_dyn.diagnose.null_model import ColumnCache, NullModel
 from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion, Scene
 from tau_dyn.estimate import Autoregression, RegressionRun
 from tau_dyn.parameters import Parameter, Parameters
@@ -150,9 +149,9 @@ def measuring(channel: Bench, y: np.ndarray) -> Bench:
     return replace(channel, runs=(replace(channel.runs[0], y=y, y_all=y),))
 
 
-def ground_of(channel: Bench, *parts: int, extra: Sequence[list[np.ndarray]] = ()) -> NullModel:
+def ground_of(channel: Bench, *parts: int, beside: Sequence[Effect] = ()) -> NullModel:
     """Return the ground of these parts (by default the training part) under the bench's true noise model."""
-    return NullModel.of(channel, parts or (TRAIN,), (NOISE,) * len(channel.outputs), extra)
+    return NullModel.of(ColumnCache(channel), parts or (TRAIN,), (NOISE,) * len(channel.outputs), beside)
 
 
 class Bump(JointwiseEffect):

@@ -7,9 +7,15 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, ColumnCache, fit_group, list_joint_groups, scan_causes
-from tau_dyn.diagnose.data_split import TRAIN, VALIDATION
-from tau_dyn.diagnose.group_tests import GroupTest, combine_group_tests
+from tau_dyn.diagnose.candidate_scan import (
+    N_NULL_DRAWS,
+    GroupTest,
+    combine_group_tests,
+    fit_group,
+    list_joint_groups,
+    scan_causes,
+)
+from tau_dyn.diagnose.channel import TRAIN, VALIDATION
 from tau_dyn.effects import Delay, PositionFriction, QuadraticDrag, ReducerCoupling, Stribeck, ThermalDrift
 
 CLEAN = 300
@@ -17,19 +23,19 @@ CLEAN = 300
 
 @pytest.fixture(scope="module")
 def one(make):
-    """A joint's ground on a clean log, its library, and clean residuals (R, CLEAN) on the same motion."""
+    """A joint's ground on a clean log, and clean residuals (R, CLEAN) on the same motion."""
     rng = np.random.default_rng(11)
     ground = make.ground(make.bench(rng, n=3000))
-    return ground, ColumnCache(ground.channel), ground.draw_null_residuals(CLEAN, rng)
+    return ground, ground.draw_null_residuals(CLEAN, rng)
 
 
 def clean_fits(one, cls, rng):
     """Return the fit of a cause on each clean residual, each with its own noise draws."""
-    ground, library, clean = one
+    ground, clean = one
     found = []
     for e in clean.T:
         again = replace(ground, e=e)
-        found.append(fit_group(library, again, again.draw_null_residuals(N_NULL_DRAWS, rng), cls, ("x",)))
+        found.append(fit_group(again, again.draw_null_residuals(N_NULL_DRAWS, rng), cls, ("x",)))
     return found
 
 
@@ -62,17 +68,16 @@ def test_forms_with_few_and_many_columns_share_one_level(one, rng):
 
 def test_multiplicity_grows_with_the_grid(make, one, rng):
     """One place is one try; 8 and 40 places that do not overlap are about as many; a smooth grid is far fewer."""
-    ground, library, _ = one
+    ground, _ = one
     draws = ground.draw_null_residuals(600, rng)
     single, some, many = (
-        fit_group(library, ground, draws, cls, ("x",)).n_effective_tests
-        for cls in (make.OneBump, make.Bump, make.ManyBumps)
+        fit_group(ground, draws, cls, ("x",)).n_effective_tests for cls in (make.OneBump, make.Bump, make.ManyBumps)
     )
-    drag = fit_group(library, ground, draws, QuadraticDrag, ("x",)).n_effective_tests
+    drag = fit_group(ground, draws, QuadraticDrag, ("x",)).n_effective_tests
     assert_allclose([single, drag], 1.0, atol=0.15)
     assert_allclose(some, 8, rtol=0.3)
     assert_allclose(many, 40, rtol=0.35)
-    smooth = fit_group(library, ground, draws, Stribeck, ("x",))
+    smooth = fit_group(ground, draws, Stribeck, ("x",))
     assert 1.0 <= smooth.n_effective_tests < 0.8 * len(Stribeck.grid(ground.channel.scene, ("x",)))
 
 
@@ -82,7 +87,7 @@ def test_the_best_setting_is_the_hidden_one(make, rng):
     effect = make.ManyBumps(("x",), ("N",), **place)
     channel = make.bench(np.random.default_rng(5), lambda m: 4 * effect.columns(m)[:, :, 0])
     ground = make.ground(channel)
-    fit = fit_group(ColumnCache(channel), ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), make.ManyBumps, ("x",))
+    fit = fit_group(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), make.ManyBumps, ("x",))
     assert fit.effect.settings == effect.settings
     C = ground.whiten_columns(channel.columns(effect))
     assert_allclose(fit.statistic, (C[:, 0] @ ground.e) ** 2 / ground.gram(C)[0, 0], rtol=1e-9)
@@ -99,10 +104,10 @@ def test_held_out_logs_are_not_looked_at_while_causes_are_tried(make, rng, monke
     monkeypatch.setattr(
         type(channel), "run_columns", lambda self, effect, run: made.append(run) or plain(self, effect, run)
     )
-    ground, library = make.ground(channel), ColumnCache(channel)
-    fit = fit_group(library, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), make.ManyBumps, ("x",))
+    ground = make.ground(channel)
+    fit = fit_group(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), make.ManyBumps, ("x",))
     assert set(made) == {0} and len(made) == 40
-    assert [len(c) for c in library.columns(fit.effect)] == [4000, 2000]
+    assert [len(c) for c in ground.library.columns(fit.effect)] == [4000, 2000]
     assert made.count(1) == 1
 
 
@@ -110,7 +115,7 @@ def test_scatter_that_the_noise_model_misses_inflates(make, rng):
     """An effect that comes and goes block by block is worth less than its T: inflation above 1.5; with white noise about 1."""
     channel = make.bench(rng, n=8000)
     ground = make.ground(channel)
-    library, drag = ColumnCache(channel), QuadraticDrag
+    drag = QuadraticDrag
     steady = ground.project_out(ground.whiten_columns(channel.columns(drag(("x",), ("N",)))))[:, 0]
     blocks = len(np.unique(ground.whiten.block))
     fickle = rng.standard_normal(ground.whiten.block.max() + 1)[ground.whiten.block] * steady
@@ -118,7 +123,7 @@ def test_scatter_that_the_noise_model_misses_inflates(make, rng):
     found = []
     for extra in (0.0, fickle):
         e = ground.draw_null_residuals(1, rng)[:, 0] + 8 * steady / np.linalg.norm(steady) + extra
-        fit = fit_group(library, replace(ground, e=e), ground.draw_null_residuals(N_NULL_DRAWS, rng), drag, ("x",))
+        fit = fit_group(replace(ground, e=e), ground.draw_null_residuals(N_NULL_DRAWS, rng), drag, ("x",))
         found.append(fit)
     assert found[0].overdispersion < 1.3 and found[1].overdispersion > 1.5
     assert found[1].p_value > stats.chi2.sf(found[1].statistic, 1)
@@ -140,9 +145,7 @@ def test_joints_together_show_what_none_shows_alone(make, rng):
     ratio = []
     for _ in range(8):
         ground = three(make, rng, 1.8)
-        (found,) = scan_causes(
-            ColumnCache(ground.channel), ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), [make.Bump], set()
-        )
+        (found,) = scan_causes(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), [make.Bump], set())
         ratio.append(min(1.0, 3 * min(f.p_value for f in found.tested)) / found.p_value)
     assert np.median(ratio) > 10
 
@@ -150,12 +153,10 @@ def test_joints_together_show_what_none_shows_alone(make, rng):
 def test_together_or_alone_stays_at_its_level(make, rng):
     """Of clean residuals on three joints 5 % and 2.5 sigma at most have p < 0.05: the better of two is paid for."""
     ground = three(make, rng, 0.0)
-    library, p = ColumnCache(ground.channel), []
+    p = []
     for e in ground.draw_null_residuals(120, rng).T:
         again = replace(ground, e=e)
-        p.append(
-            scan_causes(library, again, again.draw_null_residuals(N_NULL_DRAWS, rng), [make.Bump], set())[0].p_value
-        )
+        p.append(scan_causes(again, again.draw_null_residuals(N_NULL_DRAWS, rng), [make.Bump], set())[0].p_value)
     assert np.mean(np.array(p) < 0.5) > 0.15
     assert np.mean(np.array(p) < 0.05) < 0.05 + 2.5 * np.sqrt(0.05 * 0.95 / 120)
 
@@ -163,9 +164,7 @@ def test_together_or_alone_stays_at_its_level(make, rng):
 def test_a_weak_joint_waits_for_the_next_round(make, rng):
     """A joint with a twentieth of the strongest one's evidence does not join at once; strong ones do, strongest first."""
     ground = three(make, rng, 12.0)
-    (found,) = scan_causes(
-        ColumnCache(ground.channel), ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), [make.Bump], set()
-    )
+    (found,) = scan_causes(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), [make.Bump], set())
     assert len(found.fits) == 3
     assert [f.penalised_statistic for f in found.fits] == sorted(
         (f.penalised_statistic for f in found.fits), reverse=True
@@ -179,9 +178,7 @@ def test_a_weak_joint_waits_for_the_next_round(make, rng):
 def test_one_delay_for_all_drives_competes_with_one_for_each(make, rng):
     """Overlapping groups never act at once: all together where they agree, each alone where that explains much more."""
     ground = three(make, rng, 6.0)
-    fits = scan_causes(
-        ColumnCache(ground.channel), ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), [make.Bump], set()
-    )[0].tested
+    fits = scan_causes(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), [make.Bump], set())[0].tested
     whole = replace(
         fits[0], effect=make.Bump(("x", "y", "z"), ("N",) * 3), statistic=1.05 * sum(f.statistic for f in fits)
     )
@@ -209,9 +206,10 @@ def test_what_the_motion_cannot_show_is_not_tried(make, rng):
     ground = make.ground(channel)
     assert list_joint_groups(channel, ThermalDrift, set()) == []
 
-    library = ColumnCache(replace(channel, scene=replace(channel.scene, fast=channel.scene.slow)))
-    assert fit_group(library, ground, ground.draw_null_residuals(4, rng), Stribeck, ("x",)) is None
-    assert scan_causes(library, ground, ground.draw_null_residuals(4, rng), [ThermalDrift, Stribeck], set()) == []
+    still = replace(channel, scene=replace(channel.scene, fast=channel.scene.slow))
+    ground = make.ground(still)
+    assert fit_group(ground, ground.draw_null_residuals(4, rng), Stribeck, ("x",)) is None
+    assert scan_causes(ground, ground.draw_null_residuals(4, rng), [ThermalDrift, Stribeck], set()) == []
 
 
 def test_joints_that_are_late_alike_have_one_delay(one):

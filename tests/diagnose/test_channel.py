@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.diagnose.channel import refuse_scarce
-from tau_dyn.diagnose.data_split import EVERY, TEST, TRAIN, VALIDATION
+from tau_dyn.diagnose.channel import EVERY, TEST, TRAIN, VALIDATION, refuse_scarce
 
 
 def channel(counts: dict[int, int]) -> Any:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
 
 from tau_dyn.coded_warning import get_code
-from tau_dyn.diagnose import Gain, channel_pipeline, diagnose, internal_validation
-from tau_dyn.diagnose.channel_pipeline import confirm_cause, select_confirmed, select_supported
-from tau_dyn.diagnose.confirm import Confirmation
-from tau_dyn.diagnose.data_split import TEST
+from tau_dyn.diagnose import Gain, confirmation, diagnose
+from tau_dyn.diagnose.channel import TEST
+from tau_dyn.diagnose.claims import recommend, select_confirmed, select_supported
+from tau_dyn.diagnose.confirmation import Confirmation, confirm_cause
 from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap
 from tau_dyn.diagnose.plausibility import find_inconsistent
-from tau_dyn.diagnose.recommendation import recommend
 from tau_dyn.diagnose.stepwise_selection import select_causes
 from tau_dyn.effects import Delay, PlausibleRange, QuadraticDrag, Stribeck, build_friction_model
 from tau_dyn.model import Model
@@ -37,10 +37,10 @@ def test_the_last_part_has_a_veto(make, last: float, within: bool, stands: bool)
 
     channel = make.bench(rng, hidden, n=8000, causes=(QuadraticDrag,))
     hunt = select_causes(channel, rng, lambda step: None)
-    tests = [replace(confirm_cause(channel, hunt, one), within=within) for one in hunt.found]
-    claims = select_confirmed(channel, hunt, tests)
+    tests = [replace(confirm_cause(hunt, one), within=within) for one in hunt.found]
+    claims = select_confirmed(hunt, tests)
     assert [one.candidate.cause for one in claims.kept] == ["quadratic_drag"]
-    stood, bars = select_supported(channel, hunt, claims, rng)
+    stood, bars = select_supported(hunt, claims, rng)
     assert stood.kept == (claims.kept if stands else [])
     assert len(bars.gains) == len(stood.kept) and bool(stood.why_not[0]) != stands
 
@@ -48,9 +48,9 @@ def test_the_last_part_has_a_veto(make, last: float, within: bool, stands: bool)
 def stand(channel, rng):
     """Return the claims that stand of one cause, and the recommendation."""
     hunt = select_causes(channel, rng, lambda step: None)
-    claims = select_confirmed(channel, hunt, [confirm_cause(channel, hunt, one) for one in hunt.found])
-    claims, bars = select_supported(channel, hunt, claims, rng)
-    return claims, recommend(channel, hunt, claims, bars, rng)
+    claims = select_confirmed(hunt, [confirm_cause(hunt, one) for one in hunt.found])
+    claims, bars = select_supported(hunt, claims, rng)
+    return claims, recommend(hunt, claims, bars, rng)
 
 
 def drag(motion):
@@ -100,7 +100,8 @@ def test_one_recording_has_one_delay():
 def test_a_gain_that_may_be_zero_confirms_nothing(make, rng, monkeypatch):
     """The interval of the gain decides, not its value."""
     channel = make.bench(rng, drag, n=8000, causes=(QuadraticDrag,))
-    monkeypatch.setattr(channel_pipeline, "compute_gain", lambda *_: Gain(10.0, 9.0, 10.0, (-0.1, 20.0)))
+    module = import_module("tau_dyn.diagnose.claims")  # `tau_dyn.diagnose` itself is the function
+    monkeypatch.setattr(module, "compute_gain", lambda *_: Gain(10.0, 9.0, 10.0, (-0.1, 20.0)))
     claims, _ = stand(channel, rng)
     assert "gain" in claims.why_not[0] and claims.kept == []
 
@@ -131,10 +132,10 @@ def test_without_held_out_logs_there_is_no_second_search(make, rng):
     """Blocks that take turns have heard all that the logs can say: what is silent there stays as it is, and nothing is made."""
     channel = make.bench(rng, causes=(QuadraticDrag,))
     hunt = select_causes(channel, rng, lambda step: None)
-    tests = internal_validation.ConfirmationResults((Confirmation(0.1, 0.9, 0.4),), None)
+    tests = confirmation.ConfirmationResults((Confirmation(0.1, 0.9, 0.4),), None)
     assert tests.causes[0].is_inconclusive
     never = NoiseOnlyBootstrap(lambda: pytest.fail("noise was made for a search that cannot say anything"))
-    assert internal_validation.confirm_within_training(channel, hunt, tests, 0.1, rng, never) is tests
+    assert confirmation.confirm_within_training(hunt, tests, 0.1, rng, never) is tests
 
 
 def test_noise_is_made_once_and_divided_as_a_second_search_is(make, rng):

@@ -8,9 +8,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from tau_dyn.diagnose import Unexplained, companions
-from tau_dyn.diagnose.channel_pipeline import confirm_cause, select_confirmed, select_supported
-from tau_dyn.diagnose.companions import demote_companions, find_companion
+from tau_dyn.diagnose import Unexplained, plausibility
+from tau_dyn.diagnose.claims import select_confirmed, select_supported
+from tau_dyn.diagnose.confirmation import confirm_cause
+from tau_dyn.diagnose.plausibility import demote_companions, find_companion
 from tau_dyn.diagnose.stepwise_selection import select_causes
 from tau_dyn.effects import Stribeck, ViscousCurvature
 from tau_dyn.parameters import Parameter, Parameters
@@ -20,9 +21,9 @@ from tau_dyn.parameters import Parameter, Parameters
 def test_what_is_far_smaller_than_another_cause_may_be_its_inexactness(monkeypatch, sizes, companion: bool):
     """Beside a cause of 30 N on a joint one of 2 N stands; one of 1 N is less than the other's law is known to."""
     kept = [SimpleNamespace(candidate=SimpleNamespace(cause=c, effects=())) for c in ("drive_gain", "stribeck")]
-    monkeypatch.setattr(companions, "measure_net_forces", lambda *_: np.array(sizes)[:, None])
-    nothing, channel = cast(Any, None), SimpleNamespace(scene=SimpleNamespace(joints=()))
-    found = find_companion(cast(Any, channel), nothing, cast(Any, kept), nothing)
+    monkeypatch.setattr(plausibility, "measure_net_forces", lambda *_: np.array(sizes)[:, None])
+    library = SimpleNamespace(channel=SimpleNamespace(scene=SimpleNamespace(joints=())))
+    found = find_companion(cast(Any, library), cast(Any, kept), cast(Any, None))
     assert (found is not None) is companion
     if found:
         assert found[0] == 1 and "drive_gain" in found[1]
@@ -31,8 +32,8 @@ def test_what_is_far_smaller_than_another_cause_may_be_its_inexactness(monkeypat
 def search(channel, rng) -> tuple[dict[str, str], list[str]]:
     """Return why each cause found is not confirmed, and the causes that stand."""
     hunt = select_causes(channel, rng, lambda step: None)
-    claims = select_confirmed(channel, hunt, [confirm_cause(channel, hunt, one) for one in hunt.found])
-    claims, _ = select_supported(channel, hunt, claims, rng)
+    claims = select_confirmed(hunt, [confirm_cause(hunt, one) for one in hunt.found])
+    claims, _ = select_supported(hunt, claims, rng)
     why = {one.candidate.cause: w for one, w in zip(claims.found, claims.why_not, strict=True)}
     return why, [one.candidate.cause for one in claims.kept]
 
@@ -57,8 +58,9 @@ def test_two_curves_of_friction_are_two_causes(monkeypatch, knee: float, peak: f
     values = Parameters(Parameter(f"x.{name}", value, "N") for name, value in fitted.items())
     kept = [SimpleNamespace(candidate=SimpleNamespace(cause=e.name, effects=(e,))) for e in (curved, stribeck)]
     scene = SimpleNamespace(joints=("x",), index=lambda joint: 0, slow=np.array([0.02]), fast=np.array([1.0]))
-    monkeypatch.setattr(companions, "measure_net_forces", lambda *_: np.ones((2, 1)))
-    found = find_companion(cast(Any, SimpleNamespace(scene=scene)), cast(Any, None), cast(Any, kept), values)
+    monkeypatch.setattr(plausibility, "measure_net_forces", lambda *_: np.ones((2, 1)))
+    library = SimpleNamespace(channel=SimpleNamespace(scene=scene))
+    found = find_companion(cast(Any, library), cast(Any, kept), values)
     assert (found is not None) is companion
 
 

@@ -5,15 +5,15 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.diagnose.confirm import confirm
-from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
+from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION
+from tau_dyn.diagnose.confirmation import confirm
 from tau_dyn.effects import PositionFriction, Stribeck, ViscousAsymmetry
 
 EFFECT = ViscousAsymmetry(("x",), ("N",))
 
 
 def confirmed(make, channel, effect=EFFECT, others=()):
-    return confirm(channel, (make.noise,), [channel.columns(effect)], others)
+    return confirm(make.ground(channel), [channel.columns(effect)], others)
 
 
 def test_of_a_true_effect_all_of_it_is_seen(make):
@@ -90,7 +90,7 @@ def test_only_what_the_baseline_leaves_of_an_effect_counts(make, rng):
     assert found.is_confirmed
     assert_allclose(found.share, 1.0, atol=4 * found.stderr)
     assert 0.02 < found.stderr < 0.5
-    absorbed = confirm(channel, (make.noise,), [[channel.runs[0].W[:, :, :1]]], ())
+    absorbed = confirm(make.ground(channel), [[channel.runs[0].W[:, :, :1]]], ())
     assert not absorbed.is_confirmed
 
 
@@ -100,7 +100,7 @@ def test_another_cause_takes_its_own(make, rng):
     mimic = peak.with_settings(speed=0.2)
     channel = make.bench(rng, lambda m: 12 * peak.columns(m)[:, :, 0], n=6000)
     assert confirmed(make, channel, mimic).is_confirmed
-    assert not confirmed(make, channel, mimic, [channel.columns(peak)]).is_confirmed
+    assert not confirmed(make, channel, mimic, [peak]).is_confirmed
 
 
 def test_noise_that_is_larger_than_stated_makes_the_error_larger(make):

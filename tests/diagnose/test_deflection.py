@@ -8,10 +8,9 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 from scipy.interpolate import CubicSpline
 
-from tau_dyn.diagnose.deflection import build_deflection_channel, diagnose_deflection
-from tau_dyn.diagnose.noise import fit_noise_models
-from tau_dyn.diagnose.null_model import NullModel
-from tau_dyn.diagnose.stiffness import estimate_stiffness
+from tau_dyn.diagnose.deflection_channel import build_deflection_channel, estimate_stiffness
+from tau_dyn.diagnose.null_model import ColumnCache, NullModel, fit_noise_models
+from tau_dyn.diagnose.pipeline import diagnose_deflection
 from tau_dyn.effects import EFFECTS
 from tau_dyn.log import ColumnMap, Log
 from tau_dyn.log.column_names import split_column_name
@@ -173,11 +172,11 @@ def test_quick_scan_explains_what_the_exact_columns_do(rng) -> None:
     load = q.copy()
     load[:, 1] -= 2e-5 * np.sin(2 * np.pi * q[:, 1] / 0.04)
     channel = build_deflection_channel(robot, [recorded(t, q, tau, load, rng)])
-    ground = NullModel.of(channel, (0,), fit_noise_models(channel, (0,)))
+    ground = NullModel.of(ColumnCache(channel), (0,), fit_noise_models(channel, (0,)))
     make = EFFECTS["transmission_error"]
     effects = [make(["elbow"], ["N m"], **s) for s in make.grid(channel.scene, ("elbow",))]
     quick = channel.scan(
-        effects, ground, np.column_stack([ground.e, ground.draw_null_residuals(8, np.random.default_rng(0))])
+        effects, ground.whiten, np.column_stack([ground.e, ground.draw_null_residuals(8, np.random.default_rng(0))])
     )
     assert quick is not None
     best = effects[int(np.argmax(quick[:, 0]))]

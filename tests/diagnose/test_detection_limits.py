@@ -9,9 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, ColumnCache, scan_causes
+from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS, scan_causes
 from tau_dyn.diagnose.detection_limits import compute_detection_limits, select_median_setting, solve_noncentrality
-from tau_dyn.diagnose.group_tests import FAMILY_LEVEL
 from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, adjust_p_value_bonferroni
 from tau_dyn.effects import (
     CoulombAsymmetry,
@@ -26,9 +25,9 @@ from tau_dyn.effects import (
 
 def searched(make, channel, rng) -> StepwiseSelection:
     """Return a search that found nothing."""
-    ground, library = make.ground(channel), ColumnCache(channel)
-    last = tuple(scan_causes(library, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), channel.causes, set()))
-    return StepwiseSelection((), (make.noise,), ground, last, library, len(last))
+    ground = make.ground(channel)
+    last = tuple(scan_causes(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), channel.causes, set()))
+    return StepwiseSelection((), ground, last)
 
 
 @pytest.mark.parametrize("dof", [1, 2, 5])
@@ -52,7 +51,7 @@ def test_an_effect_at_its_limit_is_found_in_95_of_100_draws(make, rng, name):
     causes = (ViscousAsymmetry, QuadraticDrag, Stribeck, make.Bump)
     channel = make.bench(rng, causes=causes)
     search = searched(make, channel, rng)
-    limits, untestable = compute_detection_limits(channel, search, ())
+    limits, untestable = compute_detection_limits(search, ())
     assert untestable == () and [x.cause for x in limits] == [cls.name for cls in causes]
     limit = next(x for x in limits if x.cause == name)
     cls = next(cls for cls in causes if cls.name == name)
@@ -61,7 +60,7 @@ def test_an_effect_at_its_limit_is_found_in_95_of_100_draws(make, rng, name):
     found = []
     for noise in search.ground.draw_null_residuals(120, rng).T:
         ground = replace(search.ground, e=noise + limit.amplitude * force)
-        (candidate,) = scan_causes(search.library, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), [cls], set())
+        (candidate,) = scan_causes(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), [cls], set())
         found.append(adjust_p_value_bonferroni(candidate, search.last) < FAMILY_LEVEL)
     assert 0.88 < np.mean(found) < 0.995
 
@@ -72,7 +71,7 @@ def test_half_the_noise_halves_the_limit(make):
     for noise in (1.0, 0.5):
         rng = np.random.default_rng(4)
         channel = make.bench(rng, noise=noise, causes=(ViscousAsymmetry,))
-        (limit,), _ = compute_detection_limits(channel, searched(make, channel, rng), ())
+        (limit,), _ = compute_detection_limits(searched(make, channel, rng), ())
         amplitudes.append(limit.amplitude)
     assert_allclose(amplitudes[1], amplitudes[0] / 2, rtol=0.05)
     assert limit.unit == "N/(m/s)" and "viscous asymmetry of" in limit.phrase and "at x" in limit.phrase
@@ -84,14 +83,14 @@ def test_the_limit_is_that_of_the_joint_where_it_is_hardest_to_see(make, rng):
     for array in (motion.q, motion.v, motion.a):
         array[:, 1] /= 3
     channel = make.bench(rng, motions=[motion], causes=(QuadraticDrag,))
-    (limit,), _ = compute_detection_limits(channel, searched(make, channel, rng), ())
+    (limit,), _ = compute_detection_limits(searched(make, channel, rng), ())
     assert "at lazy" in limit.phrase
 
 
 def test_a_cause_with_a_name_has_no_limit(make, rng):
     """What was found is not listed as what would have been."""
     channel = make.bench(rng, causes=(ViscousAsymmetry, QuadraticDrag))
-    limits, _ = compute_detection_limits(channel, searched(make, channel, rng), ["viscous_asymmetry"])
+    limits, _ = compute_detection_limits(searched(make, channel, rng), ["viscous_asymmetry"])
     assert [x.cause for x in limits] == ["quadratic_drag"]
 
 
@@ -118,7 +117,7 @@ class Cousin(ViscousAsymmetry):
 def test_what_the_baseline_has_under_another_name_is_neither_seen_nor_missed(make, rng):
     """Coulomb friction once more is part of the model: no limit, and nothing to complain about."""
     channel = make.bench(rng, causes=(Twin,))
-    assert compute_detection_limits(channel, searched(make, channel, rng), ()) == ((), ())
+    assert compute_detection_limits(searched(make, channel, rng), ()) == ((), ())
 
 
 def test_absorbed_causes_are_untestable_and_say_why(make, rng):
@@ -126,7 +125,7 @@ def test_absorbed_causes_are_untestable_and_say_why(make, rng):
     causes = (Cousin, ThermalDrift, FrictionChange, PinionScale, Stribeck)
     channel = make.bench(rng, causes=causes)
     channel = replace(channel, scene=replace(channel.scene, fast=channel.scene.slow))
-    limits, untestable = compute_detection_limits(channel, searched(make, channel, rng), ())
+    limits, untestable = compute_detection_limits(searched(make, channel, rng), ())
     assert limits == ()
     why = {u.cause: u.why for u in untestable}
     assert "absorbs" in why["cousin"]
@@ -143,7 +142,7 @@ def test_without_reversals_what_the_refit_takes_is_missed(make, rng):
     motion.v[:] = 0.5 + 0.1 * motion.v
     motion.sign[:] = 1.0
     channel = make.bench(rng, motions=[motion], causes=(CoulombAsymmetry, ViscousAsymmetry))
-    limits, untestable = compute_detection_limits(channel, searched(make, channel, rng), ())
+    limits, untestable = compute_detection_limits(searched(make, channel, rng), ())
     assert limits == () and [u.cause for u in untestable] == ["coulomb_asymmetry", "viscous_asymmetry"]
 
 
@@ -152,7 +151,7 @@ def test_a_limit_of_half_of_what_was_measured_is_none(make):
     for noise, n, known in ((1.0, 1500, True), (300.0, 260, False)):
         rng = np.random.default_rng(6)
         channel = make.bench(rng, n=n, noise=noise, causes=(Stribeck,))
-        limits, untestable = compute_detection_limits(channel, searched(make, channel, rng), ())
+        limits, untestable = compute_detection_limits(searched(make, channel, rng), ())
         assert bool(limits) == known and bool(untestable) != known
 
 

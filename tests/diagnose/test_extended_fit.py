@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.diagnose.data_split import TEST, TRAIN
+from tau_dyn.diagnose.channel import TEST, TRAIN
 from tau_dyn.diagnose.extended_fit import build_extended_regression, compute_errors, compute_gain, fit_extended_model
 from tau_dyn.effects import ViscousAsymmetry
 

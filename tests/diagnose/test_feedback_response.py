@@ -13,12 +13,16 @@ from numpy.testing import assert_allclose
 from scipy.signal import csd, welch
 
 from tau_dyn.diagnose import diagnose
-from tau_dyn.diagnose.channel_pipeline import MIN_AMPLITUDE_Z
-from tau_dyn.diagnose.feedback_response import apply_feedback_taps, estimate_feedback_taps
-from tau_dyn.diagnose.filters import decimate_log
-from tau_dyn.diagnose.group_tests import CandidateCause, GroupTest
-from tau_dyn.diagnose.noise_only_bootstrap import estimate_noncentrality, simulate_noise_only_logs
+from tau_dyn.diagnose.candidate_scan import CandidateCause, GroupTest
+from tau_dyn.diagnose.claims import MIN_AMPLITUDE_Z
+from tau_dyn.diagnose.noise_only_bootstrap import (
+    apply_feedback_taps,
+    estimate_feedback_taps,
+    estimate_noncentrality,
+    simulate_noise_only_logs,
+)
 from tau_dyn.diagnose.plausibility import is_distinct_from_zero
+from tau_dyn.diagnose.preparation import decimate_log
 from tau_dyn.effects import CyclicRipple, build_friction_model
 from tau_dyn.estimate import BaseParameters
 from tau_dyn.log import Log, lowpass
@@ -89,7 +93,7 @@ def test_logs_made_of_noise_alone_answer_it_as_the_measured_one_did():
     motion = model.motion(q, v, a, np.sign(v), t=t)
     piece = SimpleNamespace(motion=motion, log=log, preparation=SimpleNamespace(position_cutoff_hz=60.0))
     channel = SimpleNamespace(outputs=axis.actuated, prepared=[piece])
-    (made,) = simulate_noise_only_logs(cast(Any, channel), model, [log], [20.0], rng)
+    (made,) = simulate_noise_only_logs(cast(Any, channel.prepared), model, [log], [20.0], rng)
     taps = estimate_feedback_taps(made, axis.actuated, 20.0)
     assert_allclose(taps, loop, rtol=0.05, atol=0.05 * 6e4)
 
@@ -108,7 +112,7 @@ def test_made_logs_round_as_the_measured_one_did():
     channel = SimpleNamespace(outputs=axis.actuated, prepared=[piece])
     found = []
     for _ in range(60):
-        (made,) = simulate_noise_only_logs(cast(Any, channel), model, [log], [20.0], rng)
+        (made,) = simulate_noise_only_logs(cast(Any, channel.prepared), model, [log], [20.0], rng)
         error = made.channels["q_axis"] - q[:, 0]
         found.append([np.mean(error[part] ** 2) for part in (slice(500, 3500), slice(4500, 7500))])
     assert_allclose(np.sqrt(np.mean(found, axis=0)), np.hypot(step / np.sqrt(12), sd), rtol=0.12)
@@ -127,7 +131,7 @@ def test_a_log_that_is_thinned_keeps_the_answer_with_its_phase():
     motion = model.motion(zero, zero, zero, zero, t=thin.t)
     piece = SimpleNamespace(motion=motion, log=thin, preparation=SimpleNamespace(position_cutoff_hz=50.0))
     channel = SimpleNamespace(outputs=axis.actuated, prepared=[piece])
-    (made,) = simulate_noise_only_logs(cast(Any, channel), model, [log], [30.0], rng)
+    (made,) = simulate_noise_only_logs(cast(Any, channel.prepared), model, [log], [30.0], rng)
     assert made.rate_hz == pytest.approx(250.0)
     f, crossed = csd(made.channels["q_axis"], made.channels["tau_axis"], 250.0, nperseg=250)
     _, power = welch(made.channels["q_axis"], 250.0, nperseg=250)
@@ -246,11 +250,12 @@ def test_a_joint_on_which_encoder_noise_makes_the_cause_is_left_out(monkeypatch)
     )
     monkeypatch.setattr(noise_only_bootstrap, "NullModel", SimpleNamespace(of=lambda *parts: None))
     monkeypatch.setattr(
-        noise_only_bootstrap, "estimate_noncentrality", lambda blanks, ground, columns, sided: made[columns[0]]
+        noise_only_bootstrap, "estimate_noncentrality", lambda blanks, ground, columns, *_: made[columns[0]]
     )
 
     def fit(joint: str, T: float) -> GroupTest:
-        return GroupTest(cast(Any, SimpleNamespace(joints=(joint,), parameters=[])), T, 1.0, 1, False, 1.0, np.zeros(1))
+        effect = SimpleNamespace(joints=(joint,), parameters=[SimpleNamespace(lower=-np.inf)])
+        return GroupTest(cast(Any, effect), T, 1.0, 1, False, 1.0, np.zeros(1))
 
     a, b, ground = fit("a", 22.0), fit("b", 60.0), cast(Any, SimpleNamespace(noise=()))
     noise = noise_only_bootstrap.NoiseOnlyBootstrap(lambda: [None])

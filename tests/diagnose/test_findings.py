@@ -1,12 +1,9 @@
 """What a finding says of its parameters is what the data tell, and no more."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.diagnose.candidate_scan import ColumnCache
 from tau_dyn.diagnose.findings import estimate_uncertainty, format_reduction
 from tau_dyn.effects import JointwiseEffect
 from tau_dyn.parameters import Parameters
@@ -30,7 +27,7 @@ def test_what_the_baseline_absorbs_has_no_standard_error(make, rng):
     channel = make.bench(rng, lambda m: 40.0 * m.v * np.abs(m.v))
     ground, effect = make.ground(channel), Motor(("x",), ("N",))
     values = Parameters([p for p in effect.parameters])
-    found = estimate_uncertainty(SimpleNamespace(library=ColumnCache(channel)), ground, [effect], values, 1.0)
+    found = estimate_uncertainty(ground, [effect], values, 1.0)
     inertia, drag = found
     assert inertia.stderr is None
     column = ground.whiten_columns([c[:, :, 1:] for c in channel.columns(effect)])

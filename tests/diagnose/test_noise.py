@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tau_dyn.diagnose.noise import fit_noise_models
-from tau_dyn.diagnose.null_model import NullModel
+from tau_dyn.diagnose.null_model import ColumnCache, NullModel, fit_noise_models
 from tau_dyn.estimate import Autoregression
 
 
@@ -33,7 +32,7 @@ def test_a_joint_that_never_moved_has_a_noise_model_all_the_same(make, rng):
         array[:, 1] = 0.0
     channel = make.bench(rng, motions=[motion])
     models = fit_noise_models(channel, (0,))
-    ground = NullModel.of(channel, (0,), models)
+    ground = NullModel.of(ColumnCache(channel), (0,), models)
     assert_array_equal(np.unique(ground.whiten.index), [0])
 
 

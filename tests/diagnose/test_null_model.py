@@ -138,11 +138,11 @@ def test_T_of_pure_noise_is_chi_square(make, rng, dof):
 def test_draws_are_noise_as_the_baseline_leaves_it(make, rng):
     """Draws are orthogonal to everything accounted for, and their T is chi-square as that of a clean log."""
     channel = make.bench(rng, n=2000)
-    extra = channel.columns(ViscousAsymmetry(("x",), ("N",)))
-    ground = make.ground(channel, extra=[extra])
+    beside = ViscousAsymmetry(("x",), ("N",))
+    ground = make.ground(channel, beside=[beside])
     draws = ground.draw_null_residuals(400, rng)
     assert_allclose(ground.Q.T @ draws, 0.0, atol=1e-9)
-    assert_allclose(ground.whiten_columns(extra).T @ draws, 0.0, atol=1e-6)
+    assert_allclose(ground.rows(beside).T @ draws, 0.0, atol=1e-6)
     C = ground.whiten_columns(channel.columns(QuadraticDrag(("x",), ("N",))))
     T = (C.T @ draws)[0] ** 2 / ground.gram(C)[0, 0]
     assert stats.kstest(T, stats.chi2(1).cdf).pvalue > 0.01

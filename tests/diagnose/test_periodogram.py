@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.diagnose.periodogram import (
+from tau_dyn.diagnose.null_model import (
     build_displacement_terms,
     build_force_terms,
     compute_period_statistics,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.diagnose import Diagnosis, diagnose
-from tau_dyn.diagnose.position_periodicity import detect_position_periodicity
+from tau_dyn.diagnose.force_baseline import detect_position_periodicity
 from tau_dyn.effects import build_friction_model
 from tau_dyn.log import Log
 from tau_dyn.model import Model
@@ -73,9 +73,7 @@ def test_a_quick_motion_read_finely_shows_no_wave(monkeypatch):
         assert not detect_position_periodicity(channel, smooth_hz)
         raise Stop
 
-    monkeypatch.setattr(
-        importlib.import_module("tau_dyn.diagnose.force_diagnosis"), "detect_position_periodicity", look
-    )
+    monkeypatch.setattr(importlib.import_module("tau_dyn.diagnose.force_baseline"), "detect_position_periodicity", look)
     axis, rng, t = load_robot("linear_axis"), np.random.default_rng(5), np.arange(10000) / RATE_HZ
     q, a = np.zeros((2, len(t)))
     for f, size in ((0.4, 0.1), (0.9, 0.1), (1.6, 0.1)):
@@ -89,7 +87,7 @@ def test_a_quick_motion_read_finely_shows_no_wave(monkeypatch):
 
 def test_a_sharper_held_out_log_hides_no_wave(monkeypatch):
     """Each piece is looked through above its own smoothed band; one whose band is as wide as the forces' is passed over."""
-    module, seen = importlib.import_module("tau_dyn.diagnose.force_diagnosis"), []
+    module, seen = importlib.import_module("tau_dyn.diagnose.force_baseline"), []
     monkeypatch.setattr(module, "detect_position_periodicity", lambda *given: seen.append(given) or False)
     diagnose(load_robot("linear_axis"), shown(1.0, "encoder"))
     ((channel, (smooth,)),) = seen

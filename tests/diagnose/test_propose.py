@@ -10,8 +10,7 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.diagnose import Diagnosis, Finding, diagnose, propose_motion
-from tau_dyn.diagnose.candidates import build_candidate_pieces
-from tau_dyn.diagnose.design import (
+from tau_dyn.diagnose.proposal.design import (
     Setting,
     build_effect_columns,
     build_planned_motion,
@@ -20,9 +19,14 @@ from tau_dyn.diagnose.design import (
     compute_gram_matrix,
     flatten_noise_spectrum,
 )
-from tau_dyn.diagnose.plan import build_design_scene, build_discrimination_plan
-from tau_dyn.diagnose.propose import optimise_by_exchange
-from tau_dyn.diagnose.question import CauseHypothesis, DesignGoal, find_design_goal
+from tau_dyn.diagnose.proposal.plan import (
+    CauseHypothesis,
+    DesignGoal,
+    build_design_scene,
+    build_discrimination_plan,
+    find_design_goal,
+)
+from tau_dyn.diagnose.proposal.propose import build_candidate_pieces, optimise_by_exchange
 from tau_dyn.effects import DriveGain, QuadraticDrag, Stribeck
 from tau_dyn.estimate import Autoregression, fit_autoregression
 from tau_dyn.identify import build_model

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tau_dyn.diagnose.group_tests import GroupTest
-from tau_dyn.diagnose.plausibility import SEARCH_MARGIN
-from tau_dyn.diagnose.scenes import build_scene
-from tau_dyn.diagnose.stepwise_selection import select_causes
+from tau_dyn.diagnose.candidate_scan import GroupTest
+from tau_dyn.diagnose.channel import build_scene
+from tau_dyn.diagnose.stepwise_selection import SEARCH_MARGIN, select_causes
 from tau_dyn.effects import (
     CyclicRipple,
     Motion,
@@ -96,7 +95,7 @@ def test_what_stays_is_weighed_again_when_another_cause_is_dropped(make, monkeyp
     channel = make.bench(np.random.default_rng(2), lambda m: 80 * m.v * np.abs(m.v), n=6000, causes=(QuadraticDrag,))
     (plain,) = select_causes(channel, np.random.default_rng(1), lambda step: None).found
 
-    def dropped(channel, library, found, noise, level):
+    def dropped(ground, found, level):
         (one,) = found
         (fit,) = one.candidate.fits
         return [replace(one, candidate=replace(one.candidate, fits=(replace(fit, statistic=9.0),)))]
@@ -172,8 +171,8 @@ def test_a_look_alike_takes_a_name_only_by_far(monkeypatch, other, inflation, ou
     """Explaining 12 more in twice the log-likelihood, of rows that scatter as they should, a law without a name is likelier."""
     module = importlib.import_module("tau_dyn.diagnose.stepwise_selection")
     fit = GroupTest(PositionFriction(("x",), ("N",)), 143.0, 1.0, 2, False, inflation, np.zeros(1))
-    monkeypatch.setattr(module, "rescore_group", lambda fit, library, ground: replace(fit, statistic=float(other)))
-    assert module._outshone(fit, None, None) is outshone
+    monkeypatch.setattr(module, "rescore_group", lambda fit, ground: replace(fit, statistic=float(other)))
+    assert module._is_outshone(fit, None) is outshone
 
 
 def test_friction_along_the_way_ends_where_the_training_ends(make):

@@ -9,10 +9,10 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, ColumnCache, fit_group, scan_causes
-from tau_dyn.diagnose.force_timing import find_timing
+from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, estimate_amplitudes, fit_group, scan_causes
 from tau_dyn.diagnose.null_model import compute_score_test
-from tau_dyn.diagnose.settings_refinement import estimate_amplitudes, refine_settings
+from tau_dyn.diagnose.preparation import find_timing
+from tau_dyn.diagnose.stepwise_selection import refine_settings
 from tau_dyn.effects import Delay, DriveLag, Motion, QuadraticDrag, Stribeck, ViscousCurvature
 from tau_dyn.estimate import RegressionRun
 
@@ -26,12 +26,12 @@ def pushed(motion: Motion) -> Motion:
 
 
 def found(make, rng, hidden, causes, noise=1.0):
-    """Return the causes tried on a bench with a hidden force, strongest first, and their library and ground."""
+    """Return the causes tried on a bench with a hidden force, strongest first, and their ground."""
     motion = pushed(make.moving(rng, ("x",), 6000, size=2.0))
     channel = make.bench(rng, hidden, motions=(motion,), causes=causes, noise=noise)
-    ground, library = make.ground(channel), ColumnCache(channel)
-    candidates = scan_causes(library, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), causes, set())
-    return sorted(candidates, key=lambda c: -c.penalised_statistic), library, ground
+    ground = make.ground(channel)
+    candidates = scan_causes(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), causes, set())
+    return sorted(candidates, key=lambda c: -c.penalised_statistic), ground
 
 
 def late_by(seconds: float):
@@ -48,10 +48,10 @@ def late_by(seconds: float):
 @pytest.mark.parametrize("seconds", [0.008, -0.006, 0.03, 0.06])
 def test_a_delay_below_a_sample_and_above_comes_out(make, rng, seconds) -> None:
     """0.3 to 3 samples of 20 ms, either way: setting and amplitude agree with the truth."""
-    ranked, library, ground = found(make, rng, late_by(seconds), (Delay,))
-    best = refine_settings(ranked[0], library, ground).fits[0].effect
-    (amplitude,) = estimate_amplitudes(best, library, ground)
-    C = ground.whiten_columns(library.columns(best))
+    ranked, ground = found(make, rng, late_by(seconds), (Delay,))
+    best = refine_settings(ranked[0], ground).fits[0].effect
+    (amplitude,) = estimate_amplitudes(best, ground)
+    C = ground.rows(best)
     stderr = 1 / np.sqrt(compute_score_test(ground, C, np.zeros(1, bool))[2][0, 0])
     assert abs(amplitude - seconds) < 3 * stderr + 0.03 * abs(seconds)
     assert best.settings["about"] == pytest.approx(seconds, abs=3 * stderr + 0.03 * abs(seconds))
@@ -74,9 +74,9 @@ def lagging_by(seconds: float):
 def test_a_lag_and_a_delay_are_told_apart_where_data_are_plenty(make, rng) -> None:
     """40 ms of either, on forces of up to 1 Hz with steps: each is named, with its time."""
     for hidden, first, time in ((lagging_by(0.04), "drive_lag", 0.04), (late_by(0.04), "delay", 0.04)):
-        ranked, library, ground = found(make, rng, hidden, (Delay, DriveLag), noise=0.3)
+        ranked, ground = found(make, rng, hidden, (Delay, DriveLag), noise=0.3)
         assert ranked[0].cause == first
-        effect = refine_settings(ranked[0], library, ground).fits[0].effect
+        effect = refine_settings(ranked[0], ground).fits[0].effect
         assert effect.settings["about"] == pytest.approx(time, rel=0.06)
 
 
@@ -91,19 +91,17 @@ def test_a_lag_and_a_delay_are_told_apart_where_data_are_plenty(make, rng) -> No
 )
 def test_friction_that_bends_down_up_or_falls_has_its_own_name(make, rng, law, name) -> None:
     """An arctan and a square root level off; a square grows; a peak at low speed falls."""
-    ranked, _, _ = found(make, rng, lambda m: law(m.v), (QuadraticDrag, Stribeck, ViscousCurvature), noise=0.5)
+    ranked, _ = found(make, rng, lambda m: law(m.v), (QuadraticDrag, Stribeck, ViscousCurvature), noise=0.5)
     assert ranked[0].cause == name
 
 
 def test_bent_friction_is_predicted_by_its_amplitude(make, rng) -> None:
     """12 N that level off at 0.15 m/s: amplitude and knee within three standard errors."""
     hidden = ViscousCurvature(["x"], ["N"], knee=0.15)
-    ranked, library, ground = found(
-        make, rng, lambda m: hidden.columns(m)[:, :, 0] * 12, (ViscousCurvature,), noise=0.3
-    )
-    effect = refine_settings(ranked[0], library, ground).fits[0].effect
+    ranked, ground = found(make, rng, lambda m: hidden.columns(m)[:, :, 0] * 12, (ViscousCurvature,), noise=0.3)
+    effect = refine_settings(ranked[0], ground).fits[0].effect
     assert effect.settings["power"] == 0.0 and effect.settings["knee"] == pytest.approx(0.15, rel=0.25)
-    assert estimate_amplitudes(effect, library, ground)[0] == pytest.approx(12, rel=0.25)
+    assert estimate_amplitudes(effect, ground)[0] == pytest.approx(12, rel=0.25)
 
 
 def test_a_clean_bench_has_no_timing(make, rng) -> None:
@@ -111,9 +109,9 @@ def test_a_clean_bench_has_no_timing(make, rng) -> None:
     channel = make.bench(rng, motions=(pushed(make.moving(rng, ("x",), 4000)),))
     values = np.array([20.0, 15.0, 30.0, 5.0])
     assert find_timing(channel.runs, values, np.ones(4, bool)) is None
-    ground, library = make.ground(channel), ColumnCache(channel)
+    ground = make.ground(channel)
     for cls in (Delay, DriveLag, ViscousCurvature):
-        fit = fit_group(library, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), cls, ("x",))
+        fit = fit_group(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), cls, ("x",))
         assert fit is not None and fit.p_value > 1e-3
 
 
@@ -136,5 +134,5 @@ def test_an_amplitude_that_cannot_be_negative_is_zero(make, rng, peak: float, ex
     hidden = Stribeck(["x"], ["N"], speed=0.06)
     motion = make.moving(rng, ("x",), 6000)
     channel = make.bench(rng, lambda m: hidden.columns(m)[:, :, 0] * peak, motions=(motion,), noise=0.1)
-    (amplitude,) = estimate_amplitudes(hidden, ColumnCache(channel), make.ground(channel))
+    (amplitude,) = estimate_amplitudes(hidden, make.ground(channel))
     assert amplitude == pytest.approx(expected, abs=0.5)

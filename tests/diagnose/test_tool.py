@@ -8,13 +8,12 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.diagnose import diagnose
-from tau_dyn.diagnose.aliases import compute_alias_periods
-from tau_dyn.diagnose.filters import choose_diagnosis_preparation
-from tau_dyn.diagnose.noise import fit_noise_models
-from tau_dyn.diagnose.null_model import NullModel
-from tau_dyn.diagnose.tool import build_tool_channel
-from tau_dyn.diagnose.tool_diagnosis import diagnose_tool
-from tau_dyn.diagnose.tool_pieces import build_tool_segment
+from tau_dyn.diagnose.candidate_scan import compute_explained
+from tau_dyn.diagnose.detection_limits import compute_alias_periods
+from tau_dyn.diagnose.null_model import ColumnCache, NullModel, fit_noise_models
+from tau_dyn.diagnose.pipeline import diagnose_tool
+from tau_dyn.diagnose.preparation import choose_diagnosis_preparation
+from tau_dyn.diagnose.tool_channel import build_tool_channel, build_tool_segment
 from tau_dyn.effects import EFFECTS
 from tau_dyn.log import Log
 from tau_dyn.mechanism import GantryTauMechanism
@@ -159,8 +158,8 @@ def test_a_cyclic_error_at_places_too_far_apart_has_no_known_period(rng) -> None
     assert "steps of" in found.experiment and "uneven" in found.experiment and "50 mm" in found.sentence
     assert not found.extended_model.effects
     channel = build_tool_channel(model, [log])
-    ground = NullModel.of(channel, (0,), fit_noise_models(channel, (0,)))
-    periods = np.array(compute_alias_periods(channel, ground, found.findings[0].effects[0]))
+    ground = NullModel.of(ColumnCache(channel), (0,), fit_noise_models(channel, (0,)))
+    periods = np.array(compute_alias_periods(ground, found.findings[0].effects[0]))
     assert len(periods) > 10
     assert np.abs(periods / PERIOD - 1).min() < 0.01  # the truth is among them
     folded = np.mod(1 / periods * 0.05 + 0.5, 1) - 0.5  # periods a step, without whole ones
@@ -207,12 +206,12 @@ def test_quick_columns_are_the_exact_ones_through_the_filter(rng) -> None:
     load = q.copy()
     load[:, 2] -= cyclic(q[:, 2])
     channel = build_tool_channel(model, [recorded(t, q, tool_at(load), rng)])
-    ground = NullModel.of(channel, (0,), fit_noise_models(channel, (0,)))
+    ground = NullModel.of(ColumnCache(channel), (0,), fit_noise_models(channel, (0,)))
     effect = EFFECTS["transmission_error"](["cart3"], ["N"], period=PERIOD)
-    quick = channel.scan([effect], ground, ground.e[:, None])
+    quick = compute_explained([effect], ground, ground.e[:, None])
     C = ground.whiten_columns(channel.columns(effect))
     s = C.T @ ground.e
-    assert quick is not None
+    assert channel.quick_columns(effect) is not None
     assert quick[0, 0] == pytest.approx(s @ np.linalg.solve(ground.gram(C), s), rel=0.1)
 
 
@@ -233,7 +232,7 @@ def test_what_is_missing_is_said(rng) -> None:
     t, q = poses(rng)
     log = recorded(t, q, tool_at(q), rng)
     lost = log.with_channels(z_tool=np.where(np.arange(len(t)) % 50 == 7, np.nan, log.channels["z_tool"]))
-    assert len(build_tool_channel(model, [lost]).pieces[0].tool) == len(t) - 6
+    assert len(build_tool_channel(model, [lost]).pieces[0].measured) == len(t) - 6
 
 
 def test_logs_in_different_frames_are_refused(rng) -> None:

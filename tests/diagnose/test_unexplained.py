@@ -8,15 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, ColumnCache
-from tau_dyn.diagnose.confirm import Confirmation
-from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
-from tau_dyn.diagnose.dependence import Dependence, list_dependences
-from tau_dyn.diagnose.force import ForceChannel
-from tau_dyn.diagnose.noise import WHOLE_TIME
+from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS
+from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION
+from tau_dyn.diagnose.confirmation import Confirmation, build_unexplained, discriminate_structures
+from tau_dyn.diagnose.force_channel import ForceChannel
+from tau_dyn.diagnose.null_model import WHOLE_TIME
 from tau_dyn.diagnose.stepwise_selection import StepwiseSelection
-from tau_dyn.diagnose.unexplained import build_unexplained, discriminate_structures
-from tau_dyn.diagnose.unknown_structure import find_structure
+from tau_dyn.diagnose.unknown_structure import Dependence, find_structure, list_dependences
 from tau_dyn.effects import Motion
 
 JOINTS = ("one", "two", "three")
@@ -36,10 +34,10 @@ def told(make, rng, motion, hidden):
     """Return the structure that a bench with a hidden force shows, and what is said of it."""
     channel = make.bench(rng, hidden, motions=(motion,))
     ground = make.ground(channel)
-    found = find_structure(channel, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
-    hunt = StepwiseSelection((), (make.noise,) * 3, ground, (), ColumnCache(channel), 1)
-    said = discriminate_structures(channel, hunt, found)
-    return found, said, build_unexplained(channel, hunt, said)[0]
+    found = find_structure(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
+    hunt = StepwiseSelection((), ground, ())
+    said = discriminate_structures(hunt, found)
+    return found, said, build_unexplained(hunt, said)[0]
 
 
 def by_third(m):
@@ -85,11 +83,11 @@ def drifting(make, rng, motions, drift, parts):
 
     channel = make.bench(rng, hidden, motions=motions, parts=parts)
     ground = make.ground(channel)
-    found = find_structure(channel, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
+    found = find_structure(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
     assert found is not None and found.variables == ("t",)
-    hunt = StepwiseSelection((), (make.noise,) * 3, ground, (), ColumnCache(channel), 1)
-    said = discriminate_structures(channel, hunt, found)
-    return said.test.is_confirmed, build_unexplained(channel, hunt, said)[0].status
+    hunt = StepwiseSelection((), ground, ())
+    said = discriminate_structures(hunt, found)
+    return said.test.is_confirmed, build_unexplained(hunt, said)[0].status
 
 
 @pytest.mark.parametrize(("elsewhere", "status"), [(1.0, "confirmed"), (-1.0, "suspected")])
@@ -123,7 +121,7 @@ def test_another_log_drifts_its_own_way_in_all_its_parts(make, last, status):
 
 def test_as_many_sets_as_are_tried_count_in_the_chance(make, monkeypatch):
     """Confirming the best of k sets of variables is k times as likely by chance as confirming one."""
-    module = importlib.import_module("tau_dyn.diagnose.unexplained")
+    module = importlib.import_module("tau_dyn.diagnose.confirmation")
     monkeypatch.setattr(module, "confirm_structure", lambda *parts: Confirmation(1.0, 0.3, 1e-3))
     rng = np.random.default_rng(7)
     found, said, _ = told(make, rng, together(make, rng, (VALIDATION,)), by_third)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS
-from tau_dyn.diagnose.group_tests import FAMILY_LEVEL
+from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS
 from tau_dyn.diagnose.stepwise_selection import select_causes
 from tau_dyn.diagnose.unknown_structure import find_structure
 from tau_dyn.effects import PositionFriction
@@ -29,7 +28,7 @@ def structure(make, seed, hidden=None, level=FAMILY_LEVEL, **more):
     more = more or {"joints": JOINTS}
     channel = make.bench(rng, *([hidden] if hidden else []), **more)
     ground = make.ground(channel)
-    return find_structure(channel, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), level)
+    return find_structure(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), level)
 
 
 @pytest.mark.parametrize("seed", range(4))

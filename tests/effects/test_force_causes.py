@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
-from tau_dyn.effects.thermal_drift import filter_first_order
+from tau_dyn.effects.varying_friction import filter_first_order
 
 
 def line(q: Any = 0.0, v: Any = 0.0, a: Any = 0.0, t: np.ndarray | None = None, **signals: Any) -> Motion:

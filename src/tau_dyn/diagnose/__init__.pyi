@@ -1,17 +1,22 @@
 """What a simulation gets wrong, which physical cause explains it, and how much better the model is with it."""
 
-from .diagnosis import diagnose as diagnose
+from .diagnosis import (
+    add_simulation as add_simulation,
+    diagnose as diagnose,
+    log_with_references as log_with_references,
+)
 from .nominal import PARAMETER_CAUSES as PARAMETER_CAUSES
-from .output_errors import Gain as Gain, OutputErrors as OutputErrors, Step as Step
-from .propose import propose_motion as propose_motion
+from .proposal.propose import propose_motion as propose_motion
 from .result import (
     Diagnosis as Diagnosis,
     Finding as Finding,
+    Gain as Gain,
     Limit as Limit,
+    OutputErrors as OutputErrors,
     Signature as Signature,
     Status as Status,
+    Step as Step,
     TimeTrace as TimeTrace,
     Unexplained as Unexplained,
     Untestable as Untestable,
 )
-from .simulated import add_simulation as add_simulation, log_with_references as log_with_references

@@ -2,8 +2,8 @@ r"""Every cause tried on every group of joints with every setting: how much each
 
 For each cause and group the best setting's `T` counts. What the search over settings makes of pure noise is seen from draws of
 white noise put through the same projection: the largest of many correlated `T` is distributed as that of `m` independent ones,
-`P(T <= t) = F(t)^m`, and `m` is fitted to the draws (maximum likelihood), so that its tail reaches beyond them. How a
-cause's groups are judged together stands in `group_tests.py`.
+`P(T <= t) = F(t)^m`, and `m` is fitted to the draws (maximum likelihood), so that its tail reaches beyond them. A cause's p-value
+takes the better of its best group alone and of all groups together.
 
 `T` is divided by an inflation where the residual's scatter over 2 s blocks exceeds what the noise model says (White 1980).
 """
@@ -11,22 +11,161 @@ cause's groups are judged together stands in `group_tests.py`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import optimize, stats
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.group_tests import CandidateCause, GroupTest, combine_group_tests
-from tau_dyn.diagnose.null_model import NullModel, compute_score_test
+from tau_dyn.diagnose.null_model import NullModel, compute_overdispersion, compute_score_test, count_effective_tests
 from tau_dyn.effects import Effect
+
+FAMILY_LEVEL = 0.05
+"""Chance of any cause on clean data on the training part; confirmation on other data multiplies it by its own level."""
+GROUP_LEVEL = 0.01
+"""Level at which a further joint joins a cause."""
+MIN_SHARE_OF_STRONGEST = 0.1
+"""Share of the strongest group's evidence that a further one needs to join at once; a weaker one gets its chance in the next
+round, when the strong one is accounted for and nothing of it can leak over."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroupTest:
+    """The best setting of one cause on one group of joints.
+
+    Attributes:
+        effect: The effect at its best setting.
+        statistic: What it explains, in units of the noise.
+        n_effective_tests: Number `m` of independent tries that the search over settings amounts to.
+        dof: Columns.
+        overdispersion: Scatter of the blocks over what the noise model says, at least 1.
+        noise: What the best setting explains of each noise draw (D,).
+        neighbours: The settings before and after the best one in the grid, where there are.
+    """
+
+    effect: Effect
+    statistic: float
+    n_effective_tests: float
+    dof: int
+    one_sided: bool
+    overdispersion: float
+    noise: np.ndarray
+    neighbours: tuple[dict[str, float], ...] = ()
+
+    @property
+    def p_value(self) -> float:
+        """Chance that noise alone reaches `T` on this group."""
+        return float(-np.expm1(self.n_effective_tests * np.log1p(-self._tail(self.statistic / self.overdispersion))))
+
+    @property
+    def threshold(self) -> float:
+        """`T` above which the group joins a cause found elsewhere."""
+        wanted = GROUP_LEVEL / self.n_effective_tests * (2 if self.one_sided else 1)
+        return float(self.overdispersion * stats.chi2.isf(min(wanted, 1.0), self.dof))
+
+    @property
+    def penalised_statistic(self) -> float:
+        """`T` less what choosing amplitudes and settings costs."""
+        return self.statistic / self.overdispersion - 2 * float(np.log(max(self.n_effective_tests, 1.0))) - 2 * self.dof
+
+    def _tail(self, T: float) -> float:
+        tail = float(stats.chi2.sf(T, self.dof))
+        return min(tail / 2 if self.one_sided else tail, 1 - 1e-16)
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateCause:
+    """One cause on the joints that show it.
+
+    Attributes:
+        cause: Its name.
+        fits: The groups that show it, strongest first.
+        p_value: Chance of the strongest evidence on clean data, for this cause alone.
+        tested: All groups tried.
+    """
+
+    cause: str
+    fits: tuple[GroupTest, ...]
+    p_value: float
+    tested: tuple[GroupTest, ...]
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects at their best settings."""
+        return tuple(fit.effect for fit in self.fits)
+
+    @property
+    def penalised_statistic(self) -> float:
+        """What it explains less the price of its freedom; causes are ranked by it."""
+        return sum(fit.penalised_statistic for fit in self.fits)
+
+    def merit_under(self, inflation: float) -> float:
+        """Return the merit under one inflation for all groups, so that a law is not chosen for its own scatter."""
+        return compute_penalised_statistic(self.fits, inflation)
+
+    @property
+    def statistic(self) -> float:
+        """What it explains, in units of the noise."""
+        return sum(fit.statistic / fit.overdispersion for fit in self.fits)
+
+
+def compute_penalised_statistic(fits: Sequence[GroupTest], inflation: float) -> float:
+    """Return the merit of several groups under one inflation."""
+    return sum(replace(fit, overdispersion=inflation).penalised_statistic for fit in fits)
+
+
+def combine_group_tests(cause: str, fits: list[GroupTest]) -> CandidateCause:
+    """Combine a cause's groups: its p-value, and which groups show it."""
+    best = max(fits, key=lambda fit: fit.penalised_statistic)
+    alone = min(fit.p_value for fit in fits)
+    p_alone = float(-np.expm1(len(fits) * np.log1p(-min(alone, 1 - 1e-16))))
+    p_value = p_alone
+    if len(fits) > 1:
+        p_value = min(1.0, 2 * min(p_alone, _together(fits)))
+    chosen = [
+        fit
+        for fit in fits
+        if fit is best or fit.statistic > max(fit.threshold, MIN_SHARE_OF_STRONGEST * best.statistic)
+    ]
+    return CandidateCause(
+        cause, tuple(sorted(_disjoint(chosen), key=lambda f: -f.penalised_statistic)), p_value, tuple(fits)
+    )
+
+
+def _disjoint(fits: list[GroupTest]) -> list[GroupTest]:
+    """Keep the best of groups that share a joint; one instance for all joints competes with one for each."""
+    whole = max(fits, key=lambda fit: len(fit.effect.joints))
+    parts = [fit for fit in fits if not set(fit.effect.joints) & set(whole.effect.joints) or fit is whole]
+    alone = [fit for fit in fits if len(fit.effect.joints) < len(whole.effect.joints)]
+    if (
+        alone
+        and len(whole.effect.joints) > 2
+        and compute_penalised_statistic(alone, whole.overdispersion) > whole.penalised_statistic
+    ):
+        return _disjoint(alone)
+    kept: list[GroupTest] = []
+    for fit in sorted(parts, key=lambda f: -f.penalised_statistic):
+        if not any(set(fit.effect.joints) & set(other.effect.joints) for other in kept):
+            kept.append(fit)
+    return kept
+
+
+def _together(fits: list[GroupTest]) -> float:
+    """Return the chance that the groups' sum reaches what it does, from a gamma law fitted to the noise draws."""
+    total = sum(fit.statistic / fit.overdispersion for fit in fits)
+    draws = min(len(fit.noise) for fit in fits)
+    noise = np.sum([fit.noise[:draws] for fit in fits], axis=0)
+    mean, variance = float(noise.mean()), float(noise.var())
+    if mean <= 0 or variance <= 0:
+        return 1.0
+    scale = max(variance / mean, 2.0)  # no tail of chi-squares falls faster than exp(-t / 2)
+    return float(stats.gamma.sf(total, mean / scale, scale=scale))
+
 
 N_NULL_DRAWS = 60  # draws of noise; their mean and scatter fix the level of a scan over many settings to 13 %
 DENSE_DRAWS = 24
 """Of a scan of thousands of periods, whose largest value hardly varies."""
 _CHUNK = 64  # settings computed at once; bounds memory
-PRIOR_WEIGHT_BLOCKS = 10.0
-"""Weight of 'the noise model is right' against the scatter of blocks, in blocks."""
 _WORTH_MATCHING = 30.0
 """What a setting must explain for it to be fitted before it is chosen; the best of chance is some 20."""
 _PROPOSAL_MARGIN = 0.03
@@ -36,62 +175,17 @@ _MATCHED = 2e-3
 """Relative accuracy of a setting that agrees with its amplitude: below any standard error."""
 
 
-class EffectColumns(Sequence[np.ndarray]):
-    """An effect's columns (n, m, k) of each run, made when first asked for: most are tried on the training logs alone."""
-
-    def __init__(self, channel: Channel, effect: Effect) -> None:
-        """Make nothing yet."""
-        self._channel, self._effect = channel, effect
-        self._made: dict[int, np.ndarray] = {}
-
-    def __len__(self) -> int:
-        """Return the number of runs."""
-        return len(self._channel.runs)
-
-    def __getitem__(self, run: int) -> np.ndarray:  # type: ignore[override]  # slices are of no use here
-        """Return the columns of one run."""
-        if run >= len(self):
-            raise IndexError(run)
-        if run not in self._made:
-            self._made[run] = self._channel.run_columns(self._effect, run)
-        return self._made[run]
-
-
-class ColumnCache:
-    """Columns of effects on one channel, made once."""
-
-    def __init__(self, channel: Channel) -> None:
-        """Start empty."""
-        self.channel = channel
-        self._made: dict[tuple, EffectColumns] = {}
-
-    def columns(self, effect: Effect) -> EffectColumns:
-        """Return an effect's exact columns."""
-        return self._made.setdefault(get_effect_key(effect), EffectColumns(self.channel, effect))
-
-
-def get_columns(library: ColumnCache, effects: Sequence[Effect]) -> list[EffectColumns]:
-    """Return the columns (n, m, k) of several effects."""
-    return [library.columns(effect) for effect in effects]
-
-
-def get_effect_key(effect: Effect) -> tuple:
-    """Return what tells two effects apart."""
-    return (effect.name, effect.joints, tuple(sorted(effect.settings.items())), effect.label)
-
-
 def find_nonnegative(effect: Effect) -> np.ndarray:
     """Return which amplitudes only make sense from zero up (k,)."""
     return np.array([p.lower >= 0 for p in effect.parameters])
 
 
 def scan_causes(
-    library: ColumnCache, ground: NullModel, draws: np.ndarray, causes: Sequence[type[Effect]], taken: set[tuple]
+    ground: NullModel, draws: np.ndarray, causes: Sequence[type[Effect]], taken: set[tuple]
 ) -> list[CandidateCause]:
     """Try every cause; return those that can be tried at all.
 
     Args:
-        library: Makes columns.
         ground: What is accounted for already.
         draws: Noise after the same projection (R, D).
         causes: The causes.
@@ -99,9 +193,7 @@ def scan_causes(
     """
     found = []
     for cls in causes:
-        tried = [
-            fit_group(library, ground, draws, cls, group) for group in list_joint_groups(library.channel, cls, taken)
-        ]
+        tried = [fit_group(ground, draws, cls, group) for group in list_joint_groups(ground.channel, cls, taken)]
         fits = [fit for fit in tried if fit is not None]
         if fits:
             found.append(combine_group_tests(cls.name, fits))
@@ -113,21 +205,13 @@ def list_joint_groups(channel: Channel, cls: type[Effect], taken: set[tuple]) ->
     if cls.untestable(channel.scene) is not None:
         return []
     mine = {joint for cause, joints in taken if cause == cls.name for joint in joints}
-    return [
-        group for group in cls.groups(channel.scene) if (cls.name, group) not in taken and not _covered(group, mine)
-    ]
+    groups = cls.groups(channel.scene)  # pairs may share a joint with another pair
+    return [group for group in groups if (cls.name, group) not in taken and not set(group) <= mine]
 
 
-def _covered(group: tuple[str, ...], taken: set[str]) -> bool:
-    """Tell whether a cause acts on all joints of a group already; pairs may share a joint with another pair."""
-    return set(group) <= taken
-
-
-def fit_group(
-    library: ColumnCache, ground: NullModel, draws: np.ndarray, cls: type[Effect], group: tuple[str, ...]
-) -> GroupTest | None:
+def fit_group(ground: NullModel, draws: np.ndarray, cls: type[Effect], group: tuple[str, ...]) -> GroupTest | None:
     """Scan one cause's settings on one group of joints; None where there is nothing to try."""
-    scene = library.channel.scene
+    scene = ground.channel.scene
     grid = cls.grid(scene, group)
     if not grid:
         return None
@@ -136,18 +220,18 @@ def fit_group(
     effects = [plain.with_settings(**setting) for setting in grid]
     both = np.concatenate([ground.e[:, None], draws], axis=1)
     if cls.dense:
-        return _fit_alike(effects, library, ground, both[:, : 1 + DENSE_DRAWS])
+        return _fit_alike(effects, ground, both[:, : 1 + DENSE_DRAWS])
     sizes = [len(effect.parameters) for effect in effects]
     alike = [[e for e, size in zip(effects, sizes, strict=True) if size == n] for n in sorted(set(sizes))]
-    fits = [_fit_alike(part, library, ground, both) for part in alike]
+    fits = [_fit_alike(part, ground, both) for part in alike]
     best = max(fits, key=lambda fit: fit.penalised_statistic)
     return replace(best, n_effective_tests=best.n_effective_tests * len(alike))
 
 
-def _fit_alike(effects: list[Effect], library: ColumnCache, ground: NullModel, both: np.ndarray) -> GroupTest:
+def _fit_alike(effects: list[Effect], ground: NullModel, both: np.ndarray) -> GroupTest:
     """Scan settings with the same number of columns against the residual and the noise draws (R, 1 + D)."""
     sided = find_nonnegative(effects[0])
-    explained = _explained(effects, library, ground, both)
+    explained = compute_explained(effects, ground, both)
     best = int(np.argmax(explained[:, 0]))
     noise = explained[:, 1:].max(axis=0)
     simple = bool(sided.all()) and len(sided) == 1
@@ -155,13 +239,13 @@ def _fit_alike(effects: list[Effect], library: ColumnCache, ground: NullModel, b
     near = tuple(dict(effects[k].settings) for k in (best - 1, best + 1) if 0 <= k < len(effects))
     T = float(explained[best, 0])
     fit = GroupTest(effects[best], T, tries, len(sided), simple, 1.0, noise, near)
-    fit = rescore_group(fit, library, ground) if T > 4 else fit
-    return match_settings(fit, library, ground) if T > _WORTH_MATCHING else fit
+    fit = rescore_group(fit, ground) if T > 4 else fit
+    return match_settings(fit, ground) if T > _WORTH_MATCHING else fit
 
 
-def rescore_group(fit: GroupTest, library: ColumnCache, ground: NullModel) -> GroupTest:
+def rescore_group(fit: GroupTest, ground: NullModel) -> GroupTest:
     """Return a fit with its exact `T` and its inflation by blocks."""
-    C = ground.whiten_columns(library.columns(fit.effect))
+    C = ground.rows(fit.effect)
     T, s, G = compute_score_test(ground, C, find_nonnegative(fit.effect))
     return GroupTest(
         fit.effect,
@@ -175,7 +259,7 @@ def rescore_group(fit: GroupTest, library: ColumnCache, ground: NullModel) -> Gr
     )
 
 
-def match_settings(fit: GroupTest, library: ColumnCache, ground: NullModel) -> GroupTest:
+def match_settings(fit: GroupTest, ground: NullModel) -> GroupTest:
     """Return a fit whose matched setting equals its amplitude, the best between points of the grid, and what it explains so.
 
     The constrained misfit `|e - x c(x)|^2` is minimised over `x`, with `c(x)` the column at the setting `x` (Brent 1973, without
@@ -187,12 +271,12 @@ def match_settings(fit: GroupTest, library: ColumnCache, ground: NullModel) -> G
     if not effect.matched:
         return fit
     ((key, _),) = effect.matched.items()
-    scene = library.channel.scene
+    scene = ground.channel.scene
 
     def misfit(x: float) -> float:
         if x == 0:
             return 0.0
-        c = ground.whiten_columns(library.columns(effect.with_settings(**{key: x})))
+        c = ground.rows(effect.with_settings(**{key: x}))
         return float(x**2 * ground.gram(c)[0, 0] - 2 * x * (c.T @ ground.e)[0])
 
     grid = sorted({setting[key] for setting in type(effect).grid(scene, effect.joints)})
@@ -208,41 +292,66 @@ def match_settings(fit: GroupTest, library: ColumnCache, ground: NullModel) -> G
     proposed = type(effect).propose(scene, effect.joints)
     if proposed is not None and misfit(proposed) < (1 - _PROPOSAL_MARGIN) * misfit(best):
         best = proposed
-    exact = rescore_group(replace(fit, effect=effect.with_settings(**{key: best})), library, ground)
+    exact = rescore_group(replace(fit, effect=effect.with_settings(**{key: best})), ground)
     return replace(exact, statistic=max(0.0, -misfit(best)))
 
 
-def _explained(effects: list[Effect], library: ColumnCache, ground: NullModel, both: np.ndarray) -> np.ndarray:
-    """Return what each setting explains of the residual and of each noise draw (g, 1 + D)."""
-    scanned = library.channel.scan(effects, ground, both)
+def compute_explained(effects: Sequence[Effect], ground: NullModel, both: np.ndarray) -> np.ndarray:
+    """Return what each setting explains of each column of white residuals (R, d): (g, d), by the channel's short cuts."""
+    channel = ground.channel
+    scanned = channel.scan(effects, ground.whiten, both)
     found = np.full((len(effects), both.shape[1]), np.nan) if scanned is None else scanned
     left = np.flatnonzero(np.isnan(found[:, 0]))
     for start in range(0, len(left), _CHUNK):
-        part = left[start : start + _CHUNK]
-        rows = np.stack([ground.whiten_columns(library.columns(effects[k])) for k in part], axis=1)
-        found[part] = ground.explained(rows, both, find_nonnegative(effects[0]))
+        part = [effects[k] for k in left[start : start + _CHUNK]]
+        quick = [channel.quick_columns(effect) for effect in part]
+        made = [c or ground.library.columns(effect) for c, effect in zip(quick, part, strict=True)]
+        rows = np.stack([ground.whiten_columns(c) for c in made], axis=1)
+        found[left[start : start + _CHUNK]] = ground.explained(rows, both, find_nonnegative(effects[0]))
     return found
 
 
 def _tries(noise: np.ndarray, dof: int, simple: bool) -> float:
-    """Return the number of independent tries `m` with `P(T <= t) = F(t)^m`, by maximum likelihood.
-
-    Where all amplitudes of a one-sided column come out negative `T` is zero: a draw seen only as `T <= 0`.
-    """
+    """Return the number of independent tries; a draw in which a one-sided amplitude comes out negative is seen as `T <= 0`."""
     tail = stats.chi2.sf(noise, dof) / (2 if simple else 1)
     seen = int(np.sum(noise > 0)) if simple else len(noise)
-    return float(max(1.0, -seen / np.sum(np.log1p(-np.clip(tail, 1e-12, 0.5 if simple else 1 - 1e-12)))))
+    return count_effective_tests(np.clip(tail, 1e-12, 0.5 if simple else 1 - 1e-12), seen)
 
 
 def _inflation(ground: NullModel, C: np.ndarray, s: np.ndarray, G: np.ndarray) -> float:
-    """Return the scatter of 2 s blocks' scores along the fitted direction over what the noise model says."""
-    amplitude = np.linalg.lstsq(G, s, rcond=1e-9)[0]
-    along = ground.project_out(C @ amplitude)
+    """Return the overdispersion of scores along the fitted direction."""
+    along = ground.project_out(C @ np.linalg.lstsq(G, s, rcond=1e-9)[0])
     square = float(along @ along)
-    if square <= 0:
-        return 1.0
-    e = ground.e - along * float(along @ ground.e) / square
-    blocks = np.bincount(ground.whiten.block, along * e)
-    count = len(np.unique(ground.whiten.block))
-    ratio = float(np.sum(blocks**2)) / square
-    return max(1.0, (count * ratio + PRIOR_WEIGHT_BLOCKS) / (count + PRIOR_WEIGHT_BLOCKS))
+    e = ground.e - along * float(along @ ground.e) / max(square, 1e-300)
+    return compute_overdispersion(ground.whiten.block, along * e, square)
+
+
+def estimate_amplitudes(effect: Effect, ground: NullModel) -> np.ndarray:
+    """Return an effect's amplitudes (k,) beside what the ground accounts for, within their bounds at zero.
+
+    Minimises `x' G x - 2 x' C'e` with `G` the Gram matrix of what the ground leaves of the columns `C`; directions that it
+    leaves nothing of stay at zero.
+    """
+    C = ground.rows(effect)
+    scale = np.maximum(np.linalg.norm(C, axis=0), 1e-300)
+    values, vectors = np.linalg.eigh(ground.gram(C / scale))
+    seen = values > 1e-9 * max(values[-1], 1e-300)
+    values, vectors = values[seen], vectors[:, seen]
+    rows, y = np.sqrt(values)[:, None] * vectors.T, vectors.T @ (C.T @ ground.e / scale) / np.sqrt(values)
+    lower = np.where(find_nonnegative(effect), 0.0, -np.inf)
+    x = (
+        optimize.lsq_linear(rows, y, (lower, np.inf)).x
+        if np.any(lower == 0)
+        else np.linalg.lstsq(rows, y, rcond=None)[0]
+    )
+    return x / scale
+
+
+def differentiate_settings(effect: Effect, amplitude: np.ndarray, channel: Channel) -> list[list[np.ndarray]]:
+    """Return, for each refined setting, the change of the effect's force per unit of it (n, m, 1) of each run."""
+    found = []
+    for key in effect.refined:
+        step = 1e-3 * abs(effect.settings[key]) or 1e-6
+        ends = [channel.columns(effect.with_settings(**{key: effect.settings[key] + x})) for x in (step, -step)]
+        found.append([((a - b) @ amplitude / (2 * step))[:, :, None] for a, b in zip(*ends, strict=True)])
+    return found

@@ -1,23 +1,28 @@
-"""What was not found but would have been, and what these logs cannot show.
+"""What was not found but would have been, what these logs cannot show, and periods that they leave open.
 
 A detection limit is the amplitude at which the test at the family-wise level has 95 % power (noncentral chi-square), at the
 setting in the middle of the grid and on the joint where the cause is hardest to see.
+
+Places a step `s` apart give the same values to every wave whose number of periods a metre differs by a multiple of `1 / s`, and
+to their mirror images, `1 / p' = k / s +- 1 / p`. Of poses held still the periods that explain as much as the best one are
+listed; more than one, and the period is not known. Places at uneven steps have no such twins (Dressler 2012, 4.2, presumes
+them in measurements 50 mm apart).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import optimize, stats
 
-from tau_dyn.diagnose.candidate_scan import ColumnCache
-from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.data_split import EVERY
-from tau_dyn.diagnose.group_tests import FAMILY_LEVEL, CandidateCause, GroupTest
+from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, CandidateCause, GroupTest, compute_explained
+from tau_dyn.diagnose.channel import EVERY, Channel
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
-from tau_dyn.diagnose.result import Limit, Untestable
-from tau_dyn.diagnose.stepwise_selection import StepwiseSelection
+from tau_dyn.diagnose.result import Finding, Limit, Untestable
+from tau_dyn.diagnose.stepwise_selection import MIN_2LOGL_DIFFERENCE, SelectedCause, StepwiseSelection
+from tau_dyn.diagnose.tool_channel import ToolChannel
 from tau_dyn.effects import Effect, format_quantity
 
 POWER = 0.95  # of the test at the detection limit, by convention
@@ -27,10 +32,10 @@ _WHOLE = 0.5
 
 
 def compute_detection_limits(
-    channel: Channel, search: StepwiseSelection, named: Sequence[str]
+    search: StepwiseSelection, named: Sequence[str]
 ) -> tuple[tuple[Limit, ...], tuple[Untestable, ...]]:
     """Return detection limits of the causes that were tried and not found, and what could not be tried."""
-    limits, untestable = [], []
+    channel, limits, untestable = search.channel, [], []
     tried = {c.cause: c for c in search.last}
     for cls in channel.causes:
         if cls.name in named:
@@ -45,10 +50,10 @@ def compute_detection_limits(
                 )
             )
         else:
-            limit = _limit(channel, search.library, search.ground, tried[cls.name], len(search.last))
+            limit = _limit(search.ground, tried[cls.name], len(search.last))
             if isinstance(limit, str):
                 untestable.append(Untestable(cls.name, limit, cls.reveals))
-            elif limit is None and _owned(search.library, search.ground, tried[cls.name]):
+            elif limit is None and _owned(search.ground, tried[cls.name]):
                 continue  # the baseline has it, under another name
             elif limit is None:
                 why = "on this motion the refit of the baseline absorbs nearly all of it"
@@ -65,9 +70,7 @@ def solve_noncentrality(level: float, dof: int, power: float = POWER) -> float:
     return float(root.root)
 
 
-def _limit(
-    channel: Channel, library: ColumnCache, ground: NullModel, candidate: CandidateCause, causes: int
-) -> Limit | str | None:
+def _limit(ground: NullModel, candidate: CandidateCause, causes: int) -> Limit | str | None:
     """Return the limit at the joint where a plausible cause is hardest to see, or why no plausible one would be seen."""
     found: list[tuple[float, str, str]] = []
     beyond: list[tuple[float, str, str]] = []
@@ -75,12 +78,12 @@ def _limit(
         if len(fit.effect.joints) > 1 and any(len(f.effect.joints) == 1 for f in candidate.tested):
             continue
         tests = len(candidate.tested) * (2 if len(candidate.tested) > 1 else 1)  # each alone, and all together
-        amplitude = _amplitude(channel, library, ground, fit, tests * causes)
+        amplitude = _amplitude(ground, fit, tests * causes)
         if amplitude is None:
             continue  # a joint that hardly moves says nothing of the others
         first = next(iter(fit.effect.parameters))
         values = fit.effect.parameters.with_values({first.name: max(amplitude, first.lower)})
-        plausible = not fit.effect.find_implausible(values, channel.scene.scales)
+        plausible = not fit.effect.find_implausible(values, ground.channel.scene.scales)
         (found if plausible else beyond).append((amplitude, first.unit, "+".join(fit.effect.joints)))
     if not found and beyond:
         amplitude, unit, joint = min(beyond)
@@ -94,12 +97,10 @@ def _limit(
     return Limit(candidate.cause, amplitude, unit, phrase)
 
 
-def _amplitude(
-    channel: Channel, library: ColumnCache, ground: NullModel, fit: GroupTest, families: int
-) -> float | None:
+def _amplitude(ground: NullModel, fit: GroupTest, families: int) -> float | None:
     """Return the amplitude seen with 95 % power, or None where it would exceed half of what is measured."""
-    effect = select_median_setting(channel, fit.effect)
-    C = ground.whiten_columns(library.columns(effect))
+    effect = select_median_setting(ground.channel, fit.effect)
+    C = ground.rows(effect)
     units = [p.unit for p in effect.parameters]
     C = C[:, [unit == units[0] for unit in units]]
     G, raw = ground.gram(C), C.T @ C
@@ -109,14 +110,14 @@ def _amplitude(
     level = FAMILY_LEVEL / families / fit.n_effective_tests * (2 if fit.one_sided else 1)
     size = float(np.sqrt(solve_noncentrality(min(level, 0.5), k) * fit.overdispersion * k / np.trace(G)))
     force = size * float(np.sqrt(np.trace(raw) / k))
-    measured = float(np.linalg.norm(ground.whiten(channel.target) / ground.scale))
+    measured = float(np.linalg.norm(ground.whiten(ground.channel.target) / ground.scale))
     return None if force > _WHOLE * measured else size
 
 
-def _owned(library: ColumnCache, ground: NullModel, candidate: CandidateCause) -> bool:
+def _owned(ground: NullModel, candidate: CandidateCause) -> bool:
     """Tell whether the baseline has parameters for exactly this, and not only on a motion that never turns back."""
     for fit in candidate.tested:
-        C = ground.whiten_columns(library.columns(fit.effect))
+        C = ground.rows(fit.effect)
         if np.trace(ground.gram(C)) > OWNED * np.trace(C.T @ C):
             return False
     joints = {joint for fit in candidate.tested for joint in fit.effect.joints}
@@ -141,3 +142,87 @@ def select_median_setting(channel: Channel, effect: Effect) -> Effect:
         first = grid[0]  # a proposed mode has settings that a plain one has not
         grid = [g for g in grid if all(g.get(k) == first.get(k) for k in {*g, *first} if k not in effect.refined)]
     return effect.with_settings(**grid[len(grid) // 2])
+
+
+_FINE = 5  # settings tried to either side of a grid point that does well
+_LISTED = 4  # periods named in a sentence
+_PER_PERIOD = 2.5
+"""Places that one period needs, with a little to spare above two."""
+_MIN_EXPLAINED_SHARE = 0.8  # share of the best that a grid point explains where a finer one may explain all
+
+
+def find_alias_periods(hunt: StepwiseSelection) -> list[tuple[float, ...]]:
+    """Return the periods [m or rad] that each cyclic error found may have; none for other causes and motion sampled in time."""
+    poses = isinstance(hunt.channel, ToolChannel) and hunt.channel.poses
+    found: list[tuple[float, ...]] = []
+    for one in hunt.found:
+        effect = one.candidate.effects[0]
+        found.append(())
+        if poses and effect.dense and "period" in effect.settings:
+            found[-1] = compute_alias_periods(hunt.ground.beside(hunt.others(one)), effect)
+    return found
+
+
+def leave_period_open(channel: Channel, one: SelectedCause, finding: Finding, periods: tuple[float, ...]) -> Finding:
+    """Say that the places measured leave the period of a cyclic error open, and which spacing would not."""
+    effect = one.candidate.effects[0]
+    joint = effect.joints[0]
+    unit = "m" if effect.units[joint] == "N" else "rad"
+    listed = ", ".join(format_quantity(p, unit) for p in periods[:_LISTED])
+    more = (
+        f" and {len(periods) - _LISTED} more down to {format_quantity(periods[-1], unit)}"
+        if len(periods) > _LISTED
+        else ""
+    )
+    step, finer = (
+        format_quantity(x, unit) for x in (compute_position_spacing(channel, joint), periods[-1] / _PER_PERIOD)
+    )
+    return replace(
+        finding,
+        status="suspected",
+        gain=None,
+        sentence=f"{joint} has a cyclic error, but at places {step} apart periods of {listed}{more} fit alike.",
+        experiment=f"measure the tool while {joint} goes in steps of {finer} or less, or at as many places in uneven steps",
+    )
+
+
+def compute_alias_periods(ground: NullModel, effect: Effect) -> tuple[float, ...]:
+    """Return the periods [m or rad] that explain as much as an effect's own, longest first; only its own where it is sure.
+
+    Args:
+        ground: Everything else accounted for.
+        effect: An effect with a setting `period`.
+    """
+    scene = ground.channel.scene
+    k = scene.index(effect.joints[0])
+    travel = float(scene.high[k] - scene.low[k])
+    lines = np.array([1 / s["period"] for s in type(effect).grid(scene, effect.joints) if "period" in s])
+    own = 1 / effect.settings["period"]
+    if travel <= 0 or not len(lines):
+        return (effect.settings["period"],)
+    step = float(np.median(np.abs(np.diff(lines)))) if len(lines) > 1 else 1 / travel
+    rough = _explained(ground, effect, lines)
+    starts = [own, *lines[rough > rough.max() * _MIN_EXPLAINED_SHARE - MIN_2LOGL_DIFFERENCE]]
+    fine = np.concatenate([x + step * np.linspace(-0.5, 0.5, 2 * _FINE + 1) for x in starts])
+    fine = np.concatenate([[own], fine[fine > 0]])
+    found = list(zip(_explained(ground, effect, fine), fine, strict=True))
+    top = max(T for T, _ in found)
+    kept: list[float] = []
+    for T, line in sorted(found, reverse=True):
+        if T > top - MIN_2LOGL_DIFFERENCE and all(abs(line - other) > 1 / travel for other in kept):
+            kept.append(line)
+    return tuple(sorted((1 / line for line in kept), reverse=True))
+
+
+def compute_position_spacing(channel: Channel, joint: str) -> float:
+    """Return the usual step between places of a joint [m or rad]."""
+    steps = [np.abs(np.diff(v[f"q_{joint}"])) for v in channel.variables()]
+    all_steps = np.concatenate(steps)
+    moved = all_steps[all_steps > 1e-6 * max(float(all_steps.max(initial=0.0)), 1e-300)]
+    return float(np.median(moved)) if len(moved) else 0.0
+
+
+def _explained(ground: NullModel, effect: Effect, lines: np.ndarray) -> np.ndarray:
+    """Return `T` (g,) of the effect with these numbers of periods a metre or radian (g,)."""
+    settings = [effect.with_settings(period=float(1 / line)) for line in lines]
+    return compute_explained(settings, ground, ground.e[:, None])[:, 0]

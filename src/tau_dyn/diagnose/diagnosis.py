@@ -3,23 +3,25 @@
     baseline refitted -> causes searched on the training part -> confirmed on the next -> gain measured on the last
 
 No part of the data serves two purposes: what was searched is not what confirms, and neither measures the gain, which has a
-veto: what does not predict its part better does not stand.
+veto: what does not predict its part better does not stand. Logs may hold several kinds of measurement: forces, tool positions
+that say more than the encoders do, encoders behind the gear. Forces lead: baseline, waterfall and time view are theirs; a
+finding says which channel it comes from.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tau_dyn.diagnose.deflection import diagnose_deflection
-from tau_dyn.diagnose.force_diagnosis import Progress, diagnose_forces, fit_baseline
-from tau_dyn.diagnose.kinds import has_forces, has_links, has_tool, is_tool_inconsistent
-from tau_dyn.diagnose.merge import merge_diagnoses
-from tau_dyn.diagnose.result import Diagnosis
-from tau_dyn.diagnose.tool_diagnosis import diagnose_tool
+from tau_dyn.diagnose.force_baseline import Progress, fit_baseline
+from tau_dyn.diagnose.pipeline import diagnose_deflection, diagnose_forces, diagnose_tool
+from tau_dyn.diagnose.result import Choice, Diagnosis, Verdict
+from tau_dyn.diagnose.tool_channel import OUTPUTS
+from tau_dyn.effects import Effect, JointwiseEffect
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import (
     Choices,
@@ -31,9 +33,147 @@ from tau_dyn.identify import (
     get_log_list,
     require_forces,
 )
-from tau_dyn.log import Log, Recording
+from tau_dyn.log import Log, Recording, estimate_encoder_noise
 from tau_dyn.model import Model
+from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
+from tau_dyn.simulate import CascadeLaw, Replay, replay
+
+_LOOKED_AT = 400  # samples of a log for which forward kinematics is computed; bounds time
+_ENCODERS = 3.0  # standard deviations of the encoders' noise
+
+
+def has_forces(robot: Robot, logs: Sequence[Log]) -> bool:
+    """Tell whether all logs have the force of every actuated joint."""
+    return all(log.has("tau", robot.actuated) for log in logs)
+
+
+def has_tool(robot: Robot, logs: Sequence[Log]) -> bool:
+    """Tell whether all logs have tool positions that forward kinematics can be held against."""
+    return robot.tool_frame is not None and all(set(OUTPUTS) <= set(log.channels) for log in logs)
+
+
+def is_tool_inconsistent(model: Model, logs: Sequence[Log]) -> bool:
+    """Tell whether measured tools are farther from forward kinematics than the encoders' noise puts them.
+
+    Where they are not, there is nothing to explain: the tool was computed from the encoders, or agrees with them.
+    """
+    joints = model.robot.actuated
+    for log in logs:
+        read = log.joint("q", joints)
+        few = slice(None, None, max(1, log.n_samples // _LOOKED_AT))
+        away = np.column_stack([log.channels[c][few] for c in OUTPUTS]) - model.mechanism.tool_position(read[few])
+        spread = float(np.sqrt(np.mean(np.sum((away - away.mean(axis=0)) ** 2, axis=1))))
+        noise = model.mechanism.tool_jacobian(read[few]) * estimate_encoder_noise(read)
+        if spread > _ENCODERS * float(np.sqrt(np.mean(np.sum(noise**2, axis=(1, 2))))):
+            return True
+    return False
+
+
+_VERDICTS: tuple[Verdict, ...] = ("named", "cannot_tell", "unexplained", "nothing_found")
+_CHOICES: tuple[Choice, ...] = ("neither", "extended", "refitted")
+"""What one channel says counts for all, in this order."""
+
+
+def merge_diagnoses(found: Sequence[Diagnosis]) -> Diagnosis:
+    """Return several channels' diagnoses as one, the first leading."""
+    first, others = found[0], found[1:]
+    if not others:
+        return first
+    limits = {limit.cause: limit for one in reversed(found) for limit in one.limits}
+    findings = sorted(
+        (f for one in found for f in one.findings), key=lambda f: (*f.rank[:2], f.channel != first.channel)
+    )
+    named = {f.cause for f in findings}
+    untestable = {u.cause: u for one in reversed(found) for u in one.untestable}
+    recommended = min(found, key=lambda one: _CHOICES.index(one.recommendation))
+    told = [one for one in others if one.verdict != "nothing_found"]
+    return replace(
+        first,
+        verdict=min((one.verdict for one in found), key=_VERDICTS.index),
+        recommendation=recommended.recommendation,
+        recommendation_why=recommended.recommendation_why,
+        sentence=" ".join([first.sentence, *(one.sentence for one in told)]),
+        findings=tuple(findings),
+        unexplained=tuple(u for one in found for u in one.unexplained),
+        limits=tuple(x for cause, x in sorted(limits.items()) if cause not in named),
+        untestable=tuple(u for cause, u in untestable.items() if cause not in limits and cause not in named),
+        extended_model=_extended(first, others),
+        warnings=tuple(dict.fromkeys(w for one in found for w in one.warnings)),
+        experiment=next((one.experiment for one in found if one.experiment), ""),
+        settings={**first.settings, **{one.channel: dict(one.settings) for one in others}},
+    )
+
+
+def _extended(first: Diagnosis, others: Sequence[Diagnosis]) -> Model:
+    """Return the first channel's extended model with the effects that the others add."""
+    model = first.extended_model
+    for one in others:
+        known = {name for e in model.effects for name in e.parameters.names}
+        parts = (_only_unknown(e, known) for e in one.extended_model.effects)
+        new = [e for e in parts if e is not None]
+        names = [n for e in new for n in e.parameters.names]
+        values = one.extended_model.effect_parameters.select(names)
+        model = replace(
+            model, effects=(*model.effects, *new), effect_parameters=model.effect_parameters + Parameters(list(values))
+        )
+    return model
+
+
+def _only_unknown(effect: Effect, known: set[str]) -> Effect | None:
+    """Return an effect on those of its joints that it does not have in the model yet; the first channel's values stay."""
+    if not known & set(effect.parameters.names):
+        return effect
+    joints = [
+        j for j in effect.joints if not any(name.startswith(f"{j}.") for name in known & set(effect.parameters.names))
+    ]
+    if not joints or not isinstance(effect, JointwiseEffect):
+        return None
+    left = type(effect)(joints, [effect.units[j] for j in joints], label=effect.label, **effect.settings)
+    return None if known & set(left.parameters.names) else left
+
+
+def log_with_references(logs: Sequence[Log], joints: Sequence[str]) -> Log:
+    """Return the first log that says what its controller was asked for.
+
+    Raises:
+        InputError: None does.
+    """
+    for log in logs:
+        if log.has("q_ref", joints):
+            return log
+    raise InputError(
+        "missing_column",
+        f"none of {', '.join(log.name for log in logs)} has q_ref columns for {', '.join(joints)}; without references no closed "
+        "loop can be simulated, so leave the controller out or add them",
+    )
+
+
+def add_simulation(
+    diagnosis: Diagnosis, logs: Sequence[Log], law: CascadeLaw, progress: Callable[[str], None] = lambda step: None
+) -> Diagnosis:
+    """Return a diagnosis with `simulation`: how far the closed loop is from a log before and after the extension.
+
+    Args:
+        diagnosis: Gives both models.
+        logs: Training logs; the first with `q_ref_J` is driven again.
+        law: The rig's own controller.
+        progress: Called with a word for each step.
+
+    Raises:
+        InputError: No log has references, or the simulated loop is unstable.
+    """
+    log = log_with_references(logs, diagnosis.model.robot.actuated)
+    models = {"before": diagnosis.model, "after": diagnosis.extended_model}
+    done: dict[str, Replay] = {}
+    for when, model in models.items():
+        if when == "after" and len(model.effects) == len(diagnosis.model.effects):
+            done[when] = done["before"]  # nothing was added
+            continue
+        done[when] = replay(model, log, law, progress=lambda share: progress(f"simulating {100 * share:.0f} %"))
+    doubts = tuple(dict.fromkeys([*diagnosis.warnings, *(w for run in done.values() for w in run.warnings)]))
+    simulation = {"log": log.name, **{when: run.to_dict() for when, run in done.items()}}
+    return replace(diagnosis, simulation=simulation, warnings=doubts)
 
 
 @threadpool_limits.wrap(limits=1)  # its matrices are many and narrow: more threads only wait for each other
@@ -82,27 +222,36 @@ def diagnose(
         )
         if not train:
             raise InputError("missing_input", "no log was given")
-        found = []
-        if not (has_tool(prepared.robot, train) or has_links(train)):
+        tool, links, forces = (
+            has_tool(prepared.robot, train),
+            all(log.joints("q_link") for log in train),
+            has_forces(prepared.robot, train),
+        )
+        if not (tool or links):
             require_forces(prepared.robot, train)
-        if has_forces(prepared.robot, train) or not (has_tool(prepared.robot, train) or has_links(train)):
-            case = fit_baseline(prepared, train, held, preparation, exclude, progress, warnings)
-            found.append(diagnose_forces(case, seed, progress, warnings))
-        base = found[0].model if found else prepared
-        if has_tool(base.robot, train) and (not found or is_tool_inconsistent(base, train)):
+        found: list[Diagnosis] = []
+        if forces or not (tool or links):
+            case = fit_baseline(prepared, train, held, preparation, exclude, progress)
+            found.append(diagnose_forces(case, seed=seed, progress=progress, warnings=warnings))
+        base, doubts = (found[0].model, ()) if found else (prepared, warnings)
+        if tool and (not found or is_tool_inconsistent(base, train)):
             with_tool = [log for log in held if has_tool(base.robot, [log])]
             try:
-                found.append(diagnose_tool(base, train, holdout=with_tool, seed=seed, progress=progress))
+                found.append(
+                    diagnose_tool(base, train, holdout=with_tool, seed=seed, progress=progress, warnings=doubts)
+                )
             except CannotAnswer as fault:
                 if not found:
                     raise
                 more = f"tool positions were not looked at: {fault.missing}"  # forces have their answer
                 found[0] = replace(found[0], warnings=(*found[0].warnings, more))
-        if has_links(train):
-            found.append(diagnose_deflection(base.robot, train, holdout=held, seed=seed, progress=progress))
+        if links:
+            found.append(
+                diagnose_deflection(base.robot, train, holdout=held, seed=seed, progress=progress, warnings=doubts)
+            )
         return _forces_missed(merge_diagnoses(found), prepared.robot, train)
     except CannotAnswer as fault:
-        fault.warnings = tuple(dict.fromkeys(warnings))
+        fault.warnings = tuple(dict.fromkeys((*warnings, *fault.warnings)))
         raise
 
 

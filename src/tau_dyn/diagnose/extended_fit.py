@@ -1,4 +1,8 @@
-"""The model extended by causes, refitted, and judged on the part that was used for nothing else."""
+"""The model extended by causes, refitted, and judged on the part that was used for nothing else; and the noise floor.
+
+The noise floor is what is left of the residual when every output may depend smoothly on all its own variables: an estimate of
+what no model of these variables can get below. Freedom spent on the smooth functions is given back.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +11,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.confirm import Confirmation
-from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
-from tau_dyn.diagnose.output_errors import WholeErrors
-from tau_dyn.diagnose.result import Gain, OutputErrors
+from tau_dyn.diagnose.channel import EVERY, TEST, TRAIN, VALIDATION, Channel
+from tau_dyn.diagnose.confirmation import Confirmation
+from tau_dyn.diagnose.null_model import build_smooth_columns
+from tau_dyn.diagnose.result import Gain, OutputErrors, WholeErrors
 from tau_dyn.effects import Effect
-from tau_dyn.estimate import BLOCK_S, ROUNDING, Estimate, PhysicalConstraints, Regression, solve_least_squares
+from tau_dyn.estimate import (
+    BLOCK_S,
+    ROUNDING,
+    Estimate,
+    PhysicalConstraints,
+    Regression,
+    scale_columns,
+    solve_least_squares,
+)
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameters
 
@@ -39,6 +50,12 @@ class EvaluatedFit:
     regression: Regression
     residuals: list[np.ndarray]
     errors: OutputErrors
+
+    @property
+    def parameters(self) -> Parameters:
+        """The fitted parameters."""
+        assert self.estimate is not None  # only the nominal values have none
+        return self.estimate.parameters
 
 
 def build_extended_regression(channel: Channel, effects: Sequence[Effect]) -> Regression:
@@ -107,8 +124,8 @@ def compute_errors(
         rng: For drawing blocks.
         whole: The same without masks, where it is known.
     """
-    squares, counts = _blocks(channel, residuals)
-    power, _ = _blocks(channel, [run.y for run in channel.runs])
+    squares, counts = _sum_blocks(channel, residuals)
+    power, _ = _sum_blocks(channel, [run.y for run in channel.runs])
     rms = np.sqrt(squares.sum(axis=0) / np.maximum(counts.sum(axis=0), 1))
     draws = _resample(squares, counts, rng)
     ci95 = np.percentile(draws, _INTERVAL, axis=0).T
@@ -157,7 +174,7 @@ def compute_gain(
         shown: Share of the predicted effect that this part shows.
     """
     which = [k for k, output in enumerate(channel.outputs) if output in joints] or list(range(len(channel.outputs)))
-    (b, counts), (a, _) = (_blocks(channel, x) for x in (before, after))
+    (b, counts), (a, _) = (_sum_blocks(channel, x) for x in (before, after))
     b, a, n = (x[:, which].sum(axis=1) for x in (b, a, counts))
     pick = rng.integers(len(n), size=(_DRAWS, len(n)))
     ratio = np.sqrt(a[pick].sum(axis=1) / np.maximum(b[pick].sum(axis=1), 1e-300))
@@ -166,7 +183,7 @@ def compute_gain(
     rms_before, rms_after = (float(np.sqrt(x.sum() / total)) for x in (b, a))
     reduction = 100 * (1 - rms_after / rms_before) if rms_before > 0 else 0.0
     if shown is not None and np.isfinite(shown.stderr) and b.sum() > 0:
-        changed, _ = _blocks(channel, [one - other for one, other in zip(before, after, strict=True)])
+        changed, _ = _sum_blocks(channel, [one - other for one, other in zip(before, after, strict=True)])
         x = float(changed[:, which].sum())
         noise = max(float(a.sum()) - (1 - shown.share) ** 2 * x, 1e-12 * float(b.sum()))
         s = shown.share + _Z95 * shown.stderr * np.array([-1.0, 1.0])
@@ -175,7 +192,7 @@ def compute_gain(
     return Gain(rms_before, rms_after, reduction, (float(low), float(high)))
 
 
-def _blocks(channel: Channel, residuals: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _sum_blocks(channel: Channel, residuals: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return sums of squares and counts (blocks, m) over 2 s blocks of the part used for nothing else."""
     squares, counts = [], []
     for run, e, mask in zip(channel.runs, residuals, channel.masks(TEST), strict=True):
@@ -191,3 +208,24 @@ def _resample(squares: np.ndarray, counts: np.ndarray, rng: np.random.Generator)
     """Return rms (draws, m) over blocks drawn with replacement."""
     pick = rng.integers(len(counts), size=(_DRAWS, len(counts)))
     return np.sqrt(squares[pick].sum(axis=1) / np.maximum(counts[pick].sum(axis=1), 1))
+
+
+def estimate_noise_floor(channel: Channel, extended: EvaluatedFit, rng: np.random.Generator) -> OutputErrors:
+    """Return the floor on the part used for nothing else; over all samples, the same functions are taken beyond the masks."""
+    masks, variables = channel.masks(*EVERY), channel.variables()
+    left = [e.copy() for e in extended.residuals]
+    whole = [e.copy() for e in extended.regression.residuals_all(extended.theta)]
+    for k, output in enumerate(channel.outputs):
+        runs, smooth = extended.regression.runs, build_smooth_columns(variables, output)
+        basis = [np.concatenate([run.W[:, k], rich], axis=1) for run, rich in zip(runs, smooth, strict=True)]
+        rows = np.concatenate([b[m[:, k]] for b, m in zip(basis, masks, strict=True)])
+        y = np.concatenate([e[m[:, k], k] for e, m in zip(left, masks, strict=True)])
+        unit, norm = scale_columns(rows)
+        theta, _, rank, _ = np.linalg.lstsq(unit, y, rcond=1e-7)
+        given_back = np.sqrt(len(y) / max(1, len(y) - rank))
+        for e, b in zip(left, basis, strict=True):
+            e[:, k] = (e[:, k] - b @ (theta / norm)) * given_back
+        for e, run, rich in zip(whole, runs, smooth, strict=True):
+            b = np.concatenate([run.W_all[:, k], rich], axis=1)
+            e[:, k] = (e[:, k] - b @ (theta / norm)) * given_back
+    return compute_errors(channel, left, rng, whole=whole)

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.diagnose.candidate_scan import get_columns
-from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.confirm import Confirmation
-from tau_dyn.diagnose.data_split import EVERY, TRAIN, VALIDATION
+from tau_dyn.diagnose.candidate_scan import differentiate_settings
+from tau_dyn.diagnose.channel import EVERY, TRAIN, VALIDATION, Channel
+from tau_dyn.diagnose.claims import Claims, Waterfall
+from tau_dyn.diagnose.extended_fit import fit_extended_model
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
-from tau_dyn.diagnose.result import Finding, Gain, Signature
-from tau_dyn.diagnose.settings_refinement import differentiate_settings
-from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection
-from tau_dyn.effects import Effect, spell_unit
+from tau_dyn.diagnose.result import Finding, Gain, OutputErrors, Signature, Unexplained, Verdict
+from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, build_effects
+from tau_dyn.effects import Effect, format_quantity, spell_unit
 from tau_dyn.estimate import scale_columns
 from tau_dyn.parameters import Parameter, Parameters
 
+_MAX_LISTED = 3  # causes that a sentence names
 _POINTS = 2000  # of a plot; more cannot be seen
 _DEPENDENT = 1e-8
 """Part of the largest eigenvalue below which columns count as dependent."""
@@ -28,76 +29,66 @@ _TWIN_EXPERIMENT = "record {reveals}; that separates it from {twins}"
 _EQUIVALENT = "no log of this kind separates it from {twins}; the force is the same"
 
 
-def build_finding(
-    channel: Channel,
-    search: StepwiseSelection,
-    found: SelectedCause,
-    confirmation: Confirmation,
-    values: Parameters,
-    gain: Gain | None,
-    signature: Signature | None,
-    *,
-    kept: bool,
-) -> Finding:
-    """Return the finding.
+def build_findings(hunt: StepwiseSelection, claims: Claims, bars: Waterfall, rng: np.random.Generator) -> list[Finding]:
+    """Return what is said of every cause found, confirmed or not, with all others accounted for."""
+    hunt = replace(hunt, found=claims.found)
+    return [_build_finding(hunt, claims, bars, k, rng) for k in range(len(claims.found))]
 
-    Args:
-        channel: Where it was found.
-        search: The whole search; the other causes count as accounted for.
-        found: The cause.
-        confirmation: Its test on held-out data.
-        values: Fitted values of its amplitudes.
-        gain: What it is worth.
-        signature: Its plot.
-        kept: Whether it is part of the extended model.
-    """
+
+def _build_finding(
+    hunt: StepwiseSelection, claims: Claims, bars: Waterfall, k: int, rng: np.random.Generator
+) -> Finding:
+    """Return the finding of the cause at place k."""
+    channel, one, test, why_not = hunt.channel, claims.found[k], claims.tests[k], claims.why_not[k]
+    fit, gain = bars.fits[-1], None if why_not else bars.gains[claims.kept.index(one)]
+    if why_not:  # it is not in the extended model
+        fit = fit_extended_model(channel, [*build_effects(claims.kept), *one.candidate.effects], None, rng)
+    names = {n for e in one.candidate.effects for n in e.parameters.names}
+    values = Parameters([p for p in fit.parameters if p.name in names])
     place = channel.scene.joints.index
-    effects = tuple(sorted(found.candidate.effects, key=lambda effect: [place(j) for j in effect.joints]))
-    others = get_columns(search.library, search.others(found))
-    ground = NullModel.of(channel, (TRAIN, VALIDATION), search.noise, others)
-    inflation = max(fit.overdispersion for fit in found.candidate.fits)
-    parameters = estimate_uncertainty(search, ground, effects, values, inflation)
-    joints = tuple(dict.fromkeys(j for effect in effects for j in effect.joints))
-    twins = tuple(dict.fromkeys([*(t for e in effects for t in e.equivalent), *found.rivals]))
+    effects = tuple(sorted(one.candidate.effects, key=lambda effect: [place(j) for j in effect.joints]))
+    ground = NullModel.of(hunt.library, (TRAIN, VALIDATION), hunt.ground.noise, hunt.others(one))
+    inflation = max(group.overdispersion for group in one.candidate.fits)
+    parameters = estimate_uncertainty(ground, effects, values, inflation)
     first = effects[0]
-    rivals = [twin for twin in found.rivals if twin not in first.equivalent]
-    experiment = "; ".join(
-        text.format(reveals=first.reveals, twins=", ".join(names).replace("_", " "))
-        for text, names in ((_TWIN_EXPERIMENT, rivals), (_EQUIVALENT, first.equivalent))
-        if names
-    )
+    rivals = [twin for twin in one.rivals if twin not in first.equivalent]
+    experiments = [
+        text.format(reveals=first.reveals, twins=", ".join(twins).replace("_", " "))
+        for text, twins in ((_TWIN_EXPERIMENT, rivals), (_EQUIVALENT, first.equivalent))
+        if twins
+    ]
     return Finding(
-        cause=found.candidate.cause,
-        joints=joints,
-        status=first.confirmed_as if kept else "suspected",
-        score=found.candidate.statistic,
-        p_value=found.p_value,
+        cause=one.candidate.cause,
+        joints=tuple(dict.fromkeys(j for effect in effects for j in effect.joints)),
+        status="suspected" if why_not else first.confirmed_as,
+        score=one.candidate.statistic,
+        p_value=one.p_value,
         parameters=tuple(parameters),
         gain=gain,
-        indistinguishable_from=twins,
+        indistinguishable_from=tuple(dict.fromkeys([*(t for e in effects for t in e.equivalent), *one.rivals])),
         equation=first.equation,
-        sentence=format_sentence(effects, parameters, gain) + (_WITHIN if kept and confirmation.within else ""),
-        experiment=experiment,
+        sentence=format_sentence(effects, parameters, gain) + (_WITHIN if test.within and not why_not else ""),
+        experiment="; ".join(experiments),
         effects=effects,
-        signature=signature,
+        signature=build_signature(channel, one.candidate.effects, fit.residuals, values),
         channel=channel.name,
-        confirmation=(confirmation.share, confirmation.stderr),
+        confirmation=(test.share, test.stderr),
+        why_not_confirmed=why_not,
     )
 
 
 def estimate_uncertainty(
-    search: StepwiseSelection, ground: NullModel, effects: Sequence[Effect], values: Parameters, inflation: float
+    ground: NullModel, effects: Sequence[Effect], values: Parameters, inflation: float
 ) -> Parameters:
     """Return amplitudes and refined settings with standard errors that count each other's uncertainty.
 
     What the baseline's refit absorbs (a shared motor's inertia, which the links' inertia takes) has none: data do not tell it.
     """
-    library, rows = search.library, []
-    columns = [ground.whiten_columns(library.columns(effect)) for effect in effects]
+    rows, columns = [], [ground.rows(effect) for effect in effects]
     slopes = []
     for effect in effects:
         amplitude = values.select(effect.parameters.names).values
-        slopes += [ground.whiten_columns(x) for x in differentiate_settings(effect, amplitude, library)]
+        slopes += [ground.whiten_columns(x) for x in differentiate_settings(effect, amplitude, ground.channel)]
     everything, norm = scale_columns(np.concatenate([*columns, *slopes], axis=1))
     variance = _variances(ground.gram(everything)) / norm**2
     stderr = iter(None if np.isnan(x) else float(np.sqrt(inflation * x)) for x in variance)
@@ -124,11 +115,7 @@ def _variances(gram: np.ndarray) -> np.ndarray:
 
 def format_sentence(effects: Sequence[Effect], parameters: Parameters, gain: Gain | None) -> str:
     """Return the finding in a sentence."""
-    said = []
-    for effect in effects:
-        where = ", ".join(effect.joints)
-        said.append(f"{where}: {effect.describe(parameters)}")
-    text = "; ".join(said)
+    text = "; ".join(f"{', '.join(effect.joints)}: {effect.describe(parameters)}" for effect in effects)
     if gain is not None:
         joints = list(dict.fromkeys(joint for effect in effects for joint in effect.joints))
         whose = f" of {joints[0]}" if len(joints) == 1 else " of these joints" if joints else ""
@@ -150,19 +137,12 @@ def build_signature(
         np.sum([c[r] @ values.select(e.parameters.names).values for e, c in zip(effects, made, strict=True)], axis=0)
         for r in range(len(channel.runs))
     ]
-    masks = channel.masks(*EVERY)
-    power = [sum(float(np.sum(np.where(m[:, k], s[:, k], 0) ** 2)) for s, m in zip(share, masks, strict=True))
-             for k in range(len(channel.outputs))]  # fmt: skip
+    power = [float(np.sum(channel.gather(share, k, *EVERY) ** 2)) for k in range(len(channel.outputs))]
     k = int(np.argmax(power))
     label, x = build_axis(channel, effects[0], channel.outputs[k])
-    xs, ys, fits = (
-        np.concatenate([v[m[:, k]] for v, m in zip(values_of, masks, strict=True)])
-        for values_of in (
-            x,
-            [e[:, k] + s[:, k] for e, s in zip(residuals, share, strict=True)],
-            [s[:, k] for s in share],
-        )
-    )
+    xs = np.concatenate([v[m[:, k]] for v, m in zip(x, channel.masks(*EVERY), strict=True)])
+    without = [e + s for e, s in zip(residuals, share, strict=True)]
+    ys, fits = (channel.gather(values_of, k, *EVERY) for values_of in (without, share))
     if not len(xs):
         return None
     keep = np.unique(np.linspace(0, len(xs) - 1, min(_POINTS, len(xs))).astype(int))
@@ -187,3 +167,108 @@ def build_axis(channel: Channel, effect: Effect, output: str) -> tuple[str, list
     if effect.name in ("delay", "joint_compliance", "transmission_error"):
         return f"acceleration of {joint} [{position}/s^2]", [v[f"a_{joint}"] for v in variables]
     return f"speed of {joint} [{position}/s]", [v[f"v_{joint}"] for v in variables]
+
+
+def describe_diagnosis(
+    channel: Channel,
+    verdict: Verdict,
+    findings: Sequence[Finding],
+    aliased: Sequence[Finding],
+    unexplained: Sequence[Unexplained],
+    errors: tuple[OutputErrors, OutputErrors],
+) -> str:
+    """Return the answer in one or two sentences, as a colleague would say it.
+
+    Args:
+        channel: The measurements.
+        verdict: The verdict.
+        findings: All findings.
+        aliased: Those whose period is open.
+        unexplained: Structure without a name.
+        errors: Of the refitted and of the extended model.
+    """
+    if channel.name == "force":
+        return _describe_forces(verdict, findings, unexplained, *errors)
+    named = [f for f in findings if f.status == "confirmed"]
+    if channel.name == "tool":
+        return _describe_tool(named, aliased, *errors)
+    return _describe_deflection(channel, named, unexplained, *errors)
+
+
+def _describe_forces(
+    verdict: Verdict,
+    findings: Sequence[Finding],
+    unexplained: Sequence[Unexplained],
+    before: OutputErrors,
+    after: OutputErrors,
+) -> str:
+    """Return the answer in one or two sentences."""
+    missed = f"The residual of the refitted model is {before.relative_error_percent:.2g} % of the measured force"
+    confirmed = [f for f in findings if f.status == "confirmed"]
+    if confirmed:
+        text = f"{missed}; with {_listed(confirmed)} it is {after.relative_error_percent:.2g} %."
+        text += "".join(f" {f.sentence}" for f in findings if f.status == "parameter" and f.cause == "payload")
+    elif verdict in ("named", "cannot_tell"):
+        f = next(f for f in findings if f.status == "parameter")
+        text = f"{missed}. {f.sentence}"
+        if verdict == "cannot_tell":
+            text += f" Indistinguishable with these data: {f.cause} and {', '.join(f.indistinguishable_from)}."
+    elif verdict == "nothing_found":
+        text = f"{missed}. No model error was detected."
+    else:
+        text = f"{missed}."
+    if any(u.status == "confirmed" for u in unexplained):
+        u = unexplained[0]
+        what = ", ".join(u.depends_on)
+        share = f"{100 * u.share_of_residual_variance:.0f} % of its residual"
+        text += f" Significant unexplained structure at {u.joint} depends on {what} ({share})."
+    return text
+
+
+def _listed(findings: Sequence[Finding]) -> str:
+    """Return causes with their joints, at most three of them."""
+    said = [f"{f.cause.replace('_', ' ')} ({', '.join(f.joints)})" for f in findings[:_MAX_LISTED]]
+    if len(findings) > _MAX_LISTED:
+        said.append(f"{len(findings) - _MAX_LISTED} more")
+    return said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"
+
+
+def _describe_tool(
+    named: Sequence[Finding], aliased: Sequence[Finding], before: OutputErrors, after: OutputErrors
+) -> str:
+    """Return what a colleague would say first."""
+    one, other = (format_quantity(float(np.linalg.norm(e.rms)), "m") for e in (before, after))
+    text = f"The measured tool is {one} (rms) from forward kinematics"
+    if named:
+        causes = " and ".join(f"{f.cause} ({', '.join(f.joints)})" for f in named)
+        return f"{text}; with {causes} it is {other}."
+    if aliased:
+        return f"{text}. {aliased[0].sentence} These positions cannot tell which."
+    return f"{text}, and no cause that we know explains any of it."
+
+
+def _describe_deflection(
+    channel: Channel,
+    named: Sequence[Finding],
+    unexplained: Sequence[Unexplained],
+    before: OutputErrors,
+    after: OutputErrors,
+) -> str:
+    """Return what a colleague would say first."""
+    one, other = (
+        ", ".join(
+            f"{format_quantity(float(r), u)} at {o}" for r, u, o in zip(e.rms, channel.units, e.outputs, strict=True)
+        )
+        for e in (before, after)
+    )
+    text = f"The {channel.name} is {one} (rms)"
+    if named:
+        causes = " and ".join(f"{f.cause} ({', '.join(f.joints)})" for f in named)
+        text += f"; with {causes}, {other} is left unexplained"
+    else:
+        text += ", and no cause that we know explains any of it"
+    left = next((u for u in unexplained if u.status == "confirmed"), None)
+    if left is not None:
+        share = f"{100 * left.share_of_residual_variance:.0f} % of its residual"
+        text += f". What is left at {left.joint} depends on {', '.join(left.depends_on)} and has no name ({share})"
+    return f"{text}."

@@ -2,9 +2,15 @@ r"""What encoder noise alone would make of a cause, found by making the same mis
 
 Encoder noise sits in the columns and, times a mass, in the residual; whitening cannot cure what both share. So the fitted
 baseline is run along the measured motion without noise, its positions get fresh noise of the level seen in the logs, its forces
-what the controller answers to that noise (`feedback.py`), and the whole preparation is repeated. What a cause explains of that
-misfit, in the mean of several draws, is the noncentrality that its score would have on a clean log: chance is then judged by a
-noncentral chi-square, with twice that noncentrality, as it is an estimate itself.
+what the controller answers to that noise, and the whole preparation is repeated. What a cause explains of that misfit, in the
+mean of several draws, is the noncentrality that its score would have on a clean log: chance is then judged by a noncentral
+chi-square, with twice that noncentrality, as it is an estimate itself.
+
+A drive that closes its loop through a noisy encoder answers with force: `tau = ... + sum_l H_l n(t - l dt)`. Far above the
+motion's band the measured position is noise and the force is the answer to it, so `H` is fitted there, by least squares on
+high-passed signals; how many lags there are, or none, is chosen by BIC. A few taps, as a discrete cascade has them, are the same
+below that band, at the log's own rate. That a loop follows slow noise, so that less of it is read, is not computed; nor is what a
+log that holds every fourth sample aliases.
 """
 
 from __future__ import annotations
@@ -16,39 +22,92 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import ColumnCache, find_nonnegative
-from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.data_split import TRAIN
-from tau_dyn.diagnose.feedback_response import apply_feedback_taps, estimate_feedback_taps
-from tau_dyn.diagnose.filters import decimate_log
-from tau_dyn.diagnose.force import ForceChannel
-from tau_dyn.diagnose.group_tests import FAMILY_LEVEL, GROUP_LEVEL, CandidateCause
-from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_score_test
+from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, GROUP_LEVEL, CandidateCause, find_nonnegative
+from tau_dyn.diagnose.channel import TRAIN, Channel
+from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, ColumnCache, NullModel, compute_score_test
+from tau_dyn.diagnose.preparation import decimate_log
 from tau_dyn.effects import Effect
+from tau_dyn.identify import PreparedSegment
 from tau_dyn.log import Log, estimate_encoder_noise, estimate_quantisation_step, lowpass
 from tau_dyn.model import Model
+
+REACHES = (0, 1, 2, 4)
+"""How many samples before and after the noise its answers are looked for in."""
+_MIN_CUTOFF_SHARE = 0.25
+"""Cutoff that is used at least, as a share of the rate: above it motion through a mass has died out (`log/band.py`). Just above
+the motion's band a tenth of the noise still is motion, which answers by its mass, and many taps followed that."""
+_MAX_CUTOFF_SHARE = 0.35
+"""Cutoff above which too little is left to fit to, as a share of the rate; motion that reaches beyond is small there."""
+
+
+def estimate_feedback_taps(log: Log, joints: Sequence[str], cutoff_hz: float) -> np.ndarray:
+    """Return the answer of forces to encoder noise `H` (2 L + 1, na, na) [N/m ..] at lags -L to L; empty where there is none.
+
+    Args:
+        log: Positions and forces at the rate at which they were logged.
+        joints: The actuated joints.
+        cutoff_hz: Up to here positions hold motion [Hz].
+    """
+    q, rate_hz = log.joint("q", joints), log.rate_hz
+    na, above = q.shape[1], min(max(cutoff_hz, _MIN_CUTOFF_SHARE * rate_hz), _MAX_CUTOFF_SHARE * rate_hz)
+    noise, answer = (x - lowpass(x, above, rate_hz) for x in (q, log.joint("tau", joints)))
+    inner = slice(max(REACHES), -max(REACHES))
+    answer = answer[inner]
+    free = len(answer) * (1 - 2 * above / rate_hz)  # so many samples are free of each other in the band that is left
+    best, chosen = _bic(answer, 0, free), np.zeros((0, na, na))
+    for reach in REACHES:
+        rows = np.concatenate([x[inner] for x in _lagged(noise, reach)], axis=1)
+        found = np.linalg.lstsq(rows, answer, rcond=None)[0]
+        value = _bic(answer - rows @ found, rows.shape[1], free)
+        if value < best:
+            best, chosen = value, found.reshape(-1, na, na)
+    return chosen
+
+
+def apply_feedback_taps(taps: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Return the forces (N, na) with which these taps answer encoder noise (N, na)."""
+    if not len(taps):
+        return np.zeros_like(noise)
+    return sum((x @ H for x, H in zip(_lagged(noise, len(taps) // 2), taps, strict=True)), np.zeros_like(noise))
+
+
+def _lagged(noise: np.ndarray, reach: int) -> list[np.ndarray]:
+    """Return the noise (N, na) at lags `-reach` to `reach`, zero beyond its ends."""
+    padded = np.pad(noise, ((reach, reach), (0, 0)))
+    return [padded[reach - lag : reach - lag + len(noise)] for lag in range(-reach, reach + 1)]
+
+
+def _bic(e: np.ndarray, freedom: int, samples: float) -> float:
+    """Return the criterion of all outputs together, each with `freedom` coefficients and so many free samples."""
+    power = np.maximum(np.mean(e**2, axis=0), 1e-300)
+    return float(samples * np.sum(np.log(power)) + e.shape[1] * freedom * np.log(samples))
+
 
 N_BOOTSTRAP_DRAWS = 4
 """Draws of encoder noise; what it makes of a cause on one of them may be near nothing, or four times the mean."""
 NONCENTRALITY_SAFETY_FACTOR = 2.0  # on an estimate from few draws, which is off by up to a factor of two
-_MAX_CUTOFF_SHARE = 0.45
+_WIDEST_CUTOFF_SHARE = 0.45
 """Low-pass of a motion that fills the whole band, as a share of the rate."""
 
 
 def simulate_noise_only_logs(
-    channel: ForceChannel, model: Model, logs: Sequence[Log], smooth_hz: Sequence[float], rng: np.random.Generator
+    prepared: Sequence[PreparedSegment],
+    model: Model,
+    logs: Sequence[Log],
+    smooth_hz: Sequence[float],
+    rng: np.random.Generator,
 ) -> list[Log]:
     """Return logs as the fitted baseline would have made them: fresh encoder noise, and in the forces only the answer to it.
 
     Args:
-        channel: The measured channel.
+        prepared: The measured pieces, ready for making columns.
         model: The fitted baseline.
-        logs: Its pieces as they were logged, before they were thinned.
+        logs: The pieces as they were logged, before they were thinned.
         smooth_hz: Low-pass of each piece's positions [Hz].
         rng: Where the noise comes from.
     """
-    found, joints = [], channel.outputs
-    for piece, log, smooth in zip(channel.prepared, logs, smooth_hz, strict=True):
+    found, joints = [], prepared[0].motion.joints
+    for piece, log, smooth in zip(prepared, logs, smooth_hz, strict=True):
         m, cutoff = piece.motion, piece.preparation.position_cutoff_hz
         whole = model.motion(m.q, m.v, m.a, np.sign(m.v), t=m.t, signals=m.signals)  # the made motion's own reversals
         force = model.columns(whole) @ model.parameters.values
@@ -57,7 +116,7 @@ def simulate_noise_only_logs(
         smooth_q = (
             m.q
             if smooth < cutoff
-            else lowpass(piece.log.joint("q", joints), min(smooth, _MAX_CUTOFF_SHARE * rate), rate)
+            else lowpass(piece.log.joint("q", joints), min(smooth, _WIDEST_CUTOFF_SHARE * rate), rate)
         )
         q, force = smooth_q + seen.joint("q", joints), force + seen.joint("tau", joints)
         channels = dict(piece.log.channels)
@@ -106,10 +165,7 @@ class NoiseOnlyBootstrap:
 
     def fit_null_models(self, ground: NullModel, effects: Sequence[Effect]) -> list[NullModel]:
         """Return the training part of each channel with effects accounted for, white as `ground` is."""
-        return [
-            NullModel.of(channel, (TRAIN,), ground.noise, [library.columns(effect) for effect in effects])
-            for channel, library in zip(self.channels, self.libraries, strict=True)
-        ]
+        return [NullModel.of(library, (TRAIN,), ground.noise, effects) for library in self.libraries]
 
     def reject_artefacts(
         self, ground: NullModel, candidate: CandidateCause, others: Sequence[Effect], n: int
@@ -126,17 +182,27 @@ class NoiseOnlyBootstrap:
         chances = []
         for fit in candidate.fits:
             columns = [library.columns(fit.effect) for library in self.libraries]
-            bias = NONCENTRALITY_SAFETY_FACTOR * estimate_noncentrality(
-                blanks, ground, columns, find_nonnegative(fit.effect)
-            )
-            T = fit.statistic / fit.overdispersion
-            tail = float(stats.ncx2.sf(T, fit.dof, bias) if bias > 0 else stats.chi2.sf(T, fit.dof))
+            T, sided = fit.statistic / fit.overdispersion, find_nonnegative(fit.effect)
+            tail = compute_artefact_chance(T, blanks, ground, columns, sided)
             chances.append(min(1.0, fit.n_effective_tests * tail))
         least = min(chances)
         if least * len(candidate.tested) * n >= FAMILY_LEVEL:
             return None
         kept = tuple(f for f, chance in zip(candidate.fits, chances, strict=True) if chance <= max(GROUP_LEVEL, least))
         return replace(candidate, fits=kept)
+
+
+def compute_artefact_chance(
+    statistic: float,
+    blanks: Sequence[NullModel],
+    ground: NullModel,
+    columns: Sequence[Sequence[np.ndarray]],
+    sided: np.ndarray,
+    absorbed: float = MIN_UNABSORBED_SHARE,
+) -> float:
+    """Return the chance that encoder noise makes a statistic of these columns on each blank, by a noncentral chi-square."""
+    bias = NONCENTRALITY_SAFETY_FACTOR * estimate_noncentrality(blanks, ground, columns, sided, absorbed)
+    return float(stats.ncx2.sf(statistic, len(sided), bias) if bias > 0 else stats.chi2.sf(statistic, len(sided)))
 
 
 def estimate_noncentrality(

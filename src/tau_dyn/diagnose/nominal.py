@@ -8,7 +8,6 @@ many numbers.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -61,18 +60,19 @@ def _find_deviations(model: Model, nominal: Parameters, fitted: Parameters, esti
         difference = compare_with_trusted(model.robot, nominal, estimate)
         explanation = find_explanation(model.robot, difference)
         if explanation is not None:
-            return [_explained(model, explanation, difference.misfit - explanation.left)]
-    rows = [(p, nominal[p.name]) for p in fitted if _trusted(p, nominal)]
+            return [_build_finding(model, explanation, difference.misfit - explanation.left)]
+    rows = [(p, nominal[p.name]) for p in fitted if _is_known(p, nominal)]
     if not rows:
         return []
-    z = np.array([(p.value - n.value) / _both(p, n) for p, n in rows])
-    p_values = 2 * stats.norm.sf(np.abs(z))
-    off = [k for k in range(len(rows)) if p_values[k] * len(rows) < SIGNIFICANCE_LEVEL]
-    if not off:
-        return []
-    if len(rows) > 1 and len(off) > 1 and _common_factor(rows):
-        return [_gain(rows, float(np.min(p_values)) * len(rows))]
-    return [_mass(model, *rows[k], float(z[k]), float(p_values[k]) * len(rows), len(rows) == 1) for k in off]
+    sigma = np.array([_combined_stderr(p, n) for p, n in rows])
+    z = np.array([p.value - n.value for p, n in rows]) / sigma
+    p_values = np.minimum(1.0, 2 * stats.norm.sf(np.abs(z)) * len(rows))
+    off = np.flatnonzero(p_values < SIGNIFICANCE_LEVEL)
+    ratio = np.array([p.value / n.value for p, n in rows])
+    sigma = sigma / [n.value for _, n in rows]
+    if len(off) > 1 and _is_common_factor(ratio, sigma):
+        return [_build_gain_finding(ratio, sigma, float(p_values.min()))]
+    return [_build_mass_finding(model, *rows[k], float(z[k]), float(p_values[k]), len(rows) == 1) for k in off]
 
 
 def _suspect_implausible(finding: Finding, robot: Robot, nominal: Parameters) -> Finding:
@@ -89,42 +89,38 @@ def _suspect_implausible(finding: Finding, robot: Robot, nominal: Parameters) ->
     return replace(finding, status="suspected", why_not_confirmed=why)
 
 
-def _trusted(p: Parameter, nominal: Parameters) -> bool:
+def _is_known(p: Parameter, nominal: Parameters) -> bool:
+    """Tell whether a fitted parameter is a mass that has a nominal value and is known well enough to be held against it."""
     if not p.free or p.stderr is None or not p.name.endswith(".mass") or p.name not in nominal:
         return False
     return nominal[p.name].value > 0 and p.stderr < 0.3 * abs(p.value)
 
 
-def _both(p: Parameter, n: Parameter) -> float:
+def _combined_stderr(p: Parameter, n: Parameter) -> float:
     given = n.prior_stderr if n.prior_stderr is not None else n.stderr  # of a robot file, or of an identified model
     trusted = given if given is not None else NOMINAL_MASS_STDERR * abs(n.value)
     return float(np.hypot(p.stderr or 0.0, trusted))
 
 
-def _common_factor(rows: Sequence[tuple[Parameter, Parameter]]) -> bool:
-    """Tell whether one factor, far from one, explains all masses."""
-    ratio = np.array([p.value / n.value for p, n in rows])
-    sigma = np.array([_both(p, n) / n.value for p, n in rows])
+def _is_common_factor(ratio: np.ndarray, sigma: np.ndarray) -> bool:
+    """Tell whether one factor, far from one, explains all masses, of which these are ratios to the nominal ones (n,)."""
     weight = 1 / sigma**2
     mean = float(ratio @ weight / weight.sum())
     scatter = float(np.sum(((ratio - mean) / sigma) ** 2))
     far = abs(mean - 1) * float(np.sqrt(weight.sum()))
-    return float(stats.chi2.sf(scatter, len(rows) - 1)) > 0.05 and far > 4
+    return float(stats.chi2.sf(scatter, len(ratio) - 1)) > 0.05 and far > 4
 
 
-def _gain(rows: Sequence[tuple[Parameter, Parameter]], p_value: float) -> Finding:
-    weight = np.array([1 / (_both(p, n) / n.value) ** 2 for p, n in rows])
-    mean = float(np.array([p.value / n.value for p, n in rows]) @ weight / weight.sum())
-    factor = Parameter(
-        "drive.gain", mean, "1", stderr=float(1 / np.sqrt(weight.sum())), origin="masses over nominal masses"
-    )
+def _build_gain_finding(ratio: np.ndarray, sigma: np.ndarray, p_value: float) -> Finding:
+    weight = 1 / sigma**2
+    mean, stderr = float(ratio @ weight / weight.sum()), float(1 / np.sqrt(weight.sum()))
     return Finding(
         "drive_gain",
         (),
         "parameter",
-        float(((mean - 1) / (factor.stderr or 1.0)) ** 2),
-        min(1.0, p_value),
-        (factor,),
+        float(((mean - 1) / stderr) ** 2),
+        p_value,
+        (Parameter("drive.gain", mean, "1", stderr=stderr, origin="masses over nominal masses"),),
         None,
         ("link_mass",),
         "tau_log = gain tau",
@@ -133,7 +129,7 @@ def _gain(rows: Sequence[tuple[Parameter, Parameter]], p_value: float) -> Findin
     )
 
 
-def _explained(model: Model, found: Explanation, score: float) -> Finding:
+def _build_finding(model: Model, found: Explanation, score: float) -> Finding:
     """Return the finding of one explanation of all that is off."""
     robot, stderr = model.robot, float(np.sqrt(found.cov[0, 0]))
     if found.cause == "payload":
@@ -178,7 +174,7 @@ def _explained(model: Model, found: Explanation, score: float) -> Finding:
     )
 
 
-def _mass(model: Model, p: Parameter, n: Parameter, z: float, p_value: float, only: bool) -> Finding:
+def _build_mass_finding(model: Model, p: Parameter, n: Parameter, z: float, p_value: float, only: bool) -> Finding:
     link = p.name.rsplit(".", 1)[0]
     carries = link == model.robot.plate or only
     more = p.value > n.value
@@ -192,7 +188,7 @@ def _mass(model: Model, p: Parameter, n: Parameter, z: float, p_value: float, on
         (link,),
         "parameter",
         z**2,
-        min(1.0, p_value),
+        p_value,
         (p,),
         None,
         tuple(twins),

@@ -6,24 +6,149 @@ With white rows `y = B theta + C gamma + e`, `Q` an orthonormal basis of `B` and
 
 the gain in twice the log-likelihood by `C`, the baseline refitted (Frisch & Waugh 1933). Under the null it is chi-square with
 as many degrees of freedom as columns; `T` of the true column alone has the noncentrality `lambda`.
+
+The noise that whitens is judged on what a rich model leaves: on the baseline's residual a hidden effect would count as noise. So
+every output may depend smoothly on all variables of its own joint, times the direction of motion, and ring at the frequencies
+that a black-box fit proposes (an autoregressive model would otherwise take a resonance for the noise's colour).
+
+Thousands of periods are tried at once by Fourier transforms over the position (Scargle 1982). The score of `exp(i w q)`,
+`w = 2 pi / P`, against white residual rows `L e` is a Fourier sum over positions of `u = L' e`, weighted by what the low-pass
+leaves at the local frequency `f = |v| / P`. Samples are sorted into a few classes of speed, in which this weight depends on P
+alone, and binned by position. A displacement acts by its acceleration, `(i w a - w^2 v^2) exp(i w q)`: two such sums. What noise
+makes of each period is seen from the noise draws, put through the same sums. What is found is weighed again exactly.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, cast
 
 import numpy as np
-from scipy import linalg
+from numpy.polynomial import legendre
+from scipy import fft, linalg, ndimage, sparse
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.estimate import Autoregression, Whitener
+from tau_dyn.effects import Effect
+from tau_dyn.estimate import Autoregression, Whitener, fit_autoregression, solve_scaled
+from tau_dyn.log import compute_attenuation, find_true_runs
 
+WHOLE_TIME = "t_whole"
+"""Time through all logs, one after the other, where there are several: what settles may go on in the next one, or begin anew."""
+_DEGREE = 4  # of the smooth functions of a variable
+_MAX_ORDER = 8  # of the autoregressive model of the residual, selected below it
+
+
+def fit_noise_models(
+    channel: Channel, parts: Sequence[int], extra: Sequence[Sequence[np.ndarray]] = ()
+) -> tuple[Autoregression, ...]:
+    """Return the noise model of each output, from samples of these parts, further columns (n, m, k) accounted for."""
+    masks = channel.masks(*parts)
+    variables = channel.variables()
+    models = []
+    for k, output in enumerate(channel.outputs):
+        rich = build_smooth_columns(variables, output)
+        columns = [
+            np.concatenate(
+                [c[r][:, k] for c in (channel.free_columns, channel.resonance_columns, *extra)] + [rich[r]], axis=1
+            )
+            for r in range(len(channel.runs))
+        ]
+        rows = np.concatenate([x[m[:, k]] for x, m in zip(columns, masks, strict=True)])
+        y = channel.gather(channel.target, k, *parts)
+        theta = solve_scaled(rows, y, 1e-7)
+        stretches = []
+        for x, y_run, mask in zip(columns, channel.target, masks, strict=True):
+            e = y_run[:, k] - x @ theta
+            stretches += [e[s] for s in find_true_runs(mask[:, k])]
+        still = Autoregression(np.zeros(0), 1.0)  # an output without a usable sample has no rows to whiten
+        models.append(fit_autoregression(stretches, _MAX_ORDER) if stretches else still)
+    return tuple(models)
+
+
+def build_smooth_columns(variables: Sequence[Mapping[str, np.ndarray]], output: str) -> list[np.ndarray]:
+    """Return smooth functions (n, c) of an output's own variables, and the same times the direction of motion, of each run."""
+    return build_joined_columns(variables, lambda joined: _smooth_own(joined, output))
+
+
+def build_joined_columns(
+    variables: Sequence[Mapping[str, np.ndarray]], columns: Callable[[Mapping[str, np.ndarray]], np.ndarray]
+) -> list[np.ndarray]:
+    """Return columns (n, c) of each run, made of all runs' variables joined: one function, whatever range a run covers."""
+    common = [name for name in variables[0] if all(name in v for v in variables)]
+    joined = {name: np.concatenate([v[name] for v in variables]) for name in common}
+    lengths = [len(next(iter(v.values()))) for v in variables]
+    return np.split(columns(joined), np.cumsum(lengths)[:-1])
+
+
+def _smooth_own(variables: Mapping[str, np.ndarray], output: str) -> np.ndarray:
+    own = [x for name, x in variables.items() if name.split("_", 1)[-1] == output or name in ("t", WHOLE_TIME)]
+    sign = np.sign(variables.get(f"v_{output}", np.zeros(1)))
+    basis = [c for x in own for c in smooth(x)]
+    basis += [sign * c for c in basis] if np.any(sign) else []
+    return np.column_stack(basis)
+
+
+def smooth(x: np.ndarray, degree: int = _DEGREE) -> list[np.ndarray]:
+    """Return Legendre polynomials of degree 1 to `degree` of a variable (n,) scaled to its range; none if constant."""
+    low, high = float(x.min()), float(x.max())
+    if not high > low:
+        return []
+    scaled = 2 * (x - low) / (high - low) - 1
+    return list(legendre.legvander(scaled, degree).T[1:])
+
+
+_CLASSES = 8  # of speed, each with as many samples
+_PER_PERIOD = 12  # position bins a period of the shortest wave
+_SMOOTHED = 9  # lines of the spectrum averaged for the noise beside a peak
+OVERSAMPLING = 4
+"""Steps of the scan per 1 / range; `effects/periodic.py` lays its grid out alike."""
+LONG = 8.0
+"""Periods in the range up to which one is not scanned but tried exactly: there the acceleration counts beside the speed."""
+
+Term = tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]
+"""A factor of each sample (n,), and its complex size (g,) at angular frequencies w (g,) over the position."""
+PRIOR_WEIGHT_BLOCKS = 10.0
+"""Weight of 'the noise model is right' against the scatter of blocks, in blocks."""
 MIN_UNABSORBED_SHARE = 1e-4
 """Part of a column's square that the baseline leaves, below which the baseline's refit absorbs it. It is not smaller
 because encoder noise sits in the baseline's columns: a smooth copy of one of them would be left with that noise, and find it."""
+
+
+class EffectColumns(Sequence[np.ndarray]):
+    """An effect's columns (n, m, k) of each run, made when first asked for: most are tried on the training logs alone."""
+
+    def __init__(self, channel: Channel, effect: Effect) -> None:
+        """Make nothing yet."""
+        self._channel, self._effect = channel, effect
+        self._made: dict[int, np.ndarray] = {}
+
+    def __len__(self) -> int:
+        """Return the number of runs."""
+        return len(self._channel.runs)
+
+    def __getitem__(self, run: int) -> np.ndarray:  # type: ignore[override]  # slices are of no use here
+        """Return the columns of one run."""
+        if run >= len(self):
+            raise IndexError(run)
+        if run not in self._made:
+            self._made[run] = self._channel.run_columns(self._effect, run)
+        return self._made[run]
+
+
+class ColumnCache:
+    """Columns of effects on one channel, made once."""
+
+    def __init__(self, channel: Channel) -> None:
+        """Start empty."""
+        self.channel = channel
+        self._made: dict[tuple, EffectColumns] = {}
+
+    def columns(self, effect: Effect) -> EffectColumns:
+        """Return an effect's exact columns."""
+        key = (effect.name, effect.joints, tuple(sorted(effect.settings.items())), effect.label)
+        return self._made.setdefault(key, EffectColumns(self.channel, effect))
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +156,8 @@ class NullModel:
     """White rows of one part with everything accounted for projected out.
 
     Attributes:
-        channel: Where the data come from.
+        library: Makes columns of the channel that the data come from.
+        parts: The parts of the data.
         whiten: Makes rows of arrays over the runs.
         Q: Orthonormal basis of what is accounted for (R, r).
         e: What it leaves of the measurements (R,).
@@ -39,7 +165,8 @@ class NullModel:
         scale: Standard deviation of white rows (1 where the noise model is right); rows are divided by it.
     """
 
-    channel: Channel
+    library: ColumnCache
+    parts: tuple[int, ...]
     whiten: Whitener
     Q: np.ndarray
     e: np.ndarray
@@ -48,16 +175,13 @@ class NullModel:
 
     @classmethod
     def of(
-        cls,
-        channel: Channel,
-        parts: Sequence[int],
-        noise: Sequence[Autoregression],
-        extra: Sequence[Sequence[np.ndarray]] = (),
+        cls, library: ColumnCache, parts: Sequence[int], noise: Sequence[Autoregression], effects: Sequence[Effect] = ()
     ) -> NullModel:
-        """Project out the baseline's free columns and further columns (lists over runs of (n, m, k))."""
+        """Project out the baseline's free columns and those of effects."""
+        channel = library.channel
         whiten = Whitener.of(channel.runs, channel.masks(*parts), noise)
         prior_rows, prior_y = channel.prior
-        B = [whiten(channel.free_columns), *(whiten(c) for c in extra)]
+        B = [whiten(channel.free_columns), *(whiten(library.columns(effect)) for effect in effects)]
         blank = np.zeros((len(prior_y), sum(c.shape[1] for c in B[1:])))
         stacked = np.concatenate([np.concatenate(B, axis=1), np.concatenate([prior_rows, blank], axis=1)])
         y = np.concatenate([whiten(channel.target), prior_y])
@@ -66,12 +190,25 @@ class NullModel:
         n = whiten.n_rows
         dof = max(1, n - Q.shape[1])
         scale = float(np.sqrt(e @ e / dof))
-        return cls(channel, whiten, Q[:n], e[:n] / scale, tuple(noise), scale)
+        return cls(library, tuple(parts), whiten, Q[:n], e[:n] / scale, tuple(noise), scale)
+
+    def beside(self, effects: Sequence[Effect]) -> NullModel:
+        """Return the same part under the same noise, with these effects accounted for."""
+        return NullModel.of(self.library, self.parts, self.noise, effects)
+
+    @property
+    def channel(self) -> Channel:
+        """Where the data come from."""
+        return self.library.channel
 
     @property
     def n_rows(self) -> int:
         """Number of white rows R."""
         return len(self.e)
+
+    def rows(self, effect: Effect) -> np.ndarray:
+        """Return white rows (R, k) of an effect's exact columns, scaled like the residual."""
+        return self.whiten_columns(self.library.columns(effect))
 
     def whiten_columns(self, columns: Sequence[np.ndarray]) -> np.ndarray:
         """Return white rows (R, k) of columns over the runs, scaled like the residual."""
@@ -82,9 +219,9 @@ class NullModel:
         noise = rng.standard_normal((self.n_rows, count))
         return noise - self.Q @ (self.Q.T @ noise)
 
-    def augment(self, extra: Sequence[Sequence[np.ndarray]]) -> NullModel:
-        """Return what is left with further columns (lists over runs of (n, m, k)) accounted for too."""
-        more = orthonormalise(self.project_out(np.concatenate([self.whiten_columns(c) for c in extra], axis=1)))
+    def augment(self, effects: Sequence[Effect]) -> NullModel:
+        """Return what is left with further effects accounted for too."""
+        more = orthonormalise(self.project_out(np.concatenate([self.rows(effect) for effect in effects], axis=1)))
         return replace(self, Q=np.concatenate([self.Q, more], axis=1), e=self.e - more @ (more.T @ self.e))
 
     def gram(self, C: np.ndarray) -> np.ndarray:
@@ -114,6 +251,30 @@ def orthonormalise(B: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:
     Q, R, _ = cast(Any, linalg.qr(B, mode="economic", pivoting=True))
     diagonal = np.abs(np.diag(R))
     return Q[:, : int(np.sum(diagonal > tolerance * diagonal[0]))]
+
+
+def compute_overdispersion(block: np.ndarray, scores: np.ndarray, square: float) -> float:
+    """Return the scatter of 2 s blocks' scores (R,) over what the noise model says of them, at least 1.
+
+    Args:
+        block: Number of each row's block (R,).
+        scores: Products of rows of a direction and of the residual (R,).
+        square: Variance of their sum by the noise model.
+    """
+    if square <= 0:
+        return 1.0
+    count, ratio = len(np.unique(block)), float(np.sum(np.bincount(block, scores) ** 2)) / square
+    return max(1.0, (count * ratio + PRIOR_WEIGHT_BLOCKS) / (count + PRIOR_WEIGHT_BLOCKS))
+
+
+def count_effective_tests(tails: np.ndarray, seen: int) -> float:
+    """Return the number of independent tries `m` with `P(T <= t) = F(t)^m`, by maximum likelihood.
+
+    Args:
+        tails: Chances `1 - F(t)` of the largest `T` of each draw of noise (D,).
+        seen: Draws whose `T` is known and not only zero at most.
+    """
+    return float(max(1.0, -seen / np.sum(np.log1p(-tails))))
 
 
 def compute_score_test(
@@ -165,3 +326,70 @@ def _unconstrained(s: np.ndarray, G: np.ndarray, raw: np.ndarray, absorbed: floa
     T = np.einsum("gld,gl->gd", along**2, inverse)
     amplitude = np.einsum("gkl,gl,gld->gkd", vectors, inverse, along) / norm[:, :, None]
     return T, amplitude
+
+
+def compute_period_statistics(
+    q: np.ndarray,
+    v: np.ndarray,
+    u: np.ndarray,
+    mask: np.ndarray,
+    periods: np.ndarray,
+    cutoff_hz: float,
+    terms: Sequence[Term],
+) -> np.ndarray:
+    """Return `T` (g, d) of each period for each residual.
+
+    Args:
+        q: Positions of samples (n,) [m or rad].
+        v: Speeds (n,).
+        u: White rows carried back to samples (n, d): the residual first, then noise draws.
+        mask: Samples that count (n,).
+        periods: Periods (g,) [m or rad].
+        cutoff_hz: The zero-phase low-pass that both sides pass [Hz].
+        terms: What a unit amplitude is before it; see `build_force_terms` and `build_displacement_terms`.
+    """
+    if not mask.any():
+        return np.zeros((len(periods), u.shape[1]))
+    lines = 1 / periods
+    travel = float(np.ptp(q)) or 1.0
+    size = int(2 ** np.ceil(np.log2(OVERSAMPLING * travel * _PER_PERIOD * lines.max())))
+    bins = np.minimum(((q - q.min()) / (OVERSAMPLING * travel) * size).astype(int), size - 1)
+    index = np.minimum(np.round(lines * OVERSAMPLING * travel).astype(int), size // 2)
+    speed = np.abs(v)
+    edges = np.quantile(speed[mask], np.linspace(0, 1, _CLASSES + 1)[1:-1])
+    number = np.searchsorted(edges, speed)
+    S = np.zeros((u.shape[1], len(lines)), complex)
+    for c in range(_CLASSES):
+        mine = np.flatnonzero((number == c) & mask)
+        if mine.size:
+            place = sparse.csr_matrix((np.ones(len(mine)), (bins[mine], np.arange(len(mine)))), shape=(size, len(mine)))
+            passed = 1 / compute_attenuation(float(np.median(speed[mine])) * lines, cutoff_hz)
+            for factor, size_of in terms:
+                spectrum = np.asarray(fft.rfft(np.ascontiguousarray((place @ (factor[mine, None] * u[mine])).T)))
+                S += passed * size_of(2 * np.pi * lines) * np.conj(spectrum[:, index])
+    power = np.abs(S) ** 2
+    noise = ndimage.uniform_filter1d(power[1:].mean(axis=0), min(_SMOOTHED, len(lines)), mode="nearest") / 2
+    return np.divide(power, noise, out=np.zeros_like(power), where=noise > 1e-9 * noise.max(initial=1e-300)).T
+
+
+def build_force_terms(q: np.ndarray) -> list[Term]:
+    """Return the one term of a force of the position."""
+    return [(np.ones(len(q)), np.ones_like)]
+
+
+def build_displacement_terms(v: np.ndarray, a: np.ndarray) -> list[Term]:
+    """Return the terms of a displacement's acceleration along speeds and accelerations (n,)."""
+    return [(a, lambda w: 1j * w), (v**2, lambda w: -(w**2))]
+
+
+def select_output_rows(whiten: Whitener, output: int, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return white rows (R, d) of all outputs as samples (n, d) of one of them, and which samples (n,) are in a row of it."""
+    rows = whiten.rows[output :: whiten.n_outputs]
+    u = np.concatenate(project_to_samples(rows, white[np.flatnonzero(whiten.index == output)]))
+    return u, np.concatenate([np.asarray(abs(L).sum(axis=0)).ravel() > 0 for L in rows])
+
+
+def project_to_samples(rows: Sequence[sparse.csr_matrix], white: np.ndarray) -> list[np.ndarray]:
+    """Return white rows (R, d) of one output carried back to the samples of each run (n, d)."""
+    borders = np.cumsum([0, *(len(L.indptr) - 1 for L in rows)])
+    return [L.T @ white[a:b] for L, a, b in zip(rows, borders[:-1], borders[1:], strict=True)]

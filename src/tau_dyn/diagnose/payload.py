@@ -132,8 +132,13 @@ def compare_with_trusted(robot: Robot, trusted: Parameters, estimate: Estimate) 
     inertial = np.array([name in bodies for name in base.names])
     rows = np.flatnonzero(inertial[base.kept] & ~(E[:, ~inertial] != 0).any(axis=1))
     identified = any(trusted[n].stderr is not None for n in base.names if n in bodies)
-    unknown = [] if identified else [j for j in robot.actuated if not _is_given(trusted[f"{j}.armature"])]
-    select = _complement([_refit(estimate, _column(estimate, f"{j}.armature"))[rows] for j in unknown], len(rows))
+    names = estimate.regression.parameters.names
+    drives = [] if identified else [f"{j}.armature" for j in robot.actuated]
+    unknown = [
+        names.index(n) for n in drives if trusted[n].origin == NOT_GIVEN or trusted[n].origin.startswith("within")
+    ]
+    refits = [_refit(estimate, [run.W[:, :, k] for run in estimate.regression.runs])[rows] for k in unknown]
+    select = _complement(refits, len(rows))
     select = select @ np.eye(base.rank)[rows]
     E = select @ E
     values = _values(trusted, base.names)
@@ -160,16 +165,10 @@ def find_explanation(robot: Robot, difference: BaseParameterDifference) -> Expla
         return None
     best = min(fit, key=lambda one: one.penalised)
     near = [one.cause for one in fit if one.penalised < best.penalised + TWIN_MARGIN and one.cause != best.cause]
-    heavier = best.cause == "payload" and is_trusted_from_file(robot, difference.trusted)
-    extra = (
-        ["link_mass"] if heavier or best.cause == "drive_gain" else []
-    )  # all masses off alike are all forces off alike
+    from_file = all(difference.trusted[n].stderr is None for n in robot.parameters.names if n in difference.trusted)
+    heavier = best.cause == "payload" and from_file
+    extra = ["link_mass"] if heavier or best.cause == "drive_gain" else []  # all masses off alike are all forces off
     return replace(best, p=best.p_value(whole, len(found)), twins=tuple(dict.fromkeys([*near, *extra])))
-
-
-def is_trusted_from_file(robot: Robot, trusted: Parameters) -> bool:
-    """Return whether trusted values are a robot file's and were not identified."""
-    return all(trusted[n].stderr is None for n in robot.parameters.names if n in trusted)
 
 
 def find_end_link(robot: Robot) -> LinkInertia | None:
@@ -241,12 +240,6 @@ def _force_scale(difference: BaseParameterDifference, joint: int) -> np.ndarray:
     return difference.select @ _refit(estimate, [(run.W @ theta) * weight for run in estimate.regression.runs])
 
 
-def _column(estimate: Estimate, name: str) -> list[np.ndarray]:
-    """Return the column (n, m) of a parameter in each run, fitted or not."""
-    k = estimate.regression.parameters.names.index(name)
-    return [run.W[:, :, k] for run in estimate.regression.runs]
-
-
 def _refit(estimate: Estimate, forces: Sequence[np.ndarray]) -> np.ndarray:
     """Return what the fit's least squares make of forces (n, m) of each run: base parameters (all,)."""
     base, runs = estimate.base, estimate.regression.runs
@@ -267,11 +260,6 @@ def _complement(directions: Sequence[np.ndarray], n: int) -> np.ndarray:
     scaled = [x / np.linalg.norm(x) for x in directions if np.linalg.norm(x) > 0]
     values, vectors = np.linalg.eigh(sum((np.outer(x, x) for x in scaled), np.zeros((n, n))))
     return vectors[:, values < _RELATIVE_RANK * max(float(values.max(initial=0.0)), 1e-300)].T
-
-
-def _is_given(armature: Parameter) -> bool:
-    """Return whether somebody gave a drive's inertia: a robot file or a user."""
-    return armature.origin != NOT_GIVEN and not armature.origin.startswith("within")
 
 
 def _fit(difference: BaseParameterDifference, cause: str, place: str, B: np.ndarray) -> Explanation | None:

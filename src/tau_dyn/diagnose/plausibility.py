@@ -1,23 +1,31 @@
-"""May a cause be confirmed? Its amplitudes are plausible, its settings inside what was searched, its joints better predicted.
+"""May a cause be confirmed? Its amplitudes are plausible, its settings inside what was searched, and it is no companion.
 
 A fit finds the best amplitude of any law; these rules ask whether a machine can have it. They are applied after the search: a
 law that fails them has been accounted for while others were looked for, and stays in the answer as `suspected` with the reason.
+
+No law is exact on a machine. What a law leaves of a large force is a small force on the same joint, which another cause's law may
+take up: its companion. Two laws of one joint's speed take up each other's remainder best: there a curve that one law alone meets
+to within what measured friction follows textbook laws is no evidence for a second law. Reference: Armstrong-Helouvry, Dupont &
+Canudas de Wit 1994.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from scipy import stats
 
-from tau_dyn.effects import Effect, JointScales, Scene, format_quantity, spell_unit
-from tau_dyn.estimate import Estimate
+from tau_dyn.diagnose.channel import TRAIN, VALIDATION
+from tau_dyn.diagnose.null_model import ColumnCache
+from tau_dyn.diagnose.result import Unexplained
+from tau_dyn.diagnose.stepwise_selection import SelectedCause
+from tau_dyn.effects import Effect, JointScales, Motion, Scene, format_quantity, spell_unit
+from tau_dyn.estimate import Estimate, solve_scaled
 from tau_dyn.parameters import Parameters
 
-SEARCH_MARGIN = 5.0
-"""Factor by which plausible ranges are widened inside the search: a law beyond it only resembles the true one, and would keep
-it from being found; one closer by is judged at the end, by its final amplitude."""
 INCONSISTENT_LEVEL = 1e-3
 """Significance level of a difference between joints; standard errors of amplitudes may be some tens of per cent too small."""
 EDGE_TOLERANCE = 1e-3
@@ -137,3 +145,139 @@ def is_distinct_from_zero(effects: Sequence[Effect], estimate: Estimate, min_z: 
             found, float(x / size @ np.linalg.pinv(C / np.outer(size, size), 1e-6, hermitian=True) @ (x / size))
         )
     return bool(found > stats.chi2.isf(2 * stats.norm.sf(min_z), len(rows)))
+
+
+MAX_LAW_ERROR = 0.05
+"""Share of a force by which its law may be inexact: textbook laws of friction meet measured curves to five to ten per cent."""
+_SPEEDS = 40
+"""Speeds at which two laws are compared, evenly spaced by ratio."""
+_SETTING_FACTORS = tuple(np.geomspace(0.25, 4.0, 9))
+"""Factors by which a law's settings are tried, as they adjust where another law is left out."""
+_MAX_ROWS = 8000
+"""Samples from which a force's size is taken: many times the number of parameters."""
+_SMALL = "it is {:.1f} % of the force of {} there, whose law is not known as exactly as that"
+_ONE_CURVE = "{} alone meets the joint's friction to {:.1f} %, and no law of friction is known more exactly than that"
+
+
+def measure_net_forces(library: ColumnCache, kept: Sequence[SelectedCause], values: Parameters) -> np.ndarray:
+    """Return the rms force (causes, m) of each cause, net of what the baseline absorbs of it."""
+    channel = library.channel
+    sizes = np.zeros((len(kept), len(channel.outputs)))
+    usable = sum(int(mask.sum()) for mask in channel.masks(TRAIN, VALIDATION))
+    every = 1 + usable // (_MAX_ROWS * len(channel.outputs))  # thinned evenly
+    for k in range(len(channel.outputs)):
+        base = channel.gather(channel.free_columns, k, TRAIN, VALIDATION)[::every]
+        for n, one in enumerate(kept):
+            force = np.zeros(1)
+            for effect in one.candidate.effects:
+                columns = channel.gather(library.columns(effect), k, TRAIN, VALIDATION)[::every]
+                force = force + columns @ values.select(effect.parameters.names).values
+            if force.any():
+                left = force - base @ solve_scaled(base, force, 1e-7)
+                sizes[n, k] = float(np.sqrt(np.mean(left**2)))
+    return sizes
+
+
+def find_companion(library: ColumnCache, kept: Sequence[SelectedCause], values: Parameters) -> tuple[int, str] | None:
+    """Return the place of a cause that is no larger, on each of its joints, than another cause's law is inexact, and why.
+
+    Args:
+        library: The exact columns of effects.
+        kept: The causes that stand.
+        values: The fitted amplitudes of all of them.
+    """
+    if len(kept) < 2:
+        return None
+    sizes = measure_net_forces(library, kept, values)
+    largest, which = sizes.max(axis=0), sizes.argmax(axis=0)
+    for n in range(len(kept)):
+        joints = np.flatnonzero(sizes[n] > 0)
+        share = sizes[n, joints] / largest[joints]
+        if len(joints) and share.max() < MAX_LAW_ERROR:
+            return n, _SMALL.format(100 * share.max(), kept[which[joints[np.argmax(share)]]].candidate.cause)
+    return _find_second_speed_law(kept, values, library.channel.scene)
+
+
+def _find_second_speed_law(kept: Sequence[SelectedCause], values: Parameters, scene: Scene) -> tuple[int, str] | None:
+    """Return a law of speed whose joints' friction another one meets alone, and why; None where there is none."""
+    laws = [n for n, one in enumerate(kept) if all(effect.speed_law for effect in one.candidate.effects)]
+    reasons: dict[int, list[str]] = {n: [] for n in laws}
+    for joint in scene.joints:
+        here = {n: [e for e in kept[n].candidate.effects if joint in e.joints] for n in laws}
+        here = {n: effects for n, effects in here.items() if effects}
+        if len(here) < 2:
+            continue
+        errors = {
+            n: measure_law_error(effects, sum(here.values(), []), values, scene, joint) for n, effects in here.items()
+        }
+        best = min(errors, key=lambda n: errors[n])
+        why = _ONE_CURVE.format(kept[best].candidate.cause, 100 * errors[best])
+        for n in here:
+            reasons[n].append(why if n != best and errors[best] < MAX_LAW_ERROR else "")
+    return next(((n, said[0]) for n, said in reasons.items() if said and all(said)), None)
+
+
+def measure_law_error(
+    law: Sequence[Effect], every: Sequence[Effect], values: Parameters, scene: Scene, joint: str
+) -> float:
+    """Return by how much one law of speed misses a joint's friction by several, at worst, as a share of the friction there.
+
+    Coulomb and viscous friction and the settings that the law adjusts are fitted anew, to relative errors.
+
+    Args:
+        law: Effects of the law.
+        every: Effects of all the laws.
+        values: The fitted amplitudes, and the joint's Coulomb and viscous friction where the model has them.
+        scene: What the motion offers; the speeds are between its slowest and its fast ones.
+        joint: The joint.
+    """
+    k = scene.index(joint)
+    speed = np.geomspace(scene.slow[k], scene.fast[k], _SPEEDS)
+    plain = np.column_stack([np.ones_like(speed), speed])
+    own = measure_friction(values, scene).get(joint, {})
+    alone = [_restrict(effect, joint) for effect in every]
+    extra = sum(_compute_curve(e, speed) @ values.select(e.parameters.names).values for e in alone)
+    total = plain @ [own.get("coulomb", 0.0), own.get("viscous", 0.0)] + extra
+    weight = 1 / np.maximum(np.abs(total), np.abs(total).max() * 1e-3)
+    errors = []
+    for steps in product(*(_SETTING_FACTORS for effect in law for _ in effect.refined)):
+        factors = iter(steps)
+        moved = [e.with_settings(**{key: e.settings[key] * next(factors) for key in e.refined}) for e in law]
+        columns = (
+            np.column_stack([plain, *(_compute_curve(_restrict(effect, joint), speed) for effect in moved)])
+            * weight[:, None]
+        )
+        left = total * weight - columns @ solve_scaled(columns, total * weight, 1e-7)
+        errors.append(float(np.abs(left).max()))
+    return min(errors)
+
+
+def _restrict(effect: Effect, joint: str) -> Effect:
+    """Return an effect on one of its joints alone."""
+    return type(effect)((joint,), (effect.units[joint],), label=effect.label, **effect.settings)
+
+
+def _compute_curve(effect: Effect, speed: np.ndarray) -> np.ndarray:
+    """Return a single joint's effect per unit amplitude at speeds (N,), as (N, p)."""
+    still = np.zeros((len(speed), 1))
+    return effect.columns(Motion.of(effect.joints, still, speed[:, None], still))[:, 0]
+
+
+def demote_companions(
+    items: Sequence[Unexplained], outputs: Sequence[str], rms: np.ndarray, largest: np.ndarray
+) -> tuple[Unexplained, ...]:
+    """Return the structures, those as suspected that are no larger than the law of a confirmed cause is inexact.
+
+    Args:
+        items: Structures.
+        outputs: Names of the outputs (m,).
+        rms: Residual's rms (m,), all causes in the model.
+        largest: Rms force of the largest confirmed cause at each output (m,), net of the baseline.
+    """
+    found = []
+    for item in items:
+        k = list(outputs).index(item.joint)
+        size = np.sqrt(item.share_of_residual_variance) * rms[k]
+        is_companion = size < MAX_LAW_ERROR * largest[k]
+        found.append(replace(item, status="suspected") if is_companion else item)
+    return tuple(found)

@@ -18,11 +18,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.data_split import TRAIN
-from tau_dyn.diagnose.force import ForceChannel
+from tau_dyn.diagnose.channel import TRAIN, Channel
+from tau_dyn.diagnose.force_channel import ForceChannel
 from tau_dyn.diagnose.result import Finding
-from tau_dyn.diagnose.tool import ToolChannel, restrict_to_group
+from tau_dyn.diagnose.tool_channel import ToolChannel, restrict_to_group
 from tau_dyn.effects import StructuralCompliance
 from tau_dyn.estimate import scale_columns, solve_scaled
 from tau_dyn.exceptions import TauDynError

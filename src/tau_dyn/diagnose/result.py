@@ -3,17 +3,104 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
 from tau_dyn.coded_warning import format_warnings
-from tau_dyn.diagnose.output_errors import Gain, OutputErrors, Step
 from tau_dyn.effects import Effect
+from tau_dyn.identify import Preparation
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter
 from tau_dyn.results import Shown
+
+
+@dataclass(frozen=True, eq=False)
+class WholeErrors:
+    """Errors without masks: reversals and rests included.
+
+    Attributes:
+        rms: Residual rms of each output (m,) [unit of the output].
+        relative_error_percent: `100 norm(residual) / norm(measured)` over all outputs.
+    """
+
+    rms: np.ndarray
+    relative_error_percent: float
+
+
+@dataclass(frozen=True, eq=False)
+class OutputErrors:
+    """How far a model is from measurements that were used for nothing else.
+
+    Attributes:
+        outputs: What was measured: joints' forces, joints' deflections, or the tool's axes.
+        rms: Residual rms of each output (m,) [unit of the output].
+        ci95: Its 95 % interval (m, 2), from blocks.
+        relative_error_percent: `100 norm(residual) / norm(measured)` over all outputs.
+        relative_ci95: Its 95 % interval, from blocks.
+        all_samples: Rms of each output and relative error of the same stretches without masks; None where not known.
+        used_shares: Share of these stretches' samples that the masks leave, for each output; empty where not known.
+    """
+
+    outputs: tuple[str, ...]
+    rms: np.ndarray
+    ci95: np.ndarray
+    relative_error_percent: float
+    relative_ci95: tuple[float, float] = (float("nan"), float("nan"))
+    all_samples: WholeErrors | None = None
+    used_shares: tuple[float, ...] = ()
+
+    @property
+    def used_share(self) -> float:
+        """Share of the samples of all outputs that the masks leave; all of them where nothing else is known."""
+        return float(np.mean(self.used_shares)) if self.used_shares else 1.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        out = {
+            "rms_per_joint": dict(zip(self.outputs, map(float, self.rms), strict=True)),
+            "relative_error_percent": self.relative_error_percent,
+            "relative_ci95": list(self.relative_ci95),
+        }
+        if self.all_samples is not None:
+            out |= {
+                "used_share": self.used_share,
+                "used_share_per_joint": dict(zip(self.outputs, self.used_shares, strict=True)),
+                "all_samples": {
+                    "rms_per_joint": dict(zip(self.outputs, map(float, self.all_samples.rms), strict=True)),
+                    "relative_error_percent": self.all_samples.relative_error_percent,
+                },
+            }
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One bar of the waterfall: `nominal`, `refitted`, a cause with its joints, or `noise_floor`."""
+
+    step: str
+    errors: OutputErrors
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        ci95 = dict(zip(self.errors.outputs, self.errors.ci95.tolist(), strict=True))
+        return {"step": self.step, **self.errors.to_dict(), "ci95": ci95}
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What a cause is worth on data used for nothing else: rms over its outputs before and after, and their ratio."""
+
+    rms_before: float
+    rms_after: float
+    reduction_percent: float
+    ci95: tuple[float, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        return {**asdict(self), "ci95": list(self.ci95)}
+
 
 Verdict = Literal["named", "nothing_found", "cannot_tell", "unexplained"]
 Choice = Literal["extended", "refitted", "neither"]
@@ -81,6 +168,12 @@ class Finding:
     channel: str = "force"
     confirmation: tuple[float, float] | None = None
     why_not_confirmed: str = ""
+
+    @property
+    def rank(self) -> tuple[bool, bool, float]:
+        """Its place: confirmed ones first, by how much they take off the held-out error; the rest by score."""
+        worth = self.score if self.gain is None else self.gain.rms_before**2 - self.gain.rms_after**2
+        return self.status == "parameter", self.status == "suspected", -worth
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
@@ -152,7 +245,7 @@ class Limit:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
-        return {"amplitude": self.amplitude, "unit": self.unit, "phrase": self.phrase}
+        return {key: x for key, x in asdict(self).items() if key != "cause"}
 
 
 @dataclass(frozen=True)
@@ -162,10 +255,6 @@ class Untestable:
     cause: str
     why: str
     experiment: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the contract's form."""
-        return {"cause": self.cause, "why": self.why, "experiment": self.experiment}
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,6 +309,7 @@ class Diagnosis(Shown):
         recommendation: Which model to use: `extended`, `refitted`, or `neither`.
         recommendation_why: The reason, in a sentence.
         simulation: Closed-loop simulation against the measured log, before and after, where a controller was given.
+        preparation: Filters and masks of forces; None for other channels.
         settings: How the data were prepared and tests calibrated, for the page's foot.
     """
 
@@ -247,6 +337,7 @@ class Diagnosis(Shown):
     recommendation: Choice = "refitted"
     recommendation_why: str = ""
     simulation: Mapping[str, Any] | None = None
+    preparation: Preparation | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -273,7 +364,7 @@ class Diagnosis(Shown):
             "findings": [finding.to_dict() for finding in self.findings],
             "unexplained": [item.to_dict() for item in self.unexplained],
             "detection_limits": {limit.cause: limit.to_dict() for limit in self.limits},
-            "untestable": [item.to_dict() for item in self.untestable],
+            "untestable": [asdict(item) for item in self.untestable],
             "simulation": None if self.simulation is None else dict(self.simulation),
             "divided": {"how": self.how, "seconds": list(self.n_parts)},
             "settings": dict(self.settings),

@@ -1,30 +1,106 @@
-r"""The unknown unknown: structure in the residual that no named cause explains.
+"""The unknown unknown: structure in the residual that no named cause explains.
 
 The residual of each output is tried against smooth functions (Legendre, degree 4) of every variable, products (degree 2 by 2)
-of every pair, and both times the direction of motion (`dependence.py`), in the same white rows and against the same noise draws
-as the causes. What survives is confirmed like a cause. A formula is the single product of simple terms that explains nearly as
-much.
+of every pair, and both times the direction of motion, in the same white rows and against the same noise draws as the causes. What
+survives is confirmed like a cause. A formula is the single product of simple terms that explains nearly as much.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import PRIOR_WEIGHT_BLOCKS
-from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.dependence import Dependence, list_dependences
-from tau_dyn.diagnose.noise_only_bootstrap import (
-    NONCENTRALITY_SAFETY_FACTOR,
-    NoiseOnlyBootstrap,
-    estimate_noncentrality,
+from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap, compute_artefact_chance
+from tau_dyn.diagnose.null_model import (
+    WHOLE_TIME,
+    NullModel,
+    build_joined_columns,
+    compute_overdispersion,
+    compute_score_statistics,
+    count_effective_tests,
+    smooth,
 )
-from tau_dyn.diagnose.null_model import NullModel, compute_score_statistics
 from tau_dyn.effects import Effect
+
+Values = Mapping[str, np.ndarray]
+"""Variable -> its values (n,) in one run, such as `v_cart1` or `t`."""
+
+_SHAPES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "{}": lambda x: x,
+    "{}^2": lambda x: x**2,
+    "{}^3": lambda x: x**3,
+    "|{}|": np.abs,
+    "{0} |{0}|": lambda x: x * np.abs(x),
+    "sign({})": np.sign,
+}
+
+
+class Dependence(NamedTuple):
+    """A force at `output` as a smooth function of `names`, times the direction of motion of joint `turns`, if one is named."""
+
+    output: str
+    names: tuple[str, ...]
+    turns: str = ""
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """All that it depends on; on a direction of motion as on the speed whose sign it is."""
+        speed = f"v_{self.turns}"
+        return self.names if not self.turns or speed in self.names else (*self.names, speed)
+
+    @property
+    def further(self) -> int:
+        """Number of things it depends on beyond one variable and the output's own direction."""
+        return len(self.names) - 1 + (self.turns not in ("", self.output))
+
+    def bases(self, values: Sequence[Values]) -> list[np.ndarray]:
+        """Return smooth columns (n, k) of each run: Legendre, degree 4, or 2 by 2 of a pair."""
+        return build_joined_columns(values, self._basis)
+
+    def _basis(self, values: Values) -> np.ndarray:
+        if len(self.names) == 1:
+            columns = smooth(values[self.names[0]])
+            if self.names == ("t",) and WHOLE_TIME in values:
+                columns += smooth(values[WHOLE_TIME])
+        else:
+            one, other = (smooth(values[n], 2) for n in self.names)
+            columns = [a * b for a in one for b in other]
+        sign = np.sign(values[f"v_{self.turns}"]) if self.turns else 1.0
+        return (
+            np.column_stack([sign * c for c in columns]) if columns else np.zeros((len(next(iter(values.values()))), 0))
+        )
+
+    def terms(self, values: Sequence[Values]) -> dict[str, list[np.ndarray]]:
+        """Return simple products (n, 1) of each run by what they are called."""
+        names, found = self.names, {}
+        for first, f in _SHAPES.items():
+            seconds = _SHAPES.items() if len(names) == 2 else [("", lambda x: np.ones_like(x))]
+            for second, g in seconds:
+                label = " * ".join(x for x in (first.format(names[0]), second.format(names[-1])) if x)
+                product = [(f(v[names[0]]) * g(v[names[-1]]))[:, None] for v in values]
+                found[label] = product
+                for speed in dict.fromkeys((f"v_{self.output}", f"v_{self.turns}")):
+                    if speed in values[0]:
+                        signed = [p * np.sign(v[speed])[:, None] for p, v in zip(product, values, strict=True)]
+                        found[f"sign({speed}) * {label}"] = signed
+        return found
+
+
+def list_dependences(values: Sequence[Values], output: str) -> list[Dependence]:
+    """Return what an output is tried against: each variable with every joint's direction or none, each pair with its own."""
+    common = [n for n in values[0] if n != WHOLE_TIME and all(n in v for v in values)]
+    names = [n for n in common if np.ptp(np.concatenate([v[n] for v in values])) > 0]
+    pairs = [p for p in combinations(names, 2) if "t" not in p]
+    own = ("", output) if f"v_{output}" in common else ("",)
+    every = (*own, *(n[2:] for n in names if n.startswith("v_") and n != f"v_{output}"))
+    single = [Dependence(output, (n,), turns) for n in names for turns in every]
+    return single + [Dependence(output, p, turns) for p in pairs for turns in own]
+
 
 MIN_2LOGL_DIFFERENCE = 8.0
 """Difference of merit (twice the log-likelihood) below which two sets of variables are not told apart."""
@@ -85,37 +161,33 @@ class Structure:
         return self.on.variables
 
 
-def find_structure(channel: Channel, ground: NullModel, draws: np.ndarray, level: float) -> Structure | None:
+def find_structure(ground: NullModel, draws: np.ndarray, level: float) -> Structure | None:
     """Return the strongest dependence that noise does not explain at this family-wise level, or None."""
-    shapes, tries = _tried(channel, ground, draws)
+    shapes, tries = _tried(ground, draws)
     if not shapes:
         return None
     best = shapes[0]
-    if level < 1 and _chance(best, tries, _inflation(channel, ground, best.on)) >= level:
+    if level < 1 and _chance(best, tries, _inflation(ground, best.on)) >= level:
         return None
     near = [
         s
         for s in shapes[1:]
         if s.on.output == best.on.output and s.penalised_statistic > best.penalised_statistic - MIN_2LOGL_DIFFERENCE
     ]
-    return _structure(channel, ground, best, tries, tuple(near[:_MAX_INDISTINGUISHABLE]))
+    return _structure(ground, best, tries, tuple(near[:_MAX_INDISTINGUISHABLE]))
 
 
-def list_indistinguishable(channel: Channel, ground: NullModel, structure: Structure) -> list[Structure]:
+def list_indistinguishable(ground: NullModel, structure: Structure) -> list[Structure]:
     """Return the structures that a structure was not told apart from on the training part."""
-    return [_structure(channel, ground, shape, structure.n_effective_tests, ()) for shape in structure.alike]
+    return [_structure(ground, shape, structure.n_effective_tests, ()) for shape in structure.alike]
 
 
 def _structure(
-    channel: Channel,
-    ground: NullModel,
-    shape: _StructureCandidate,
-    tries: float,
-    alike: tuple[_StructureCandidate, ...],
+    ground: NullModel, shape: _StructureCandidate, tries: float, alike: tuple[_StructureCandidate, ...]
 ) -> Structure:
-    k = channel.outputs.index(shape.on.output)
+    k = ground.channel.outputs.index(shape.on.output)
     rows = np.flatnonzero(ground.whiten.index == k)
-    inflation = _inflation(channel, ground, shape.on)
+    inflation = _inflation(ground, shape.on)
     return Structure(
         shape.on,
         shape.statistic / inflation,
@@ -124,8 +196,8 @@ def _structure(
         tries,
         shape.penalised_statistic,
         min(1.0, shape.statistic / max(float(ground.e[rows] @ ground.e[rows]), 1e-300)),
-        [_placed(b, k, len(channel.outputs)) for b in shape.on.bases(channel.variables())],
-        _formula(channel, ground, shape),
+        [_placed(b, k, len(ground.channel.outputs)) for b in shape.on.bases(ground.channel.variables())],
+        _formula(ground, shape),
         alike,
     )
 
@@ -136,12 +208,12 @@ def _chance(shape: _StructureCandidate, tries: float, inflation: float) -> float
     return float(-np.expm1(tries * np.log1p(-tail)))
 
 
-def _tried(channel: Channel, ground: NullModel, draws: np.ndarray) -> tuple[list[_StructureCandidate], float]:
+def _tried(ground: NullModel, draws: np.ndarray) -> tuple[list[_StructureCandidate], float]:
     """Return all sets of variables, the largest merit first, and how many independent tries the search over them amounts to."""
-    values = channel.variables()
+    values = ground.channel.variables()
     found: list[_StructureCandidate] = []
     noise_chances = []
-    for k, output in enumerate(channel.outputs):
+    for k, output in enumerate(ground.channel.outputs):
         rows = np.flatnonzero(ground.whiten.index == k)
         both = np.concatenate([ground.e[rows, None], draws[rows]], axis=1)
         Q = ground.Q[rows]
@@ -157,8 +229,8 @@ def _tried(channel: Channel, ground: NullModel, draws: np.ndarray) -> tuple[list
             found.append(_StructureCandidate(merit, on, float(T[0]), C.shape[1]))
     if not found:
         return [], 1.0
-    smallest = np.min(noise_chances, axis=0)
-    tries = max(1.0, -len(smallest) / float(np.sum(np.log1p(-np.clip(smallest, 1e-12, 1 - 1e-12)))))
+    smallest = np.clip(np.min(noise_chances, axis=0), 1e-12, 1 - 1e-12)
+    tries = count_effective_tests(smallest, len(smallest))
     return sorted(found, key=lambda shape: -shape.penalised_statistic), tries
 
 
@@ -170,40 +242,33 @@ def compute_structure_p_value(
     for clean in noise.channels:
         bases = structure.on.bases(clean.variables())
         columns.append([_placed(b, clean.outputs.index(structure.output), len(clean.outputs)) for b in bases])
-    dof = columns[0][0].shape[-1]
-    bias = NONCENTRALITY_SAFETY_FACTOR * estimate_noncentrality(
-        noise.fit_null_models(ground, others), ground, columns, np.zeros(dof, bool), _LEFT
-    )
-    tail = stats.ncx2.sf(structure.statistic, dof, bias) if bias > 0 else stats.chi2.sf(structure.statistic, dof)
-    return min(1.0, structure.n_effective_tests * float(tail))
+    nonnegative = np.zeros(columns[0][0].shape[-1], bool)
+    blanks = noise.fit_null_models(ground, others)
+    tail = compute_artefact_chance(structure.statistic, blanks, ground, columns, nonnegative, _LEFT)
+    return min(1.0, structure.n_effective_tests * tail)
 
 
 def _rows(ground: NullModel, output: int, basis: Sequence[np.ndarray]) -> np.ndarray:
     return ground.whiten.one(output, basis) / ground.scale
 
 
-def _inflation(channel: Channel, ground: NullModel, on: Dependence) -> float:
+def _inflation(ground: NullModel, on: Dependence) -> float:
     """Return the scatter of blocks over what the noise model says, at least 1."""
-    k = channel.outputs.index(on.output)
+    k = ground.channel.outputs.index(on.output)
     rows = np.flatnonzero(ground.whiten.index == k)
-    C = _rows(ground, k, on.bases(channel.variables()))
+    C = _rows(ground, k, on.bases(ground.channel.variables()))
     left = C - ground.Q[rows] @ (ground.Q[rows].T @ C)
     gamma = np.linalg.lstsq(left, ground.e[rows], rcond=1e-7)[0]
     along = left @ gamma
-    square = float(along @ along)
-    if square <= 0:
-        return 1.0
-    scores = np.bincount(ground.whiten.block[rows], along * (ground.e[rows] - along))
-    count = len(np.unique(ground.whiten.block[rows]))
-    return max(1.0, (count * float(np.sum(scores**2)) / square + PRIOR_WEIGHT_BLOCKS) / (count + PRIOR_WEIGHT_BLOCKS))
+    return compute_overdispersion(ground.whiten.block[rows], along * (ground.e[rows] - along), float(along @ along))
 
 
-def _formula(channel: Channel, ground: NullModel, shape: _StructureCandidate) -> str:
+def _formula(ground: NullModel, shape: _StructureCandidate) -> str:
     """Return the one product of simple terms that explains nearly all, or an empty text."""
-    k = channel.outputs.index(shape.on.output)
+    k = ground.channel.outputs.index(shape.on.output)
     rows = np.flatnonzero(ground.whiten.index == k)
     best, text = _SIMPLE * shape.statistic, ""
-    for label, bases in shape.on.terms(channel.variables()).items():
+    for label, bases in shape.on.terms(ground.channel.variables()).items():
         C = _rows(ground, k, bases)
         A = ground.Q[rows].T @ C
         G = float(np.sum(C**2) - np.sum(A**2))

@@ -9,16 +9,11 @@ Reference: Nordin & Gutman 2002; Dressler 2012, 4.2.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
-from tau_dyn.effects.motion import JointMotion
-from tau_dyn.effects.plausible import build_slide_and_hinge_ranges
-from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import format_amount
-from tau_dyn.parameters import Parameter
+from tau_dyn.effects.displacement import JointwiseDisplacement
+from tau_dyn.effects.effect import build_slide_and_hinge_ranges
+from tau_dyn.effects.motion import JointMotion, Scene
 
 _SHARES = (1e-5, 1e-4, 1e-3)
 
@@ -37,6 +32,7 @@ class Backlash(JointwiseDisplacement):
     needs = (*JointwiseDisplacement.needs, "reversal")
     nonnegative = True
     quantities = (("backlash", "Q"),)
+    sentence = "a play of {backlash} between encoder and load"
     defaults = {"travel": 5e-5}
     setting_units = {"travel": "Q"}
     positive = ("travel",)
@@ -46,10 +42,6 @@ class Backlash(JointwiseDisplacement):
         """Return half the play's side: -1/2 or 1/2 once it is closed."""
         closed = np.minimum(1.0, 2 * joint.signal("reversal") / self.settings["travel"] - 1)
         return [0.5 * joint.sign * closed]
-
-    def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return the play."""
-        return f"a play of {format_amount(values['backlash'])} between encoder and load"
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:

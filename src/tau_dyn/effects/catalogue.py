@@ -10,39 +10,35 @@ and no file is run by itself: a program that loads a model with an effect of its
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from inspect import isabstract
 from typing import TypeVar
 
-from tau_dyn.effects.armature import Armature
 from tau_dyn.effects.backlash import Backlash
-from tau_dyn.effects.cart_tilt import CartTilt
-from tau_dyn.effects.coulomb_asymmetry import CoulombAsymmetry
-from tau_dyn.effects.cyclic_ripple import CyclicRipple
-from tau_dyn.effects.delay import Delay
-from tau_dyn.effects.drive_gain import DriveGain
-from tau_dyn.effects.drive_lag import DriveLag
+from tau_dyn.effects.displacement import DisplacementEffect
+from tau_dyn.effects.drive import Armature, DriveGain, ReducerCoupling
 from tau_dyn.effects.effect import Effect
-from tau_dyn.effects.friction import AsymmetricFriction, SymmetricFriction, TorqueOffset
-from tau_dyn.effects.friction_change import FrictionChange
-from tau_dyn.effects.gravity_direction import GravityDirection
-from tau_dyn.effects.guideway_compliance import GuidewayCompliance
-from tau_dyn.effects.guideway_nonparallel import GuidewayNonparallel
+from tau_dyn.effects.friction import (
+    AsymmetricFriction,
+    CoulombAsymmetry,
+    SymmetricFriction,
+    TorqueOffset,
+    ViscousAsymmetry,
+)
+from tau_dyn.effects.geometry import GravityDirection, PinionScale
+from tau_dyn.effects.guideways import CartTilt, GuidewayCompliance, GuidewayNonparallel
 from tau_dyn.effects.hysteresis import Hysteresis
 from tau_dyn.effects.joint_compliance import JointCompliance
-from tau_dyn.effects.load_friction import LoadFriction
+from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.passive_joint_friction import PassiveJointFriction
-from tau_dyn.effects.pinion_scale import PinionScale
+from tau_dyn.effects.periodic import CyclicRipple, TransmissionError
 from tau_dyn.effects.position_friction import PositionFriction
-from tau_dyn.effects.quadratic_drag import QuadraticDrag
-from tau_dyn.effects.reducer_coupling import ReducerCoupling
-from tau_dyn.effects.stribeck import Stribeck
+from tau_dyn.effects.speed_friction import QuadraticDrag, Stribeck, ViscousCurvature
 from tau_dyn.effects.structural_compliance import StructuralCompliance
-from tau_dyn.effects.thermal_drift import ThermalDrift
-from tau_dyn.effects.transmission_error import TransmissionError
-from tau_dyn.effects.viscous_asymmetry import ViscousAsymmetry
-from tau_dyn.effects.viscous_curvature import ViscousCurvature
+from tau_dyn.effects.timing import Delay, DriveLag
+from tau_dyn.effects.varying_friction import FrictionChange, LoadFriction, ThermalDrift
 from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.robot import Robot
 
 EFFECTS: dict[str, type[Effect]] = {}
 """Every effect by the name model files use, causes in the order in which they are listed."""
@@ -91,38 +87,14 @@ def _again(known: type[Effect], effect: type[Effect]) -> bool:
     return known is effect or (known.__qualname__ == effect.__qualname__ and not ours)
 
 
+# Friction models, then the causes in the contract's order.
 _IN_ORDER: tuple[type[Effect], ...] = (
-    SymmetricFriction,
-    AsymmetricFriction,
-    # causes, in the contract's order
-    CoulombAsymmetry,
-    ViscousAsymmetry,
-    Stribeck,
-    LoadFriction,
-    PositionFriction,
-    ThermalDrift,
-    PassiveJointFriction,
-    QuadraticDrag,
-    ViscousCurvature,
-    TorqueOffset,
-    DriveGain,
-    CyclicRipple,
-    Delay,
-    DriveLag,
-    Backlash,
-    Hysteresis,
-    TransmissionError,
-    ReducerCoupling,
-    PinionScale,
-    GravityDirection,
-    Armature,
-    StructuralCompliance,
-    JointCompliance,
-    GuidewayNonparallel,
-    GuidewayCompliance,
-    CartTilt,
-    FrictionChange,
-)
+    SymmetricFriction, AsymmetricFriction,
+    CoulombAsymmetry, ViscousAsymmetry, Stribeck, LoadFriction, PositionFriction, ThermalDrift, PassiveJointFriction,
+    QuadraticDrag, ViscousCurvature, TorqueOffset, DriveGain, CyclicRipple, Delay, DriveLag, Backlash, Hysteresis,
+    TransmissionError, ReducerCoupling, PinionScale, GravityDirection, Armature, StructuralCompliance, JointCompliance,
+    GuidewayNonparallel, GuidewayCompliance, CartTilt, FrictionChange,
+)  # fmt: skip
 
 for _effect in _IN_ORDER:
     register(_effect)
@@ -145,3 +117,62 @@ def build_friction_model(name: str, joints: Iterable[str], units: Iterable[str])
         raise UnknownName("friction model", name, FRICTION_MODELS)
     joints, units = tuple(joints), tuple(units)
     return tuple(effect(joints, units) for effect in FRICTION_MODELS[name])
+
+
+def read_effects(rows: object, robot: Robot, where: str) -> tuple[Effect, ...]:
+    """Build effects from a file's list of `{effect: NAME, joints: [...], settings: {...}, label: ""}`.
+
+    Joints default to all actuated ones, settings to the effect's own defaults.
+
+    Raises:
+        InputError: `where`, the file, has an entry that is no effect, or one that this robot cannot have.
+    """
+    if not isinstance(rows, list):
+        raise InputError("file_format", f"{where}: 'effects' must be a list")
+    return tuple(_read_effect(row, robot, where) for row in rows)
+
+
+def _read_effect(row: object, robot: Robot, where: str) -> Effect:
+    if not isinstance(row, dict):
+        raise InputError(
+            "file_format",
+            f"{where}: an entry of 'effects' is written {{effect: NAME}}, with joints and settings, not {repr(row)[:60]}",
+        )
+    name = str(row.get("effect"))
+    if name not in EFFECTS:
+        raise UnknownName("effect", name, EFFECTS, where)
+    joints, settings = row.get("joints", list(robot.actuated)), row.get("settings") or {}
+    beside = [key for key in ("label", "joints", "units", "self") if isinstance(settings, dict) and key in settings]
+    fault = ""
+    if not isinstance(joints, list):
+        fault = f"'joints' of effect {name} must be a list of names, not {joints!r}"
+    elif not joints and issubclass(EFFECTS[name], JointwiseEffect):
+        fault = f"'joints' of effect {name} is empty; name one, or leave it out for all of them"
+    elif not isinstance(settings, dict):
+        fault = f"'settings' of effect {name} must be a mapping from names to numbers"
+    elif beside:
+        fault = f"'{beside[0]}' is no setting of effect {name}; it stands beside its settings"
+    if fault:
+        raise InputError("file_format", f"{where}: {fault}")
+    units, joints = dict(zip(robot.actuated, robot.force_units, strict=True)), [str(joint) for joint in joints]
+    for joint in joints:
+        if joint not in units:
+            raise UnknownName("actuated joint", joint, units, where)
+    own = {str(key): value for key, value in settings.items()}
+    try:
+        return EFFECTS[name](joints, [units[j] for j in joints], label=str(row.get("label") or ""), **own)
+    except InputError as error:
+        raise InputError(error.code, f"{where}: {error}") from error
+
+
+def acts_on_recording(effect: Effect) -> bool:
+    """Return whether an effect only distorts what is recorded, as a late force does; the robot moves as without it."""
+    return effect.measured or (isinstance(effect, DisplacementEffect) and not isinstance(effect, Hysteresis))
+
+
+def describe_missing_state(effect: Effect, given: Collection[str]) -> str:
+    """Return why a state `(q, v, a)` and the signals given do not determine an effect's force; empty where they do."""
+    if acts_on_recording(effect):
+        return "it distorts what is recorded and leaves the robot's force as it is"
+    missing = [name for name in effect.needs if name not in given]
+    return f"it feels {missing[0]}, which a single state does not give" if missing else ""

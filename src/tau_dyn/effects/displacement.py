@@ -1,24 +1,26 @@
-r"""Effects that come between an encoder and its load: the load is not where the encoder says.
+"""Effects that come between an encoder and its load: the load is not where the encoder says.
 
     deflection = encoder - load = displacement @ parameters,     q_load = q - deflection
 
-Positive: the load stays behind, as a spring's under a positive force. What follows is written once here: in the force
-channel the load moves by `a - deflection''`, `v - deflection'` and weighs as at `q_load`, so the actuator adds
+Positive: the load stays behind, as a spring's under a positive force. In the force channel the load moves by
+`a - deflection''`, `v - deflection'` and weighs as at `q_load`, so the actuator adds
 `tau = -M(q) deflection'' - D deflection' - dg/dq deflection` with `D` the growth of friction with speed; in the tool channel the
 tool is at `T(q_load) = T(q) - J deflection`. Both are first order in a deflection of micrometres; what `M` changes over it is
-left out. The second derivative is numerical, on a motion's even clock: without one (a single
-simulator step, poses held still) there is no force.
+left out. The second derivative is numerical, on a motion's even clock: without one (a single simulator step, poses held still)
+there is no force. The simulator adds effects of what the encoder reads to the recorded position.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 
 from tau_dyn.effects.effect import Effect
-from tau_dyn.effects.motion import Motion
+from tau_dyn.effects.jointwise import JointwiseEffect
+from tau_dyn.effects.motion import Motion, Scene
 from tau_dyn.log import differentiate
 
 _MIN_SAMPLES = 5  # samples that a derivative of fourth order takes
@@ -84,3 +86,35 @@ def differentiate_columns(x: np.ndarray, t: np.ndarray | None) -> np.ndarray:
     if t is None or len(t) < _MIN_SAMPLES or not np.any(x):
         return np.zeros(x.shape)
     return differentiate(x, float(t[-1] - t[0]) / (len(t) - 1), accuracy=4)
+
+
+SEEN_DIRECTLY = frozenset({"tool", "load_side"})
+"""Signals that show where the load is: a measured tool, an encoder behind the drive."""
+
+
+class JointwiseDisplacement(DisplacementEffect, JointwiseEffect):
+    """What an encoder reads beyond its load, joint by joint; `per_joint` is a displacement [m or rad].
+
+    Attributes:
+        hidden: Why forces alone cannot show it; empty where they can.
+    """
+
+    hidden: ClassVar[str] = ""
+
+    @property
+    def measured(self) -> bool:
+        """The encoder's reading is off, and not the robot."""
+        return True
+
+    def displacement(self, motion: Motion) -> np.ndarray:
+        """Return encoder minus load per unit parameter (N, na, p) [m or rad]."""
+        return JointwiseEffect.columns(self, motion)
+
+    @classmethod
+    def untestable(cls, scene: Scene) -> tuple[str, str] | None:
+        """Return what the logs lack; where the load is measured directly, no force has to be explained by it."""
+        direct = bool(SEEN_DIRECTLY & scene.signals)
+        if cls.hidden and not direct:
+            return cls.hidden, cls.reveals
+        missing = [s for s in cls.needs if s not in scene.signals and not (direct and s in DisplacementEffect.needs)]
+        return (f"the logs give no {missing[0]}", cls.reveals) if missing else None

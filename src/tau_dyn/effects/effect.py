@@ -5,7 +5,8 @@ smoothed sign, and the simulator at +1 and -1, choosing between the two by wheth
 An effect's force is what the *actuator* must add: `tau = rigid body + sum of effects`. Amplitudes are parameters, in which
 it is linear; what it is not linear in (a Stribeck speed, a ripple's period) are its `settings`, fixed in one instance.
 
-Diagnosis tries effects that name a `cause` of the contract: on which joints (`groups`) and with which settings (`grid`).
+Diagnosis tries effects that name a `cause` of the contract, on groups of joints (`groups`) and a grid of settings (`grid`). It
+confirms no amplitude outside of the plausible ranges, which each effect states with their source.
 """
 
 from __future__ import annotations
@@ -13,17 +14,87 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from math import isfinite
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from tau_dyn.effects.motion import Motion
-from tau_dyn.effects.plausible import JointScales, PlausibleRange
-from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import format_amount, format_quantity
+from tau_dyn.effects.motion import JointScales, Motion, Scene
+from tau_dyn.effects.words import format_amount, format_quantity, spell_unit
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameters
+
+REFERENCES = {
+    "coulomb": "the joint's Coulomb friction",
+    "viscous": "the joint's viscous friction",
+    "drag": "the joint's friction at full speed over the speed's square",
+    "force": "the joint's largest force",
+    "inertia": "the joint's inertia",
+}
+"""What a bound may be a share of, in words; `diagnose` measures them on the fitted model."""
+
+
+@dataclass(frozen=True)
+class PlausibleRange:
+    """The range of one amplitude.
+
+    Attributes:
+        quantity: What the parameter's name says after the joint, without a number, wave or axis behind it.
+        low: Lower bound, in the unit or as a share of the reference.
+        high: Upper bound.
+        unit: Unit that it holds for, such as `m` or `rad`, as parameters have it; empty for any.
+        of: What the bounds are shares of, one of `REFERENCES`; empty for SI units.
+        setting: Whether it is that of a setting and no parameter's.
+    """
+
+    quantity: str
+    low: float
+    high: float
+    unit: str = ""
+    of: str = ""
+    setting: bool = False
+
+    def covers(self, name: str, unit: str) -> bool:
+        """Return whether the range is that of a parameter, by the part of its name after the joint and by its unit."""
+        return (name == self.quantity or name.startswith(f"{self.quantity}_")) and self.unit in ("", unit)
+
+    def bounds(self, joint: str, scales: JointScales) -> tuple[float, float]:
+        """Return both bounds for a joint in SI units; infinite where the reference is not known."""
+        if not self.of:
+            return self.low, self.high
+        size = scales.get(joint, {}).get(self.of)
+        if size is None:
+            return (-np.inf, np.inf)
+        return (self.low * size if self.low else 0.0, self.high * size if self.high else 0.0)
+
+    def describe(self) -> str:
+        """Return the range in words."""
+        name = self.quantity.replace("_", " ")
+        if self.of:
+            return f"{name} {_share(self.low)} to {_share(self.high)} of {REFERENCES[self.of]}"
+        if not self.unit or self.unit == "1":
+            return f"{name} {self.low:g} to {self.high:g}"
+        low = "0" if self.low == 0 else format_quantity(self.low, self.unit)
+        return f"{name} {low} to {format_quantity(self.high, self.unit)}"
+
+
+def describe_ranges(ranges: Iterable[PlausibleRange]) -> str:
+    """Return an effect's ranges in words, for the documentation."""
+    return "; ".join(one.describe() for one in ranges)
+
+
+def build_slide_and_hinge_ranges(
+    quantity: str, unit: str, low: tuple[float, float], high: tuple[float, float]
+) -> list[PlausibleRange]:
+    """Return two ranges of one quantity, for a slide and for a hinge; `unit` holds Q and F for position and force."""
+    kinds = zip(("N", "N m"), low, high, strict=True)
+    return [PlausibleRange(quantity, one, other, spell_unit(unit, force)) for force, one, other in kinds]
+
+
+def _share(x: float) -> str:
+    return "0" if x == 0 else f"{100 * x:g} %"
+
 
 MAX_TERMS = 1000
 """Terms that an effect may have on a joint; a file that asks for 10^9 of them would be read for ever."""
@@ -93,27 +164,22 @@ class Effect(ABC):
         self.joints, self.label = tuple(joints), label
         self.units = dict(zip(self.joints, units, strict=True))
         for key, value in settings.items():
-            if key not in self.defaults:
-                known = ", ".join(self.defaults) or "none"
-                raise InputError("invalid_value", f"effect {self.name} has no setting '{key}'; it has {known}")
-            if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-                raise InputError(
-                    "invalid_value", f"setting {key} of effect {self.name} must be a finite number, not {value!r}"
-                )
-            if key in self.whole and (value < 1 or value != int(value)):
-                raise InputError(
-                    "invalid_value",
-                    f"setting {key} of effect {self.name} must be a whole number from 1 up, not {value!r}",
-                )
-            if key in self.whole and value > MAX_TERMS:
-                raise InputError(
-                    "invalid_value", f"setting {key} of effect {self.name} is {value!r}; it may be {MAX_TERMS} at most"
-                )
-            if key in self.positive and value <= 0:
-                raise InputError(
-                    "invalid_value", f"setting {key} of effect {self.name} must be above zero, not {value!r}"
-                )
+            if fault := self._fault_of_setting(key, value):
+                raise InputError("invalid_value", fault)
         self.settings: dict[str, float] = {**self.defaults, **{k: float(x) for k, x in settings.items()}}
+
+    def _fault_of_setting(self, key: str, value: float) -> str:
+        """Return what is wrong with a setting; empty where nothing is."""
+        if key not in self.defaults:
+            return f"effect {self.name} has no setting '{key}'; it has {', '.join(self.defaults) or 'none'}"
+        what = f"setting {key} of effect {self.name}"
+        if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+            return f"{what} must be a finite number, not {value!r}"
+        if key in self.whole and (value < 1 or value != int(value)):
+            return f"{what} must be a whole number from 1 up, not {value!r}"
+        if key in self.whole and value > MAX_TERMS:
+            return f"{what} is {value!r}; it may be {MAX_TERMS} at most"
+        return f"{what} must be above zero, not {value!r}" if key in self.positive and value <= 0 else ""
 
     def with_settings(self, **settings: float) -> Self:
         """Return the same effect with other settings."""

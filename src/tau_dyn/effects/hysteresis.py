@@ -16,12 +16,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tau_dyn.effects.displacement import DisplacementEffect
+from tau_dyn.effects.displacement import SEEN_DIRECTLY, DisplacementEffect, JointwiseDisplacement
+from tau_dyn.effects.effect import PlausibleRange, build_slide_and_hinge_ranges
 from tau_dyn.effects.jointwise import JointwiseEffect
-from tau_dyn.effects.jointwise_displacement import SEEN_DIRECTLY, JointwiseDisplacement
-from tau_dyn.effects.motion import JointMotion, Motion
-from tau_dyn.effects.plausible import PlausibleRange, build_slide_and_hinge_ranges
-from tau_dyn.effects.scene import Scene
+from tau_dyn.effects.motion import JointMotion, Motion, Scene
 from tau_dyn.effects.words import format_amount
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter

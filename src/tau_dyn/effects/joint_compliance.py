@@ -14,10 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
-from tau_dyn.effects.motion import JointMotion
-from tau_dyn.effects.plausible import build_slide_and_hinge_ranges
-from tau_dyn.effects.scene import Scene
+from tau_dyn.effects.displacement import JointwiseDisplacement
+from tau_dyn.effects.effect import build_slide_and_hinge_ranges
+from tau_dyn.effects.motion import JointMotion, Scene
 from tau_dyn.effects.words import format_amount, format_quantity, spell_unit
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter

@@ -14,10 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.effects.effect import Effect
-from tau_dyn.effects.motion import Motion
-from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.scene import Scene
+from tau_dyn.effects.effect import Effect, PlausibleRange
+from tau_dyn.effects.motion import Motion, Scene
 from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -32,10 +30,7 @@ class PassiveJointFriction(Effect):
     reveals = "motions in which the rods turn much beside ones in which all carts move alike, in both directions"
     mistaken_for = ("viscous_asymmetry", "coulomb_asymmetry", "load_friction")
     # From instrument bearings to preloaded cardan joints
-    plausible = (
-        PlausibleRange("coulomb", 0.0, 10.0, "N m"),
-        PlausibleRange("viscous", 0.0, 30.0, "N m/(rad/s)"),
-    )
+    plausible = (PlausibleRange("coulomb", 0.0, 10.0, "N m"), PlausibleRange("viscous", 0.0, 30.0, "N m/(rad/s)"))
     needs = ("passive",)
     nonnegative = True
 

@@ -1,7 +1,13 @@
-"""What cyclic effects share: sine and cosine of the position, the periods worth trying, and their amplitude in words.
+"""Cyclic effects of the position: a force that repeats (teeth, cogging), an encoder that leads and lags its load.
 
-The motion sees a period only where it travels some of them, and a low-pass leaves it only where the slowest usable speed
-brings it below the cutoff: `v / period < cutoff`. A scan in steps of a quarter of `1 / range` cannot miss a line.
+    cyclic_ripple        tau            += sum_k ripple_sin_k sin(2 pi k q / period) + ripple_cos_k cos(2 pi k q / period)
+    transmission_error   encoder - load  = sum_k error_sin_k sin(2 pi k q / period) + error_cos_k cos(2 pi k q / period)
+
+for k = 1 .. harmonics; the amplitude is `hypot(sin, cos)`. The motion sees a period only where it travels some of them, and a
+low-pass leaves it only where the slowest usable speed brings it below the cutoff: `v / period < cutoff`. A scan in steps of a
+quarter of `1 / range` cannot miss a line. In the force channel an error misses the load's acceleration, so its force grows with
+the speed squared, where a ripple has the same size at all speeds. Without a sensor on the load side an encoder's own error
+(`resolver_error`) is the same thing. Reference: Dressler 2012, 4.2; Holtz & Springob 1996 (cogging); Ozguven & Houser 1988.
 """
 
 from __future__ import annotations
@@ -11,9 +17,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from tau_dyn.effects.displacement import JointwiseDisplacement, compute_load_force
+from tau_dyn.effects.effect import PlausibleRange, build_slide_and_hinge_ranges
 from tau_dyn.effects.jointwise import JointwiseEffect
-from tau_dyn.effects.motion import JointMotion
-from tau_dyn.effects.scene import Scene
+from tau_dyn.effects.motion import JointMotion, Motion, Scene
 from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameter
 
@@ -89,3 +96,82 @@ def compute_amplitude(sine: Parameter, cosine: Parameter) -> Parameter:
         float(np.hypot(sine.value * (sine.stderr or 0), cosine.value * (cosine.stderr or 0)) / size) if known else None
     )
     return Parameter("amplitude", size, sine.unit, stderr=error)
+
+
+class CyclicRipple(PeriodicEffect):
+    """A periodic force of the position."""
+
+    name = "cyclic_ripple"
+    cause = True
+    equation = "tau += sum_k ripple_sin_k sin(2 pi k q / period) + ripple_cos_k cos(2 pi k q / period)"
+    reference = "Dressler 2012, 4.2; Holtz & Springob 1996"
+    reveals = "slow strokes at several constant speeds over many periods"
+    mistaken_for = ("transmission_error", "resolver_error", "position_friction")
+    # Cogging and tooth meshing are a few per cent of the largest force, 20 % in hobby gears
+    plausible = (PlausibleRange("ripple", -0.2, 0.2, of="force"),)
+    wave = ("ripple", "F")
+
+    def local_frequency(self, motion: Motion) -> np.ndarray:
+        """Return at which frequency each sample feels the first harmonic (N, na) [Hz]."""
+        return np.abs(motion.v) / self.settings["period"]
+
+    def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
+        """Return amplitude and period, and the harmonics' amplitudes after them."""
+        size, more = self.sizes(values)
+        return f"a force of {size} that repeats every {self.setting('period', joint)}{more}"
+
+    @classmethod
+    def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
+        """Return periods from a quarter of the range down to what speed and low-pass still show."""
+        return list_periods(scene, joints[0])
+
+
+_MIN_ERROR_PERIODS = 1.5
+"""Periods in the range: a force that goes with the speed squared and the acceleration is like no other, however long its wave."""
+
+
+class TransmissionError(PeriodicEffect, JointwiseDisplacement):
+    """A periodic difference between encoder and load."""
+
+    name = "transmission_error"
+    cause = True
+    equation = "encoder - load = sum_k error_sin_k sin(2 pi k q / period) + error_cos_k cos(2 pi k q / period)"
+    reference = "Dressler 2012, 4.2; Ozguven & Houser 1988"
+    reveals = "strokes at several constant speeds, the fastest as fast as the drive allows; or a load-side encoder"
+    mistaken_for = ("resolver_error", "cyclic_ripple")
+    equivalent = ("resolver_error",)
+    # Pinions and spindles stay below 0.1 mm, geared joints below 2 mrad (Dressler 2012, 4.2)
+    plausible = tuple(build_slide_and_hinge_ranges("error", "Q", (-1e-4, -2e-3), (1e-4, 2e-3)))
+    wave = ("error", "Q")
+
+    def columns(self, motion: Motion) -> np.ndarray:
+        """Return force per unit parameter (N, na, p), differentiated on paper: short periods outrun a sampled derivative."""
+        n = len(self.terms)
+        out = np.zeros((*motion.v.shape, n * len(self.joints)))
+        k = np.repeat(np.arange(1, n // 2 + 1), 2)
+        w = 2 * np.pi * k / self.settings["period"]
+        for place, index in enumerate(self._indices(motion)):
+            joint = JointMotion.of(motion, index)
+            d = np.stack(self.per_joint(joint), axis=1)
+            slope = w * np.stack([d[:, 1::2], -d[:, ::2]], axis=2).reshape(d.shape)
+            acceleration = slope * joint.a[:, None] - w**2 * d * joint.v[:, None] ** 2
+            only = np.zeros((3, *motion.v.shape, n))
+            only[:, :, index] = d, slope * joint.v[:, None], acceleration
+            out[:, :, n * place : n * (place + 1)] = compute_load_force(motion, [index], *only)
+        return out
+
+    def local_frequency(self, motion: Motion) -> np.ndarray:
+        """Return at which frequency each sample feels the first harmonic (N, na) [Hz], also where other joints move."""
+        index = self._indices(motion)
+        fastest = np.max(np.abs(motion.v[:, index]), axis=1, keepdims=True) / self.settings["period"]
+        return np.repeat(fastest, motion.v.shape[1], axis=1)
+
+    def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
+        """Return amplitude and period, and the harmonics' amplitudes after them."""
+        size, more = self.sizes(values)
+        return f"an error of {size} between encoder and load that repeats every {self.setting('period', joint)}{more}"
+
+    @classmethod
+    def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
+        """Return periods from two thirds of the range down to what speed and low-pass still show."""
+        return list_periods(scene, joints[0], _MIN_ERROR_PERIODS)

@@ -3,8 +3,8 @@
     tau += sign(v) sum_k position_friction_k P_k(x),     x = (q - middle) / half,   k = 1 .. degree
 
 with Legendre polynomials P_k, nearly independent of each other where the joint visits its range evenly; P_0 is Coulomb friction
-itself. Beyond the range (|x| > 1) the friction stays as at its end. Amplitudes are changes, of either sign, of a
-friction that stays positive as a whole. Reference: Dressler 2012, 6.2 (place on the guideway); Khalil & Dombre 2002, 9.6.
+itself. Beyond the range (|x| > 1) the friction stays as at its end. Amplitudes are changes, of either sign, of a friction that
+stays positive as a whole. Reference: Dressler 2012, 6.2 (place on the guideway); Khalil & Dombre 2002, 9.6.
 """
 
 from __future__ import annotations
@@ -14,11 +14,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.polynomial import legendre
 
-from tau_dyn.effects.effect import Effect
+from tau_dyn.effects.effect import Effect, PlausibleRange
 from tau_dyn.effects.jointwise import JointwiseEffect
-from tau_dyn.effects.motion import JointMotion
-from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.scene import Scene
+from tau_dyn.effects.motion import JointMotion, Scene
 from tau_dyn.effects.words import format_quantity, spell_unit
 from tau_dyn.parameters import Parameter
 

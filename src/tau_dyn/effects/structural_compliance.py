@@ -21,10 +21,9 @@ from typing import Any
 import numpy as np
 from scipy import signal
 
-from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
-from tau_dyn.effects.motion import JointMotion, Motion
-from tau_dyn.effects.plausible import PlausibleRange, build_slide_and_hinge_ranges
-from tau_dyn.effects.scene import Scene
+from tau_dyn.effects.displacement import JointwiseDisplacement
+from tau_dyn.effects.effect import PlausibleRange, build_slide_and_hinge_ranges
+from tau_dyn.effects.motion import JointMotion, Motion, Scene
 from tau_dyn.effects.words import format_amount, spell_unit
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters
@@ -237,8 +236,8 @@ def _felt(motion: Motion | JointMotion, frequency: float) -> np.ndarray:
     """Return the force that a mode answers to.
 
     Quasi-statically the load's acceleration is a fourth derivative of the encoder's reading, of which only the clear part is
-    of use (`diagnose/force.py`). A mode within that band weakens what is above its own frequency; for it, cutting the force off
-    would bend its resonance.
+    of use. A mode within that band weakens what is above its own frequency; for it, cutting the force off would bend its
+    resonance.
     """
     clear = motion.signals.get("clear_hz")
     if clear is not None and frequency < clear[0]:

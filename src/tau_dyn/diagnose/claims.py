@@ -1,0 +1,294 @@
+"""Which of the causes found stand, what each gains, and which model to use.
+
+A cause is `confirmed` or `suspected` with the reason: held-out data show it, do not predict worse with it, it is plausible, no
+mere inexactness of another one, and the last part gains by it. The model recommended is the extended one where the held-out
+error of the causes' joints falls with its 95 % interval above zero and no joint becomes significantly worse; the refitted one;
+or neither, where the held-out logs are not of the machine that was trained on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION, Channel
+from tau_dyn.diagnose.confirmation import Confirmation, confirm
+from tau_dyn.diagnose.extended_fit import (
+    EvaluatedFit,
+    build_extended_regression,
+    compute_gain,
+    evaluate_fit,
+    fit_extended_model,
+    restrict_to_parts,
+    solve_with_fallback,
+)
+from tau_dyn.diagnose.plausibility import (
+    find_companion,
+    find_edge,
+    find_implausible,
+    find_inconsistent,
+    is_distinct_from_zero,
+    measure_friction,
+    widen_scales,
+)
+from tau_dyn.diagnose.result import Choice, Gain, Step
+from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
+from tau_dyn.estimate import PhysicalConstraints
+from tau_dyn.identify import MAX_HELD_OUT_RATIO, describe_foreign_joints
+
+MIN_AMPLITUDE_Z = 2.0
+"""Standard errors that the amplitudes of a claimed cause must be off zero in the extended model, all in one Wald test."""
+MAX_RELATIVE_RMS_INCREASE = 0.005
+"""By how much a cause may raise the error on the confirmation part; a weak one changes it by less, either way."""
+_NOT_SHOWN = "held-out data do not show it"
+_SILENT = "held-out data cannot show it"
+_WORSE = "held-out data are predicted worse with it"
+_ZERO = "no amplitude of it is distinct from zero beside the other causes"
+_VETO = "the last part of the data does not show it"
+_NO_GAIN = "its gain is not above zero (95 % interval {:.2g} to {:.2g} %)"
+
+
+@dataclass(frozen=True, eq=False)
+class Claims:
+    """The causes found, and why some of them are not confirmed.
+
+    Attributes:
+        found: Causes in the order found.
+        why_not: For each the reason why it is not confirmed, in words; empty where it is.
+        tests: For each what the confirmation part says.
+    """
+
+    found: tuple[SelectedCause, ...]
+    why_not: tuple[str, ...]
+    tests: tuple[Confirmation, ...]
+
+    @property
+    def kept(self) -> list[SelectedCause]:
+        """The causes that stand so far."""
+        return [one for one, why in zip(self.found, self.why_not, strict=True) if not why]
+
+    def judge(self, k: int, why_not: str) -> Claims:
+        """Return the claims with another reason for one of them."""
+        return replace(self, why_not=(*self.why_not[:k], why_not, *self.why_not[k + 1 :]))
+
+    def reject_all(self, why_not: str) -> Claims:
+        """Return the claims with one reason for all that stood."""
+        return replace(self, why_not=tuple(why or why_not for why in self.why_not))
+
+    def replace_found(self, one: SelectedCause, other: SelectedCause) -> Claims:
+        """Return the claims with a cause in another's place."""
+        return replace(self, found=tuple(other if x is one else x for x in self.found))
+
+
+class Waterfall(NamedTuple):
+    """The waterfall: its steps, the values before any fit, the fits, and each cause's gain over the bar before it."""
+
+    steps: list[Step]
+    fits: list[EvaluatedFit]
+    gains: list[Gain]
+    nominal: EvaluatedFit | None = None
+
+
+def select_confirmed(
+    hunt: StepwiseSelection, tests: Sequence[Confirmation], physics: PhysicalConstraints | None = None
+) -> Claims:
+    """Return the causes that the held-out part shows and that do not make its prediction worse.
+
+    A cause may be there and yet, with many amplitudes from a short log, predict badly where the training part never was.
+    """
+    claims = Claims(hunt.found, tuple(_NOT_SHOWN if not t.is_inconclusive else _SILENT for t in tests), tuple(tests))
+    before = _missed(hunt.channel, (), physics) if any(test.is_confirmed for test in tests) else 0.0
+    for k, test in enumerate(tests):
+        if test.is_confirmed:
+            after = _missed(hunt.channel, [*claims.kept, hunt.found[k]], physics)
+            better = after <= (1 + MAX_RELATIVE_RMS_INCREASE) * before
+            claims = claims.judge(k, "" if better else _WORSE)
+            before = after if better else before
+    return claims
+
+
+def _missed(channel: Channel, found: Sequence[SelectedCause], physics: PhysicalConstraints | None) -> float:
+    """Return the rms on the confirmation part, outputs by their own size, of a fit of the training part."""
+    regression = build_extended_regression(channel, build_effects(found))
+    theta = solve_with_fallback(restrict_to_parts(regression, channel, TRAIN), physics).theta
+    residuals, shares = regression.residuals(theta), []
+    for k in range(len(channel.outputs)):
+        e, y = (channel.gather(values, k, VALIDATION) for values in (residuals, channel.target))
+        shares.append(float(np.sum(e**2)) / max(float(np.sum((y - y.mean()) ** 2)), 1e-300) if len(y) else 0.0)
+    return float(np.sqrt(np.sum(shares)))
+
+
+def build_waterfall(
+    hunt: StepwiseSelection,
+    kept: Sequence[SelectedCause],
+    rng: np.random.Generator,
+    nominal: np.ndarray | None = None,
+    physics: PhysicalConstraints | None = None,
+) -> Waterfall:
+    """Fit and judge the baseline, then with one cause more each time.
+
+    Args:
+        hunt: The search.
+        kept: Confirmed causes in the order found.
+        rng: For intervals.
+        nominal: The baseline's values before any fit (p,); by default its parameters' own.
+        physics: What makes the baseline's values physical.
+    """
+    channel, gains = hunt.channel, []
+    values = channel.parameters.values if nominal is None else nominal
+    first = evaluate_fit(channel, build_extended_regression(channel, ()), values, None, rng)
+    fits = [fit_extended_model(channel, (), physics, rng)]
+    steps = [Step("nominal", first.errors), Step("refitted", fits[0].errors)]
+    for k, one in enumerate(kept):
+        fits.append(fit_extended_model(channel, build_effects(kept[: k + 1]), physics, rng))
+        joints = sorted({j for e in one.candidate.effects for j in e.joints}, key=channel.scene.joints.index)
+        steps.append(Step(f"{one.candidate.cause} {' '.join(joints)}", fits[-1].errors))
+        own = hunt.columns(one.candidate.effects)
+        shown = confirm(hunt.ground, own, build_effects(kept[:k]), TEST, fitted_on=(TRAIN, VALIDATION))
+        gains.append(compute_gain(channel, fits[-2].residuals, fits[-1].residuals, joints, rng, shown))
+    return Waterfall(steps, fits, gains, first)
+
+
+def select_supported(
+    hunt: StepwiseSelection,
+    claims: Claims,
+    rng: np.random.Generator,
+    nominal: np.ndarray | None = None,
+    physics: PhysicalConstraints | None = None,
+) -> tuple[Claims, Waterfall]:
+    """Return the claims that all rules for a confirmed cause let stand, and their bars.
+
+    A confirmed cause has an amplitude distinct from zero, within its plausible range, with settings off the edges of what was
+    searched; the last part shows some of it, and the error of its own joints falls there with the 95 % interval above zero. A
+    joint of several that becomes significantly worse is dropped, and the others stay. The last part has a veto and no vote. Rules
+    that look at one cause alone come first, as what they turn down may be what makes another one worse.
+    """
+    while True:
+        bars = build_waterfall(hunt, claims.kept, rng, nominal, physics)
+        judged_again = _reject_by_amplitude(hunt, claims, bars)
+        if judged_again is claims:
+            judged_again = _reject_companion(hunt, claims, bars)
+        if judged_again is claims:
+            judged_again = _drop_worse_joints(hunt.channel, claims, bars, rng)
+        if judged_again is claims:
+            judged_again = _reject_without_gain(claims, bars)
+        if judged_again is claims:
+            return claims, bars
+        claims = judged_again
+
+
+def _reject_by_amplitude(hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> Claims:
+    """Reject what is not distinct from zero, implausible, at an edge, or not shown by the last part; all at once."""
+    values, before = bars.fits[-1].parameters, bars.fits[0].parameters
+    estimate, scene, kept = bars.fits[-1].estimate, hunt.channel.scene, claims.kept
+    assert estimate is not None  # only the nominal bar has none
+    scales = scene.scales
+    if scales:
+        scales = widen_scales(scales, measure_friction(values, scene), measure_friction(before, scene))
+    for k, one in enumerate(claims.found):
+        if claims.why_not[k]:
+            continue
+        effects = one.candidate.effects
+        why = "" if is_distinct_from_zero(effects, estimate, MIN_AMPLITUDE_Z) else _ZERO
+        why = why or find_implausible(effects, values, scales) or find_edge(effects, scene)
+        why = why or find_inconsistent(effects, values, scene.step_s)
+        others = build_effects([other for other in kept if other is not one])
+        if not (why or claims.tests[k].within or confirm(hunt.ground, hunt.columns(effects), others, TEST).share > 0):
+            why = _VETO
+        claims = claims.judge(k, why) if why else claims
+    return claims
+
+
+def _reject_companion(hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> Claims:
+    """Reject a cause that may only be the inexactness of another one's law."""
+    kept = claims.kept
+    found = find_companion(hunt.library, kept, bars.fits[-1].parameters)
+    return claims.judge(claims.found.index(kept[found[0]]), found[1]) if found else claims
+
+
+def _drop_worse_joints(channel: Channel, claims: Claims, bars: Waterfall, rng: np.random.Generator) -> Claims:
+    """Drop, of causes on several joints, those joints whose error grows significantly by the cause on them."""
+    for n, one in enumerate(claims.kept):
+        fits = one.candidate.fits
+        before, after = (bars.fits[n + k].residuals for k in (0, 1))
+        gains = [compute_gain(channel, before, after, fit.effect.joints, rng) for fit in fits]
+        left = tuple(fit for fit, gain in zip(fits, gains, strict=True) if not is_worse(gain))
+        if 0 < len(left) < len(fits):
+            return claims.replace_found(one, replace(one, candidate=replace(one.candidate, fits=left)))
+    return claims
+
+
+def is_worse(gain: Gain) -> bool:
+    """Return whether an error grows significantly, and by more than is worth a word."""
+    return gain.ci95[1] < 0 and gain.reduction_percent < -100 * MAX_RELATIVE_RMS_INCREASE
+
+
+def _reject_without_gain(claims: Claims, bars: Waterfall) -> Claims:
+    """Reject the cause with the lowest gain where its interval is not above zero."""
+    low = [gain.ci95[0] for gain in bars.gains]
+    if not low or min(low) > 0:
+        return claims
+    n = int(np.argmin(low))
+    why = _NO_GAIN.format(*bars.gains[n].ci95)
+    return claims.judge(claims.found.index(claims.kept[n]), why)
+
+
+class Recommendation(NamedTuple):
+    """What to use, and why, in a sentence; and what to warn of."""
+
+    choice: Choice
+    why: str
+    warnings: Sequence[str] = ()
+
+
+def recommend(hunt: StepwiseSelection, claims: Claims, bars: Waterfall, rng: np.random.Generator) -> Recommendation:
+    """Return which model to use, given the causes with those that stand, and their waterfall."""
+    channel = hunt.channel
+    before, after = bars.fits[0], bars.fits[-1]
+    if foreign := describe_foreign_joints(find_foreign_joints(channel, after)):
+        return Recommendation("neither", str(foreign[0]), foreign)
+    if bars.nominal is not None and is_worse(
+        loss := compute_gain(channel, bars.nominal.residuals, before.residuals, channel.outputs, rng)
+    ):
+        more = -loss.reduction_percent
+        why = f"the held-out error of the refitted model is {more:.2g} % larger than with the robot file's values"
+        return Recommendation("neither", why)
+    if not claims.kept:
+        return Recommendation("refitted", "no cause is confirmed")
+    worse = [
+        (joint, -gain.reduction_percent)
+        for joint in channel.outputs
+        if is_worse(gain := compute_gain(channel, before.residuals, after.residuals, [joint], rng))
+    ]
+    if worse:
+        listed = ", ".join(f"{joint} by {loss:.2g} %" for joint, loss in worse)
+        return Recommendation("refitted", f"the confirmed causes increase the held-out error at {listed}")
+    effects = build_effects(claims.kept)
+    joints = {joint for effect in effects for joint in effect.joints}
+    shown = confirm(hunt.ground, hunt.columns(effects), (), TEST, fitted_on=(TRAIN, VALIDATION))
+    gain = compute_gain(channel, before.residuals, after.residuals, sorted(joints), rng, shown)
+    low, high = gain.ci95
+    if low <= 0:
+        return Recommendation(
+            "refitted", f"the held-out error does not fall significantly (95 % interval [{low:.2g}, {high:.2g}] %)"
+        )
+    why = f"the held-out error of the causes' joints falls by {gain.reduction_percent:.2g} %"
+    return Recommendation("extended", f"{why} (95 % interval [{low:.2g}, {high:.2g}] %), and no joint becomes worse")
+
+
+def find_foreign_joints(channel: Channel, fit: EvaluatedFit) -> list[tuple[str, float]]:
+    """Return the outputs whose held-out rms is many times the training rms, with the ratio; none without held-out logs."""
+    if not any(np.all(part == TRAIN) for part in channel.parts):
+        return []
+    found = []
+    for k, output in enumerate(channel.outputs):
+        trained, held = (
+            float(np.sqrt(np.mean(e**2))) if len(e := channel.gather(fit.residuals, k, *parts)) else 0.0
+            for parts in ((TRAIN,), (VALIDATION, TEST))
+        )
+        if trained > 0 and held > MAX_HELD_OUT_RATIO * trained:
+            found.append((output, held / trained))
+    return found

@@ -1,0 +1,241 @@
+"""The force baseline fitted to logs, ready to be doubted: filters chosen, parameters refitted within physics, data judged.
+
+Positions are smoothed before columns are made of them (`smooth_cutoffs`): what lies above is noise to a spectrum in time. An
+encoder's periodic error, or a motion that cogging shakes, may lie there: a few micrometres spread over many frequencies by the
+changing speed, but at one line over the place. Such positions are not smoothed: the error would be gone from speeds and
+accelerations before anybody looks for it, and the force of a true motion would pass for an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from tau_dyn.diagnose.channel import TRAIN, Channel
+from tau_dyn.diagnose.force_channel import (
+    ForceChannel,
+    build_force_channel,
+    build_force_regression,
+    compute_determined_rank,
+    prepare_segments,
+)
+from tau_dyn.diagnose.noise_only_bootstrap import simulate_noise_only_logs
+from tau_dyn.diagnose.null_model import build_force_terms, compute_period_statistics
+from tau_dyn.diagnose.preparation import (
+    choose_diagnosis_preparation,
+    clear_cutoff,
+    decimate_log,
+    keep_diagnosable,
+    smooth_cutoffs,
+)
+from tau_dyn.effects import TransmissionError
+from tau_dyn.estimate import PhysicalConstraints, Regression, solve_least_squares
+from tau_dyn.exceptions import CannotAnswer
+from tau_dyn.identify import (
+    EXPERIMENT,
+    Preparation,
+    build_physical_constraints,
+    check_integrity,
+    count_information,
+    list_crumbs,
+    list_information_warnings,
+    list_resting_warnings,
+    log_warnings,
+)
+from tau_dyn.log import Log, compute_edge_samples, decimate, find_motion_band, lowpass, mend_log, resample_segments
+from tau_dyn.model import Model
+
+Progress = Callable[[str], None]
+_WAVE_DRAWS = 8  # of white noise, by which the level of a peak is set
+_MIN_BAND_RATIO = 1.25  # least ratio of the upper to the lower end of the band
+_HIGHPASS_ORDER = 8
+"""Of the high-pass, run forwards and backwards: it leaves 1e-8 of an amplitude at a third of its cutoff."""
+_EDGE_FACTOR = 3
+"""Edges left out, in those of the usual low-pass, which rings for a third of the time."""
+_WAVE_LEVEL = 1e-6
+"""Of any wave at all in positions that hold noise alone; true ones exceed it by far, since positions are hardly noisy."""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedBaseline:
+    """A baseline fitted to logs, ready to be doubted.
+
+    Attributes:
+        nominal: The baseline before the fit.
+        model: The baseline at fitted values.
+        channel: All data, with the baseline's columns.
+        physics: What makes the baseline's values physical.
+        preparation: Filters and masks.
+        smooth_hz: Low-pass of each piece's positions [Hz].
+        clear_hz: Low-pass of the forces that springs carry [Hz].
+        held: Whether a piece belongs to a held-out log.
+        pieces: Even stretches of the training logs, then of the held-out logs, as they were logged.
+        warnings: What is doubtful about the logs.
+    """
+
+    nominal: Model
+    model: Model
+    channel: ForceChannel
+    physics: PhysicalConstraints
+    preparation: Preparation
+    smooth_hz: tuple[float, ...]
+    clear_hz: float
+    held: tuple[bool, ...]
+    pieces: tuple[Log, ...]
+    warnings: tuple[str, ...] = ()
+
+    def noise_only(self, rng: np.random.Generator) -> Channel:
+        """Return the channel of logs that hold nothing but the baseline and encoder noise."""
+        logs = simulate_noise_only_logs(self.channel.prepared, self.model, self.pieces, self.smooth_hz, rng)
+        prepared = prepare_segments(self.nominal, logs, self.preparation, self.smooth_hz)
+        regression = build_force_regression(self.nominal, prepared, self.preparation)
+        return replace(
+            build_force_channel(self.model, prepared, self.held, self.preparation, regression, self.clear_hz),
+            parameters=self.nominal.parameters,
+        )
+
+
+def fit_baseline(
+    model: Model,
+    train_logs: list[Log],
+    held_logs: list[Log],
+    preparation: Preparation | None,
+    exclude: tuple[str, ...],
+    progress: Progress,
+) -> FittedBaseline:
+    """Return the baseline fitted to the training logs, with all of the data.
+
+    Args:
+        model: The baseline at its nominal values.
+        train_logs: Logs to train on.
+        held_logs: Held-out logs.
+        preparation: Filters and masks; None to choose them.
+        exclude: Log columns whose nonzero samples are left out.
+        progress: Called with a word for each step.
+
+    Raises:
+        CannotAnswer: The logs determine nothing, or are too short for three parts; its warnings say what is doubtful about them.
+    """
+    robot, logs = model.robot, [*train_logs, *held_logs]
+    train, held = (
+        [piece for log in some for piece in resample_segments(mend_log(log, robot.actuated))]
+        for some in (train_logs, held_logs)
+    )
+    warnings = [*check_integrity(robot, logs, exclude), *robot.warnings]
+    warnings += [*log_warnings(robot, [*train, *held]), *list_crumbs(logs)]
+    try:
+        train, held, left_out = keep_diagnosable(robot, train_logs, train, held, exclude)
+        warnings += left_out
+        filters = preparation or choose_diagnosis_preparation(robot, train, exclude)
+        pieces, is_held = (*train, *held), (*[False] * len(train), *[True] * len(held))
+        smooth_hz, clear_hz = smooth_cutoffs(robot, train, held), clear_cutoff(robot, train)
+        case = _fitted(model, pieces, is_held, filters, smooth_hz, clear_hz, progress)
+        if detect_position_periodicity(case.channel, smooth_hz):
+            smooth_hz = (filters.position_cutoff_hz,) * len(pieces)  # as they are
+            case = _fitted(model, pieces, is_held, filters, smooth_hz, clear_hz, progress)
+        return replace(case, warnings=(*warnings, *_data_warnings(case, train)))
+    except CannotAnswer as fault:
+        fault.warnings = (*warnings, *fault.warnings)
+        raise
+
+
+def _data_warnings(case: FittedBaseline, train: Sequence[Log]) -> list[str]:
+    """Return warnings where the training part holds little independent information for the baseline, or joints mostly rest.
+
+    Raises:
+        CannotAnswer: It holds less than the baseline has unknowns: causes would be fitted to what the baseline fits by chance.
+    """
+    channel = case.channel
+    masks = channel.masks(TRAIN)
+    runs = tuple(replace(run, usable=m) for run, m in zip(channel.runs, masks, strict=True))
+    used = Regression(channel.parameters, channel.outputs, channel.units, runs, {"preparation": case.preparation})
+    bands = [find_motion_band(log.joint("q", case.model.robot.actuated), log.rate_hz).edge_hz.max() for log in train]
+    rank, band_hz = compute_determined_rank(used, channel.parts), float(max(bands))
+    held = count_information(used, band_hz)
+    if held < rank:
+        raise CannotAnswer(
+            "too_little_data",
+            f"the part that is trained on holds about {held:.0f} independent values for {rank} parameters and combinations "
+            f"({sum(log.duration for log in train):.3g} s of motion up to {band_hz:.2g} Hz)",
+            EXPERIMENT,
+        )
+    return [*list_information_warnings(used, rank, band_hz), *list_resting_warnings(used)]
+
+
+def _fitted(
+    model: Model,
+    pieces: tuple[Log, ...],
+    is_held: tuple[bool, ...],
+    preparation: Preparation,
+    smooth_hz: tuple[float, ...],
+    clear_hz: float,
+    progress: Progress,
+) -> FittedBaseline:
+    """Return the baseline fitted to pieces whose positions are low-passed at `smooth_hz` [Hz], each at its own."""
+    progress("columns")
+    thinned = [decimate_log(piece, preparation.position_cutoff_hz) for piece in pieces]
+    prepared = prepare_segments(model, thinned, preparation, smooth_hz)
+    regression = build_force_regression(model, prepared, preparation)
+    physics = build_physical_constraints(model)
+    progress("baseline")
+    first = replace(regression, runs=regression.runs[: is_held.count(False)])
+    estimate = solve_least_squares(first, physics=physics)
+    if freed := [name for name in physics.rotors if estimate.parameters[name].free]:
+        model = model.with_parameters(model.parameters.update({name: {"free": True} for name in freed}))
+        physics = build_physical_constraints(model)
+        regression = replace(regression, parameters=model.parameters)
+    fit = model.with_parameters(estimate.parameters)
+    channel = build_force_channel(fit, prepared, is_held, preparation, regression, clear_hz)
+    scene = replace(channel.scene, step_s=1 / pieces[0].rate_hz)
+    channel = replace(channel, parameters=model.parameters, scene=scene)
+    return FittedBaseline(model, fit, channel, physics, preparation, smooth_hz, clear_hz, is_held, pieces)
+
+
+def detect_position_periodicity(channel: ForceChannel, smooth_hz: Sequence[float]) -> bool:
+    """Tell whether positions above `smooth_hz` [Hz] repeat with the place, up to the frequencies that forces are looked at.
+
+    Pieces in which these lie hardly above it are passed over: what little is between is in the columns anyway.
+    """
+    rng = np.random.default_rng(0)
+    return any(_wave(channel, joint, smooth_hz, rng) for joint in channel.scene.joints)
+
+
+def _wave(channel: ForceChannel, joint: str, smooth_hz: Sequence[float], rng: np.random.Generator) -> bool:
+    j, fastest, top = channel.scene.index(joint), 0.0, channel.preparation.force_cutoff_hz
+    pieces, lowest = [], top
+    for piece, motion, smooth in zip(channel.prepared, channel.thinned, smooth_hz, strict=True):
+        if _MIN_BAND_RATIO * smooth >= top:
+            continue
+        read, rate = piece.log.joint("q", [joint])[:, 0], piece.log.rate_hz
+        made = rng.standard_normal((len(read), _WAVE_DRAWS))
+        both = np.column_stack([read, made])
+        above = _between(both, smooth, top, rate)
+        inner = slice(edge := _EDGE_FACTOR * compute_edge_samples(smooth, rate), len(above) - edge)
+        if inner.stop - inner.start < 2 * edge:
+            continue  # a log that begins in motion makes the filter ring there
+        size = np.std(above[inner], axis=0)  # what is left of the motion counts as noise
+        few = decimate(above / np.where(size > 0, size, 1.0), piece.factor)
+        far = slice(-(-inner.start // piece.factor), inner.stop // piece.factor)
+        pieces.append((motion.q[far, j], motion.v[far, j], few[far]))
+        fastest, lowest = max(fastest, float(np.max(np.abs(motion.v[:, j])))), min(lowest, smooth)
+    if not pieces:
+        return False
+    q, v, u = (np.concatenate(x) for x in zip(*pieces, strict=True))
+    periods = np.array([setting["period"] for setting in TransmissionError.grid(channel.scene, (joint,))])
+    periods = periods[fastest / periods > lowest]
+    if not periods.size:
+        return False
+    T = compute_period_statistics(q, v, u, np.ones(len(q), bool), periods, top, build_force_terms(q))
+    return bool(len(periods) * len(channel.scene.joints) * np.exp(-0.5 * T[:, 0].max()) < _WAVE_LEVEL)
+
+
+def _between(x: np.ndarray, low_hz: float, high_hz: float, rate_hz: float) -> np.ndarray:
+    """Return what of columns (N, n) lies between two frequencies [Hz].
+
+    The high-pass is steep: encoders resolve a millionth of the motion, which has its power an octave or two below.
+    """
+    steep = butter(_HIGHPASS_ORDER, low_hz, "highpass", fs=rate_hz, output="sos")
+    return np.asarray(sosfiltfilt(steep, lowpass(x, high_hz, rate_hz), axis=0))

@@ -1,0 +1,324 @@
+"""The force channel: measured actuated forces against those that the model predicts from measured motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from tau_dyn.diagnose.channel import (
+    TEST,
+    TRAIN,
+    VALIDATION,
+    Channel,
+    build_scene,
+    find_shared_signals,
+    name_by_joint,
+    refuse_scarce,
+    split_by_blocks,
+)
+from tau_dyn.diagnose.null_model import (
+    LONG,
+    WHOLE_TIME,
+    build_displacement_terms,
+    build_force_terms,
+    compute_period_statistics,
+    select_output_rows,
+)
+from tau_dyn.diagnose.plausibility import measure_scales
+from tau_dyn.diagnose.preparation import ForceTiming, compute_border_gap_s, find_timing
+from tau_dyn.effects import EFFECTS, GRAVITY_TURN, DisplacementEffect, Effect, Motion, Scene
+from tau_dyn.estimate import Regression, RegressionRun, Whitener
+from tau_dyn.identify import Preparation, PreparedSegment, prepare_segment
+from tau_dyn.log import Log, decimate, lowpass
+from tau_dyn.model import COMPUTED, Model
+
+VALUES_PER_COMBINATION = 3
+"""Usable values for each base parameter that the training part determines; with fewer, a third of the noise is fitted."""
+MIN_VALUES = 10
+"""Usable values of each output in the other parts, which are compared with a fit and fit little: an rms is known to 22 %."""
+_INDEPENDENT = 1e-9
+"""Smallest eigenvalue of the unit columns' Gram matrix that counts as another combination."""
+
+_MAX_ROWS = 8000
+"""Samples from which values are made: many times the number of parameters."""
+_MIN_RELATIVE_NORM = 1e-7
+"""Size of a column, relative to the largest, below which it is a rounding of the robot file."""
+_WEIGHING = ("mass", "mx", "my", "mz")
+_STIFFNESS = 30.0
+"""How much less of a misfit masses and first moments take than inertias, where either can: a drive's inertia that nobody gave
+is in the bodies' inertia, and the robot file knows masses better."""
+_SIGNALS = ("inertia", "weight_gradient", "load", "passive")
+
+
+@dataclass(frozen=True, eq=False)
+class ForceChannel(Channel):
+    """Actuated forces.
+
+    Attributes:
+        prepared: The stretches at their logs' own rate.
+        thinned: Their motions at the regression's rate, for quick scans.
+        preparation: Filters and masks.
+    """
+
+    prepared: tuple[PreparedSegment, ...]
+    thinned: tuple[Motion, ...]
+    preparation: Preparation
+
+    def run_columns(self, effect: Effect, run: int) -> np.ndarray:
+        """Return an effect's columns (n, m, k) of one run; see `Channel.run_columns`."""
+        piece = self.prepared[run]
+        return piece.columns(effect.columns(piece.motion))
+
+    def whole_columns(self, effect: Effect) -> list[np.ndarray]:
+        """Return the columns without any sample left out, for drawing."""
+        return [piece.columns(effect.columns(piece.motion), gated=False) for piece in self.prepared]
+
+    def scan(self, effects: Sequence[Effect], whiten: Whitener, both: np.ndarray) -> np.ndarray | None:
+        """Scan periods by Fourier transforms over the position; long ones are left open (nan). See `null_model.py`."""
+        first = effects[0]
+        if not first.dense:
+            return None
+        joint = self.scene.index(first.joints[0])
+        u, mask = select_output_rows(whiten, joint, both)
+        q, v, a = (np.concatenate([getattr(m, key)[:, joint] for m in self.thinned]) for key in ("q", "v", "a"))
+        terms = build_force_terms(q)
+        if isinstance(first, DisplacementEffect):
+            u = u * np.concatenate([m.signals["inertia"][:, joint, joint] for m in self.thinned])[:, None]
+            terms = build_displacement_terms(v, a)
+        periods = np.array([effect.settings["period"] for effect in effects])
+        explained = compute_period_statistics(q, v, u, mask, periods, self.preparation.force_cutoff_hz, terms)
+        explained[periods > np.ptp(q) / LONG] = np.nan
+        return explained
+
+    def variables(self) -> list[Mapping[str, np.ndarray]]:
+        """Return positions, speeds, accelerations, time and temperature of each run."""
+        found, begin = [], self._begins()
+        for motion, start in zip(self.thinned, begin, strict=True):
+            row = name_by_joint(motion.joints, q=motion.q, v=motion.v, a=motion.a)
+            row["t"] = np.asarray(motion.t)
+            if max(begin) > 0:
+                row[WHOLE_TIME] = row["t"] + start
+            if "temperature" in motion.signals:
+                row |= name_by_joint(motion.joints, temp=motion.signals["temperature"])
+            found.append(row)
+        return found
+
+    def _begins(self) -> list[float]:
+        """Return when each run's log begins [s] if the logs follow one another."""
+        ends: dict[str, float] = {}
+        for piece in self.prepared:
+            ends[piece.log.name] = max(ends.get(piece.log.name, 0.0), float(piece.log.t[-1]))
+        begin = dict(zip(ends, np.cumsum([0.0, *ends.values()]), strict=False))
+        return [float(begin[piece.log.name]) for piece in self.prepared]
+
+
+def prepare_segments(
+    model: Model, pieces: Sequence[Log], preparation: Preparation, smooth_hz: Sequence[float]
+) -> tuple[PreparedSegment, ...]:
+    """Return all pieces ready for making columns, in their order; `smooth_hz` is the low-pass of each one's positions."""
+    names = list(dict.fromkeys(piece.name for piece in pieces))
+    found = []
+    for piece, smooth in zip(pieces, smooth_hz, strict=True):
+        campaign = {"campaign": np.full(piece.n_samples, float(names.index(piece.name)))} if len(names) > 1 else {}
+        found.append(prepare_segment(model, piece, preparation, signals=campaign, smooth_hz=smooth))
+    return tuple(found)
+
+
+def build_force_regression(model: Model, prepared: Sequence[PreparedSegment], preparation: Preparation) -> Regression:
+    """Return the baseline's regression on prepared pieces."""
+    runs, robot = tuple(piece.run(model) for piece in prepared), model.robot
+    return Regression(model.parameters, robot.actuated, robot.force_units, runs, {"preparation": preparation})
+
+
+def build_force_channel(
+    model: Model,
+    prepared: Sequence[PreparedSegment],
+    held: Sequence[bool],
+    preparation: Preparation,
+    regression: Regression,
+    clear_hz: float,
+) -> ForceChannel:
+    """Build the channel.
+
+    Args:
+        model: The baseline at fitted values; signals such as loads and predicted forces are taken from it.
+        prepared: Even stretches of the training logs, then of the held-out logs.
+        held: Whether a piece belongs to a held-out log.
+        preparation: Filters and masks.
+        regression: The baseline's regression on these pieces.
+        clear_hz: Low-pass of the forces that springs carry [Hz]; see `clear_cutoff`.
+
+    Raises:
+        CannotAnswer: Too little is left of the data for three parts.
+    """
+    prepared, regression, timing = _with_timing(model, prepared, held, regression)
+    turns = _gravity_turns(model, regression.parameters.values, prepared, regression.runs, [not out for out in held])
+    prepared = [
+        _with_signals(piece, model, turn, clear_hz, timing) for piece, turn in zip(prepared, turns, strict=True)
+    ]
+    gap_s = compute_border_gap_s(preparation.force_cutoff_hz, prepared[0].log.rate_hz)
+    parts = split_by_blocks(regression.runs, held, any(held), gap_s)
+    campaigns = len({piece.log.name for piece, out in zip(prepared, held, strict=True) if not out})
+    thinned = tuple(_thinned(piece) for piece in prepared)
+    scene = _scene(model, thinned, regression.runs, parts, preparation, campaigns)
+    if timing is not None:
+        each = zip(scene.joints, map(float, timing.delays), map(float, timing.lags), strict=True)
+        scene = replace(scene, timing={joint: (delay, lag) for joint, delay, lag in each})
+    channel = ForceChannel(
+        "force",
+        regression.outputs,
+        regression.units,
+        model.parameters,
+        regression.runs,
+        tuple(parts),
+        scene,
+        tuple(cls for cls in EFFECTS.values() if cls.cause),
+        tuple(prepared),
+        thinned,
+        preparation,
+    )
+    others = MIN_VALUES * len(regression.outputs)
+    rank = max(1, compute_determined_rank(regression, parts))
+    refuse_scarce(
+        channel,
+        {TRAIN: VALUES_PER_COMBINATION * rank, VALIDATION: others, TEST: others},
+        "too little usable data is left",
+        f"the logs hold {sum(p.log.duration for p in prepared):.3g} s",
+        "record a minute or more of motion in both directions, over several speeds",
+    )
+    return channel
+
+
+def _with_timing(
+    model: Model,
+    prepared: Sequence[PreparedSegment],
+    held: Sequence[bool],
+    regression: Regression,
+) -> tuple[Sequence[PreparedSegment], Regression, ForceTiming | None]:
+    """Return the pieces and their regression without the samples into which late forces bring a reversal, and the timing."""
+    trained = [run for run, out in zip(regression.runs, held, strict=True) if not out]
+    timing = find_timing(trained, model.parameters.values, np.asarray(regression.parameters.free))
+    if timing is None:
+        return prepared, regression, None
+    late = timing.delays + timing.lags
+    closed = [piece.close_after(late) for piece in prepared]
+    return closed, replace(regression, runs=tuple(piece.run(model) for piece in closed)), timing
+
+
+def compute_determined_rank(regression: Regression, parts: Sequence[np.ndarray]) -> int:
+    """Return how many combinations of parameters the training part determines: the rank of its unit columns."""
+    gram = np.zeros((len(regression.parameters),) * 2)
+    for run, part in zip(regression.runs, parts, strict=True):
+        rows = run.W[run.usable & (part == TRAIN)[:, None]]
+        gram += rows.T @ rows
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    return int(np.linalg.matrix_rank(gram / np.outer(scale, scale), tol=_INDEPENDENT, hermitian=True))
+
+
+def _interpolate(piece: PreparedSegment, compute: Callable[..., np.ndarray]) -> np.ndarray:
+    """Return what is computed of positions, speeds and accelerations, smooth, so made at the regression's rate."""
+    m, t = piece.motion, piece.log.t
+    few = np.unique(np.append(np.arange(0, len(t), piece.factor), len(t) - 1))
+    return np.asarray(CubicSpline(t[few], compute(m.q[few], m.v[few], m.a[few]))(t))
+
+
+def _with_signals(
+    piece: PreparedSegment, model: Model, turn: np.ndarray, clear_hz: float, timing: ForceTiming | None
+) -> PreparedSegment:
+    """Return a piece whose motion has what a fitted model says of it: loads, inertia, turn of gravity, predicted forces.
+
+    `force` is that of the values with the recording's timing taken out; see `preparation.py`.
+    """
+    m, t, mechanism = piece.motion, piece.log.t, model.mechanism
+    needs = [s for s in _SIGNALS if s != "passive" or model.robot.loops]
+    smooth = {name: _interpolate(piece, partial(COMPUTED[name], mechanism)) for name in needs}
+    found = {**m.signals, GRAVITY_TURN: turn, **smooth}
+    whole = model.motion(m.q, m.v, m.a, m.sign, t=t, signals=found)
+    Y = mechanism.regressor(m.q, m.v, m.a)
+    rigid = Y @ model.robot.parameters.values  # holds with a mass of zero
+    force = rigid + model.effect_force(whole)
+    if timing is not None:
+        force = (
+            force + np.concatenate([Y, *(effect.columns(whole) for effect in model.effects)], axis=2) @ timing.change
+        )
+    signals = {
+        **found,
+        "force": force,
+        "rigid_force": lowpass(rigid, min(clear_hz, 0.4 * piece.log.rate_hz), piece.log.rate_hz),
+        "damping": model.damping(whole),
+        "wide_force": rigid,
+        "clear_hz": np.full(len(t), clear_hz),  # a mode in the clear band passes no noise on
+    }
+    return replace(piece, motion=replace(m, signals=signals))
+
+
+def _gravity_turns(
+    model: Model,
+    nominal: np.ndarray,
+    prepared: Sequence[PreparedSegment],
+    runs: Sequence[RegressionRun],
+    trained: Sequence[bool],
+) -> list[np.ndarray]:
+    """Return what a turn of gravity does to the forces at rest (N, na, 2) of each piece.
+
+    A turned gravity feels combinations of masses that no force under the nominal one shows, and a fit that knows of no turn moves
+    weakly determined ones to explain it. So the values are refitted beside the turn, as near the nominal ones (p,) as the data
+    let them be.
+    """
+    turns = [_interpolate(piece, lambda q, v, a: model.mechanism.gravity_turn(q)) for piece in prepared]
+    rows, y = [], []
+    for piece, run, turn, mine in zip(prepared, runs, turns, trained, strict=True):
+        if mine:
+            columns = np.concatenate([run.W_all, piece.columns(turn, gated=False)], axis=2)
+            rows.append(columns[run.usable])
+            y.append((run.y_all - run.W_all @ nominal)[run.usable])
+    W, e = np.concatenate(rows), np.concatenate(y)
+    every = 1 + len(W) // _MAX_ROWS
+    W, e = W[::every], e[::every]
+    free = np.append(model.parameters.free, [True, True])
+    norm = np.linalg.norm(W, axis=0) * free
+    unit = np.where(norm > _MIN_RELATIVE_NORM * norm.max(initial=0.0), norm, np.inf)
+    unit[:-2] *= np.where([n.rsplit(".", 1)[-1] in _WEIGHING for n in model.parameters.names], _STIFFNESS, 1.0)
+    change = (np.linalg.lstsq(W / unit, e, rcond=1e-4)[0] / unit)[:-2]
+    near = model.with_parameters(model.parameters.with_values(nominal + change))
+    return [_interpolate(piece, lambda q, v, a: near.mechanism.gravity_turn(q)) for piece in prepared]
+
+
+def _thinned(piece: PreparedSegment) -> Motion:
+    """Return a stretch's motion through the regression's low-pass, at its rate."""
+    motion, factor = piece.motion, piece.factor
+    arrays = [piece.passed(x) for x in (motion.q, motion.v, motion.a)]
+    signals = {key: decimate(x, factor) for key, x in motion.signals.items()}
+    return Motion.of(motion.joints, *arrays, t=decimate(piece.log.t, factor), signals=signals)
+
+
+def _scene(
+    model: Model,
+    motions: Sequence[Motion],
+    runs: Sequence[RegressionRun],
+    parts: Sequence[np.ndarray],
+    preparation: Preparation,
+    campaigns: int,
+) -> Scene:
+    signals = find_shared_signals(motions)
+    if "temperature" in signals and max(float(np.ptp(m.signals["temperature"])) for m in motions) < 0.5:
+        signals -= {"temperature"}  # it never changed
+    scene = build_scene(
+        motions,
+        model.robot.actuated,
+        model.robot.force_units,
+        slow=preparation.speed_threshold,
+        cutoff_hz=preparation.force_cutoff_hz,
+        duration=sum(float(run.t[-1] - run.t[0]) for run in runs),
+        signals=signals,
+        campaigns=campaigns,
+        trained=[part == TRAIN for part in parts],
+        coupled=model.robot.coupled_pairs,
+    )
+    force = np.max([np.abs(run.y_all).max(axis=0) for run in runs], axis=0)
+    inertia = np.max([np.diagonal(m.signals["inertia"], axis1=1, axis2=2).max(axis=0) for m in motions], axis=0)
+    return replace(scene, scales=measure_scales(model.parameters, scene, force, inertia))

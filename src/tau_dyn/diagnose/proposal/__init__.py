@@ -1,0 +1,1 @@
+"""The motion that answers what a diagnosis left open."""

@@ -1,0 +1,292 @@
+r"""How well a motion would tell two causes apart, before anybody has driven it.
+
+Along a motion, with white rows `B` of what is refitted anyway, `x` of the force of cause A at its fitted amplitude and `C(s)`
+of the rival's columns at settings s,
+
+    lambda = min over s of | x - [B, C(s)] least squares |^2,
+
+the noncentrality of the test of A against its rival; the motion with the largest lambda is T-optimal. Rows of separate motions
+add: a motion put together of pieces has the sum of their Gram matrices, and every lambda follows from that sum by a Schur
+complement. Reference: Atkinson & Fedorov 1975.
+
+Nothing is low-passed here but the noise model: what is white in the diagnosed band is taken as white above it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.linalg import solve_toeplitz
+from scipy.ndimage import binary_dilation
+
+from tau_dyn.diagnose.candidate_scan import find_nonnegative
+from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, compute_score_statistics
+from tau_dyn.diagnose.result import Diagnosis, TimeTrace
+from tau_dyn.effects import Effect, Motion
+from tau_dyn.estimate import Autoregression, RegressionRun, Whitener, fit_autoregression
+from tau_dyn.identify import get_measured_signals
+from tau_dyn.log import Log, compute_attenuation, decimate, differentiate, find_true_runs, lowpass
+from tau_dyn.model import COMPUTED, Model
+from tau_dyn.parameters import Parameters
+from tau_dyn.simulate import Trajectory
+
+RATE_HZ = 100.0
+"""Rate of the rows, about [Hz]."""
+MAX_FREQUENCY_HZ = 50.0
+"""Highest frequency that a diagnosis looks at where the motion is quick and positions are clean enough [Hz], about."""
+_MIN_RATE_HZ = 80.0
+"""A residual kept at a lower rate than this gives the noise's density only."""
+_IN_BAND = 0.28
+"""Share of the rate up to which neither low-pass weakens a residual."""
+_MAX_ORDER = 8  # of the autoregressive model of the residual, selected below it
+_OF_PLACE = ("inertia", "weight_gradient", "passive")
+
+Thing = Callable[[Motion], np.ndarray]
+"""Columns (N, na, k) along a motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What a diagnosis says of how rows are made: the model, its noise, where the direction of motion is not sure.
+
+    Attributes:
+        model: The refitted baseline, at which loads and forces are computed.
+        noise: Noise of each joint's force at the rows' rate.
+        rate_hz: Rate of the rows.
+        threshold: Slowest speed with a sure sign (na,) [m/s or rad/s].
+        window_s: Time left out beside slow and reversing samples [s].
+        cutoff_hz: Low-pass of positions [Hz].
+        highest_hz: Frequency above which a diagnosis of quicker motion sees nothing either [Hz].
+    """
+
+    model: Model
+    noise: tuple[Autoregression, ...]
+    rate_hz: float
+    threshold: np.ndarray
+    window_s: float
+    cutoff_hz: float
+    highest_hz: float
+
+    @classmethod
+    def of(cls, diagnosis: Diagnosis) -> Setting:
+        """Read it off a diagnosis; noise is what its extended model leaves."""
+        prepared = diagnosis.preparation
+        assert prepared is not None  # other channels have been refused
+        rate, noise = estimate_output_noise(diagnosis.traces, diagnosis.extended.rms)
+        cutoff = prepared.position_cutoff_hz
+        highest = max(prepared.force_cutoff_hz, min(MAX_FREQUENCY_HZ, cutoff / 2))
+        return cls(diagnosis.model, noise, rate, prepared.speed_threshold, prepared.window_s, cutoff, highest)
+
+
+def estimate_output_noise(traces: Sequence[TimeTrace], rms: np.ndarray) -> tuple[float, tuple[Autoregression, ...]]:
+    """Return a rate near 100 Hz and the noise of each output at it.
+
+    Args:
+        traces: Colour is that of what the extended model leaves of them.
+        rms: Size of that residual (m,), from data that nothing of a reversal leaked into, as it does into traces.
+    """
+    rate = 1 / float(np.median(np.diff(traces[0].t)))
+    factor = max(1, round(rate / RATE_HZ))
+    models = []
+    for k, size in enumerate(rms):
+        stretches = []
+        left = np.concatenate([(x.measured - x.after)[x.usable[:, k], k] for x in traces])
+        scale = size / max(float(np.sqrt(np.mean(left**2))), 1e-300) if len(left) else 1.0
+        for trace in traces:
+            e, usable = scale * (trace.measured - trace.after)[:, k], trace.usable[:, k]
+            if factor > 1:
+                e = decimate(lowpass(np.where(usable, e, 0.0), 0.4 * rate / factor, rate), factor)
+                usable = decimate(usable, factor)
+            stretches += [e[s] for s in find_true_runs(usable)]
+        models.append(flatten_noise_spectrum(fit_autoregression(stretches, _MAX_ORDER)))
+    if rate >= _MIN_RATE_HZ:
+        return rate / factor, tuple(models)
+    none = np.zeros(0)
+    return RATE_HZ, tuple(Autoregression(none, m.variance * RATE_HZ / rate) for m in models)
+
+
+def flatten_noise_spectrum(noise: Autoregression) -> Autoregression:
+    """Return a noise whose density goes on above the low-pass as it is below it.
+
+    The residual was low-passed near the end of its band, candidate columns are not: whitened by what the low-pass left there
+    they would seem to show almost anything.
+    """
+    f = np.linspace(0, 0.5, 2049)
+    turn = np.exp(-2j * np.pi * np.outer(f, np.arange(1, len(noise.phi) + 1)))
+    density = 1 / np.abs(1 - turn @ noise.phi) ** 2
+    density *= noise.variance / np.fft.irfft(density)[0]
+    density[f > _IN_BAND] = np.mean(density[(f > _IN_BAND / 2) & (f <= _IN_BAND)])
+    c = np.fft.irfft(density)[: _MAX_ORDER + 1]
+    phi = np.asarray(solve_toeplitz(c[:-1], c[1:])) if c[0] > 0 and len(noise.phi) else np.zeros(0)
+    return Autoregression(phi, float(c[0]))
+
+
+def build_planned_motion(setting: Setting, trajectory: Trajectory) -> tuple[Motion, np.ndarray]:
+    """Return the motion (n samples at the rows' rate) of a plan, without computed signals, and which samples count (n, na)."""
+    log = Log(trajectory.t, {f"q_{j}": trajectory.q[:, k] for k, j in enumerate(trajectory.joints)}, trajectory.name)
+    return _thinned(setting, log, trajectory.q, trajectory.v, trajectory.a)
+
+
+def build_measured_motion(setting: Setting, log: Log, smooth_hz: float) -> tuple[Motion, np.ndarray]:
+    """Return the same of an even stretch of a log, its positions low-passed at `smooth_hz` [Hz]."""
+    rate = log.rate_hz
+    q = lowpass(log.joint("q", setting.model.robot.actuated), min(smooth_hz, setting.cutoff_hz, 0.4 * rate), rate)
+    v = differentiate(q, log.dt, accuracy=4)
+    return _thinned(setting, log, q, v, differentiate(v, log.dt, accuracy=4))
+
+
+def _thinned(setting: Setting, log: Log, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[Motion, np.ndarray]:
+    joints, step = setting.model.robot.actuated, max(1, round(log.rate_hz / setting.rate_hz))
+    signals = {k: x[::step] for k, x in get_measured_signals(log, joints, q, v, setting.threshold).items()}
+    unsure = np.abs(v) < setting.threshold
+    unsure[1:] |= np.sign(v[1:]) != np.sign(v[:-1])
+    half = int(np.ceil(setting.window_s * log.rate_hz))
+    counts = np.logical_not(binary_dilation(unsure, np.ones((2 * half + 1, 1), bool)))
+    return Motion.of(joints, q[::step], v[::step], a[::step], t=log.t[::step], signals=signals), counts[::step]
+
+
+def add_computed_signals(setting: Setting, motion: Motion, needs: Iterable[str]) -> Motion:
+    """Return a motion with the loads and forces that effects feel, at the refitted baseline.
+
+    What depends on the place alone is computed at every fourth sample and interpolated.
+    """
+    assert motion.t is not None
+    few = np.unique(np.append(np.arange(0, len(motion.t), 4), len(motion.t) - 1))
+    still = np.zeros((len(few), motion.q.shape[1]))
+    places = {
+        name: COMPUTED[name](setting.model.mechanism, motion.q[few], still, still)
+        for name in _OF_PLACE
+        if name in needs
+    }
+    found = {name: np.asarray(CubicSpline(motion.t[few], x)(motion.t)) for name, x in places.items()}
+    signals = {**motion.signals, **found}
+    return setting.model.motion(motion.q, motion.v, motion.a, motion.sign, t=motion.t, signals=signals, needs=needs)
+
+
+def compute_gram_matrix(setting: Setting, motion: Motion, counts: np.ndarray, things: Sequence[Thing]) -> np.ndarray:
+    """Return the Gram matrix of white rows of all columns of all things, in their order."""
+    assert motion.t is not None
+    W, blank = np.concatenate([thing(motion) for thing in things], axis=2), np.zeros(counts.shape)
+    rows = Whitener.of([RegressionRun("plan", motion.t, W, blank, counts, W, blank, {})], [counts], setting.noise)([W])
+    rate = (len(motion.t) - 1) / float(motion.t[-1] - motion.t[0])
+    return rows.T @ rows * (setting.rate_hz / rate)  # the noise belongs to the rows' rate, which a log meets nearly
+
+
+def build_refitted_columns(model: Model, others: Sequence[Effect]) -> Thing:
+    """Return the columns that are refitted anyway: the model's free ones, and those of causes that are sure."""
+    free = model.parameters.free
+
+    def columns(motion: Motion) -> np.ndarray:
+        return np.concatenate(
+            [model.columns(motion)[:, :, free], *(effect.columns(motion) for effect in others)], axis=2
+        )
+
+    return columns
+
+
+def build_effect_columns(setting: Setting, effect: Effect) -> Thing:
+    """Return an effect's columns; what repeats faster than the low-pass shows is weakened."""
+
+    def columns(motion: Motion) -> np.ndarray:
+        made = effect.columns(motion)
+        if not effect.dense:
+            return made
+        f = effect.local_frequency(motion)[:, :, None]  # type: ignore[attr-defined]
+        return made / compute_attenuation(f, setting.highest_hz)
+
+    return columns
+
+
+def compute_effect_force(setting: Setting, effects: Sequence[Effect], values: Parameters) -> Thing:
+    """Return the force of effects at fitted values, as one column."""
+    things = [build_effect_columns(setting, e) for e in effects]
+    amplitudes = [values.select(e.parameters.names).values for e in effects]
+
+    def columns(motion: Motion) -> np.ndarray:
+        shares = [thing(motion) @ x for thing, x in zip(things, amplitudes, strict=True)]
+        return np.sum(shares, axis=0)[:, :, None]
+
+    return columns
+
+
+_RANK = 1e-10  # ratio of eigenvalues; less is rounding
+
+
+@dataclass(frozen=True, eq=False)
+class SchurComplement:
+    """What is left of columns beside those refitted anyway: `G` (n, n), and the columns' own squares `raw` (n,)."""
+
+    G: np.ndarray
+    raw: np.ndarray
+
+    @classmethod
+    def of(cls, total: np.ndarray, p: int) -> SchurComplement:
+        """Project the first p columns out of a Gram matrix."""
+        raw = np.diag(total)[p:].copy()
+        norm = np.sqrt(np.maximum(np.diag(total), 1e-300))
+        scaled = total / norm[:, None] / norm
+        values, vectors = np.linalg.eigh(scaled[:p, :p])
+        keep = values > _RANK * max(values.max(initial=0.0), 1e-300)
+        across = (vectors[:, keep] / np.sqrt(values[keep])).T @ scaled[:p, p:]
+        left = (scaled[p:, p:] - across.T @ across) * norm[p:, None] * norm[p:]
+        return cls(left, raw)
+
+    def without(self, columns: np.ndarray) -> SchurComplement:
+        """Project further columns out."""
+        inverse = np.linalg.pinv(self.G[np.ix_(columns, columns)], rcond=MIN_UNABSORBED_SHARE, hermitian=True)
+        across = self.G[:, columns]
+        return replace(self, G=self.G - across @ inverse @ across.T)
+
+
+@dataclass(frozen=True, eq=False)
+class AlternativeCause:
+    """A cause in place of another: its effects on each group of joints, one for each setting, and where their columns are."""
+
+    groups: tuple[tuple[Effect, ...], ...]
+    columns: tuple[tuple[np.ndarray, ...], ...]
+
+    def best(self, schur: SchurComplement, x: int) -> tuple[float, list[tuple[Effect, np.ndarray]]]:
+        """Return what the rival leaves of column x at its best settings, and which they are, with amplitudes.
+
+        Groups are taken one by one, the one that explains most first; a joint belongs to one group only.
+        """
+        chosen: list[tuple[Effect, np.ndarray]] = []
+        open_groups = list(range(len(self.groups)))
+        while open_groups and schur.G[x, x] > 0:
+            T, k, setting = max(self._explained(schur, x, k) for k in open_groups)
+            if T <= 0:
+                break
+            effect, columns = self.groups[k][setting], self.columns[k][setting]
+            chosen.append((effect, columns))
+            rest = schur.G[x, x] - T
+            schur = schur.without(columns)
+            schur.G[x, x] = max(rest, schur.G[x, x])  # amplitudes that must not be negative leave more
+            open_groups = [j for j in open_groups if not set(self.groups[j][0].joints) & set(effect.joints)]
+        return max(float(schur.G[x, x]), 0.0), chosen
+
+    def _explained(self, schur: SchurComplement, x: int, k: int) -> tuple[float, int, int]:
+        """Return the most that a group explains, the group, and the setting; settings may differ in their columns' number."""
+        best = (0.0, k, 0)
+        sizes = np.array([len(c) for c in self.columns[k]])
+        for size in np.unique(sizes):
+            same = np.flatnonzero(sizes == size)
+            index = np.array([self.columns[k][j] for j in same])
+            s, G = schur.G[index, x][:, :, None], schur.G[index[:, :, None], index[:, None, :]]
+            T = compute_score_statistics(s, G, schur.raw[index], find_nonnegative(self.groups[k][same[0]]))[:, 0]
+            best = max(best, (float(T.max()), k, int(same[np.argmax(T)])))
+        return best
+
+
+def compute_imitating_amplitudes(
+    schur: SchurComplement, x: int, chosen: Sequence[tuple[Effect, np.ndarray]]
+) -> Parameters:
+    """Return the values at which chosen effects imitate column x best; none is negative that must not be."""
+    columns = np.concatenate([c for _, c in chosen])
+    G = schur.G[np.ix_(columns, columns)]
+    value = np.linalg.pinv(G, rcond=MIN_UNABSORBED_SHARE, hermitian=True) @ schur.G[columns, x]
+    parameters = [p for effect, _ in chosen for p in effect.parameters]
+    found = [replace(p, value=float(max(v, p.lower))) for p, v in zip(parameters, value, strict=True)]
+    return Parameters(found)

@@ -1,0 +1,297 @@
+r"""The tool channel: measured tool positions against forward kinematics of measured joint positions.
+
+    R m + p - T(q) = frame + J zero + sum of effects' tool columns + noise
+
+The measuring device's frame is first laid on the robot's (Kabsch 1976), so that the rest is small; the baseline then refits
+that frame (three shifts, three turns) and each joint's zero, as far as they do not depend on each other (three equal zeros
+of parallel guideways are a shift). The robot's geometry is taken as calibrated.
+
+Logs sampled in time are low-passed like forces. Poses held still, recognised by a sampling too slow to show motion, count one
+by one; a joint's direction is that of its way from the pose before, on which it is taken not to turn back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from tau_dyn.diagnose.channel import (
+    POSE_S,
+    Channel,
+    MeasuredSegment,
+    build_scene,
+    find_directions,
+    find_shared_signals,
+    name_by_joint,
+    refuse_scarce,
+    split_by_blocks,
+)
+from tau_dyn.diagnose.preparation import choose_diagnosis_preparation, compute_border_gap_s
+from tau_dyn.effects import EFFECTS, GUIDE_ACROSS, SENSITIVITY, SIDE_FORCE, DisplacementEffect, Effect, Motion, Scene
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.identify import MIN_RATE_HZ, Preparation, get_measured_signals
+from tau_dyn.log import Log, compute_attenuation, differentiate, lowpass, resample_segments
+from tau_dyn.model import Model
+from tau_dyn.parameters import Parameter, Parameters
+
+OUTPUTS = ("x_tool", "y_tool", "z_tool")
+_MAX_RESTING_SHARE = 1e-4  # of a joint's range: it has not moved
+_STILL = 1e-9
+"""Speed [m/s or rad/s] that rounding alone gives a joint which stands still without any noise."""
+_MAX_RELATIVE_DISTANCE = 0.05
+"""Distance from forward kinematics over the positions' own spread, above which the two do not belong together."""
+_LINE = 1e-6
+"""Squared width over squared length of all positions, below which they lie on a line and leave the turn about it open; the
+frames then have to agree beforehand."""
+
+
+@dataclass(frozen=True, eq=False)
+class ToolSegment(MeasuredSegment):
+    """A stretch with the tool measured, in the robot's frame as far as known; `predicted` is forward kinematics.
+
+    Attributes:
+        jacobian: Tool velocity per actuated speed (N, 3, na).
+    """
+
+    jacobian: np.ndarray
+
+
+def cut(log: Log) -> list[Log]:
+    """Return a log's even stretches, or the log itself where it holds poses."""
+    missing = [c for c in OUTPUTS if c not in log.channels]
+    if missing:
+        raise InputError(
+            "missing_column", f"{log.name} has no column {missing[0]}; the tool channel needs {', '.join(OUTPUTS)} [m]"
+        )
+    seen = np.all([np.isfinite(log.channels[c]) for c in OUTPUTS], axis=0)
+    if is_static(log):
+        return [replace(log, t=log.t[seen], channels={key: x[seen] for key, x in log.channels.items()})]
+    if not seen.all():
+        raise InputError("bad_sample", f"{log.name}: the tool is missing in {np.sum(~seen)} samples; cut the log there")
+    return resample_segments(log)
+
+
+def is_static(log: Log) -> bool:
+    """Tell whether a log holds poses: sampled too slowly to show motion."""
+    return log.rate_hz < MIN_RATE_HZ
+
+
+def build_tool_segment(model: Model, log: Log, preparation: Preparation | None) -> ToolSegment:
+    """Return a stretch with directions of motion, what effects feel, and forward kinematics; low-passed unless of poses."""
+    joints, mechanism = model.robot.actuated, model.mechanism
+    tool = np.column_stack([log.channels[c] for c in OUTPUTS])
+    q = log.joint("q", joints)
+    if is_static(log) or preparation is None:
+        rest, t, cutoff, factor = np.zeros_like(q), None, None, 1
+        v, a = rest, rest
+        sign, travel = _approach(q)
+        signals, usable = {"reversal": travel}, np.arange(len(q)) > 0
+    else:
+        t, cutoff, factor = log.t, preparation.force_cutoff_hz, preparation.factor(log.rate_hz)
+        q = lowpass(q, preparation.position_cutoff_hz, log.rate_hz)
+        v = differentiate(q, log.dt, accuracy=4)
+        a = differentiate(v, log.dt, accuracy=4)
+        signals = get_measured_signals(log, joints, q, v, preparation.speed_threshold)
+        sign, _ = find_directions(v, np.maximum(preparation.speed_threshold, _STILL))
+        turned = np.any(np.diff(sign, axis=0, prepend=sign[:1]) != 0, axis=1)
+        half = int(np.ceil(preparation.window_s * log.rate_hz))
+        usable = np.convolve(turned, np.ones(2 * half + 1), mode="same") < 0.5
+    across = mechanism.guide_across()
+    signals |= {
+        SENSITIVITY: mechanism.cart_sensitivity(q),
+        SIDE_FORCE: mechanism.guide_force(q, v, a),
+        GUIDE_ACROSS: np.broadcast_to(across, (len(q), *across.shape)),
+    }
+    motion = model.motion(q, v, a, sign, t=t, signals=signals, needs=("force", "rigid_force"))
+    predicted, jacobian = mechanism.tool_position(q), mechanism.tool_jacobian(q)
+    return ToolSegment(log, motion, tool, predicted, usable, cutoff, factor, jacobian)
+
+
+def _approach(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return from which side each pose was approached (N, na), and the way since the last reversal (N, na)."""
+    way = np.diff(q, axis=0, prepend=q[:1])
+    way = np.where(np.abs(way) > _MAX_RESTING_SHARE * np.ptp(q, axis=0), way, 0.0)
+    sign, travel = np.zeros_like(q), np.zeros_like(q)
+    for k in range(1, len(q)):
+        goes = np.sign(way[k])
+        sign[k] = np.where(goes == 0, sign[k - 1], goes)  # a joint that stands stays on its side
+        onward = np.where((goes == 0) | (goes == sign[k - 1]), travel[k - 1], 0.0)
+        travel[k] = onward + np.abs(way[k])
+    return sign, travel
+
+
+def align_tool_frame(pieces: Sequence[ToolSegment]) -> list[ToolSegment]:
+    """Lay the measuring frame on the robot's, over all pieces at once."""
+    measured = np.concatenate([p.measured[p.usable] for p in pieces])
+    predicted = np.concatenate([p.predicted[p.usable] for p in pieces])
+    if len(measured) < 3:
+        raise CannotAnswer(
+            "too_little_data", "there are fewer than three tool positions", "measure a hundred poses or more"
+        )
+    m, p = measured.mean(axis=0), predicted.mean(axis=0)
+    U, s, Vt = np.linalg.svd((predicted - p).T @ (measured - m))
+    turned = s[1] > _LINE * s[0]
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt if turned else np.eye(3)
+    found = [replace(piece, measured=(piece.measured - m) @ R.T + p) for piece in pieces]
+    off, spread = (measured - m) @ R.T - (predicted - p), predicted - p
+    if np.linalg.norm(off) > _MAX_RELATIVE_DISTANCE * np.linalg.norm(spread):
+        size = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+        raise InputError(
+            "wrong_unit",
+            f"the measured tool is {size:.2g} m from forward kinematics however the frames are laid; "
+            "were all logs measured in one frame, in m, and with this robot?",
+        )
+    return found
+
+
+_DEPENDENT = 1e-6  # relative norm that is left of a dependent column by rounding
+
+
+@dataclass(frozen=True, eq=False)
+class ToolChannel(Channel):
+    """Tool positions; outputs are the tool's coordinates in the robot's base frame [m].
+
+    Attributes:
+        pieces: The stretches.
+    """
+
+    has_unnamed_structures = False  # of a tool's axes, which no single joint moves
+
+    pieces: tuple[ToolSegment, ...]
+
+    @property
+    def poses(self) -> bool:
+        """Whether some of the logs are poses held still."""
+        return any(piece.cutoff_hz is None for piece in self.pieces)
+
+    def run_columns(self, effect: Effect, run: int) -> np.ndarray:
+        """Return an effect's columns (n, 3, k) of one run; see `Channel.run_columns`."""
+        if not isinstance(effect, DisplacementEffect):
+            raise InputError("unsupported", f"effect {effect.name} does not displace the tool")
+        piece = self.pieces[run]
+        return piece.passed(effect.tool_columns(piece.motion, piece.jacobian))
+
+    @cached_property
+    def thinned(self) -> tuple[Motion, ...]:
+        """The motions at the regression's rate."""
+        found = []
+        for p in self.pieces:
+            q, v, a, sign = (x[:: p.factor] for x in (p.motion.q, p.motion.v, p.motion.a, p.motion.sign))
+            signals = {key: x[:: p.factor] for key, x in p.motion.signals.items()}
+            found.append(Motion.of(p.motion.joints, q, v, a, sign, t=p.t, signals=signals))
+        return tuple(found)
+
+    def quick_columns(self, effect: Effect) -> Sequence[np.ndarray] | None:
+        """Return a dense effect's columns on decimated motion, weakened as the low-pass weakens each sample's local frequency."""
+        if not effect.dense or not isinstance(effect, DisplacementEffect):
+            return None
+        found = []
+        for piece, motion in zip(self.pieces, self.thinned, strict=True):
+            columns = effect.tool_columns(motion, piece.jacobian[:: piece.factor])
+            if piece.cutoff_hz is not None:
+                f = effect.local_frequency(motion)[:, :1, None]  # type: ignore[attr-defined]
+                columns = columns / compute_attenuation(f, piece.cutoff_hz)
+            found.append(columns)
+        return found
+
+    def variables(self) -> list[Mapping[str, np.ndarray]]:
+        """Return positions, speeds (of poses: the way from the one before), accelerations and time of each run."""
+        found = []
+        for piece in self.pieces:
+            q, v, a = (x[:: piece.factor] for x in (piece.motion.q, piece.motion.v, piece.motion.a))
+            if piece.cutoff_hz is None:
+                v = np.diff(q, axis=0, prepend=q[:1]) / POSE_S
+            found.append(name_by_joint(piece.motion.joints, q=q, v=v, a=a) | {"t": piece.t})
+        return found
+
+
+def build_tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] = ()) -> ToolChannel:
+    """Build the channel.
+
+    Args:
+        model: Gives geometry, and the loads and forces that some effects feel.
+        train: Logs with `q_J` of every actuated joint and `x_tool y_tool z_tool`.
+        held: Held-out logs.
+
+    Raises:
+        InputError: A log has no tool, or the robot file has none.
+        CannotAnswer: Too few measurements for three parts.
+    """
+    stretches = [(piece, out) for logs, out in ((train, False), (held, True)) for log in logs for piece in cut(log)]
+    if not stretches:
+        raise InputError("missing_input", "no log was given")
+    if model.robot.tool_frame is None:
+        raise InputError("unsupported", f"{model.robot.source}: the robot file has no frame named tool")
+    moving = [log for log, _ in stretches if not is_static(log)]
+    preparation = choose_diagnosis_preparation(model.robot, moving, ()) if moving else None
+    pieces = align_tool_frame([build_tool_segment(model, log, preparation) for log, _ in stretches])
+    scene = _scene(model, pieces, preparation)
+    parameters, columns = _baseline(scene, pieces)
+    runs = tuple(piece.run(W) for piece, W in zip(pieces, columns, strict=True))
+    out = [out for _, out in stretches]
+    gap = compute_border_gap_s(preparation.force_cutoff_hz, moving[0].rate_hz) if preparation else 0.0
+    parts = tuple(split_by_blocks(runs, out, any(out), gap))
+    displacing = [cls for cls in EFFECTS.values() if cls.cause and issubclass(cls, DisplacementEffect)]
+    causes = tuple(restrict_to_group(group, cls) for cls in displacing for group in cls.groups(scene) or [()])
+    units = ("m",) * len(OUTPUTS)
+    channel = ToolChannel("tool", OUTPUTS, units, parameters, runs, parts, scene, causes, tuple(pieces))
+    refuse_scarce(
+        channel,
+        3 * len(parameters),
+        "too few tool positions are left",
+        f"{sum(len(run.t) for run in runs)} in all",
+        "measure a hundred poses or more, spread over the workspace and approached from both directions",
+    )
+    return channel
+
+
+def restrict_to_group(group: tuple[str, ...], cls: type[Effect]) -> type[Effect]:
+    """Return a cause that is tried on one group of joints only.
+
+    The search adds up what a cause explains on several joints. Forces show each joint apart; the tool shows their sum, so here
+    each joint counts as a cause of its own, and a further joint is found in a further round.
+    """
+
+    def groups(_: type[Effect], scene: Scene) -> list[tuple[str, ...]]:
+        return [group] if group else []
+
+    return type(cls.__name__, (cls,), {"groups": classmethod(groups), "__doc__": cls.__doc__})
+
+
+def _baseline(scene: Scene, pieces: Sequence[ToolSegment]) -> tuple[Parameters, list[np.ndarray]]:
+    """Return frame and joint zeros that do not depend on each other, and their columns (n, 3, p) of each run."""
+    centre = np.concatenate([p.predicted for p in pieces]).mean(axis=0)
+    names = [*((f"frame.{x}", "m") for x in "xyz"), *((f"frame.r{x}", "rad") for x in "xyz")]
+    names += [(f"{j}.zero", "m" if u == "N" else "rad") for j, u in zip(scene.joints, scene.units, strict=True)]
+    found = []
+    for piece in pieces:
+        arm = piece.predicted - centre
+        turns = np.stack([np.cross(axis, arm) for axis in np.eye(3)], axis=2)
+        shifts = np.broadcast_to(np.eye(3), turns.shape)
+        found.append(piece.passed(np.concatenate([shifts, turns, piece.jacobian], axis=2)))
+    rows = np.concatenate([W.reshape(-1, W.shape[2]) for W in found])
+    keep, Q = [], np.zeros((len(rows), 0))
+    for k, column in enumerate(rows.T):
+        left = column - Q @ (Q.T @ column)
+        left = left - Q @ (Q.T @ left)
+        if np.linalg.norm(left) > _DEPENDENT * max(float(np.linalg.norm(column)), _DEPENDENT):
+            keep.append(k)
+            Q = np.column_stack([Q, left / np.linalg.norm(left)])
+    parameters = Parameters(Parameter(names[k][0], 0.0, names[k][1], origin="baseline") for k in keep)
+    return parameters, [W[:, :, keep] for W in found]
+
+
+def _scene(model: Model, pieces: Sequence[ToolSegment], preparation: Preparation | None) -> Scene:
+    motions = [p.motion for p in pieces]
+    return build_scene(
+        motions,
+        model.robot.actuated,
+        model.robot.force_units,
+        slow=preparation.speed_threshold if preparation else np.zeros(model.robot.na),
+        cutoff_hz=preparation.force_cutoff_hz if preparation else np.inf,
+        duration=sum(float(p.t[-1] - p.t[0]) for p in pieces),
+        signals=find_shared_signals(motions) | {"tool"},
+    )

@@ -1,0 +1,138 @@
+"""Drives that are not as the robot file says: another rotor, another torque constant, a motor that two joints share.
+
+    armature           tau += armature_error a
+    drive_gain         tau_log = (1 + gain_error) tau
+    reducer_coupling   tau_i += F, tau_j += F,   F = inertia (a_i + a_j) + viscous (v_i + v_j) + coulomb sign(v_i + v_j)
+
+Where nobody gives a drive's inertia the baseline estimates it (`identify/drive_inertia.py`); where the file gives it, a gear
+ratio may be forgotten in its square. A gain scales all masses and all friction alike, so only a mass known by other means tells
+it. Robot wrists often share a motor (joints 5 and 6 of the Staubli TX40), which turns with the sum of two joints. Reference:
+Gautier & Khalil 1990; Gautier & Briot 2014; Gautier & Venture 2013.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from tau_dyn.effects.effect import Effect, PlausibleRange
+from tau_dyn.effects.jointwise import JointwiseEffect
+from tau_dyn.effects.motion import JointMotion, Motion, Scene, list_joint_pairs
+from tau_dyn.effects.words import format_amount, spell_unit
+from tau_dyn.exceptions import InputError
+from tau_dyn.parameters import Parameter, Parameters
+
+
+class Armature(JointwiseEffect):
+    """Reflected rotor inertia beyond the robot file's."""
+
+    name = "armature"
+    cause = True
+    confirmed_as = "parameter"
+    equation = "tau += armature_error a"
+    reference = "Gautier & Khalil 1990"
+    reveals = "quick accelerations of each joint alone, at poses where its load's inertia differs"
+    mistaken_for = ("link_mass", "payload", "reducer_coupling", "joint_compliance")
+    # A rotor counts by its gear ratio's square: it is up to all of a joint's inertia, or several times what a file has
+    plausible = (PlausibleRange("armature_error", -1.0, 5.0, of="inertia"),)
+    quantities = (("armature_error", "F s^2/Q"),)
+    sentence = "a drive inertia that differs from the robot file's by {armature_error}"
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return the acceleration."""
+        return [joint.a]
+
+
+class DriveGain(JointwiseEffect):
+    """A force that is reported too large or too small by a factor."""
+
+    name = "drive_gain"
+    cause = True
+    equation = "tau_log = (1 + gain_error) tau"
+    reference = "Gautier & Briot 2014"
+    reveals = "one motion without and with a weighed payload, its mass fixed by --fix"
+    mistaken_for = ("payload", "link_mass")
+    # Torque constants scatter by 10 % and fall by 20 % with warm magnets
+    plausible = (PlausibleRange("gain_error", -0.3, 0.3),)
+    needs = ("force",)
+    quantities = (("gain_error", "1"),)
+    sentence = "a drive whose reported force is off by {gain_error}"
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return the force of the model without this effect."""
+        return [joint.signal("force")]
+
+
+class ReducerCoupling(Effect):
+    """Drive inertia and friction of a motor that turns with the sum of two joints."""
+
+    name = "reducer_coupling"
+    equation = "tau_i, tau_j += inertia (a_i + a_j) + viscous (v_i + v_j) + coulomb sign(v_i + v_j)"
+    cause = True
+    reference = "Gautier & Venture 2013"
+    reveals = "motion in which the two joints turn together, against each other, and each alone"
+    mistaken_for = ("link_mass", "passive_joint_friction")
+    # The shared motor is of the size of the joints' own motors
+    plausible = (
+        PlausibleRange("inertia", 0.0, 1.0, of="inertia"),
+        PlausibleRange("viscous", 0.0, 2.0, of="viscous"),
+        PlausibleRange("coulomb", 0.0, 2.0, of="coulomb"),
+    )
+    nonnegative = True
+
+    @classmethod
+    def groups(cls, scene: Scene) -> list[tuple[str, ...]]:
+        """Return all pairs of joints with one force unit."""
+        return list_joint_pairs(scene)
+
+    @classmethod
+    def untestable(cls, scene: Scene) -> tuple[str, str] | None:
+        """Return that no motor can drive two joints, where none are neighbours."""
+        return (
+            super().untestable(scene) if list_joint_pairs(scene) else ("no two joints can share a motor", cls.reveals)
+        )
+
+    def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
+        """Couple exactly two joints, whose forces are in these units."""
+        super().__init__(joints, units, label=label, **settings)
+        if len(self.joints) != 2:
+            raise InputError("invalid_value", f"reducer_coupling joins two joints, not {len(self.joints)}")
+
+    @property
+    def parameters(self) -> Parameters:
+        """Return inertia, viscous and Coulomb friction of the shared motor, named after both joints."""
+        owner = "+".join(self.joints)
+        unit = self.units[self.joints[0]]
+        place = spell_unit("Q", unit)
+        return Parameters(
+            Parameter(f"{owner}.{quantity}{self.label}", 0.0, text, 0.0, origin=self.name)
+            for quantity, text in (
+                ("inertia", f"{unit} s^2/{place}"),
+                ("viscous", f"{unit}/({place}/s)"),
+                ("coulomb", unit),
+            )
+        )
+
+    def describe(self, parameters: Parameters) -> str:
+        """Return the shared motor's inertia and friction."""
+        inertia, viscous, coulomb = (format_amount(p) for p in parameters.select(self.parameters.names))
+        return (
+            f"a motor shared by {' and '.join(self.joints)}, with inertia {inertia}, viscous friction {viscous} and "
+            f"Coulomb friction {coulomb}"
+        )
+
+    def other_speeds(self, motion: Motion) -> list[tuple[np.ndarray, list[int]]]:
+        """Return the shared motor's speed, whose sign its friction follows."""
+        i, j = self._indices(motion)
+        return [(motion.v[:, i] + motion.v[:, j], [i, j])]
+
+    def columns(self, motion: Motion) -> np.ndarray:
+        """Return force per unit parameter (N, na, 3)."""
+        i, j = self._indices(motion)
+        v = motion.v[:, i] + motion.v[:, j]
+        # a given (smoothed) sign is each joint's own; the motor's is that of the summed speed
+        force = np.stack([motion.a[:, i] + motion.a[:, j], v, np.sign(v)], axis=1)
+        out = np.zeros_like(motion.v, shape=(*motion.v.shape, 3))
+        out[:, i], out[:, j] = force, force
+        return out
