@@ -15,7 +15,7 @@ from raising import raises_code
 
 from tau_dyn.cli import main
 from tau_dyn.control import Feedforward, Program, build_program, write_c_source, write_python_source
-from tau_dyn.control.export_model import draw_random_states
+from tau_dyn.control.export_check import draw_random_states
 from tau_dyn.effects import EFFECTS, Effect, JointwiseEffect, build_friction_model
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf

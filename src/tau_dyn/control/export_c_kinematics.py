@@ -10,8 +10,9 @@ from tau_dyn.control import export_c_inverse as search, export_c_newton as text
 from tau_dyn.control.export_c_graph import guard_lines, yield_graph_lines, yield_output_lines, yield_unused_lines
 from tau_dyn.control.export_c_linear import FACTOR, SOLVE
 from tau_dyn.control.export_c_text import format_header, format_numbers, format_source, require_c_name
-from tau_dyn.control.export_kinematics import KinematicsProgram, TracedFunction
+from tau_dyn.control.export_kinematics import KinematicsProgram
 from tau_dyn.control.export_kinematics_text import list_declarations, needs_start, yield_kinematics_description
+from tau_dyn.control.expression_arrays import TracedFunction
 from tau_dyn.version import __version__
 
 

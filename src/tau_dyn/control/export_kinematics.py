@@ -7,7 +7,6 @@ loops. What was traced is compared with Python over random states before anythin
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,29 +16,13 @@ from tau_dyn.control import export_closed_kinematics as closed_form
 from tau_dyn.control.export_check import draw_reachable_positions
 from tau_dyn.control.export_rods import compute_rod_gaps
 from tau_dyn.control.export_tree_kinematics import TreeKinematics
-from tau_dyn.control.expression_arrays import build_inputs
-from tau_dyn.control.graph import Graph
+from tau_dyn.control.expression_arrays import TracedFunction, trace_function
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Rods, forward_kinematics, get_robot, get_rods, get_solver, jacobian
 from tau_dyn.robot import Robot
 
 _SEED = 3  # any; states that are drawn once decide about ranks only
 _RANK = 1e-6  # singular values relative to the Jacobian's size; less counts as zero
-
-
-@dataclass(frozen=True, eq=False)
-class TracedFunction:
-    """One traced function.
-
-    Attributes:
-        graph: Its expressions.
-        arguments: Names of its input arrays and their sizes.
-        outputs: Its output arrays, flat, by name.
-    """
-
-    graph: Graph
-    arguments: dict[str, int]
-    outputs: dict[str, tuple[Any, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,14 +85,6 @@ def build_kinematics(robot: Robot | Rods) -> KinematicsProgram:
     else:
         program = _of_rods(rods)
     return replace(program, difference=compare_with_python(program))
-
-
-def trace_function(arguments: dict[str, np.ndarray], make: Callable[..., dict[str, Any]]) -> TracedFunction:
-    """Trace a function of input arrays, given with their values at the reference state."""
-    graph = Graph()
-    made = make(*(build_inputs(graph, name, value) for name, value in arguments.items()))
-    outputs = {name: tuple(np.ravel(np.asarray(x, dtype=object))) for name, x in made.items()}
-    return TracedFunction(graph, {name: len(value) for name, value in arguments.items()}, outputs)
 
 
 def _closed(rods: Rods) -> KinematicsProgram:

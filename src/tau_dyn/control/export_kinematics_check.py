@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.control.export_check import draw_reachable_positions, evaluate_graph
-from tau_dyn.control.export_kinematics import KinematicsProgram, TracedFunction
+from tau_dyn.control.export_check import draw_reachable_positions
+from tau_dyn.control.export_kinematics import KinematicsProgram
 from tau_dyn.control.export_tree_kinematics import TreeKinematics
+from tau_dyn.control.expression_arrays import TracedFunction
+from tau_dyn.control.graph import evaluate_graph
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import forward_kinematics, jacobian
 

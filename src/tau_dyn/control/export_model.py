@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.control.export_check import draw_random_states, evaluate_graph
+from tau_dyn.control.export_check import draw_random_states
 from tau_dyn.control.export_forms import ClosedForm, LoopForm, TracedModel, TreeForm
 from tau_dyn.control.export_loops import Loops
 from tau_dyn.control.export_tree import Tree
 from tau_dyn.control.expression_arrays import build_inputs
 from tau_dyn.control.feedforward import Feedforward
-from tau_dyn.control.graph import Graph
+from tau_dyn.control.graph import Graph, evaluate_graph
 from tau_dyn.effects import describe_missing_state
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import GantryTauMechanism, Mechanism

@@ -10,6 +10,7 @@ hold expressions.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -169,3 +170,26 @@ _FUNCTIONS: dict[Callable, Callable] = {
     np.ones_like: _like(1.0),
     np.einsum: lambda subscripts, *operands: np.einsum(subscripts, *(_plain(x) for x in operands)),
 }
+
+
+@dataclass(frozen=True, eq=False)
+class TracedFunction:
+    """One traced function.
+
+    Attributes:
+        graph: Its expressions.
+        arguments: Names of its input arrays and their sizes.
+        outputs: Its output arrays, flat, by name.
+    """
+
+    graph: Graph
+    arguments: dict[str, int]
+    outputs: dict[str, tuple[Any, ...]]
+
+
+def trace_function(arguments: dict[str, np.ndarray], make: Callable[..., dict[str, Any]]) -> TracedFunction:
+    """Trace a function of input arrays, given with their values at the reference state."""
+    graph = Graph()
+    made = make(*(build_inputs(graph, name, value) for name, value in arguments.items()))
+    outputs = {name: tuple(np.ravel(np.asarray(x, dtype=object))) for name, x in made.items()}
+    return TracedFunction(graph, {name: len(value) for name, value in arguments.items()}, outputs)

@@ -221,3 +221,51 @@ class Node:
     def __ne__(self, other: Any) -> Any:
         """Return the opposite of being equal."""
         return self.graph.apply("not", self == other)
+
+
+def evaluate_graph(graph: Graph, outputs: Sequence[Any], known: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return outputs (N, k) and whether every guard holds (N,), by walking through a graph.
+
+    Args:
+        graph: The graph.
+        outputs: Its outputs: nodes or numbers.
+        known: The input arrays (N, ...) by name.
+    """
+    n = len(next(iter(known.values())))
+    values: dict[int, Any] = {}
+    for node in graph.needed(outputs):
+        values[node.index] = _value(node, values, known, n)
+    shown = [values[x.index] if isinstance(x, Node) else x for x in outputs]
+    fine = np.ones(n, bool)
+    for index, answer in graph.guards.items():
+        fine &= values[index] == answer
+    return np.column_stack([np.broadcast_to(x, n) for x in shown]), fine
+
+
+def _value(node: Node, values: dict[int, Any], known: dict[str, np.ndarray], n: int) -> Any:
+    if node.op == "const":
+        return node.args[0]
+    if node.op == "input":
+        name = node.args[0].rstrip("0123456789")
+        return known[name][:, int(node.args[0][len(name) :])]
+    if node.op == "item":
+        return values[node.args[0]][:, node.args[1]]
+    args = [values[k] for k in node.args]
+    if node.op == "factor":
+        size = round(len(args) ** 0.5)
+        return np.stack([np.broadcast_to(x, n) for x in args], axis=1).reshape(n, size, size)
+    if node.op in ("solve", "solve_t"):
+        A = args[0] if node.op == "solve" else np.swapaxes(args[0], 1, 2)
+        return np.linalg.solve(A, np.stack([np.broadcast_to(x, n) for x in args[1:]], axis=1)[:, :, None])[:, :, 0]
+    with np.errstate(all="ignore"):
+        return NUMPY[node.op](*args)
+
+
+NUMPY: dict[str, Callable[..., Any]] = {
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "abs": np.abs,
+    "sqrt": np.sqrt, "exp": np.exp, "log": np.log, "sin": np.sin, "cos": np.cos, "tan": np.tan, "tanh": np.tanh,
+    "atan2": np.arctan2, "hypot": np.hypot, "sign": np.sign, "min": np.minimum, "max": np.maximum, "select": np.where,
+    "lt": np.less, "le": np.less_equal, "eq": np.equal, "and": np.logical_and, "or": np.logical_or,
+    "not": np.logical_not,
+}  # fmt: skip
+"""What each operation is, on arrays."""
