@@ -27,8 +27,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.control import Feedforward, Program, build_program, write_c_source
-from tau_dyn.control.export_check import draw_random_states
+from tau_dyn.codegen import Program, build_program, write_c_source
+from tau_dyn.codegen.random_states import draw_random_states
+from tau_dyn.control import Feedforward
 from tau_dyn.effects import build_friction_model
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot

@@ -168,7 +168,7 @@ def _fmu(args: argparse.Namespace, out: Path) -> Made:
 
 def _kinematics(args: argparse.Namespace, out: Path) -> Made:
     """Return C kinematics and their header."""
-    from tau_dyn.control import (
+    from tau_dyn.codegen import (
         build_identifiers,
         build_kinematics,
         include_header,

@@ -41,15 +41,15 @@ def run(args: argparse.Namespace) -> Outcome:
         raise InputError("cannot_write", f"{args.out}: what --to {args.to} writes ends in {ending}")
     with show_progress(args.quiet) as step:
         step("tracing")
-        from tau_dyn.control import (
+        from tau_dyn.codegen import (
             ARGUMENTS,
-            Feedforward,
             build_program,
             include_header,
             locate_header,
             write_c_source,
             write_python_source,
         )
+        from tau_dyn.control import Feedforward
         from tau_dyn.model import Model
 
         model = Model.load(args.model)

@@ -1,37 +1,6 @@
-"""Models in controllers: feedforward, tool observers, learning, optimal motion, lead-through; as code and files too."""
+"""Models in controllers: feedforward, tool observers, learning, optimal motion, lead-through; RAPID and reference files."""
 
-from .export_c import write_c_source as write_c_source
-from .export_c_graph import (
-    format_number as format_number,
-    guard_lines as guard_lines,
-    yield_graph_lines as yield_graph_lines,
-    yield_output_lines as yield_output_lines,
-    yield_unused_lines as yield_unused_lines,
-)
-from .export_c_kinematics import write_kinematics_source as write_kinematics_source
-from .export_c_loops import yield_closing_lines as yield_closing_lines
-from .export_c_text import (
-    build_identifiers as build_identifiers,
-    escape_comment_line as escape_comment_line,
-    include_header as include_header,
-    locate_header as locate_header,
-)
-from .export_check import draw_random_states as draw_random_states, evaluate_graph as evaluate_graph
-from .export_forms import ClosedForm as ClosedForm, LoopForm as LoopForm, TreeForm as TreeForm
-from .export_kinematics import KinematicsProgram as KinematicsProgram, build_kinematics as build_kinematics
-from .export_learning import write_learning_source as write_learning_source
-from .export_loops import Loops as Loops
-from .export_model import ARGUMENTS as ARGUMENTS, Program as Program, build_program as build_program
-from .export_observer import write_observer_source as write_observer_source
-from .export_python import write_python_source as write_python_source
-from .export_tree import Tree as Tree
-from .expression_arrays import (
-    ExpressionArray as ExpressionArray,
-    as_expression_array as as_expression_array,
-    build_inputs as build_inputs,
-)
 from .feedforward import Feedforward as Feedforward
-from .graph import Graph as Graph, Node as Node
 from .interface.check import check_motion as check_motion
 from .interface.correction import (
     Correction as Correction,

@@ -46,6 +46,8 @@ class _Kinematics(NamedTuple):
 class GantryTauMechanism(Mechanism):
     """Closed-form dynamics of a robot whose file declares the simplified Gantry-Tau."""
 
+    closed_form = True
+
     def __init__(self, robot: Robot) -> None:
         """Read geometry and mass distribution from the robot's own tree."""
         super().__init__(robot)

@@ -25,7 +25,13 @@ _STEP = 1e-4
 
 
 class Mechanism(ABC):
-    """Rigid-body dynamics of one robot with its `robot.parameters`, in actuated coordinates."""
+    """Rigid-body dynamics of one robot with its `robot.parameters`, in actuated coordinates.
+
+    Attributes:
+        closed_form: Whether its equations are a closed form that is traced as it stands when code is generated; else its tree is.
+    """
+
+    closed_form = False
 
     def __init__(self, robot: Robot) -> None:
         """Prepare for a robot and the values of its parameters."""
