@@ -132,3 +132,21 @@ def test_what_cannot_be_written_is_refused(make, said) -> None:
     """A sentence, and no code."""
     with pytest.raises(InputError, match=said):
         make()
+
+
+@pytest.mark.parametrize("kind", ["causal", "kalman"])
+def test_a_spoilt_state_gives_no_place(kind, compiled) -> None:
+    """Where the state was begun with a number that is none, each step says so, and z stays."""
+    code = compiled(write_observer_source(OBSERVERS[kind](), "tool"), "tool")
+    state, z = np.zeros(200), np.full(2, 7.0)
+    code("start", state, np.array([np.nan, 0.0]))
+    for _ in range(3):
+        assert code("step", state, np.zeros(2), np.zeros(2), z) == 1 and np.all(z == 7)
+
+
+def test_filters_of_learning_refuse_what_is_no_number(compiled) -> None:
+    """Q and L alone have statuses: a channel that is not there, a number that is none or far too large."""
+    code = compiled(write_learning_source(law(), 1.0, "ilc"), "ilc")
+    x, out = np.array([0.1, np.inf]), np.full(4, 7.0)
+    assert code("q", 0, 2, x) == 1 and code("q", 2, 1, x) == 1 and x[0] == 0.1
+    assert code("l", 2, np.array([0.0, 1e200, 0.0, 0.0]), out) == 1 and np.all(out == 7)
