@@ -140,7 +140,7 @@ def _path_points(path: Path) -> None:
 
     from tau_dyn.cli import plan_motion
     from tau_dyn.control.motion import MotionLimits
-    from tau_dyn.control.motion.path import build_tool_path
+    from tau_dyn.control.motion.coordinates import build_tool_path
 
     points = plan_motion._path(Namespace(path=str(path)))
     build_tool_path(axis(), np.array([-0.3]), np.array([0.3]), points, MotionLimits.of(axis()))

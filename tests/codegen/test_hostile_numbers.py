@@ -144,7 +144,9 @@ def count_statuses(sources: tuple[str, str], name: str, call: Call, folder: Path
             f"        for (int k = 0; k < {n}; ++k) if (status ? {x}[k] != -7.0 : !(fabs({x}[k]) <= {x}_most[k])) "
             f'{{ printf("call %d, status %d, {x}[%d] = %g", i, status, k, {x}[k]); return 1; }}'
         )
-    check.append(f"        for (int k = 0; k < {call.state if call.kept is None else call.kept}; ++k) if (!isfinite(state[k])) return 1;")
+    check.append(
+        f"        for (int k = 0; k < {call.state if call.kept is None else call.kept}; ++k) if (!isfinite(state[k])) return 1;"
+    )
     words = ", ".join(f'"{x!r}"' for x in ODD)
     text = DRIVER.replace("@NAME@", name).replace("@ODD@", words).replace("@MANY@", str(len(ODD)))
     for blank, lines in (("@ARRAYS@", arrays), ("@FILL@", fill), ("@CHECK@", check)):

@@ -22,24 +22,24 @@ from .iterative.convergence_analysis import (
     compute_frequency_condition as compute_frequency_condition,
     require_convergence as require_convergence,
 )
-from .iterative.law import LearningLaw as LearningLaw
-from .iterative.learned_outputs import MotorSide as MotorSide, ToolSide as ToolSide
-from .iterative.learning import LearningHistory as LearningHistory
-from .iterative.lifted_system import stack_controlled_actuators as stack_controlled_actuators
-from .iterative.norm_optimal import NormOptimalLaw as NormOptimalLaw
-from .iterative.reference import Reference as Reference
-from .iterative.robust_filter_design import design_robust_filter as design_robust_filter
-from .iterative.shift import TimeShift as TimeShift
-from .iterative.trial_loop import learn as learn
-from .iterative.zero_phase import (
+from .iterative.filters import (
+    TimeShift as TimeShift,
     ZeroPhase as ZeroPhase,
     build_notch as build_notch,
     chain_filters as chain_filters,
     design_band_stop as design_band_stop,
     design_low_pass as design_low_pass,
 )
+from .iterative.laws import (
+    LearningLaw as LearningLaw,
+    NormOptimalLaw as NormOptimalLaw,
+    design_robust_filter as design_robust_filter,
+)
+from .iterative.learned_outputs import MotorSide as MotorSide, Reference as Reference, ToolSide as ToolSide
+from .iterative.lifted_system import stack_controlled_actuators as stack_controlled_actuators
+from .iterative.trial_loop import LearningHistory as LearningHistory, learn as learn
 from .lead_through.lead_through import LeadThrough as LeadThrough
-from .lead_through.sensor import ForceSensor as ForceSensor
+from .lead_through.sensing import ForceSensor as ForceSensor
 from .lead_through.settings import LeadThroughSettings as LeadThroughSettings
 from .lead_through.stability import ForceLoop as ForceLoop
 from .motion.limits import MotionLimits as MotionLimits
@@ -49,8 +49,9 @@ from .observers.complementary import ComplementaryToolObserver as ComplementaryT
 from .observers.kalman import KalmanToolObserver as KalmanToolObserver
 from .observers.tuning import (
     KalmanTuning as KalmanTuning,
+    Whiteness as Whiteness,
+    check_whiteness as check_whiteness,
     log_likelihood as log_likelihood,
     tune_complementary as tune_complementary,
     tune_kalman as tune_kalman,
 )
-from .observers.whiteness import Whiteness as Whiteness, check_whiteness as check_whiteness

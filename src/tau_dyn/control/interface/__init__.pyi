@@ -8,18 +8,18 @@ from .correction import (
     read_correction as read_correction,
     write_correction as write_correction,
 )
-from .limits import CommandLimits as CommandLimits
-from .period import DEFAULT_PERIOD_S as DEFAULT_PERIOD_S
-from .rapid import format_rapid_motion as format_rapid_motion
-from .rapid_text import (
+from .limits import CommandLimits as CommandLimits, PerJoint as PerJoint, broadcast_limit as broadcast_limit
+from .rapid import (
     format_array as format_array,
     format_comment as format_comment,
     format_jointtarget as format_jointtarget,
+    format_rapid_motion as format_rapid_motion,
     format_robtarget as format_robtarget,
     require_few_joints as require_few_joints,
     require_rapid_name as require_rapid_name,
 )
 from .reference import (
+    DEFAULT_PERIOD_S as DEFAULT_PERIOD_S,
     build_reference as build_reference,
     read_reference as read_reference,
     write_reference as write_reference,
