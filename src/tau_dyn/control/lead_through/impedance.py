@@ -13,7 +13,7 @@ applied, the force controller's share included, as in (8.6).
 Passive: along one axis, with a = 1 - T D / M, the hand's force F(k) and the velocity V(k + 1) that follows it at once
 have the response `(T / M) z / (z - a)`, whose real part has the sign of `1 - a cos(w T)`: above zero at every frequency
 while |a| < 1, so no motion of the hand draws energy from the robot. With the sample more of the printed index it would
-be the sign of `cos(w T) - a`, below zero over most frequencies. `checks.py` refuses M that is not positive definite, D
+be the sign of `cos(w T) - a`, below zero over most frequencies. `settings.py` refuses M that is not positive definite, D
 with a negative part, and T M^-1 D of 1 or more. A projection and a velocity limit take energy away.
 
 Which part of each velocity reference reaches the robot: the projections P_h and P_t of Dressler 2012, (8.3), (8.8)-(8.11).
