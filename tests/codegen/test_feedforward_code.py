@@ -14,8 +14,7 @@ import pytest
 from raising import raises_code
 
 from tau_dyn.cli import main
-from tau_dyn.codegen import Program, build_program, write_c_source, write_python_source
-from tau_dyn.codegen.random_states import draw_random_states
+from tau_dyn.codegen import Program, build_program, draw_random_states, write_c_source, write_python_source
 from tau_dyn.control import Feedforward
 from tau_dyn.effects import EFFECTS, Effect, JointwiseEffect, build_friction_model
 from tau_dyn.model import Model

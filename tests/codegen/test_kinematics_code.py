@@ -9,7 +9,7 @@ import pytest
 from raising import raises_code
 
 from tau_dyn.codegen import build_identifiers, build_kinematics, kinematics as check, write_kinematics_source
-from tau_dyn.codegen.random_states import draw_reachable_positions
+from tau_dyn.codegen.forms import draw_reachable_positions
 from tau_dyn.mechanism import build_rods, forward_kinematics, inverse_kinematics, jacobian
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 

@@ -18,7 +18,7 @@ from raising import raises_code
 
 from tau_dyn.cli import main
 from tau_dyn.codegen import build_equations, write_fmu_source
-from tau_dyn.codegen.fmu_description import build_base_units
+from tau_dyn.codegen.fmu_writer import build_base_units
 from tau_dyn.effects import EFFECTS, SymmetricFriction, build_friction_model
 from tau_dyn.exchange import build_fmu
 from tau_dyn.model import Model

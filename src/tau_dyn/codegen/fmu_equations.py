@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.codegen.forms import TracingInputs, find_loops
+from tau_dyn.codegen.forms import TracingInputs, draw_random_states, find_loops
 from tau_dyn.codegen.graph import evaluate_graph
 from tau_dyn.codegen.loops import Loops
-from tau_dyn.codegen.random_states import draw_random_states
 from tau_dyn.codegen.tracing import TracedFunction, as_expression_array, flatten_outputs
 from tau_dyn.effects import Motion, acts_on_recording
 from tau_dyn.exceptions import InputError

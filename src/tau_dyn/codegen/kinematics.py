@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.codegen import rods as closed_form
+from tau_dyn.codegen.forms import draw_reachable_positions
 from tau_dyn.codegen.loops import TreeKinematics
-from tau_dyn.codegen.random_states import draw_reachable_positions
 from tau_dyn.codegen.rods import compute_rod_gaps
 from tau_dyn.codegen.tracing import TracedFunction, trace_function
 from tau_dyn.exceptions import InputError

@@ -20,7 +20,7 @@ from tau_dyn.codegen.graph import Node
 from tau_dyn.codegen.tracing import as_expression_array, compute_cross_product
 from tau_dyn.codegen.tree import remove_rounding, turn
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism import RodDimensions, Rods, RootChain, SlidingPlate, build_chains, chains
+from tau_dyn.mechanism import RodDimensions, Rods, RootChain, SlidingPlate, build_chains, list_path
 
 
 class ExpressionFrame(NamedTuple):
@@ -68,7 +68,7 @@ def compute_chain_points(numbers: RodDimensions, q: Any) -> Points:
     for k, carrier in enumerate(numbers.carried.carrier):
         local = numbers.carried.local[k]
         places[k] = at[carrier].p + at[carrier].R @ local if carrier >= 0 else local
-        for j in chains.list_path(numbers.joints, carrier):
+        for j in list_path(numbers.joints, carrier):
             joint = numbers.joints[j]
             by_q[k, :, joint.actuator] += (
                 at[j].d if joint.slides else compute_cross_product(at[j].d, places[k] - at[j].p)
