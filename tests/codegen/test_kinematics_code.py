@@ -178,6 +178,18 @@ def test_out_of_reach_is_a_status_and_changes_nothing(name, compiled) -> None:
     assert status == 0 and np.abs(q - robot.home).max() < 1e-9
 
 
+@pytest.mark.parametrize("name", ["stewart", "wrist"])
+def test_what_is_no_rotation_has_no_inverse(name, compiled) -> None:
+    """Stretched, mirrored, all zeros: no position is given out for a matrix that turns nothing."""
+    robot = robot_named(name)
+    kin = Kinematics(build_kinematics(robot), compiled)
+    home = forward_kinematics(robot, robot.home[None]).poses
+    R = home.rotation[0]
+    for wrong in (1.01 * R, R @ np.diag([1.0, 1.0, -1.0]), np.zeros((3, 3))):
+        status, q = kin.inverse(home.position[0], wrong)
+        assert status == 1 and np.all(q == 7)
+
+
 def test_a_range_that_would_be_left_is_refused(compiled) -> None:
     """A pose that rods reach and a cart does not has status 3; no position is given out."""
     robot = load_robot("gantry_tau")
