@@ -1,7 +1,6 @@
 """Models in controllers: feedforward, tool observers, learning, optimal motion, lead-through; RAPID and reference files."""
 
 from .feedforward import Feedforward as Feedforward
-from .interface.check import check_motion as check_motion
 from .interface.correction import (
     Correction as Correction,
     apply_correction as apply_correction,
@@ -9,7 +8,7 @@ from .interface.correction import (
     read_correction as read_correction,
     write_correction as write_correction,
 )
-from .interface.limits import CommandLimits as CommandLimits
+from .interface.limits import CommandLimits as CommandLimits, check_motion as check_motion
 from .interface.rapid import format_rapid_motion as format_rapid_motion
 from .interface.reference import (
     build_reference as build_reference,

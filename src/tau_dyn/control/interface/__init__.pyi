@@ -1,6 +1,5 @@
 """What a robot controller takes: references and corrections at its sample period, RAPID programs; checked before."""
 
-from .check import check_motion as check_motion, list_exceeded_limits as list_exceeded_limits
 from .correction import (
     Correction as Correction,
     apply_correction as apply_correction,
@@ -8,7 +7,13 @@ from .correction import (
     read_correction as read_correction,
     write_correction as write_correction,
 )
-from .limits import CommandLimits as CommandLimits, PerJoint as PerJoint, broadcast_limit as broadcast_limit
+from .limits import (
+    CommandLimits as CommandLimits,
+    PerJoint as PerJoint,
+    broadcast_limit as broadcast_limit,
+    check_motion as check_motion,
+    list_exceeded_limits as list_exceeded_limits,
+)
 from .rapid import (
     format_array as format_array,
     format_comment as format_comment,

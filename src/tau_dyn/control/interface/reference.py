@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from tau_dyn.control.interface.check import check_motion
-from tau_dyn.control.interface.limits import CommandLimits
+from tau_dyn.control.interface.limits import CommandLimits, check_motion
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.simulate import Trajectory

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -147,7 +147,7 @@ def _on_symbols(program: Program, warnings: tuple[str, ...]) -> ForceLaw:
     forces = ca.Function("forces", arguments, [tau])
     residual = ca.Function("residual", arguments, [ca.vertcat(*gap, *rows) if gap or rows else ca.SX(0, 1)])
     n_y = int(y.numel())
-    return ForceLaw(program.feedforward, forces, residual, n_p, n_y, warnings, program, np.ones(n_y))
+    return ForceLaw(cast(Feedforward, program.feedforward), forces, residual, n_p, n_y, warnings, program, np.ones(n_y))
 
 
 def _walked(graph: Graph, outputs: Any, known: dict[str, Any]) -> tuple[dict[int, Any], list[Any], list[Any]]:
