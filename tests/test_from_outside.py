@@ -81,7 +81,7 @@ try:
 except td.InputError as fault:
     print(fault)
 import bellows
-from tau_dyn.control import build_program, write_c_source
+from tau_dyn.codegen import build_program, write_c_source
 model = td.Model.load("extended.yaml")
 print(model.effects[-1].name, model.parameters["cart.bellows"].unit)
 print("bellows" in "".join(write_c_source(build_program(td.Feedforward(model, width=0.02)), "tau_ff")))

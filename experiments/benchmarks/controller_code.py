@@ -22,19 +22,21 @@ from pathlib import Path
 
 import numpy as np
 
-from tau_dyn.control import (
-    ComplementaryToolObserver,
-    KalmanToolObserver,
+from tau_dyn.codegen import (
     KinematicsProgram,
-    LearningLaw,
-    MotorSide,
-    TimeShift,
     build_kinematics,
-    design_low_pass,
-    stack_controlled_actuators,
     write_kinematics_source,
     write_learning_source,
     write_observer_source,
+)
+from tau_dyn.control import (
+    ComplementaryToolObserver,
+    KalmanToolObserver,
+    LearningLaw,
+    MotorSide,
+    TimeShift,
+    design_low_pass,
+    stack_controlled_actuators,
 )
 from tau_dyn.mechanism import forward_kinematics, jacobian
 from tau_dyn.modes import Actuator, StateSpace

@@ -138,7 +138,7 @@ def _path_points(path: Path) -> None:
     """Read the points of a path, and lay the spline through them, as `plan-motion --path` does."""
     from tau_dyn.cli.plan_motion import Ends
     from tau_dyn.control.motion import MotionLimits
-    from tau_dyn.control.motion.path import build_tool_path
+    from tau_dyn.control.motion.coordinates import build_tool_path
 
     points = Ends(path=str(path)).read_path()
     build_tool_path(axis(), np.array([-0.3]), np.array([0.3]), points, MotionLimits.of(axis()))

@@ -14,7 +14,7 @@ from tau_dyn.control.iterative import (
     design_robust_filter,
     stack_controlled_actuators,
 )
-from tau_dyn.control.iterative.law import UpdateLaw
+from tau_dyn.control.iterative.laws import UpdateLaw
 from tau_dyn.control.observers import ComplementaryToolObserver, tune_kalman
 from tau_dyn.simulate import LearningPlant, Trial
 

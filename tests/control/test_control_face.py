@@ -11,9 +11,8 @@ import tau_dyn.control
 
 @pytest.mark.parametrize("name", tau_dyn.control.__all__)
 def test_every_name_is_there(name):
-    """Each name of `__all__` gives what it promises, under one of the modules that `_PLACES` lists."""
+    """Each name of `__all__` gives what it promises."""
     assert callable(getattr(tau_dyn.control, name)) and name in dir(tau_dyn.control)
-    assert name in tau_dyn.control._MODULE
 
 
 def test_learning_plant_and_contact_are_in_the_simulator():

@@ -17,11 +17,10 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.cli import main
+from tau_dyn.codegen import build_equations, write_fmu_source
+from tau_dyn.codegen.fmu_writer import build_base_units
 from tau_dyn.effects import EFFECTS, SymmetricFriction, build_friction_model
 from tau_dyn.exchange import build_fmu
-from tau_dyn.exchange.fmu_description import build_base_units
-from tau_dyn.exchange.fmu_equations import build_equations
-from tau_dyn.exchange.fmu_source import format_source
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 from tau_dyn.simulate.plant import Plant
@@ -248,7 +247,7 @@ def test_what_cannot_be_traced_is_refused_in_a_sentence(write):
 def test_numbers_are_written_to_the_last_digit():
     """A parameter's value reads back from the source as the very same number."""
     model = Model.of(load_robot("linear_axis")).with_values({"carriage_link.mass": 0.1 + 0.2})
-    assert repr(0.1 + 0.2) in format_source(build_equations(model), "{}")
+    assert repr(0.1 + 0.2) in write_fmu_source(build_equations(model), "{}", "")
 
 
 def test_units_are_made_of_base_units():
@@ -288,7 +287,7 @@ def test_a_unit_that_is_none_has_no_base_units(unit):
 def test_a_joint_cannot_end_the_comment_of_an_fmu():
     """The source is compiled where the FMU is written: a joint's name stays within the comment that lists it."""
     robot = load_robot_from_urdf(load_robot("linear_axis").urdf.replace('"axis"', '"x*/int evil;/*"'), "named")
-    source = format_source(build_equations(Model.of(robot)), "{}")
+    source = write_fmu_source(build_equations(Model.of(robot)), "{}", "")
     line = next(x for x in source.splitlines() if "Parameters:" in x)
     assert line.count("*/") == 1 and line.endswith("*/") and line.count("/*") == 1
 

@@ -189,7 +189,7 @@ def _make_fmu(request: _Request) -> Made:
 
 def _make_kinematics(request: _Request) -> Made:
     """Return C kinematics and their header."""
-    from tau_dyn.control import (
+    from tau_dyn.codegen import (
         build_identifiers,
         build_kinematics,
         include_header,
@@ -316,15 +316,15 @@ def export_feedforward(
         raise InputError("cannot_write", f"{out}: what --to {to} writes ends in {ending}")
     with show_progress(output.quiet) as step:
         step("tracing")
-        from tau_dyn.control import (
+        from tau_dyn.codegen import (
             ARGUMENTS,
-            Feedforward,
             build_program,
             include_header,
             locate_header,
             write_c_source,
             write_python_source,
         )
+        from tau_dyn.control import Feedforward
         from tau_dyn.model import Model
 
         loaded = Model.load(model)

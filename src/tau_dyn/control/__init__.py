@@ -1,4 +1,4 @@
-"""Models in controllers: feedforward, tool observers, learning, optimal motion, lead-through; as code and files too."""
+"""Models in controllers: feedforward, tool observers, learning, optimal motion, lead-through; RAPID and reference files."""
 
 from tau_dyn.public_names import attach_public_names
 

@@ -1,38 +1,6 @@
-"""Models in controllers: feedforward, tool observers, learning, optimal motion, lead-through; as code and files too."""
+"""Models in controllers: feedforward, tool observers, learning, optimal motion, lead-through; RAPID and reference files."""
 
-from .export_c import write_c_source as write_c_source
-from .export_c_graph import (
-    format_number as format_number,
-    guard_lines as guard_lines,
-    yield_graph_lines as yield_graph_lines,
-    yield_output_lines as yield_output_lines,
-    yield_unused_lines as yield_unused_lines,
-)
-from .export_c_kinematics import write_kinematics_source as write_kinematics_source
-from .export_c_loops import yield_closing_lines as yield_closing_lines
-from .export_c_text import (
-    build_identifiers as build_identifiers,
-    escape_comment_line as escape_comment_line,
-    include_header as include_header,
-    locate_header as locate_header,
-)
-from .export_check import draw_random_states as draw_random_states, evaluate_graph as evaluate_graph
-from .export_forms import ClosedForm as ClosedForm, LoopForm as LoopForm, TreeForm as TreeForm
-from .export_kinematics import KinematicsProgram as KinematicsProgram, build_kinematics as build_kinematics
-from .export_learning import write_learning_source as write_learning_source
-from .export_loops import Loops as Loops
-from .export_model import ARGUMENTS as ARGUMENTS, Program as Program, build_program as build_program
-from .export_observer import write_observer_source as write_observer_source
-from .export_python import write_python_source as write_python_source
-from .export_tree import Tree as Tree
-from .expression_arrays import (
-    ExpressionArray as ExpressionArray,
-    as_expression_array as as_expression_array,
-    build_inputs as build_inputs,
-)
 from .feedforward import Feedforward as Feedforward
-from .graph import Graph as Graph, Node as Node
-from .interface.check import check_motion as check_motion
 from .interface.correction import (
     Correction as Correction,
     apply_correction as apply_correction,
@@ -40,7 +8,7 @@ from .interface.correction import (
     read_correction as read_correction,
     write_correction as write_correction,
 )
-from .interface.limits import CommandLimits as CommandLimits
+from .interface.limits import CommandLimits as CommandLimits, check_motion as check_motion
 from .interface.rapid import format_rapid_motion as format_rapid_motion
 from .interface.reference import (
     build_reference as build_reference,
@@ -53,24 +21,24 @@ from .iterative.convergence_analysis import (
     compute_frequency_condition as compute_frequency_condition,
     require_convergence as require_convergence,
 )
-from .iterative.law import LearningLaw as LearningLaw
-from .iterative.learned_outputs import MotorSide as MotorSide, ToolSide as ToolSide
-from .iterative.learning import LearningHistory as LearningHistory
-from .iterative.lifted_system import stack_controlled_actuators as stack_controlled_actuators
-from .iterative.norm_optimal import NormOptimalLaw as NormOptimalLaw
-from .iterative.reference import Reference as Reference
-from .iterative.robust_filter_design import design_robust_filter as design_robust_filter
-from .iterative.shift import TimeShift as TimeShift
-from .iterative.trial_loop import learn as learn
-from .iterative.zero_phase import (
+from .iterative.filters import (
+    TimeShift as TimeShift,
     ZeroPhase as ZeroPhase,
     build_notch as build_notch,
     chain_filters as chain_filters,
     design_band_stop as design_band_stop,
     design_low_pass as design_low_pass,
 )
+from .iterative.laws import (
+    LearningLaw as LearningLaw,
+    NormOptimalLaw as NormOptimalLaw,
+    design_robust_filter as design_robust_filter,
+)
+from .iterative.learned_outputs import MotorSide as MotorSide, Reference as Reference, ToolSide as ToolSide
+from .iterative.lifted_system import stack_controlled_actuators as stack_controlled_actuators
+from .iterative.trial_loop import LearningHistory as LearningHistory, learn as learn
 from .lead_through.lead_through import LeadThrough as LeadThrough
-from .lead_through.sensor import ForceSensor as ForceSensor
+from .lead_through.sensing import ForceSensor as ForceSensor
 from .lead_through.settings import LeadThroughSettings as LeadThroughSettings
 from .lead_through.stability import ForceLoop as ForceLoop
 from .motion.limits import MotionLimits as MotionLimits
@@ -80,8 +48,9 @@ from .observers.complementary import ComplementaryToolObserver as ComplementaryT
 from .observers.kalman import KalmanToolObserver as KalmanToolObserver
 from .observers.tuning import (
     KalmanTuning as KalmanTuning,
+    Whiteness as Whiteness,
+    check_whiteness as check_whiteness,
     log_likelihood as log_likelihood,
     tune_complementary as tune_complementary,
     tune_kalman as tune_kalman,
 )
-from .observers.whiteness import Whiteness as Whiteness, check_whiteness as check_whiteness

@@ -71,6 +71,10 @@ class Feedforward:
         """Load from a model file that `identify` wrote; see `__init__` for the rest."""
         return cls(Model.load(path), width=width, shape=shape)
 
+    def with_model(self, model: Model) -> Feedforward:
+        """Return the same law, width and shape, of another model."""
+        return Feedforward(model, width=self.width, shape=self.shape)
+
     def __call__(
         self,
         q: np.ndarray,

@@ -8,18 +8,80 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
 import zipfile
 from dataclasses import dataclass
 from html import escape
+from pathlib import Path
 
+from tau_dyn.codegen import (
+    build_equations,
+    build_variables,
+    format_description,
+    format_identifier,
+    list_unsupported_effects,
+    write_fmu_source,
+)
 from tau_dyn.effects import acts_on_recording
+from tau_dyn.exceptions import InputError
 from tau_dyn.exchange.content import list_nominal_parameters
-from tau_dyn.exchange.fmu_build import compile_library, find_compiler, get_library_path
-from tau_dyn.exchange.fmu_check import compute_largest_difference
-from tau_dyn.exchange.fmu_description import build_variables, format_description, format_identifier
-from tau_dyn.exchange.fmu_equations import build_equations, list_unsupported_effects
-from tau_dyn.exchange.fmu_source import describe_fmu, format_source
 from tau_dyn.model import Model
+from tau_dyn.version import __version__
+
+SECONDS = 300  # s; a compiler that takes longer hangs
+_FLAGS = ("-std=c99", "-O1", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off")
+
+
+def find_compiler() -> str | None:
+    """Return the C compiler: `$CC`, else `cc`, `gcc` or `clang`; None where there is none."""
+    named = os.environ.get("CC", "").split()
+    return next((found for name in (*named[:1], "cc", "gcc", "clang") if (found := shutil.which(name))), None)
+
+
+def get_library_path(identifier: str) -> str:
+    """Return where FMI 2.0 wants this computer's library in the archive."""
+    if sys.platform == "win32":
+        return f"binaries/win64/{identifier}.dll"
+    if sys.platform == "darwin":
+        return f"binaries/darwin64/{identifier}.dylib"
+    machine = platform.machine().lower()
+    return f"binaries/{'linux64' if machine in ('x86_64', 'amd64') else f'{machine}-linux'}/{identifier}.so"
+
+
+def compile_library(source: str, with_: str) -> bytes:
+    """Return the shared library of a source.
+
+    Args:
+        source: C99.
+        with_: The compiler.
+
+    Raises:
+        InputError: The compiler does not take it.
+    """
+    with tempfile.TemporaryDirectory(prefix="tau_dyn_") as folder:
+        text, library = Path(folder) / "fmu.c", Path(folder) / "fmu.so"
+        text.write_text(source, encoding="utf-8")
+        try:
+            done = subprocess.run(
+                [with_, *_FLAGS, str(text), "-o", str(library), "-lm"], capture_output=True, text=True, timeout=SECONDS
+            )
+        except (OSError, subprocess.TimeoutExpired) as fault:
+            raise InputError(
+                "not_available", f"the C compiler {with_} did not run ({fault}); name another one in CC"
+            ) from None
+        if done.returncode or not library.is_file():
+            why = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
+            raise InputError(
+                "not_available",
+                f"the C compiler {with_} did not take the FMU's source ({why.strip()}); name another one in CC",
+            )
+        return library.read_bytes()
+
 
 _WHEN = (1980, 1, 1, 0, 0, 0)  # the same model is the same file
 
@@ -58,16 +120,16 @@ def build_fmu(model: Model) -> ExportedFmu:
     ]
     beyond = [e for e, _ in list_unsupported_effects(model)]
     kept = model.only(e for e in model.effects if e not in beyond and not acts_on_recording(e))
-    equations = build_equations(kept)
-    difference = compute_largest_difference(equations)
+    equations, about = build_equations(kept), _describe(kept)
     identifier = format_identifier(kept.robot.name)
-    body = format_source(equations, "")
-    guid = "{" + hashlib.sha256((body + format_description(equations, "")).encode()).hexdigest()[:32] + "}"
-    source = format_source(equations, guid)
+    content = write_fmu_source(equations, "", about) + format_description(equations, "", about)
+    guid = "{" + hashlib.sha256(content.encode()).hexdigest()[:32] + "}"
+    source = write_fmu_source(equations, guid, about)
+    names = [v.name for v in build_variables(equations)]
     files = {
-        "modelDescription.xml": format_description(equations, guid).encode(),
+        "modelDescription.xml": format_description(equations, guid, about).encode(),
         "sources/fmu.c": source.encode(),
-        "documentation/index.html": _page(kept, left_out, [v.name for v in build_variables(equations)]).encode(),
+        "documentation/index.html": _page(kept, about, left_out, names).encode(),
     }
     tool = find_compiler()
     if tool is None:
@@ -76,7 +138,7 @@ def build_fmu(model: Model) -> ExportedFmu:
         )
     else:
         files[get_library_path(identifier)] = compile_library(source, tool)
-    return ExportedFmu(_zipped(files), tuple(left_out), list_nominal_parameters(kept), difference)
+    return ExportedFmu(_zipped(files), tuple(left_out), list_nominal_parameters(kept), equations.difference)
 
 
 def _zipped(files: dict[str, bytes]) -> bytes:
@@ -89,10 +151,18 @@ def _zipped(files: dict[str, bytes]) -> bytes:
     return buffer.getvalue()
 
 
-def _page(model: Model, left_out: list[str], names: list[str]) -> str:
+def _describe(model: Model) -> str:
+    """Return what an FMU says of itself, in one paragraph."""
+    leaning = list_nominal_parameters(model)
+    effects = ", ".join(effect.name for effect in model.effects) or "none"
+    text = f"{model.robot.name}, written by tau_dyn {__version__} from {model.robot.source}. Effects: {effects}."
+    return text + (f" Not determined by data, so nominal: {', '.join(leaning)}." if leaning else "")
+
+
+def _page(model: Model, about: str, left_out: list[str], names: list[str]) -> str:
     """Return what the FMU says of itself to a person."""
     items = "".join(f"<li>{escape(sentence)}</li>" for sentence in left_out) or "<li>nothing</li>"
     return (
         f"<!doctype html><meta charset='utf-8'><title>{escape(model.robot.name)}</title><h1>{escape(model.robot.name)}</h1>"
-        f"<p>{escape(describe_fmu(model))}</p><p>Variables: {escape(', '.join(names))}.</p><p>Left out:</p><ul>{items}</ul>"
+        f"<p>{escape(about)}</p><p>Variables: {escape(', '.join(names))}.</p><p>Left out:</p><ul>{items}</ul>"
     )

@@ -28,6 +28,7 @@ from tau_dyn.control import (
     write_reference,
 )
 from tau_dyn.control.interface.reference import compute_digest
+from tau_dyn.effects import build_friction_model
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.modes import Actuator
@@ -109,6 +110,21 @@ def test_limits_are_checked_before_anything_is_written(motion, given, said, tmp_
     with pytest.raises(InputError, match=said):
         write_reference(tmp_path / "r.csv", MODEL, motion, limits=CommandLimits.of(ROBOT, **given))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("quantity", "share", "said"), [("force", 0.8, "needs -"), ("speed", 0.9, "moves at 0.06")])
+def test_a_limit_holds_in_both_directions(quantity, share, said) -> None:
+    """A stroke backwards against friction needs its largest force, and has its largest speed, below zero."""
+    robot = load_robot("linear_axis")
+    model = Model.of(robot, build_friction_model("symmetric", robot.actuated, robot.force_units))
+    model = model.with_values({"axis.coulomb": 20.0})
+    motion = move(robot.actuated, robot.home, robot.home - 0.02, 0.6, 250.0)
+    used = model.torque(motion.q, motion.v, motion.a) if quantity == "force" else motion.v
+    lowest = share * float(used.min())
+    assert used.max() < -lowest
+    build_reference(model, motion, limits=CommandLimits.of(robot, **{quantity: -lowest / share**2}))
+    with pytest.raises(InputError, match=f"joint axis {said}"):
+        build_reference(model, motion, limits=CommandLimits.of(robot, **{quantity: -lowest}))
 
 
 def test_a_learned_correction_comes_back_from_its_file(tmp_path) -> None:

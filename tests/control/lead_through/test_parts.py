@@ -6,11 +6,8 @@ from raising import raises_code
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.control.lead_through import ForceSensor
-from tau_dyn.control.lead_through.contact_state import ContactState
-from tau_dyn.control.lead_through.impedance import HandleImpedance
-from tau_dyn.control.lead_through.normal import NormalEstimator
-from tau_dyn.control.lead_through.projections import compute_tool_part, handle_part, limit_twist
-from tau_dyn.control.lead_through.stiffness import StiffnessWatch
+from tau_dyn.control.lead_through.impedance import HandleImpedance, compute_tool_part, handle_part, limit_twist
+from tau_dyn.control.lead_through.sensing import ContactState, NormalEstimator, StiffnessWatch
 
 T = 0.004
 UP = np.array([0.0, 0.0, 1.0])

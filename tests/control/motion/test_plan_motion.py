@@ -12,10 +12,9 @@ from raising import raises_code
 
 from tau_dyn.control import Feedforward
 from tau_dyn.control.motion import MotionLimits, MotionPlan, plan_motion
-from tau_dyn.control.motion.coordinates import Free
-from tau_dyn.control.motion.limit_check import tighten_limits
+from tau_dyn.control.motion.coordinates import Free, build_joint_line
 from tau_dyn.control.motion.nodes import Nodes
-from tau_dyn.control.motion.path import build_joint_line
+from tau_dyn.control.motion.result import tighten_limits
 from tau_dyn.simulate import Trajectory
 
 sys.path.insert(0, str(Path(__file__).parent))

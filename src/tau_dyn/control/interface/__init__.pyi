@@ -1,6 +1,5 @@
 """What a robot controller takes: references and corrections at its sample period, RAPID programs; checked before."""
 
-from .check import check_motion as check_motion, list_exceeded_limits as list_exceeded_limits
 from .correction import (
     Correction as Correction,
     apply_correction as apply_correction,
@@ -8,18 +7,24 @@ from .correction import (
     read_correction as read_correction,
     write_correction as write_correction,
 )
-from .limits import CommandLimits as CommandLimits
-from .period import DEFAULT_PERIOD_S as DEFAULT_PERIOD_S
-from .rapid import format_rapid_motion as format_rapid_motion
-from .rapid_text import (
+from .limits import (
+    CommandLimits as CommandLimits,
+    PerJoint as PerJoint,
+    broadcast_limit as broadcast_limit,
+    check_motion as check_motion,
+    list_exceeded_limits as list_exceeded_limits,
+)
+from .rapid import (
     format_array as format_array,
     format_comment as format_comment,
     format_jointtarget as format_jointtarget,
+    format_rapid_motion as format_rapid_motion,
     format_robtarget as format_robtarget,
     require_few_joints as require_few_joints,
     require_rapid_name as require_rapid_name,
 )
 from .reference import (
+    DEFAULT_PERIOD_S as DEFAULT_PERIOD_S,
     build_reference as build_reference,
     read_reference as read_reference,
     write_reference as write_reference,

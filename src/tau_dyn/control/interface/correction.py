@@ -14,12 +14,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tau_dyn.control.interface.check import check_motion
-from tau_dyn.control.interface.limits import CommandLimits
-from tau_dyn.control.interface.period import DEFAULT_PERIOD_S, require_period
-from tau_dyn.control.interface.reference import compute_digest
-from tau_dyn.control.iterative import LearningHistory
-from tau_dyn.control.iterative.law import UpdateLaw
+from tau_dyn.control.interface.limits import CommandLimits, check_motion
+from tau_dyn.control.interface.reference import DEFAULT_PERIOD_S, compute_digest, require_period
+from tau_dyn.control.iterative import LearningHistory, UpdateLaw
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes, write_whole
 from tau_dyn.log import read_table

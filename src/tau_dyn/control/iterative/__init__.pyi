@@ -8,23 +8,27 @@ from .convergence_analysis import (
     compute_frequency_condition as compute_frequency_condition,
     require_convergence as require_convergence,
 )
-from .law import LearningLaw as LearningLaw
-from .learned_outputs import MotorSide as MotorSide, ToolSide as ToolSide
-from .learning import LearningHistory as LearningHistory
-from .lifted_system import (
-    build_lifted_matrix as build_lifted_matrix,
-    compute_pulse_response as compute_pulse_response,
-    stack_controlled_actuators as stack_controlled_actuators,
-)
-from .norm_optimal import NormOptimalLaw as NormOptimalLaw
-from .reference import Reference as Reference
-from .robust_filter_design import design_robust_filter as design_robust_filter
-from .shift import TimeShift as TimeShift
-from .trial_loop import TrialPlant as TrialPlant, learn as learn
-from .zero_phase import (
+from .filters import (
+    TimeShift as TimeShift,
     ZeroPhase as ZeroPhase,
     build_notch as build_notch,
     chain_filters as chain_filters,
     design_band_stop as design_band_stop,
     design_low_pass as design_low_pass,
 )
+from .laws import (
+    LearningLaw as LearningLaw,
+    NormOptimalLaw as NormOptimalLaw,
+    UpdateLaw as UpdateLaw,
+    design_robust_filter as design_robust_filter,
+)
+from .learned_outputs import MotorSide as MotorSide, Reference as Reference, ToolSide as ToolSide
+from .lifted_system import (
+    Operator as Operator,
+    build_convolution as build_convolution,
+    build_lifted_matrix as build_lifted_matrix,
+    build_signal_operator as build_signal_operator,
+    compute_pulse_response as compute_pulse_response,
+    stack_controlled_actuators as stack_controlled_actuators,
+)
+from .trial_loop import LearningHistory as LearningHistory, TrialPlant as TrialPlant, learn as learn

@@ -16,9 +16,9 @@ from typing import Any, cast
 import numpy as np
 from scipy.sparse.linalg import svds
 
-from tau_dyn.control.iterative.law import UpdateLaw
+from tau_dyn.control.iterative.laws import UpdateLaw
+from tau_dyn.control.iterative.learned_outputs import Reference
 from tau_dyn.control.iterative.lifted_system import Operator, make_operator
-from tau_dyn.control.iterative.reference import Reference
 from tau_dyn.exceptions import InputError
 
 

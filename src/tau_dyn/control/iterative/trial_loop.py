@@ -1,17 +1,50 @@
-r"""Iterative learning control: repeat a motion, and add to its reference what the last error asks for (thesis chapter 7)."""
+"""Iterative learning control: repeat a motion, and add to its reference what the last error asks for (thesis chapter 7)."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from tau_dyn.control.iterative.convergence_analysis import analyse_convergence, require_convergence
-from tau_dyn.control.iterative.law import UpdateLaw
-from tau_dyn.control.iterative.learned_outputs import TrialMeasurement
-from tau_dyn.control.iterative.learning import LearningHistory
-from tau_dyn.control.iterative.reference import Reference
+from tau_dyn.control.iterative.convergence_analysis import Convergence, analyse_convergence, require_convergence
+from tau_dyn.control.iterative.laws import UpdateLaw
+from tau_dyn.control.iterative.learned_outputs import Reference, TrialMeasurement
 from tau_dyn.exceptions import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class LearningHistory:
+    """Errors and corrections of all trials; the first has no correction.
+
+    Attributes:
+        motion: What was repeated.
+        convergence: What was known beforehand.
+        corrections: Of each trial (k + 1, N, m).
+        errors: What was learnt from, r less its estimate (k + 1, N, m).
+        motor_errors: Actuator references less measured positions (k + 1, N, na), thesis (7.23).
+        tool_errors: The tool's reference less its measured position (k + 1, N, 3) [m], thesis (7.24).
+    """
+
+    motion: Reference
+    convergence: Convergence
+    corrections: np.ndarray
+    errors: np.ndarray
+    motor_errors: np.ndarray
+    tool_errors: np.ndarray
+
+    def relative(self, which: str = "errors") -> np.ndarray:
+        """Return (7.25), each trial's error in percent of the first one's (k + 1, m), where learning acts fully.
+
+        Args:
+            which: 'errors', 'motor_errors' or 'tool_errors'.
+        """
+        size = np.linalg.norm(getattr(self, which)[:, self.motion.full], axis=1)
+        return 100 * size / np.where(size[0] > 0, size[0], 1.0)
+
+    def rms(self, which: str = "errors") -> np.ndarray:
+        """Return root mean squares (k + 1, m) where learning acts fully."""
+        return np.sqrt(np.mean(getattr(self, which)[:, self.motion.full] ** 2, axis=1))
 
 
 class TrialPlant(Protocol):

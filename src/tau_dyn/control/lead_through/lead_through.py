@@ -14,12 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
-from tau_dyn.control.lead_through.contact_state import ContactState
-from tau_dyn.control.lead_through.impedance import HandleImpedance
-from tau_dyn.control.lead_through.normal import NormalEstimator
-from tau_dyn.control.lead_through.projections import compute_tool_part, handle_part, limit_twist
+from tau_dyn.control.lead_through.impedance import HandleImpedance, compute_tool_part, handle_part, limit_twist
+from tau_dyn.control.lead_through.sensing import ContactState, NormalEstimator, StiffnessWatch
 from tau_dyn.control.lead_through.settings import LeadThroughSettings
-from tau_dyn.control.lead_through.stiffness import StiffnessWatch
 from tau_dyn.exceptions import InputError
 
 _LATE = 0.25  # of a sample time that a reading may be early or late

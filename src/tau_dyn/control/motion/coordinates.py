@@ -6,18 +6,174 @@ Both are `n` coordinates x over the normalised time, with x' and x'' by it; a mo
     along a path:  q = q(s),  v = q_s s'/T,    a = (q_ss s'^2 + q_s s'')/T^2      (Bobrow, Dubowsky & Gibson 1985)
 
 so that a path restricts a motion by nothing but another choice of coordinates (Dressler 2012, section 3.5).
+
+A tool path as actuated positions over its own parameter: `q(s)`, s from 0 to 1, s in proportion to the tool's way.
+
+The path is a straight line or a cubic spline through points, its orientation turns evenly from the start's to the end's. Poses
+along it are solved in one branch (`kinematics.follow`) and joined by a quintic spline, which has two continuous derivatives
+and two more that the optimiser asks for.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from scipy.interpolate import BSpline
+from scipy.interpolate import BSpline, CubicSpline, PchipInterpolator, make_interp_spline
+from scipy.spatial.transform import Rotation, Slerp
 
 from tau_dyn.control.motion.expressions import import_casadi
-from tau_dyn.control.motion.path import JointPath
+from tau_dyn.control.motion.limits import MotionLimits
+from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics import follow_path
+from tau_dyn.mechanism import Poses, forward_kinematics
+from tau_dyn.model import Model
+
+PathShape = Literal["line"] | np.ndarray
+"""'line', or tool positions (n, 3) [m] that the path goes through."""
+
+SAMPLES = 241  # points on a path, an odd number so that one is its middle
+_FINE = 20  # samples of a spline between two points, to measure its way
+_OFF = 1e-6  # [m or rad] error of the spline between samples beyond which it is not the path
+_MAX_COORDINATE_M = 1e6  # [m] nothing that a robot reaches is as far
+
+
+@dataclass(frozen=True, eq=False)
+class JointPath:
+    """Actuated positions along a path.
+
+    Attributes:
+        q: Spline of degree 5 over s in [0, 1], values (na,) [m or rad].
+        length: Way of the tool [m]; of a path in joint space, the distance there.
+    """
+
+    q: BSpline
+    length: float
+
+
+def build_joint_line(start: np.ndarray, end: np.ndarray) -> JointPath:
+    """Return the straight path between actuated positions (na,)."""
+    s = np.linspace(0, 1, 7)[:, None]
+    spline = make_interp_spline(s[:, 0], start + s * (end - start), k=5)
+    return JointPath(spline, float(np.linalg.norm(end - start)))
+
+
+def build_tool_path(
+    model: Model, start: np.ndarray, end: np.ndarray, shape: PathShape, limits: MotionLimits
+) -> JointPath:
+    """Return a path of the tool between actuated positions (na,).
+
+    Args:
+        model: The robot.
+        start: Actuated positions at its start (na,).
+        end: And at its end.
+        shape: 'line', or points (n, 3) [m] between or including both ends.
+        limits: The joints' ranges and the conditioning are checked along it.
+
+    Raises:
+        InputError: It leaves the workspace, a joint's range, or the branch, or comes near a singularity.
+    """
+    poses, length = _poses(model, start, end, shape)
+    s = np.linspace(0, 1, len(poses.position))
+    found = follow_path(model.robot, poses, start=start)
+    if found.until < len(s):
+        at = _at(poses.position[found.until])
+        raise InputError(
+            "unreachable", f"the path cannot be followed beyond {100 * s[found.until]:.0f} % at {at}: {found.reason}"
+        )
+    _check_range(model, found.q, poses, limits)
+    spline = make_interp_spline(s, found.q, k=5)
+    if np.abs(found.q[-1] - end).max() > 1e-6:
+        raise InputError("unreachable", "the path ends in another configuration of the robot than the end asks for")
+    _check_spline(model, spline, poses, start)
+    return JointPath(spline, length)
+
+
+def _poses(model: Model, start: np.ndarray, end: np.ndarray, shape: PathShape) -> tuple[Poses, float]:
+    """Return evenly spaced poses along the path and its length [m]."""
+    ends = forward_kinematics(model.robot, np.stack([start, end])).poses
+    points = _points(shape, ends.position)
+    place, length = _evenly(points)
+    turn = Slerp([0.0, 1.0], Rotation.from_matrix(ends.rotation))
+    return Poses(place, turn(np.linspace(0, 1, SAMPLES)).as_matrix()), length
+
+
+def _points(shape: PathShape, ends: np.ndarray) -> np.ndarray:
+    """Return the points (n, 3) of a path, both ends included and none twice."""
+    if isinstance(shape, str):
+        if shape != "line":
+            raise InputError("invalid_value", f"the path is 'line' or points (n, 3) [m], not '{shape}'")
+        points = ends
+    else:
+        between = np.asarray(shape, float)
+        if between.ndim != 2 or between.shape[1] != 3:
+            raise InputError(
+                "wrong_shape", f"the points of a path are numbers (n, 3) [m], not an array of {between.shape}"
+            )
+        if not (np.abs(between) < _MAX_COORDINATE_M).all():
+            raise InputError(
+                "invalid_value", f"the points of a path are finite numbers of less than {_MAX_COORDINATE_M:g} m"
+            )
+        points = np.concatenate([ends[:1], between, ends[1:]])
+    new = np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-6
+    points = points[np.concatenate([[True], new])]
+    if len(points) < 2:
+        raise InputError("invalid_value", "the path has no length: start and end are one place")
+    return points
+
+
+def _evenly(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return SAMPLES points evenly spaced on the line, or on the spline through the points, and its length [m]."""
+    chord = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    if len(points) == 2:
+        return points[0] + np.linspace(0, 1, SAMPLES)[:, None] * (points[1] - points[0]), float(chord[-1])
+    curve = CubicSpline(chord, points)
+    fine = np.interp(np.linspace(0, 1, _FINE * SAMPLES), chord / chord[-1], chord)
+    way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(curve(fine), axis=0), axis=1))])
+    place = PchipInterpolator(way, fine)(np.linspace(0, way[-1], SAMPLES))
+    return curve(place), float(way[-1])
+
+
+def _check_range(model: Model, q: np.ndarray, poses: Poses, limits: MotionLimits) -> None:
+    robot = model.robot
+    outside = np.maximum(limits.lower - q, q - limits.upper)
+    k, j = np.unravel_index(int(np.argmax(outside)), outside.shape)
+    if outside[k, j] > 1e-9:
+        allowed = f"{limits.lower[j]:g} to {limits.upper[j]:g} {robot.position_units[j]}"
+        raise InputError(
+            "unreachable",
+            f"at {_at(poses.position[k])} the path asks {q[k, j]:.4g} of joint {robot.actuated[j]}, whose range is {allowed}",
+        )
+    condition = model.mechanism.condition(q)
+    worst = int(np.argmax(condition))
+    if condition[worst] > limits.condition:
+        raise InputError(
+            "unreachable",
+            f"at {_at(poses.position[worst])} the path comes near a singularity of the loops: "
+            f"conditioning {condition[worst]:.3g}, the limit is {limits.condition:.3g}",
+        )
+
+
+def _check_spline(model: Model, spline: BSpline, poses: Poses, start: np.ndarray) -> None:
+    """Refuse a path whose positions change too sharply for the spline, as beside a singularity of an arm."""
+    s = np.linspace(0, 1, len(poses.position))
+    middle = (s[1:] + s[:-1]) / 2
+    place = forward_kinematics(model.robot, spline(middle)).poses.position
+    straight = CubicSpline(s, poses.position)(middle)
+    off = np.linalg.norm(place - straight, axis=1)
+    worst = int(np.argmax(off))
+    if not off[worst] < _OFF:
+        where = _at(straight[worst])
+        raise InputError(
+            "unreachable", f"at {where} the path asks joints to turn at once, as beside a singularity or a corner"
+        )
+
+
+def _at(place: np.ndarray) -> str:
+    """Return a place (3,) [m] in words."""
+    return f"({', '.join(f'{x:.4g}' for x in place)}) m"
 
 
 class Actuated(NamedTuple):

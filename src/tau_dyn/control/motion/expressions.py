@@ -1,6 +1,6 @@
 """A model's forces as casadi expressions, for a solver that asks for exact first and second derivatives.
 
-The expressions are those that the C export writes out (`control/export_model.py`): the mechanism's and the effects' own code, run
+The expressions are those that the C export writes out (`codegen/program.py`): the mechanism's and the effects' own code, run
 once on symbols and compared with Python. Where loops are solved numerically, the passive joints and the solution of every linear
 system inside become unknowns of their own, with their equations beside them: the solver closes the loops while it
 optimises, and every expression stays short and sparse (lifted; Albersmeyer & Diehl 2010).
@@ -11,13 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from tau_dyn.control.export_model import Program, build_program
+from tau_dyn.codegen import Graph, Node, Program, build_program
 from tau_dyn.control.feedforward import Feedforward
-from tau_dyn.control.graph import Graph, Node
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 
@@ -139,15 +138,16 @@ def _on_symbols(program: Program, warnings: tuple[str, ...]) -> ForceLaw:
     values, inner, rows = _walked(program.graph, program.outputs, known)
     gap: list[Any] = []
     if program.loops is not None and program.closure is not None:
-        closed, _, _ = _walked(program.closure, program.gap, known)
-        gap = [_of(program.gap[k], closed) for k in program.loops.rows]
+        every = program.closure.outputs["gap"]
+        closed, _, _ = _walked(program.closure.graph, every, known)
+        gap = [_of(every[k], closed) for k in program.loops.rows]
     y = ca.vertcat(*inner) if inner else ca.SX(0, 1)
     arguments = [q, v, a, p, y]
     tau = ca.vertcat(*(_of(x, values) for x in program.outputs))
     forces = ca.Function("forces", arguments, [tau])
     residual = ca.Function("residual", arguments, [ca.vertcat(*gap, *rows) if gap or rows else ca.SX(0, 1)])
     n_y = int(y.numel())
-    return ForceLaw(program.feedforward, forces, residual, n_p, n_y, warnings, program, np.ones(n_y))
+    return ForceLaw(cast(Feedforward, program.feedforward), forces, residual, n_p, n_y, warnings, program, np.ones(n_y))
 
 
 def _walked(graph: Graph, outputs: Any, known: dict[str, Any]) -> tuple[dict[int, Any], list[Any], list[Any]]:

@@ -8,15 +8,33 @@ from typing import NoReturn
 import numpy as np
 
 from tau_dyn.control.feedforward import Feedforward
-from tau_dyn.control.motion.coordinates import Along, Coordinates, Free
-from tau_dyn.control.motion.ends import compute_end_positions
+from tau_dyn.control.motion.coordinates import (
+    Along,
+    Coordinates,
+    Free,
+    JointPath,
+    PathShape,
+    build_joint_line,
+    build_tool_path,
+)
 from tau_dyn.control.motion.expressions import ForceLaw, build_force_law, import_casadi
-from tau_dyn.control.motion.limit_check import MAX_LIMIT_EXCESS, compute_limit_usage, tighten_limits
-from tau_dyn.control.motion.limits import MotionLimits
-from tau_dyn.control.motion.nodes import build_node_motion, scale_unknowns, start_nodes
-from tau_dyn.control.motion.path import JointPath, PathShape, build_joint_line, build_tool_path
-from tau_dyn.control.motion.profile import compute_min_duration, compute_smoothing_width, compute_trapezoid
-from tau_dyn.control.motion.result import AT_LIMIT, Binding, MotionPlan
+from tau_dyn.control.motion.limits import MotionLimits, compute_end_positions
+from tau_dyn.control.motion.nodes import (
+    build_node_motion,
+    compute_min_duration,
+    compute_smoothing_width,
+    compute_trapezoid,
+    scale_unknowns,
+    start_nodes,
+)
+from tau_dyn.control.motion.result import (
+    AT_LIMIT,
+    MAX_LIMIT_EXCESS,
+    Binding,
+    MotionPlan,
+    compute_limit_usage,
+    tighten_limits,
+)
 from tau_dyn.control.motion.transcription import Transcription, TranscriptionSolution
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.model import Model

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.control.motion.constraints import (
+    Pointwise,
     build_integration_constraints,
     build_jerk_constraints,
     build_point_constraint,
@@ -28,7 +29,6 @@ from tau_dyn.control.motion.coordinates import Coordinates
 from tau_dyn.control.motion.expressions import ForceLaw, import_casadi
 from tau_dyn.control.motion.limits import MotionLimits
 from tau_dyn.control.motion.nodes import Nodes
-from tau_dyn.control.motion.pointwise import Pointwise
 
 _MIN_STEP_S = 1e-3  # [s]
 _WARM = {

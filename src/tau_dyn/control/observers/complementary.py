@@ -1,4 +1,4 @@
-r"""A complementary filter: the tool from the actuators at low, from an accelerometer at high frequency (thesis 7.17).
+"""A complementary filter: the tool from the actuators at low, from an accelerometer at high frequency (thesis 7.17).
 
     z = G z_c + (1 - G) z_a,     z_a the acceleration integrated twice
 
@@ -22,9 +22,25 @@ from typing import Any, cast
 import numpy as np
 from scipy.signal import bilinear, butter, freqz, lfilter
 
-from tau_dyn.control.iterative.lifted_system import Operator, build_signal_operator
-from tau_dyn.control.observers.signals import require_signals
+from tau_dyn.control.iterative import Operator, build_signal_operator
 from tau_dyn.exceptions import InputError
+
+
+def require_signals(kinematic: np.ndarray, acceleration: np.ndarray, axes: int) -> np.ndarray:
+    """Return positions (N, m) that belong to accelerations (N, m), both of so many axes.
+
+    Raises:
+        InputError: Their shapes differ or do not fit, or a number is not finite.
+    """
+    if kinematic.shape != acceleration.shape or kinematic.shape[1:] != (axes,) or len(kinematic) < 2:
+        raise InputError(
+            "wrong_shape",
+            f"an observer of {axes} axes takes positions and accelerations (N, {axes}), "
+            f"not {kinematic.shape} and {acceleration.shape}",
+        )
+    if not (np.isfinite(kinematic).all() and np.isfinite(acceleration).all()):
+        raise InputError("bad_sample", "positions or accelerations hold a number that is not finite")
+    return kinematic
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,32 @@
+"""Code from models: expressions traced from the package's own formulas, written as C, Python and FMU."""
+
+from .c_writer import (
+    build_identifiers as build_identifiers,
+    include_header as include_header,
+    locate_header as locate_header,
+)
+from .feedforward_c import write_c_source as write_c_source
+from .filters import write_learning_source as write_learning_source, write_observer_source as write_observer_source
+from .fmu_equations import (
+    Equations as Equations,
+    build_equations as build_equations,
+    list_unsupported_effects as list_unsupported_effects,
+)
+from .fmu_writer import (
+    build_variables as build_variables,
+    format_description as format_description,
+    format_identifier as format_identifier,
+    write_fmu_source as write_fmu_source,
+)
+from .forms import draw_random_states as draw_random_states
+from .graph import Graph as Graph, Node as Node
+from .kinematics import KinematicsProgram as KinematicsProgram, build_kinematics as build_kinematics
+from .kinematics_c import write_kinematics_source as write_kinematics_source
+from .program import ARGUMENTS as ARGUMENTS, Program as Program, build_program as build_program
+from .python_writer import write_python_source as write_python_source
+from .tracing import (
+    ExpressionArray as ExpressionArray,
+    TracedFunction as TracedFunction,
+    as_expression_array as as_expression_array,
+    build_inputs as build_inputs,
+)

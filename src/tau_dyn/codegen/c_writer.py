@@ -1,0 +1,234 @@
+"""C99 from expression graphs: a line a node, in the order of computation; and what every exported C file shares.
+
+A file is fixed texts of the folder `c`, their `@BLANKS@` filled, and functions written from graphs. It has no allocation,
+no recursion and no header beyond `math.h`. Every exported function refuses inputs and outputs that are not finite or beyond
+`MAX_NUMBER`; then it returns a status above zero and leaves its outputs as they were.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.codegen.graph import Graph, Node
+from tau_dyn.exceptions import InputError
+
+MAX_NUMBER = 1e9  # m, rad, N, N m and their rates: no machine comes near; what is larger is a fault, not a state
+STEP, STEPS, ITERATIONS = 0.05, 100, 12
+"""Largest step of a drive at once [m or rad], most steps a call, most Newton iterations a step, where loops are solved."""
+
+_FORM: Mapping[str, str] = {
+    "add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}", "neg": "-{}", "abs": "fabs({})",
+    "sqrt": "sqrt({})", "exp": "exp({})", "log": "log({})", "sin": "sin({})", "cos": "cos({})", "tan": "tan({})",
+    "tanh": "tanh({})", "atan2": "atan2({}, {})", "hypot": "hypot({}, {})", "sign": "(double)(({0} > 0.0) - ({0} < 0.0))",
+    "min": "({0} < {1} ? {0} : {1})", "max": "({0} > {1} ? {0} : {1})", "select": "({} ? {} : {})", "lt": "{} < {}",
+    "le": "{} <= {}", "eq": "{} == {}", "and": "{} && {}", "or": "{} || {}", "not": "!{}",
+}  # fmt: skip
+_TRUTHS = frozenset({"lt", "le", "eq", "and", "or", "not"})
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
+_KEYWORDS = frozenset(
+    "auto break case char const continue default do double else enum extern float for goto if inline int long register restrict "
+    "return short signed sizeof static struct switch typedef union unsigned void volatile while main".split()
+)
+_MATH = frozenset(
+    "acos asin atan atan2 cos sin tan acosh asinh atanh cosh sinh tanh exp exp2 expm1 frexp ilogb ldexp log log10 log1p "
+    "log2 logb modf scalbn scalbln cbrt fabs hypot pow sqrt erf erfc lgamma tgamma ceil floor nearbyint rint lrint llrint "
+    "round lround llround trunc fmod remainder remquo copysign nan nextafter nexttoward fdim fmax fmin fma j0 j1 jn y0 y1 "
+    "yn gamma signgam fpclassify isfinite isinf isnan isnormal signbit NAN INFINITY HUGE_VAL NULL double_t float_t".split()
+)
+"""What `math.h` declares or defines; each function also with `f` and `l` behind it."""
+
+
+def fill_template(name: str, flags: Collection[str] = (), **blanks: object) -> str:
+    """Return a text of the folder `c`: parts between `@IF FLAG@` and `@END@` where the flag is given, `@BLANKS@` filled."""
+    text = files("tau_dyn.codegen").joinpath("c", f"{name}.c").read_text(encoding="utf-8")
+    text = re.sub(r"@IF (\w+)@\n(.*?)@END@\n", lambda m: m[2] if m[1] in flags else "", text, flags=re.DOTALL)
+    text = re.sub(r"@(\w+)@", lambda m: str(blanks[m[1]]) if m[1] in blanks else m[0], text)
+    return text.replace("@MOST@", repr(MAX_NUMBER)).rstrip("\n")
+
+
+def yield_graph_lines(graph: Graph, outputs: Sequence[Any]) -> Iterator[str]:
+    """Yield one line a node that outputs and guards need; an input `q3` is read as `q[3]`, node 7 is called `t7`."""
+
+    def show(k: int) -> str:
+        return _shown(graph.nodes[k])
+
+    for node in graph.needed(outputs):
+        k = node.index
+        if node.op in ("input", "const", "item"):
+            continue
+        if node.op == "factor":
+            n = round(len(node.args) ** 0.5)
+            yield f"    double t{k}[{len(node.args)}] = {{{', '.join(show(x) for x in node.args)}}};"
+            yield f"    int t{k}p[{n}];"
+            yield f"    if (!factor({n}, t{k}, t{k}p)) return 2;"
+        elif node.op in ("solve", "solve_t"):
+            n, A = len(node.args) - 1, node.args[0]
+            yield f"    double t{k}[{n}] = {{{', '.join(show(x) for x in node.args[1:])}}};"
+            yield f"    {node.op}({n}, t{A}, t{A}p, t{k});"
+        else:
+            kind = "int" if node.op in _TRUTHS else "double"
+            yield f"    const {kind} t{k} = {_FORM[node.op].format(*(show(x) for x in node.args))};"
+
+
+def yield_guard_lines(graph: Graph, status: int = 1) -> Iterator[str]:
+    """Yield one line a condition that was asked for while tracing: where the answer is another one, the function leaves."""
+    for index, answer in graph.guards.items():
+        yield f"    if ({'!' if answer else ''}t{index}) return {status};"
+
+
+def yield_output_lines(array: str, outputs: Sequence[Any]) -> Iterator[str]:
+    """Yield the assignments of an output array."""
+    yield from (f"    {array}[{k}] = {_named(x)};" for k, x in enumerate(outputs))
+
+
+def yield_unused_lines(graph: Graph, outputs: Sequence[Any], arrays: Sequence[str]) -> Iterator[str]:
+    """Yield a line for each input array that does not matter, so that no compiler warns of it."""
+    used = {node.args[0].rstrip("0123456789") for node in graph.needed(outputs) if node.op == "input"}
+    yield from (f"    (void){x}; /* does not matter */" for x in arrays if x not in used)
+
+
+def yield_function(
+    head: str, graph: Graph, takes: Sequence[str], gives: Mapping[str, Sequence[Any]], *, checked: bool = True
+) -> Iterator[str]:
+    """Yield a function that assigns each output array; `checked`: it returns 0, or 1 where a guard does not hold."""
+    values = [x for outputs in gives.values() for x in outputs]
+    yield from (head, "{")
+    yield from yield_unused_lines(graph, values, takes)
+    yield from yield_graph_lines(graph, values)
+    if checked:
+        yield from yield_guard_lines(graph)
+    for name, outputs in gives.items():
+        yield from yield_output_lines(name, outputs)
+    yield from (*(["    return 0;"] if checked else []), "}")
+
+
+def _shown(node: Node) -> str:
+    if node.op == "const":
+        return format_number(node.args[0])
+    if node.op == "input":
+        name = node.args[0].rstrip("0123456789")
+        return f"{name}[{node.args[0][len(name) :]}]"
+    if node.op == "item":
+        return f"t{node.args[0]}[{node.args[1]}]"
+    return f"t{node.index}"
+
+
+def _named(x: Any) -> str:
+    """Return a node's name, or a number, as C."""
+    return _shown(x) if isinstance(x, Node) else format_number(float(x))
+
+
+def format_number(x: float) -> str:
+    """Return a number as C reads it back to the last digit."""
+    text = repr(float(x))
+    return f"({text})" if x < 0 else text
+
+
+def list_numbers(values: Iterable[float] | np.ndarray) -> str:
+    """Return numbers as C reads them back to the last digit, for the inside of braces."""
+    return ", ".join(repr(float(x)) for x in np.ravel(np.asarray(values, float)))
+
+
+def format_table(kind: str, name: str, values: Iterable[object], size: object = "") -> str:
+    """Return a constant array, wrapped at the usual width."""
+    rows, row = [], ""
+    for x in values:
+        word = repr(x) if isinstance(x, int) else repr(float(x))  # type: ignore[arg-type]
+        if len(row) + len(word) > 108:
+            rows.append(row)
+            row = ""
+        row += f"{word}, "
+    text = "\n    ".join(r.rstrip() for r in [*rows, row.rstrip(", ")])
+    return f"static const {kind} {name}[{size}] = {{\n    {text}\n}};"
+
+
+def require_c_name(name: str, taken: Collection[str] | None = None) -> str:
+    """Return a name for a function of C, or for the beginning of several.
+
+    Args:
+        name: The name.
+        taken: Names that the source itself uses, where the function is called just this; None where more follows it.
+
+    Raises:
+        InputError: It is no identifier of C, or means something else in the source.
+    """
+    if not _NAME.fullmatch(name) or name in _KEYWORDS:
+        raise InputError(
+            "invalid_value",
+            f"'{name}' cannot name a function in C; use letters, digits and underscores, a letter first",
+        )
+    if taken is not None and (name in taken or name in _MATH or name[:-1] in _MATH and name[-1] in "fl"):
+        raise InputError(
+            "invalid_value", f"'{name}' cannot name a function in C, where it means something else; take another name"
+        )
+    return name
+
+
+def build_identifiers(names: Iterable[str]) -> list[str]:
+    """Return names as parts of C identifiers, each different: other characters become `_`, repetitions get a number."""
+    out: list[str] = []
+    for name in names:
+        plain = re.sub(r"[^A-Za-z0-9_]", "_", name)[:40] or "_"
+        found, k = plain, 2
+        while found in out:
+            found, k = f"{plain}_{k}", k + 1
+        out.append(found)
+    return out
+
+
+def escape_comment_line(line: str) -> str:
+    """Return one line of a comment that nothing in it ends, and that is plain ASCII.
+
+    `*/` ends a comment, `/*` and trigraphs draw warnings, invisible characters can make text look like code.
+    """
+    plain = line.encode("ascii", "backslashreplace").decode("ascii")
+    plain = re.sub(r"[\x00-\x1f\x7f]", " ", plain)
+    for wrong, right in (("*/", "* /"), ("/*", "/ *"), ("??", "? ?")):
+        while wrong in plain:
+            plain = plain.replace(wrong, right)
+    return plain.rstrip("\\ ")
+
+
+def format_header(name: str, words: Iterable[str], declared: Sequence[str]) -> str:
+    """Return a header: what it is, then declarations that C and C++ read."""
+    guard = f"{name.upper()}_H"
+    said = "\n".join(f" * {escape_comment_line(line)}".rstrip() for line in words)
+    frame = ["#ifdef __cplusplus", 'extern "C" {', "#endif"], ["#ifdef __cplusplus", "}", "#endif"]
+    top = ["/*", said, " */", f"#ifndef {guard}", f"#define {guard}", ""]
+    return "\n".join([*top, *frame[0], "", *declared, "", *frame[1], f"#endif /* {guard} */", ""])
+
+
+def format_source(name: str, first: str, parts: Iterable[str]) -> str:
+    """Return a source file of several parts that includes its header and `math.h`."""
+    top = f"/* {escape_comment_line(first)} Units, joints and provenance: {name}.h */"
+    return f'{top}\n#include "{name}.h"\n\n#include <math.h>\n\n' + "\n\n".join(parts) + "\n"
+
+
+def locate_header(source: Path) -> Path:
+    """Return where the header of a source file goes.
+
+    Raises:
+        InputError: A folder is there, or C could not include a file of that name.
+    """
+    header = source.with_suffix(".h")
+    if header.is_dir():
+        raise InputError("cannot_write", f"{header} is a folder; the header would be written there")
+    if not re.fullmatch(r"[A-Za-z0-9_.+ -]+", header.name):
+        raise InputError(
+            "invalid_value",
+            f"{header.name}: a C file includes its header by name; use letters, digits, _, -, + and dots",
+        )
+    return header
+
+
+def include_header(text: str, name: str, header: Path) -> str:
+    """Return a source's text that includes its header under the name of its file."""
+    return text.replace(f'#include "{name}.h"', f'#include "{header.name}"', 1).replace(
+        f": {name}.h */", f": {header.name} */", 1
+    )

@@ -1,0 +1,267 @@
+"""Mechanisms on expressions: each stands in for the mechanism of a model, so that feedforward and effects run on it unchanged.
+
+A mechanism with a closed form is traced as it stands. Trees and loops come from `tree.py` and `loops.py`, as Pinocchio's code
+cannot be traced. Parameters are numbers, or inputs named `theta`. Random states around home are where traced code is compared
+with Python.
+"""
+
+# ruff: noqa: D102 (what cannot be traced says so in the sentence that it raises)
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tau_dyn.codegen.graph import Graph, Node
+from tau_dyn.codegen.loops import Loops, locate_frame
+from tau_dyn.codegen.tracing import ExpressionArray, as_expression_array, build_inputs
+from tau_dyn.codegen.tree import Tree
+from tau_dyn.exceptions import InputError
+from tau_dyn.mechanism import GantryTauMechanism, Mechanism, Rods, forward_kinematics, get_robot
+from tau_dyn.model import Model
+from tau_dyn.robot import Robot
+
+_SEED = 1  # any; of the reference state
+
+
+class _Kinematics(NamedTuple):
+    rods: np.ndarray
+    inverse: np.ndarray
+    J: np.ndarray
+    tool_acceleration: np.ndarray
+
+
+class ClosedForm(GantryTauMechanism):
+    """The simplified Gantry-Tau on expressions."""
+
+    def _checked(self, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
+        return arrays
+
+    def _kinematics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> Any:
+        """Return the same as the arrays' code, whose buffers of floats hold no expressions: `D T'' = b a - |T' - e v|^2`."""
+        D = as_expression_array(self._rods(q, self._trilaterate(q)))
+        along, inverse = np.einsum("nij,ij->ni", D, self.direction), np.linalg.inv(D)
+        J = inverse * along[:, None, :]
+        relative = (J @ v[0])[:, None, :] - v[:, :, None] * self.direction
+        gained = along * a - np.sum(relative**2, axis=2)
+        return _Kinematics(D, inverse, J, np.einsum("nij,nj->ni", inverse, gained))
+
+    def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return the forces (1, na) of one sample from mass matrix and bias."""
+        M, h = self.mass_and_bias(q[0], v[0])
+        return as_expression_array((M @ a[0] + h)[None])
+
+    def open_parameters(self, value: Any) -> None:
+        """Put expressions in the place of the masses; `value` gives a parameter by its name."""
+        robot = self.robot
+        armature = as_expression_array([value(f"{arm.cart_joint}.armature") for arm in robot.arms])
+        self.m_cart = as_expression_array([value(f"{arm.cart_link}.mass") for arm in robot.arms]) + armature
+        self.m_rod = as_expression_array([value(f"{arm.rod_link}.mass") for arm in robot.arms])
+        self.m_plate = as_expression_array(value(f"{robot.plate}.mass"))
+        weight = f"{robot.plate}.gravity_mass"
+        self.m_gravity = as_expression_array(value(weight)) if weight in robot.parameters else 0.0
+        self._armature = lambda: armature  # type: ignore[method-assign]
+
+
+class TreeForm(Mechanism):
+    """A tree without loops on expressions."""
+
+    def __init__(self, model: Model, tree: Tree) -> None:
+        """Take the tree, its parameters numbers or expressions."""
+        super().__init__(model.robot)
+        self.tree = tree
+        self.order = [tree.index(name) for name in model.robot.actuated]
+
+    def _checked(self, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
+        return arrays
+
+    def place(self, q: Any) -> list[Any]:
+        """Return one number a joint of the tree, of one a drive (na,)."""
+        return [q[self.order.index(k)] for k in range(len(self.order))]
+
+    def _forces(self, q: Any, v: Any, a: Any) -> tuple[list[Any], list[np.ndarray]]:
+        tau, beyond = self.tree.forces(*(self.place(x[0]) for x in (q, v, a)))
+        return [tau[k] for k in self.order], [beyond[k] for k in self.order]
+
+    def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return the forces (1, na) of one sample, drive inertia included."""
+        drive = [self.tree.armature[name] for name in self.robot.actuated]
+        return as_expression_array([[x + m * y for x, m, y in zip(self._forces(q, v, a)[0], drive, a[0], strict=True)]])
+
+    def mass_and_bias(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return `M` (na, na), its columns the forces of unit accelerations without weight, and `h` (na,)."""
+        n, light = self.robot.na, copy(self)
+        light.tree = self.tree.without_weight()
+        rest = as_expression_array(np.zeros((1, n)))
+        columns = [light.inverse_dynamics(q[None], rest, as_expression_array(unit[None]))[0] for unit in np.eye(n)]
+        return as_expression_array(np.array(columns, dtype=object).T), self.inverse_dynamics(q[None], v[None], rest)[0]
+
+    def tool_position(self, q: np.ndarray) -> np.ndarray:
+        """Return the tool's position (1, 3) [m]."""
+        still, frame = [0.0] * len(self.tree.joints), self.robot.tool_frame
+        places = self.tree.places(self.tree.motions(self.place(q[0]), still, still, np.zeros(3)))
+        return as_expression_array(locate_frame(self.tree, self.robot.model.frames[frame], places).p[None])
+
+    def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return what each guide or reducer carries (1, na); see `Mechanism.guide_load`."""
+        tau, beyond = self._forces(q, v, a)
+        load = []
+        for k, place in enumerate(self.order):
+            joint = self.tree.joints[place]
+            across = beyond[k] - joint.axis * (joint.axis @ beyond[k])
+            load.append(np.sqrt(as_expression_array([across @ across]))[0] if joint.slides else abs(tau[k]))
+        return as_expression_array([load])
+
+    def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
+        """Return no bearings: there are no loops."""
+        return (), as_expression_array(np.zeros((1, 0, 3, self.robot.na)))
+
+    def regressor(self, q, v, a):
+        raise TypeError("the regressor of a tree")
+
+    def tool_jacobian(self, q):
+        raise TypeError("the tool's Jacobian on a tree")
+
+    def cart_sensitivity(self, q):
+        raise TypeError("the tool's sensitivity on a tree")
+
+    def condition(self, q):
+        raise TypeError("the conditioning of a tree")
+
+    def guide_force(self, q, v, a):
+        raise TypeError("the force that presses on each guide of a tree")
+
+
+class LoopForm(TreeForm):
+    """A tree with loops on expressions, its passive joints given."""
+
+    def __init__(self, model: Model, tree: Tree, loops: Loops, graph: Graph, passive: Any) -> None:
+        """Take the passive joints' positions as expressions."""
+        super().__init__(model, tree)
+        self.loops, self.graph, self.passive = loops, graph, passive
+
+    def place(self, q: Any) -> list[Any]:
+        """Return one position a joint, of the drives' (na,) and the passive joints' own."""
+        return self.loops.full(q, self.passive)
+
+    def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return the forces (1, na) of one sample: the passive joints' motion, the tree's forces, virtual work."""
+        loops, graph = self.loops, self.graph
+        place = self.place(q[0])
+        J = loops.closure(place).jacobian[loops.rows]
+        J_a, factor = J[:, loops.active], graph.factored(J[:, loops.passive])
+        speeds = loops.rates(v[0], graph.solved(factor, -(J_a @ v[0])))
+        drift = loops.closure(place, speeds).drift[loops.rows]
+        change = loops.rates(a[0], graph.solved(factor, -(J_a @ a[0] + drift)))
+        tau, _ = self.tree.forces(place, speeds, change)
+        held = np.array(graph.solved(factor, [tau[k] for k in loops.passive], transposed=True), dtype=object)
+        driven = [self.tree.armature[n] * x for n, x in zip(self.robot.actuated, a[0], strict=True)]
+        felt = np.array([tau[k] for k in loops.active], dtype=object) - J_a.T @ held + np.array(driven, dtype=object)
+        return as_expression_array(felt[None])
+
+    def guide_load(self, q, v, a):
+        raise TypeError("what its guides carry, on a robot whose loops are solved numerically")
+
+    def passive_rates(self, q):
+        raise TypeError("passive joints' friction, on a robot whose loops are solved numerically")
+
+
+@dataclass(frozen=True, eq=False)
+class TracedModel(Model):
+    """A model whose mechanism is another one's tracing."""
+
+    stand_in: Mechanism | None = None
+
+    @property
+    def mechanism(self) -> Mechanism:  # type: ignore[override]
+        """Return the stand-in."""
+        assert self.stand_in is not None
+        return self.stand_in
+
+
+def find_loops(model: Model) -> Loops | None:
+    """Return the loops that have to be solved numerically; None for a tree and for a closed form."""
+    return Loops(model.robot, Tree(model.robot)) if model.robot.loops and model.mechanism.equations == "tree" else None
+
+
+class TracingInputs:
+    """A graph with the inputs of a model's equations, and the mechanism on them.
+
+    Attributes:
+        graph: The graph.
+        q: Positions (1, na); also `v` and `a`.
+        theta: The model's parameters where they are inputs, else None.
+        passive: With loops, the passive joints (np,).
+        form: The mechanism.
+    """
+
+    def __init__(self, model: Model, loops: Loops | None, *, open_parameters: bool = False) -> None:
+        """Make inputs, with their values at a reference state.
+
+        Args:
+            model: The model.
+            loops: From `find_loops`.
+            open_parameters: Whether the parameters are inputs as well, named `theta`.
+        """
+        self.model, self.loops, self.graph = model, loops, Graph()
+        state = [x[0] for x in draw_random_states(model, 1, np.random.default_rng(_SEED))]
+        self.q, self.v, self.a = (build_inputs(self.graph, n, x)[None] for n, x in zip("qva", state, strict=True))
+        self.theta = build_inputs(self.graph, "theta", model.parameters.values) if open_parameters else None
+        self.passive: ExpressionArray | None = None
+        if loops is not None:
+            self.passive = build_inputs(self.graph, "p", loops.closed(state[0])[loops.passive])
+        self.form = self._form()
+
+    def value(self, name: str) -> Node | float:
+        """Return a parameter of the model."""
+        if self.theta is None:
+            return self.model.parameters[name].value
+        return self.theta[self.model.parameters.names.index(name)]
+
+    def _form(self) -> Mechanism:
+        robot = self.model.robot
+        if self.model.mechanism.equations != "tree":
+            form = ClosedForm(robot)
+            if self.theta is not None:
+                form.open_parameters(self.value)
+            return form
+        tree = Tree(robot, self.value)
+        if self.loops is None:
+            return TreeForm(self.model, tree)
+        return LoopForm(self.model, tree, self.loops, self.graph, self.passive)
+
+
+def draw_random_states(model: Model, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return random states (n, na) around home that the robot can reach, slow and fast ones."""
+    robot, found = model.robot, []
+    for _ in range(50 * n):
+        q = robot.home + rng.uniform(-1, 1, robot.na) * _room(robot, 0.8, 1.0)
+        if len(found) < n and model.mechanism.reachable(q):
+            found.append(q)
+    q = _some(robot, np.array(found))
+    v = rng.choice([-1, 1], q.shape) * 10 ** rng.uniform(-3, 0.3, q.shape)
+    return q, v, 3 * rng.standard_normal(q.shape)
+
+
+def draw_reachable_positions(robot: Robot | Rods, n: int, rng: np.random.Generator, share: float = 0.4) -> np.ndarray:
+    """Return random positions (n, na) around home that have a tool pose; `share` of the way to the limits, or of 1 rad or m."""
+    owner = get_robot(robot)
+    q = owner.home + rng.uniform(-1, 1, (4 * n, owner.na)) * _room(owner, share, min(1.0, 1.25 * share))
+    return _some(owner, q[forward_kinematics(robot, q).ok][:n])
+
+
+def _room(robot: Robot, share: float, most: float) -> np.ndarray:
+    """Return how far from home to look (na,) [m or rad]."""
+    room = np.minimum(robot.upper - robot.home, robot.home - robot.lower)
+    return np.where(np.isfinite(room), share * room, most)
+
+
+def _some(robot: Robot, q: np.ndarray) -> np.ndarray:
+    if not len(q):
+        raise InputError(
+            "unreachable", f"{robot.source}: no position around home can be reached, so nothing can be exported"
+        )
+    return q

@@ -1,0 +1,244 @@
+"""A robot's kinematics as traced functions, ready to be written out: forward, inverse, Jacobian.
+
+Three kinds. `closed`: three rods and a plate that only translates; nothing is iterated. `rods`: a free plate on six rods,
+its pose by Newton's method; drives that each move one rod still have a closed inverse. `tree`: serial arms and trees with
+loops. What was traced is compared with Python over random states before anything is written.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.codegen import rods as closed_form
+from tau_dyn.codegen.forms import draw_reachable_positions
+from tau_dyn.codegen.loops import TreeKinematics
+from tau_dyn.codegen.rods import compute_rod_gaps
+from tau_dyn.codegen.tracing import TracedFunction, trace_function
+from tau_dyn.exceptions import InputError
+from tau_dyn.mechanism import Rods, forward_kinematics, get_robot, get_rods, get_solver, jacobian
+from tau_dyn.robot import Robot
+
+_SEED, _CHECK_SEED, _STATES = 3, 2, 15  # any; states that are drawn once decide about ranks, others are compared
+AGREEMENT = 1e-9
+"""Largest difference from Python [m, 1, rad]; loops are closed by Python to about 1e-11 m."""
+_RANK = 1e-6  # singular values relative to the Jacobian's size; less counts as zero
+
+
+@dataclass(frozen=True, eq=False)
+class KinematicsProgram:
+    """Kinematics as traced functions.
+
+    Attributes:
+        robot: The robot.
+        rods: Its rods, None for a tree.
+        kind: 'closed', 'rods' or 'tree'.
+        forward: Of a closed form or a serial arm: `q` -> `p` (3), `R` (9), `J`.
+        inverse: Where it has a closed form: `p`, `R` -> `q`.
+        equations: Else: `q`, `z` -> `gap` and its derivative `G` by drives and the freedoms of `z`.
+        tool: Of a tree: `q`, `z` -> `p`, `R`, and its twist `T` by drives and `z`.
+        home: Drives and `z` at home (na + nz,): of rods the plate's place and rotation, of a tree its passive joints.
+        freedoms: Of `z`: 6 for a plate, else as many as passive joints are solved for.
+        rank: How many freedoms the drives give the tool, 6 at most.
+        idle: Whether drives can move without the tool.
+        no_inverse: Why there is no inverse kinematics, '' where there is.
+        difference: Largest difference from Python over random states [m, 1, or rad].
+    """
+
+    robot: Robot
+    rods: Rods | None
+    kind: str
+    home: np.ndarray
+    forward: TracedFunction | None = None
+    inverse: TracedFunction | None = None
+    equations: TracedFunction | None = None
+    tool: TracedFunction | None = None
+    freedoms: int = 0
+    rank: int = 6
+    idle: bool = False
+    no_inverse: str = ""
+    difference: float = 0.0
+
+    @property
+    def rows(self) -> int:
+        """Rows of the Jacobian: 3 of a plate that only translates, else 6."""
+        return 3 if self.kind == "closed" else 6
+
+
+def build_kinematics(robot: Robot | Rods) -> KinematicsProgram:
+    """Return a robot's kinematics as traced functions, compared with Python over random states.
+
+    Args:
+        robot: A robot, or its rods (perhaps calibrated).
+
+    Raises:
+        InputError: It has no tool frame, or nothing of this kind can be written out for it.
+        LoopClosureError: It cannot be closed at home.
+    """
+    rods, owner = get_rods(robot), get_robot(robot)
+    if rods is None:
+        program = _trace_tree(owner)
+    elif closed_form.is_closed(rods):
+        program = _trace_closed(rods)
+    else:
+        program = _trace_rods(rods)
+    return replace(program, difference=compare_with_python(program))
+
+
+def _trace_closed(rods: Rods) -> KinematicsProgram:
+    robot = rods.robot
+
+    def forward(q: Any) -> dict[str, Any]:
+        return dict(zip(("p", "R", "J"), closed_form.solve_forward(rods, np.asarray(q)), strict=True))
+
+    return KinematicsProgram(
+        robot,
+        rods,
+        "closed",
+        robot.home,
+        forward=trace_function({"q": robot.home}, forward),
+        inverse=_trace_inverse(rods),
+        rank=3,
+    )
+
+
+def _trace_inverse(rods: Rods) -> TracedFunction:
+    home = forward_kinematics(rods, rods.robot.home[None]).poses
+    values = {"p": home.position[0], "R": home.rotation[0].ravel()}
+    return trace_function(
+        values, lambda p, R: {"q": closed_form.solve_inverse(rods, np.asarray(p), np.asarray(R).reshape(3, 3))}
+    )
+
+
+def _trace_rods(rods: Rods) -> KinematicsProgram:
+    robot = rods.robot
+    if rods.translates or rods.n != 6:
+        raise InputError(
+            "unsupported",
+            f"{robot.source}: a plate that {'only translates' if rods.translates else 'is free'} on {rods.n} rods is not written "
+            "out; three rods of a translating plate and six of a free one are",
+        )
+    z = np.concatenate([rods.home.position[0], rods.home.rotation[0].ravel()])
+
+    def equations(q: Any, z: Any) -> dict[str, Any]:
+        at = compute_rod_gaps(rods.numbers, np.asarray(q), np.asarray(z[:3]), np.asarray(z[3:]).reshape(3, 3))
+        return {"gap": at.gap, "G": at.by}
+
+    rank, idle = _count_freedoms(rods)
+    program = KinematicsProgram(
+        robot,
+        rods,
+        "rods",
+        np.concatenate([robot.home, z]),
+        equations=trace_function({"q": robot.home, "z": z}, equations),
+        inverse=_trace_inverse(rods) if closed_form.has_closed_inverse(rods) else None,
+        freedoms=6,
+        rank=rank,
+        idle=idle,
+    )
+    return replace(program, no_inverse=_explain_no_inverse(program))
+
+
+def _trace_tree(robot: Robot) -> KinematicsProgram:
+    get_solver(robot)  # says what is wrong with a robot that has no kinematics at all
+    tree = TreeKinematics(robot)
+    z = np.zeros(0) if tree.loops is None else tree.loops.home[tree.passive]
+    state = {"q": robot.home, "z": z} if len(z) else {"q": robot.home}
+
+    def tool(q: Any, z: Any = ()) -> dict[str, Any]:
+        at = tree.tool(np.asarray(q), np.asarray(z))
+        return {"p": at.p, "R": at.R, "T": np.vstack([at.linear, at.angular])}
+
+    def equations(q: Any, z: Any) -> dict[str, Any]:
+        gap, G = tree.gaps(np.asarray(q), np.asarray(z))
+        return {"gap": gap, "G": G}
+
+    rank, idle = _count_freedoms(robot)
+    program = KinematicsProgram(
+        robot,
+        None,
+        "tree",
+        np.concatenate([robot.home, z]),
+        equations=trace_function(state, equations) if len(z) else None,
+        tool=trace_function(state, tool),
+        freedoms=len(z),
+        rank=rank,
+        idle=idle,
+    )
+    return replace(program, no_inverse=_explain_no_inverse(program))
+
+
+def _count_freedoms(robot: Robot | Rods) -> tuple[int, bool]:
+    """Return how many freedoms the drives give the tool, and whether some motion of theirs gives it none."""
+    q = draw_reachable_positions(robot, 8, np.random.default_rng(_SEED))
+    ranks = [int(np.linalg.matrix_rank(J, tol=_RANK * max(1.0, np.abs(J).max()))) for J in jacobian(robot, q)]
+    return max(ranks), get_robot(robot).na > max(ranks)
+
+
+def _explain_no_inverse(program: KinematicsProgram) -> str:
+    if program.inverse is not None or program.rank == 6 or (program.rank >= 3 and not program.idle):
+        return ""
+    if program.rank < 3:
+        return f"the drives give the tool {program.rank} freedom(s), too few to hold its position"
+    return f"{program.robot.na} drives give the tool {program.rank} freedoms, and which positions are best is not written out"
+
+
+def compare_with_python(program: KinematicsProgram) -> float:
+    """Return the largest difference of poses, Jacobians, gaps and inverse positions from Python's.
+
+    Raises:
+        InputError: They disagree.
+    """
+    robot = program.robot
+    source = robot if program.rods is None else program.rods
+    q = draw_reachable_positions(source, _STATES, np.random.default_rng(_CHECK_SEED))
+    found = forward_kinematics(source, q)
+    p, R, J = found.poses.position, found.poses.rotation.reshape(-1, 9), jacobian(source, q)
+    differences = [0.0]
+    if program.forward is not None:
+        at = program.forward.evaluate({"q": q})
+        differences += [_apart(at["p"], p), _apart(at["R"], R), _apart(at["J"], J.reshape(len(q), -1))]
+    if program.inverse is not None:
+        differences.append(_apart(program.inverse.evaluate({"p": p, "R": R})["q"], q))
+    if program.forward is None:
+        differences += _by_equations(program, q, found.plate, p, R, J)
+    worst = max(differences)
+    if not worst < AGREEMENT:
+        raise InputError(
+            "unsupported",
+            f"{robot.source}: the traced kinematics differ from Python's by {worst:.2g}, so they are not exported",
+        )
+    return worst
+
+
+def _by_equations(program: KinematicsProgram, q, plate, p, R, J) -> list[float]:
+    """Return differences where the configuration is solved for: no gap, the same tool, the same Jacobian."""
+    na, nt = program.robot.na, program.freedoms
+    known = {"q": q}
+    if program.rods is not None:
+        known["z"] = np.column_stack([plate.position, plate.rotation.reshape(-1, 9)])
+    elif nt:
+        tree = TreeKinematics(program.robot)
+        assert tree.loops is not None
+        known["z"] = np.array([tree.loops.closed(x) for x in q])[:, tree.passive]
+    out, X = [], np.zeros((len(q), nt, na))
+    if program.equations is not None:
+        at = program.equations.evaluate(known)
+        G = at["G"].reshape(len(q), nt, na + nt)
+        out.append(float(np.abs(at["gap"]).max()))
+        X = -np.linalg.solve(G[:, :, na:], G[:, :, :na])
+    if program.tool is not None:
+        at = program.tool.evaluate(known)
+        T = at["T"].reshape(len(q), 6, na + nt)
+        return [*out, _apart(at["p"], p), _apart(at["R"], R), _apart(T[:, :, :na] + T[:, :, na:] @ X, J)]
+    arm = p - plate.position
+    X[:, :3] += np.cross(X[:, 3:], arm[:, :, None], axis=1)
+    return [*out, _apart(X, J)]
+
+
+def _apart(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the largest difference, relative where numbers are larger than 1; inf where one is missing."""
+    worst = np.abs(a - b) / np.maximum(1.0, np.abs(b))
+    return float(np.max(np.where(np.isfinite(worst), worst, np.inf)))
