@@ -22,7 +22,7 @@ def everything_is_large(monkeypatch) -> None:
     import tau_dyn.identify  # noqa: F401
 
     monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_SAMPLES", 100)
-    blocks = sys.modules["tau_dyn.identify.blocks"]
+    blocks = sys.modules["tau_dyn.identify.streaming"]
     monkeypatch.setattr(blocks, "SIZE", 1)
     monkeypatch.setattr(blocks, "MIN_BLOCK_ROWS", 101)
 

@@ -18,8 +18,8 @@ from tau_dyn.report import write_report
 def large(monkeypatch):
     """Let small files take the way of large ones, in many blocks."""
     monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_SAMPLES", 100)
-    monkeypatch.setattr(sys.modules["tau_dyn.identify.blocks"], "SIZE", 1)
-    monkeypatch.setattr(sys.modules["tau_dyn.identify.blocks"], "MIN_BLOCK_ROWS", 61)
+    monkeypatch.setattr(sys.modules["tau_dyn.identify.streaming"], "SIZE", 1)
+    monkeypatch.setattr(sys.modules["tau_dyn.identify.streaming"], "MIN_BLOCK_ROWS", 61)
 
 
 def stored(folder, log, name: str = "log.parquet", rows: int = 1999):

@@ -27,7 +27,7 @@ from tau_dyn.diagnose.result import Diagnosis
 from tau_dyn.diagnose.scenes import build_scene, find_shared_signals
 from tau_dyn.effects import EFFECTS, Effect, JointwiseDisplacement, Scene
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify import Preparation, drop_duplicate_logs, drop_trained_logs
+from tau_dyn.identify import Preparation, drop_repeated_logs
 from tau_dyn.log import Log, decimate, resample_segments
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
@@ -154,10 +154,8 @@ def diagnose_deflection(
         InputError: A log lacks a column.
         CannotAnswer: The logs are too short for three parts.
     """
-    warnings: list[str] = []
-    train, held = ([x] if isinstance(x, Log) else list(x) for x in (logs, holdout))
-    train = drop_duplicate_logs(train, warnings)
-    held = drop_duplicate_logs(drop_trained_logs(train, held, warnings), warnings)
+    given, judged = ([x] if isinstance(x, Log) else list(x) for x in (logs, holdout))
+    train, held, warnings = drop_repeated_logs(given, judged)
     if not train:
         raise InputError("missing_input", "no log was given")
     progress("columns")

@@ -3,7 +3,7 @@
     tau += armature_error a
 
 Where nobody gives a drive's inertia the baseline estimates it, or holds it within a body's, and this has nothing to explain
-(`identify/drive_inertia.py`); where the file gives it, the file may be wrong: a gear ratio forgotten in its square, a brake left
+(`identify/fitted_model.py`); where the file gives it, the file may be wrong: a gear ratio forgotten in its square, a brake left
 out. Reference: Gautier & Khalil 1990.
 """
 

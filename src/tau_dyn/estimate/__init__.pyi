@@ -6,7 +6,7 @@ from .base_parameters import (
     find_base as find_base,
     read_expression as read_expression,
 )
-from .covariance import BLOCK_S as BLOCK_S, ROUNDING as ROUNDING, Whitener as Whitener
+from .covariance import BLOCK_S as BLOCK_S, Whitener as Whitener
 from .estimate import (
     MAX_RELATIVE_STDERR as MAX_RELATIVE_STDERR,
     Estimate as Estimate,
@@ -32,6 +32,8 @@ from .position_noise import (
     compute_accelerations as compute_accelerations,
 )
 from .regression import (
+    ROUNDING as ROUNDING,
+    Preparation as Preparation,
     Regression as Regression,
     RegressionRows as RegressionRows,
     RegressionRun as RegressionRun,

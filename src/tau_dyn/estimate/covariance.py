@@ -2,9 +2,9 @@
 
 **Least squares.** With `W = U R` the weighted rows, `U` orthonormal, `cov = R^-1 (U' Omega U) R^-T`. `U' Omega U` is found twice:
 with `Omega` the autocovariance of an autoregressive model of each output's residual at true time lags, gaps in the mask included;
-and from the scatter of 2 s blocks' scores, which also sees colour that no such model has. Of any number wanted the larger standard
-error counts; the matrices themselves stay apart, as inflating one parameter by parameter would destroy what correlations say
-about sums (and, in `physical_consistency.py`, move an estimate in directions that the data forbid).
+and from the scatter of 2 s blocks' scores, which also sees colour that no such model has. Of any number wanted the larger
+standard error counts; the matrices themselves stay apart, as inflating one parameter by parameter would destroy what
+correlations say about sums (and, in `physical_consistency.py`, move an estimate in directions that the data forbid).
 The point estimate stays that of weighted least squares: whitening it would amplify what the model misses at high
 frequency (on EMPS it moves the viscous coefficient by 4 %). Reference: White 1980; Newey & West 1987; Ljung 1999, 9.
 
@@ -31,10 +31,9 @@ from scipy import linalg, signal, sparse
 from scipy.linalg import solve_toeplitz
 
 from tau_dyn.estimate.autoregression import Autoregression, Lags
-from tau_dyn.estimate.regression import RegressionRows, RegressionRun
+from tau_dyn.estimate.regression import ROUNDING, RegressionRows, RegressionRun
 
 BLOCK_S = 2.0  # [s] of the blocks of the cluster-robust covariance
-ROUNDING = 1e-6  # of a block: a clock's last digit must not move a sample from one to the next
 
 
 def assign_blocks(since: np.ndarray, seconds: float = BLOCK_S) -> np.ndarray:

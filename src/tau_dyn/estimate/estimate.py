@@ -41,6 +41,8 @@ class Estimate:
         noise: Noise model of each output's residual.
         sigma: Residual deviation of each output (m,), the weights.
         moved: Names of what a constraint holds away from the plain estimate, with the plain value.
+        estimator: Name of the estimator that answered; see `identify/estimators.py`.
+        warnings: What is doubtful about how it was found.
     """
 
     regression: Regression
@@ -55,6 +57,8 @@ class Estimate:
     noise: tuple[Autoregression, ...]
     sigma: np.ndarray
     moved: Mapping[str, float]
+    estimator: str = "wls"
+    warnings: tuple[str, ...] = ()
 
     @property
     def theta(self) -> np.ndarray:

@@ -16,7 +16,8 @@ from __future__ import annotations
 import tempfile
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -169,6 +170,44 @@ class StreamedData:
     runs: Sequence[Sequence[RegressionRows]]
 
 
+ROUNDING = 1e-6
+"""Part of a sample or a block; a clock's last digit must not turn five samples into six."""
+
+
+@dataclass(frozen=True, eq=False)
+class Preparation:
+    """Filters and masks between a recording and its regression.
+
+    Attributes:
+        position_cutoff_hz: Zero-phase low-pass on positions before differentiation [Hz].
+        force_cutoff_hz: The one low-pass on forces and on every column [Hz].
+        rate_hz: Rate after decimation, at least [Hz].
+        speed_threshold: Slowest speed of each joint with a sure sign (na,) [m/s or rad/s].
+        window_s: Time gated out on both sides of slow, reversing or excluded samples [s].
+        exclude: Columns whose nonzero samples are left out.
+    """
+
+    position_cutoff_hz: float
+    force_cutoff_hz: float
+    rate_hz: float
+    speed_threshold: np.ndarray
+    window_s: float
+    exclude: tuple[str, ...] = ()
+
+    def factor(self, rate_hz: float) -> int:
+        """Return the whole number by which a log of this rate is decimated."""
+        return max(1, int(rate_hz / self.rate_hz + ROUNDING))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers for JSON."""
+        out = asdict(self)
+        return out | {"speed_threshold": self.speed_threshold.tolist(), "exclude": list(self.exclude)}
+
+
+AS_RECORDED = Preparation(inf, inf, inf, np.zeros(0), 0.0)
+"""Of rows that no filter and no mask has touched."""
+
+
 @dataclass(frozen=True, eq=False)
 class Regression:
     """A stacked linear problem.
@@ -178,7 +217,7 @@ class Regression:
         outputs: Names of the outputs (the actuated joints, for torques).
         units: Units of the outputs.
         runs: The data; of a recording too large for memory, excerpts to look at.
-        settings: How the data were prepared, for the report.
+        preparation: Filters and masks that the rows went through.
         everything: Where `runs` are excerpts, all data; else None. Estimates and errors are of all data.
     """
 
@@ -186,7 +225,7 @@ class Regression:
     outputs: tuple[str, ...]
     units: tuple[str, ...]
     runs: tuple[RegressionRun, ...]
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    preparation: Preparation = AS_RECORDED
     everything: StreamedData | None = None
 
     @property

@@ -4,8 +4,8 @@
     columns   W theta = (W / norm) (norm theta)    a tolerance means the same for a mass in kg and an inertia in kg m^2
     outliers  w(x) = (1 - (x / c)^2)^2 for |x| < c, else 0,   c = 4.685    (Tukey's bisquare)
 
-The bisquare, on residuals scaled by their median absolute deviation, costs 5 % of the information where the noise is Gaussian. With
-weights repeated until they settle, the estimate's covariance is that of least squares with these weights times
+The bisquare, on residuals scaled by their median absolute deviation, costs 5 % of the information where the noise is Gaussian.
+With weights repeated until they settle, the estimate's covariance is that of least squares with these weights times
 `(mean w / mean psi')^2`, `psi = x w(x)`: a shifted parameter moves the weights too. Reference: Huber & Ronchetti 2009, 7.
 """
 

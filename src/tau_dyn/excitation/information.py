@@ -12,7 +12,8 @@ differences of the vectorised mechanism, effects included. A criterion gives its
     worst      log of the largest relative standard error, smoothly: (1 / p) log sum_k (s_k / scale_k)^p
 
 The determinant has a gradient everywhere and does not depend on units; a condition number has none where two singular values
-meet, and bounds no standard error. Reference: Kiefer & Wolfowitz 1960; Gautier & Khalil 1992; Swevers et al. 1997; Ljung 1999, 13.
+meet, and bounds no standard error. Reference: Kiefer & Wolfowitz 1960; Gautier & Khalil 1992; Swevers et al. 1997;
+Ljung 1999, 13.
 """
 
 from __future__ import annotations

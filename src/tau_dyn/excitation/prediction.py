@@ -203,7 +203,7 @@ def estimate_log_noise(model: Model, log: Log, rate_hz: float) -> Noise:
     """
     model = model.steady()
     estimate = solve_least_squares(build_regression(model, [log]))
-    cutoff = float(estimate.regression.settings["preparation"].force_cutoff_hz)
+    cutoff = float(estimate.regression.preparation.force_cutoff_hz)
     force = estimate.sigma * np.sqrt(rate_hz / (2 * cutoff))  # white, of the density that is left below the low-pass
     encoder = estimate_encoder_noise(log.joint("q", model.robot.actuated))
     return Noise.given(model.robot, force, encoder, rate_hz, f"what a fit leaves of {log.name}")

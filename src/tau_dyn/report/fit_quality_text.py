@@ -26,7 +26,7 @@ MIN_REPORTED_CORRELATION = 0.9  # between two parameters; less leaves both reada
 def describe_preparation(found: Identification) -> list[str]:
     """Return how logs became a regression, one sentence a step."""
     regression = found.estimate.regression
-    p, robot = regression.settings["preparation"], found.model.robot
+    p, robot = regression.preparation, found.model.robot
     rate = 1 / float(np.median(np.diff(regression.runs[0].t)))
     slowest = [
         f"{_speed(float(v), unit)} ({joint})"

@@ -69,7 +69,7 @@ def _friction(found: Identification, k: int, effects: list[JointwiseEffect]) -> 
     offset = found.parameters[f"{joint}.offset"].value if f"{joint}.offset" in found.parameters else 0.0
     return Friction(
         joint, regression.units[k], f"{robot.position_units[k]}/s", v, force, grid, _law(found, k, effects, grid), offset,
-        float(regression.settings["preparation"].speed_threshold[k]),
+        float(regression.preparation.speed_threshold[k]),
     )  # fmt: skip
 
 

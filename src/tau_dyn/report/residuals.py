@@ -54,7 +54,7 @@ def compute_residuals(found: Identification) -> list[ResidualSummary]:
     """Return each joint's residual on the training logs; joints without a usable sample are left out."""
     regression = found.estimate.regression
     errors = found.estimate.residuals()
-    cutoff = regression.settings["preparation"].force_cutoff_hz
+    cutoff = regression.preparation.force_cutoff_hz
     used = [any(run.usable[:, k].any() for run in regression.runs) for k in range(len(regression.outputs))]
     return [_residual(regression, errors, k, cutoff) for k in range(len(regression.outputs)) if used[k]]
 
