@@ -1,17 +1,31 @@
 """Estimates at the statistical limit: full-rate equations, the noise's exact weights, instruments instead of noisy columns.
 
-From a first estimate (weighted least squares), the force noise is found beside the encoders' (`estimate_encoder_noise`), and the
-equations are whitened by both. Then, two or three times over,
+**Equations** at a log's own rate, without the low-pass that the regression puts before decimation. Accelerations are second
+differences of the raw positions, so that the noise of an equation is known exactly (`estimate/position_noise.py`); positions
+and speeds, whose noise matters little, come low-passed. An equation is left out where a sign is not sure, where a force is
+saturated or flagged, and within reach of a reversal of any joint: a jump of the acceleration there is no second difference of
+anything.
+
+**Estimate.** From a first one (weighted least squares), the force noise is found beside the encoders'
+(`estimate_encoder_noise`), and the equations are whitened by both. Then, two or three times over,
 
     ml      Z along q_hat = q + sigma_q^2 D' Sigma^-1 (tau - Y theta), the most likely true motion given positions *and* forces.
             Its errors are uncorrelated with the equations' (cov(n, r) = -sigma_q^2 D' cancels): maximum likelihood with errors in
             all variables. Needs no reference. A controller that answers the encoders' noise correlates the two again.
-    iv      Z along the motion that follows from the log's references (`full_rate.py`), which no noise of either
-    kind has
-            touched, feedback or not.
+    iv      Z along the motion that follows from the log's references, which no noise of either kind has touched, feedback or not.
     robust  ml, with bisquare weights on each sample of force.
 
 The limit is the Cramer-Rao bound `(Y' Sigma^-1 Y)^-1` at the true motion, with true positions as nuisance parameters.
+
+**References.** A controller lets the robot deviate from its reference by what forces and the reference itself make of it:
+
+    q - q_ref = sum_k h_k(t) * s_k(t),   s = forces, speeds and accelerations along the reference,
+
+with impulse responses `h` of half a second, piecewise linear over lags that grow by half and fitted by least squares: some
+hundred numbers from as many equations as there are samples, so that next to no encoder noise passes. No controller has to be
+known. Where it is known, simulating the closed loop does the same (Janot, Vandanjon & Gautier 2014); this only approximates
+it, which costs precision, never consistency, since whatever follows from references alone is independent of the noise.
+
 References: Soderstrom 2018; Janot, Vandanjon & Gautier 2014; Brunot, Janot, Young & Carrillo 2018.
 """
 

@@ -327,7 +327,8 @@ def _summed(
         used[block.section] += done.used
         whole[block.section] += done.whole
         if done.run is not None:
-            shown.append(_named(done.run, len(blocks)))
+            name = f"{done.run.name}, from {done.run.t[0]:.0f} s"
+            shown.append(done.run if len(blocks) == 1 else replace(done.run, name=name))
         if number % _TIDIED == 0:
             give_back()
         left = (time.monotonic() - began) * (len(blocks) / number - 1)
@@ -353,10 +354,6 @@ def give_back() -> None:
         ctypes.CDLL(None).malloc_trim(0)
     except (OSError, AttributeError, TypeError):  # no glibc; Windows has no library without a name
         return
-
-
-def _named(run: RegressionRun, n_blocks: int) -> RegressionRun:
-    return run if n_blocks == 1 else replace(run, name=f"{run.name}, from {run.t[0]:.0f} s")
 
 
 def refuse_missing(model: Model, recordings: Sequence[Recording], exclude: tuple[str, ...]) -> None:

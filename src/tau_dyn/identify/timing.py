@@ -1,14 +1,24 @@
-"""By what part of a sample forces were logged late or early, and what that does to the parameters' intervals.
+"""Is the force as old as the motion: late, early, or low-passed by its drive? And what a part of a sample does to the intervals.
 
-A force that is held over a sample and logged at the start of its hold stands half a sample before its effect. With the
-predicted force `F`, forces logged late by `delta` are `tau_log(t) = tau(t) - delta dF/dt`, so `delta` is one more column of the
-regression, `-dF/dt`, with the prior that nothing is later than about a sample. Where the data show an offset, the forces are
-read that much later (linearisation of the time delay, Ljung 1999, 14.4); its standard error widens every interval.
+A force that is logged late by `d` is `tau(t - d)`, to first order `tau - d * dtau/dt`; a drive that filters it gives `tau / (1
++ T s)`. Both are told from wrong parameters by the jerk: no body and no friction makes a force of the rate of the whole force.
+
+**Before the fit** (`check_timing`), on an excerpt: the columns of a linear model with all parameters free (no prior: wrong
+masses must not look like a delay) are joined by `-d(model force)/dt` of each joint, and by Gauss-Newton the delays of all
+joints are found with the parameters. Standard errors are robust to residuals that are correlated in time (cluster-robust,
+Liang & Zeger 1986, blocks of a second). A delay is said where it exceeds one sample and 8 standard errors, and either all
+joints agree on it or it removes two fifths of the joint's residual power: friction that follows the load, or a drive that
+yields, also leave a trace of jerk, in single joints.
+
+**After the fit** (`estimate_offset`): a force that is held over a sample and logged at the start of its hold stands half a
+sample before its effect. The offset is one more column of the regression, `-dF/dt` of the predicted force `F`, with the prior
+that nothing is later than about a sample. Where the data show an offset, the forces are read that much later (linearisation of
+the time delay, Ljung 1999, 14.4); its standard error widens every interval.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -52,6 +62,17 @@ ITERATIONS = 6
 
 LAG_GAIN_NATS = 5.0
 """Log-likelihood gain from which a lag and a delay are told apart."""
+
+
+PRIOR_SAMPLES = 0.5
+"""Standard deviation of the offset before the data, in samples: half a sample is what a hold makes of it."""
+MAX_OFFSET_SAMPLES = 1.5
+"""Largest offset that is corrected; more is no matter of a hold, and is warned of (`force_late`)."""
+MIN_OFFSET_Z = 4.0
+"""Standard errors from which an offset is corrected: one log in 15,000 by chance."""
+MIN_OFFSET_SAMPLES = 0.02
+"""Smallest offset that is corrected; less changes nothing that anybody reads."""
+_NAME = "drive.delay"
 
 
 class ForceDelay(NamedTuple):
@@ -179,9 +200,10 @@ class _Fitter:
         """Return the residual power (na,) where each joint's columns pass a first-order lag near the given one [s]."""
         best = np.full(len(lags), np.inf)
         for factor in (0.8, 1.0, 1.25, 1.6):
-            columns = np.stack(
-                [_lagged(self.columns[:, j], factor * lags[j], self.excerpt.dt) for j in range(len(lags))], axis=1
-            )
+            columns = self.columns.copy()
+            for j in np.flatnonzero(lags > 0):
+                lag = factor * lags[j]
+                columns[:, j] = _passed(columns[:, j], self.excerpt.dt, lambda w, s=lag: 1 / (1 + 1j * w * s), -lag)
             _, power, _ = self._solve(columns, np.zeros((*self.used.shape, 0)), np.zeros(len(lags)), None)
             if np.sum(np.log(power[lags > 0])) < np.sum(np.log(best[lags > 0])):
                 best = power
@@ -192,17 +214,14 @@ class _Fitter:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return residuals (n, na), their robust power (na,) and the weighted least-squares solution for shifted forces."""
         whole = np.concatenate([columns, extra], axis=2)
-        force = _shifted(self.excerpt, delay)
+        force = self.excerpt.tau
+        if delay.any():
+            force = _passed(force, self.excerpt.dt, lambda omega: np.exp(1j * omega * delay), delay)
         weight = np.ones(len(delay)) if power is None else power**-0.5
         residual = np.zeros_like(force)
         solution = np.zeros(whole.shape[2])
         for _ in range(2 if power is None else 1):
-            rows, target = [], []
-            for j in range(len(delay)):
-                mask = self.used[:, j]
-                rows.append(weight[j] * whole[mask, j])
-                target.append(weight[j] * force[mask, j])
-            W, y = np.concatenate(rows), np.concatenate(target)
+            W, y = self._weighted(whole, weight), self._weighted(force, weight)
             gram = W.T @ W
             gram[np.diag_indices_from(gram)] *= 1 + 1e-12
             solution = np.linalg.lstsq(gram, W.T @ y, rcond=1e-13)[0]
@@ -214,13 +233,15 @@ class _Fitter:
         assert power is not None
         return residual, power, solution
 
+    def _weighted(self, x: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """Return the used rows of an array (n, na, ...), joint by joint, each times its weight."""
+        return np.concatenate([weight[j] * x[self.used[:, j], j] for j in range(len(weight))])
+
     def _errors(self, extra: np.ndarray, residual: np.ndarray, power: np.ndarray) -> np.ndarray:
         """Return standard errors of the delays (na,), robust to correlation within blocks."""
         na, m = extra.shape[2], self.columns.shape[2]
         weight = power**-0.5
-        W = np.concatenate([weight[j] * self.columns[self.used[:, j], j] for j in range(na)])
-        D = np.concatenate([weight[j] * extra[self.used[:, j], j] for j in range(na)])
-        r = np.concatenate([weight[j] * residual[self.used[:, j], j] for j in range(na)])
+        W, D, r = (self._weighted(x, weight) for x in (self.columns, extra, residual))
         block = np.concatenate([self.blocks[self.used[:, j]] for j in range(na)])
         D = D - W @ np.linalg.lstsq(W.T @ W + 1e-12 * np.eye(m), W.T @ D, rcond=1e-13)[0]
         gram = D.T @ D
@@ -231,29 +252,20 @@ class _Fitter:
         return np.sqrt(np.maximum(variance, np.diag(inverse)))
 
 
-def _shifted(excerpt: Excerpt, delay: np.ndarray) -> np.ndarray:
-    """Return the forces (n, na) that were logged `delay` later, by the Fourier shift theorem; ends are masked anyway."""
-    if not delay.any():
-        return excerpt.tau
-    line = np.linspace(0, 1, len(excerpt.tau))[:, None]
-    trend = excerpt.tau[:1] + (excerpt.tau[-1:] - excerpt.tau[:1]) * line
-    omega = 2 * np.pi * np.fft.rfftfreq(2 * len(excerpt.tau), excerpt.dt)
-    slope = (excerpt.tau[-1] - excerpt.tau[0]) / max((len(excerpt.tau) - 1) * excerpt.dt, 1e-300)
-    odd = np.concatenate([excerpt.tau - trend, -(excerpt.tau - trend)[::-1]])
-    moved = np.fft.irfft(np.fft.rfft(odd, axis=0) * np.exp(1j * omega[:, None] * delay), len(odd), axis=0)
-    return moved[: len(trend)] + trend + slope * delay
+def _passed(
+    x: np.ndarray, dt: float, response: Callable[[np.ndarray], np.ndarray], lead_s: np.ndarray | float
+) -> np.ndarray:
+    """Return signals (n, p) through a frequency response of w (k, 1) [rad/s] that moves a straight line `lead_s` forward.
 
-
-def _lagged(columns: np.ndarray, lag: float, dt: float) -> np.ndarray:
-    """Return columns (n, p) through `1 / (1 + lag s)`."""
-    if lag <= 0:
-        return columns
-    n = len(columns)
-    trend = columns[:1] + (columns[-1:] - columns[:1]) * np.linspace(0, 1, n)[:, None]
-    omega = 2 * np.pi * np.fft.rfftfreq(2 * n, dt)
-    odd = np.concatenate([columns - trend, -(columns - trend)[::-1]])
-    passed = np.fft.irfft(np.fft.rfft(odd, axis=0) / (1 + 1j * omega[:, None] * lag), 2 * n, axis=0)[:n]
-    return passed + trend - lag * (columns[-1:] - columns[:1]) / max((n - 1) * dt, 1e-300)
+    The signals less a line from end to end are continued oddly, so that nothing jumps at their ends.
+    """
+    n = len(x)
+    rise = x[-1:] - x[:1]
+    trend = x[:1] + rise * np.linspace(0, 1, n)[:, None]
+    odd = np.concatenate([x - trend, -(x - trend)[::-1]])
+    omega = 2 * np.pi * np.fft.rfftfreq(2 * n, dt)[:, None]
+    passed = np.fft.irfft(np.fft.rfft(odd, axis=0) * response(omega), 2 * n, axis=0)[:n]
+    return passed + trend + rise / max((n - 1) * dt, 1e-300) * lead_s
 
 
 def _say(robot: Robot, name: str, found: ForceDelay, late: np.ndarray, gain: float, dt: float) -> CodedWarning:
@@ -281,17 +293,6 @@ def _say(robot: Robot, name: str, found: ForceDelay, late: np.ndarray, gain: flo
         "that time before use, and look where the logger takes its values"
     )
     return CodedWarning("force_late", words + ".")
-
-
-PRIOR_SAMPLES = 0.5
-"""Standard deviation of the offset before the data, in samples: half a sample is what a hold makes of it."""
-MAX_OFFSET_SAMPLES = 1.5
-"""Largest offset that is corrected; more is no matter of a hold, and is warned of (`force_late`)."""
-MIN_OFFSET_Z = 4.0
-"""Standard errors from which an offset is corrected: one log in 15,000 by chance."""
-MIN_OFFSET_SAMPLES = 0.02
-"""Smallest offset that is corrected; less changes nothing that anybody reads."""
-_NAME = "drive.delay"
 
 
 @dataclass(frozen=True)

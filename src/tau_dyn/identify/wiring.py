@@ -262,14 +262,9 @@ class _Judge:
             rows = used[:, j]
             block = np.zeros((rows.sum(), n + 5 * na))
             block[:, :n] = columns[rows, j]
-            forward = v[rows, j] > 0
-            friction = (
-                np.ones(rows.sum()),
-                forward,
-                np.where(forward, 0, -1),
-                v[rows, j] * forward,
-                v[rows, j] * ~forward,
-            )
+            speed = v[rows, j]
+            forward = speed > 0
+            friction = (np.ones(len(speed)), forward, forward - 1, speed * forward, speed * ~forward)
             block[:, n + 5 * j : n + 5 * j + 5] = np.column_stack(friction)
             own.append(block)
             nominal.append(force[rows, j])
@@ -332,7 +327,10 @@ class _Judge:
 
 
 def _prior(robot: Robot) -> np.ndarray:
-    """Return how parameters follow independent unknowns of unit variance (p, n): 25 % of a body, more at the last bodies."""
+    """Return how parameters follow independent unknowns of unit variance (p, n): 25 % of a body, more at the last bodies.
+
+    Drive inertia: three times what the joint itself moves, and 5 kg m^2 where gears reflect a rotor.
+    """
     names = robot.parameters.names
     total = sum(max(link.nominal[0], 0.0) for link in robot.links) or 1.0
     parents = {int(robot.model.parents[link.joint_id]) for link in robot.links}
@@ -347,25 +345,12 @@ def _prior(robot: Robot) -> np.ndarray:
             sizes = np.hypot(sizes, PAYLOAD_SHARE * total * reach ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2]))
         for name, k in zip(link.names, link.own, strict=True):
             spread[names.index(name)] = sizes[k]
-    spread += _drive_inertia(robot)
-    columns = [spread[k] * np.eye(len(names))[k] for k in np.flatnonzero(spread)]
-    return np.column_stack(columns)
-
-
-def _drive_inertia(robot: Robot) -> np.ndarray:
-    """Return the standard deviation of every reflected drive inertia among the parameters (p,), zero elsewhere [kg or kg m^2].
-
-    Three times what the joint itself moves, and 5 kg m^2 where gears reflect a rotor.
-    """
     moved = np.abs(np.diagonal(build_mechanism(robot).inertia(robot.home[None])[0]))
-    least = np.where([kind == "revolute" for kind in robot.joint_kinds], ROTOR_INERTIA_KG_M2, 0.0)
-    sizes = dict(zip((f"{joint}.armature" for joint in robot.actuated), np.maximum(3 * moved, least), strict=True))
-    sizes |= {
-        p.name: PAYLOAD_SHARE * sum(link.nominal[0] for link in robot.links)
-        for p in robot.parameters
-        if p.name.endswith(".gravity_mass")
-    }
-    return np.array([sizes.get(name, 0.0) for name in robot.parameters.names])
+    for joint, kind, m in zip(robot.actuated, robot.joint_kinds, moved, strict=True):
+        spread[names.index(f"{joint}.armature")] = max(3 * m, ROTOR_INERTIA_KG_M2 if kind == "revolute" else 0.0)
+    carried = PAYLOAD_SHARE * sum(link.nominal[0] for link in robot.links)
+    spread[[name.endswith(".gravity_mass") for name in names]] = carried
+    return np.diag(spread)[:, spread != 0]
 
 
 def _solve(A: np.ndarray, b: np.ndarray, low: np.ndarray) -> np.ndarray:
