@@ -10,14 +10,14 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.identify import BlockExecutor, identify
-from tau_dyn.log import Recording, log_opening, open_log, read_log
+from tau_dyn.log import Recording, open_log, read_log, recording
 from tau_dyn.report import write_report
 
 
 @pytest.fixture
 def large(monkeypatch):
     """Let small files take the way of large ones, in many blocks."""
-    monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_SAMPLES", 100)
+    monkeypatch.setattr(recording, "MAX_IN_MEMORY_SAMPLES", 100)
     monkeypatch.setattr(sys.modules["tau_dyn.identify.streaming"], "SIZE", 1)
     monkeypatch.setattr(sys.modules["tau_dyn.identify.streaming"], "MIN_BLOCK_ROWS", 61)
 

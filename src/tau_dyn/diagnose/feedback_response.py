@@ -22,8 +22,8 @@ from tau_dyn.log import Log, lowpass
 REACHES = (0, 1, 2, 4)
 """How many samples before and after the noise its answers are looked for in."""
 _MIN_CUTOFF_SHARE = 0.25
-"""Cutoff that is used at least, as a share of the rate: above it motion through a mass has died out (`log/band.py`). Just above
-the motion's band a tenth of the noise still is motion, which answers by its mass, and many taps followed that."""
+"""Cutoff that is used at least, as a share of the rate: above it motion through a mass has died out (`log/filtering.py`). Just
+above the motion's band a tenth of the noise still is motion, which answers by its mass, and many taps followed that."""
 _MAX_CUTOFF_SHARE = 0.35
 """Cutoff above which too little is left to fit to, as a share of the rate; motion that reaches beyond is small there."""
 

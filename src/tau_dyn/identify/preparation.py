@@ -2,7 +2,7 @@
 
 One rule for every log, no constant in physical units:
 
-1. the motion band f_b of each axis against its encoder's noise (`log/band.py`), the widest axis counting;
+1. the motion band f_b of each axis against its encoder's noise (`log/filtering.py`), the widest axis counting;
 2. forces and columns are low-passed at f_w = min(5 f_b, f_noise, 0.16 f_s): wide enough to keep the friction's edges, not so wide
    that acceleration noise, which sits in the columns, exceeds 1e-4 of the acceleration's power and biases the fit;
 3. positions are low-passed at f_q = min(8 f_w, 0.4 f_s): whatever it smears at a reversal is over long before f_w is;
