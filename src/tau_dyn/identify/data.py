@@ -237,12 +237,7 @@ class Data:
         if logs and not self.pieces:
             raise refuse_short(logs, MIN_SEGMENT_SAMPLES / min(log.rate_hz for log in logs))
         built, kept = build_regression_of_pieces(
-            self.model,
-            self.pieces,
-            preparation=self.preparation,
-            exclude=self.exclude,
-            at=at,
-            campaigns=self.campaigns,
+            self.model, self.pieces, preparation=self.preparation, exclude=self.exclude, at=at, campaigns=self.campaigns
         )
         data = replace(self, pieces=tuple(kept.of(self.pieces)), preparation=built.preparation)
         regression = scale_outputs(built, self.factors) if self.factors else built

@@ -35,12 +35,7 @@ from tau_dyn.estimate import (
     SufficientStatistics,
 )
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify.preparation import (
-    choose_from_long,
-    choose_preparation,
-    keep_long,
-    list_crumbs,
-)
+from tau_dyn.identify.preparation import choose_from_long, choose_preparation, keep_long, list_crumbs
 from tau_dyn.identify.regression import prepare_segment
 from tau_dyn.log import (
     ROOM_TEMPERATURE,

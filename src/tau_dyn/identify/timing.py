@@ -175,15 +175,12 @@ class _Fitter:
     def delays(self) -> ForceDelay:
         """Return the delays of all joints, by Gauss-Newton together with the parameters."""
         na, n = self.used.shape[1], len(self.used)
-        _, power, theta = self._solve(self.columns, np.zeros((n, na, 0)), np.zeros(na), None)
-        before = power.copy()
         delay, stderr = np.zeros(na), np.full(na, np.inf)
-        last = theta
+        _, before, last = self._solve(self.columns, np.zeros((n, na, 0)), delay, None)
+        power = before
         for _ in range(ITERATIONS):
             rate = np.gradient(self.columns @ last, self.excerpt.dt, axis=0)
-            extra = np.zeros((n, na, na))
-            for j in range(na):
-                extra[:, j, j] = -rate[:, j]
+            extra = -rate[:, :, None] * np.eye(na)
             residual, power, both = self._solve(self.columns, extra, delay, power)
             step = both[-na:]
             last = both[:-na]

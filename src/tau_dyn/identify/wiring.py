@@ -244,8 +244,8 @@ class _Judge:
 
     def design(self, wiring: Rewiring) -> _Design | None:
         """Return the columns of a wiring's motion; None where the robot cannot move so."""
-        q_from, q_scale = list(wiring.q_from), np.array(wiring.q_scale)
-        q, v, a = (x[:, q_from] / q_scale for x in (self.q, self.v, self.a))
+        q_from = list(wiring.q_from)
+        q, v, a = (x[:, q_from] / np.array(wiring.q_scale) for x in (self.q, self.v, self.a))
         v, a = v * wiring.t_scale, a * wiring.t_scale**2
         try:
             rigid = self._rigid(wiring.gravity, q, v, a)
@@ -260,11 +260,10 @@ class _Judge:
         own, nominal = [], []
         for j in range(na):
             rows = used[:, j]
-            block = np.zeros((rows.sum(), n + 5 * na))
-            block[:, :n] = columns[rows, j]
-            speed = v[rows, j]
-            forward = speed > 0
+            speed, forward = v[rows, j], v[rows, j] > 0
             friction = (np.ones(len(speed)), forward, forward - 1, speed * forward, speed * ~forward)
+            block = np.zeros((len(speed), n + 5 * na))
+            block[:, :n] = columns[rows, j]
             block[:, n + 5 * j : n + 5 * j + 5] = np.column_stack(friction)
             own.append(block)
             nominal.append(force[rows, j])
@@ -299,8 +298,7 @@ class _Judge:
         prior = float(penalty @ x**2) / 2
         log_p = -float(counts @ np.log(np.maximum(power, floor) / size**2)) / 2 - prior
         whole = np.zeros(design.rows.shape)
-        for j in range(na):
-            whole[design.rows[:, j], j] = residual[j]
+        whole.T[design.rows.T] = np.concatenate(residual)
         return _Fit(log_p, power, prior, whole)
 
     def _rigid(self, gravity: tuple[float, ...], q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -343,8 +341,7 @@ def _prior(robot: Robot) -> np.ndarray:
         if link.joint_id not in parents:
             reach = max(PAYLOAD_REACH_M, radius)
             sizes = np.hypot(sizes, PAYLOAD_SHARE * total * reach ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2]))
-        for name, k in zip(link.names, link.own, strict=True):
-            spread[names.index(name)] = sizes[k]
+        spread[[names.index(name) for name in link.names]] = sizes[list(link.own)]
     moved = np.abs(np.diagonal(build_mechanism(robot).inertia(robot.home[None])[0]))
     for joint, kind, m in zip(robot.actuated, robot.joint_kinds, moved, strict=True):
         spread[names.index(f"{joint}.armature")] = max(3 * m, ROTOR_INERTIA_KG_M2 if kind == "revolute" else 0.0)
@@ -392,14 +389,12 @@ def _effective(r: np.ndarray) -> float:
 
 def _say(robot: Robot, name: str, change: Rewiring, gain: float, before: _Fit | None, after: _Fit) -> CodedWarning:
     """Return the warning about one wrong wiring, with its evidence."""
-    if before is None:
-        return CodedWarning(
-            change.code, f"{name}: {change.words}. Evidence: as logged, the robot cannot reach its positions."
+    evidence = "as logged, the robot cannot reach its positions."
+    if before is not None:
+        ratio = np.sqrt(after.power / np.maximum(before.power, 1e-300))
+        k = int(np.argmin(np.where(before.power > 0, ratio, np.inf)))
+        evidence = (
+            f"so read, the model leaves {np.sqrt(after.power[k]):.3g} instead of {np.sqrt(before.power[k]):.3g} "
+            f"{robot.force_units[k]} of tau_{robot.actuated[k]}, a gain of {gain:.0f} nats."
         )
-    ratio = np.sqrt(after.power / np.maximum(before.power, 1e-300))
-    k = int(np.argmin(np.where(before.power > 0, ratio, np.inf)))
-    evidence = (
-        f"so read, the model leaves {np.sqrt(after.power[k]):.3g} instead of {np.sqrt(before.power[k]):.3g} "
-        f"{robot.force_units[k]} of tau_{robot.actuated[k]}"
-    )
-    return CodedWarning(change.code, f"{name}: {change.words}. Evidence: {evidence}, a gain of {gain:.0f} nats.")
+    return CodedWarning(change.code, f"{name}: {change.words}. Evidence: {evidence}")
