@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tau_dyn.coded_warning import get_code
 from tau_dyn.diagnose import Gain, channel_pipeline, diagnose, internal_validation
 from tau_dyn.diagnose.channel_pipeline import confirm_cause, select_confirmed, select_supported
 from tau_dyn.diagnose.confirm import Confirmation
@@ -17,6 +16,7 @@ from tau_dyn.diagnose.plausibility import find_inconsistent
 from tau_dyn.diagnose.recommendation import recommend
 from tau_dyn.diagnose.stepwise_selection import select_causes
 from tau_dyn.effects import Delay, PlausibleRange, QuadraticDrag, Stribeck, build_friction_model
+from tau_dyn.message_codes import get_code
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import load_robot

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.coded_warning import get_code
 from tau_dyn.identify import EXPERIMENT, count_information, identify, keep_long
 from tau_dyn.identify.preparation import compute_min_samples
 from tau_dyn.log import Log, compute_edge_samples, count_short_segments
+from tau_dyn.message_codes import get_code
 from tau_dyn.robot import load_robot
 
 RATE_HZ = 200.0

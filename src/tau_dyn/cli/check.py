@@ -14,7 +14,7 @@ from tau_dyn.cli.common import (
     load_robot_from,
     show_progress,
 )
-from tau_dyn.coded_warning import UNCODED, get_code
+from tau_dyn.message_codes import UNCODED, get_code
 
 HELP = "check whether a log is usable: problems and fixes"
 

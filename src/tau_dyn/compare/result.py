@@ -7,9 +7,9 @@ from typing import Any, Literal, NamedTuple
 
 from scipy.stats import norm
 
-from tau_dyn.coded_warning import format_warnings
 from tau_dyn.compare.circumstances import CircumstanceDifference, InputChange
 from tau_dyn.compare.read import ComparedSide
+from tau_dyn.message_codes import format_warnings
 from tau_dyn.shown import Shown
 
 Determined = Literal["both", "first", "second", "neither"]

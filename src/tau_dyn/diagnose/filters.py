@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.diagnose.scenes import compute_fast_speeds
 from tau_dyn.identify import (
     CODE,
@@ -36,6 +35,7 @@ from tau_dyn.log import (
     find_motion_band,
     lowpass,
 )
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
 
 BAND_FACTOR = 20.0

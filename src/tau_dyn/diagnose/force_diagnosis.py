@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.coded_warning import get_code
 from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.channel_pipeline import (
@@ -70,6 +69,7 @@ from tau_dyn.identify import (
     log_warnings,
 )
 from tau_dyn.log import Log, find_motion_band, mend_log, resample_segments
+from tau_dyn.message_codes import get_code
 from tau_dyn.model import Model
 
 Progress = Callable[[str], None]

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from tau_dyn.coded_warning import UNCODED, CodedWarning, get_code
 from tau_dyn.estimate import ROUNDING, Preparation, Regression
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.fitted_model import scale_outputs
@@ -40,6 +39,7 @@ from tau_dyn.log import (
     mend_log,
     resample_segments,
 )
+from tau_dyn.message_codes import UNCODED, CodedWarning, get_code
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 

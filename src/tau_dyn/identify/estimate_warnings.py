@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import chi2
 
-from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Regression
 from tau_dyn.identify.result import ForceErrors
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import INERTIAL
 

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.effects import FRICTION_MODELS
 from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Preparation, Regression
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -36,6 +35,7 @@ from tau_dyn.identify.result import ForceErrors, Identification, build_force_err
 from tau_dyn.identify.streaming import BlockExecutor
 from tau_dyn.identify.timing import ForceOffset, build_offset_columns, estimate_offset, widen_by_offset
 from tau_dyn.log import Log, Recording
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 from tau_dyn.scale import count_cores

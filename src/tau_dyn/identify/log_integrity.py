@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from tau_dyn.coded_warning import CodedWarning, get_code
 from tau_dyn.identify.excerpt import make_excerpt
 from tau_dyn.identify.timing import check_timing
 from tau_dyn.identify.wiring import check_wiring
 from tau_dyn.log import Log, list_data_warnings, mend_log, resample_segments
+from tau_dyn.message_codes import CodedWarning, get_code
 from tau_dyn.robot import Robot
 
 SPOILING = frozenset(

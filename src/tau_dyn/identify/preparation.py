@@ -27,7 +27,6 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.estimate import Preparation, Regression
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import (
@@ -43,6 +42,7 @@ from tau_dyn.log import (
     estimate_encoder_noise,
     find_motion_band,
 )
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
 
 BAND_FACTOR = 5.0  # low-pass of forces over the motion's band edge

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.coded_warning import format_warnings
 from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Regression, SufficientStatistics
 from tau_dyn.identify.timing import ForceOffset
 from tau_dyn.log import Log, Recording
+from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import NOMINAL_MASS_STDERR

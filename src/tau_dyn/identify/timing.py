@@ -24,7 +24,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.effects import Delay
 from tau_dyn.estimate import Estimate, PhysicalConstraints, Regression, build_prior_rows, solve_least_squares
 from tau_dyn.exceptions import InputError, LoopClosureError
@@ -32,6 +31,7 @@ from tau_dyn.identify.excerpt import Excerpt, compute_clipped_power
 from tau_dyn.identify.regression import prepare_segment
 from tau_dyn.log import Log
 from tau_dyn.mechanism import build_mechanism
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot

@@ -20,11 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.identify.excerpt import Excerpt, compute_clipped_power
 from tau_dyn.identify.wiring_alternatives import Rewiring, list_alternatives
 from tau_dyn.mechanism import Mechanism, build_mechanism
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
 
 MIN_GAIN_NATS = 30.0

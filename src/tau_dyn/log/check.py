@@ -15,7 +15,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tau_dyn.coded_warning import UNCODED, CodedWarning, get_code
 from tau_dyn.log.check_motion import check_motion, find_moving_samples
 from tau_dyn.log.column_names import count, format_names
 from tau_dyn.log.data_integrity import list_data_warnings
@@ -29,6 +28,7 @@ from tau_dyn.log.resample import (
     split_at_gaps,
 )
 from tau_dyn.log.signal_checks import CheckFinding, LogCheck, Severity, build_fault, check_jumps, check_signals
+from tau_dyn.message_codes import UNCODED, CodedWarning, get_code
 
 MAX_AXIS_LENGTH_M = 20.0
 """No prismatic joint without limits travels further [m]."""

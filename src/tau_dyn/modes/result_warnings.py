@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.coded_warning import CodedWarning
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.modes.result import Modes
 
 POOR_FIT = 50.0  # per cent of an output's standard deviation

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.coded_warning import format_warnings
 from tau_dyn.log import differentiate, lowpass
+from tau_dyn.message_codes import format_warnings
 
 SIGNALS = ("position", "speed", "acceleration", "force", "following")
 """What is compared; `following` is the reference minus the position."""
