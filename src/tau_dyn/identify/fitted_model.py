@@ -14,7 +14,7 @@ of its own, free unless the robot file or `--fix` gives it. Reference: Gautier &
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -97,7 +97,7 @@ class Choices:
         return found
 
 
-def scale_outputs(regression: Regression, factors: dict[str, float]) -> Regression:
+def scale_outputs(regression: Regression, factors: Mapping[str, float]) -> Regression:
     """Return the regression with each output multiplied by its factor (1 where none is given)."""
     scale = [factors.get(output, 1.0) for output in regression.outputs]
     return replace(
