@@ -107,7 +107,7 @@ def trial(name: str, seed: int) -> list[dict]:
     names = e.parameters.names
     for column, value in zip(e.base.kept, e.beta_plain, strict=True):
         plain[names.index(e.base.names[column])] = value
-    regression = build_regression(found.model, held, preparation=e.regression.settings["preparation"])
+    regression = build_regression(found.model, held, preparation=e.regression.preparation)
     errors = {
         "rms_consistent": build_force_errors(regression, e.theta).rms,
         "rms_plain": build_force_errors(regression, plain).rms,

@@ -31,7 +31,7 @@ from recovery import true_plant
 
 from tau_dyn.estimate import PositionNoise, solve_least_squares
 from tau_dyn.identify import Preparation, build_model, build_regression
-from tau_dyn.identify.full_rate_estimators import estimate_full_rate
+from tau_dyn.identify.full_rate import estimate_full_rate
 from tau_dyn.log import Log, compute_noise_gain
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
@@ -165,7 +165,7 @@ def rows(scenario: Scenario, seed: int, plants: int, estimators: list[str], fold
         if name == "wls":
             e = first
         elif name == "plain":
-            wide = widest(regression.settings["preparation"], log, scenario.encoder_noise)
+            wide = widest(regression.preparation, log, scenario.encoder_noise)
             e = solve_least_squares(build_regression(model, [log], preparation=wide))
         else:
             e = estimate_full_rate(model, [log], first, name).estimate

@@ -64,7 +64,7 @@ def deviations(model: Model, log: Log, published: dict) -> Iterator[dict]:
     regression = build_regression(model, [log])
     estimate = solve_least_squares(regression)
     settings = {
-        "force_cutoff_hz": regression.settings["preparation"].force_cutoff_hz,
+        "force_cutoff_hz": regression.preparation.force_cutoff_hz,
         "n_samples": regression.n_samples,
         "relative_error_percent": build_force_errors(regression, estimate.theta).relative_error_percent,
     }

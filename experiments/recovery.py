@@ -130,7 +130,7 @@ def floor_ratio(found: Identification, held: Log, scenario: Scenario, rng: np.ra
     joints = found.model.robot.actuated
     noise = scenario.sensors.read_forces(np.zeros((held.n_samples, len(joints))), rng)
     blank = replace(held, channels=dict(held.channels) | {f"tau_{j}": noise[:, k] for k, j in enumerate(joints)})
-    preparation = found.estimate.regression.settings["preparation"]
+    preparation = found.estimate.regression.preparation
     alone = build_regression(found.model, [blank], preparation=preparation).stacked()[1]
     W, y, _ = found.held.stacked()
     return float(np.sqrt(np.mean((y - W @ found.estimate.theta) ** 2) / np.mean(alone**2)))

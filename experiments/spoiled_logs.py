@@ -20,11 +20,11 @@ import pandas as pd
 from spoiled_logs_parts.corruptions import ANY, CORRUPTIONS
 from spoiled_logs_parts.machines import MACHINES, Made, make_log
 
-from tau_dyn.coded_warning import UNCODED, get_code
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.files import write_whole
 from tau_dyn.identify import Choices, Identification, identify
 from tau_dyn.log import Log
+from tau_dyn.message_codes import UNCODED, get_code
 from tau_dyn.scale import run_many
 
 MAX_STDERRS_OFF = 5.0

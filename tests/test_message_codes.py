@@ -13,10 +13,9 @@ from raising import raises_code
 
 import tau_dyn
 from tau_dyn.cli import main
-from tau_dyn.coded_warning import CodedWarning, format_warnings
 from tau_dyn.exceptions import CannotAnswer, InputError, LoopClosureError, TauDynError, UnknownName
 from tau_dyn.mechanism import NotRods
-from tau_dyn.message_codes import ERROR_CODES, WARNING_CODES
+from tau_dyn.message_codes import ERROR_CODES, WARNING_CODES, CodedWarning, format_warnings
 
 SOURCE = Path(tau_dyn.__file__).parent
 ROOT = Path(__file__).resolve().parents[1]

@@ -14,7 +14,7 @@ from fuzz_parts.reader import BINARY, PARQUET, TABLE, YAML, Reader, axis, beside
 
 def _log(path: Path) -> None:
     from tau_dyn.log import check_log, open_log, read_log
-    from tau_dyn.log.log_opening import Recording
+    from tau_dyn.log.recording import Recording
 
     log = read_log(path)
     opened = open_log(path)
@@ -26,14 +26,14 @@ def _log(path: Path) -> None:
 @contextmanager
 def _as_if_large() -> Iterator[None]:
     """Let small files be read as recordings larger than memory are: copied in pieces, read in windows."""
-    from tau_dyn.log import copies, log_opening, text_chunks
+    from tau_dyn.log import copies, recording
 
     new = {
-        (log_opening, "MAX_IN_MEMORY_SAMPLES"): 12,
-        (log_opening, "MAX_IN_MEMORY_BYTES"): 64,
-        (log_opening, "GROUP_ROWS"): 16,
+        (recording, "MAX_IN_MEMORY_SAMPLES"): 12,
+        (recording, "MAX_IN_MEMORY_BYTES"): 64,
+        (recording, "GROUP_ROWS"): 16,
         (copies, "_ROWS"): 16,
-        (text_chunks, "CHUNK_BYTES"): 300,
+        (copies, "CHUNK_BYTES"): 300,
     }
     kept = {(module, name): getattr(module, name) for module, name in new}
     try:
@@ -49,7 +49,7 @@ def _streamed(path: Path) -> None:
     """Read in windows; where a file is read at once, too, the samples must be the same."""
     from tau_dyn.exceptions import TauDynError
     from tau_dyn.log import open_log, read_log
-    from tau_dyn.log.log_opening import Recording
+    from tau_dyn.log.recording import Recording
 
     with _as_if_large():
         opened = open_log(path)

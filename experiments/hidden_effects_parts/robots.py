@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 
 from tau_dyn.effects import SymmetricFriction, build_friction_model
-from tau_dyn.identify.drive_inertia import free_drive_inertias
+from tau_dyn.identify.fitted_model import free_drive_inertias
 from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf

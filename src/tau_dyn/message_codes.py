@@ -1,12 +1,53 @@
 """Codes of errors and warnings, each with cause and remedy: stable names for programs, while sentences may be reworded.
 
 An error's code stands in brackets behind its sentence, in `TauDynError.code` and, where the data cannot answer, as `code` in
-JSON. A warning's code stands in `warning_codes` of JSON. `docs/reference/message_codes.md` is made from these tables.
+JSON. A `CodedWarning` is a `str` that carries its code, so every list of sentences may hold it: `warning_codes` in JSON stands
+parallel to `warnings`. `docs/reference/message_codes.md` is made from these tables.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+UNCODED = "note"
+"""Code of a sentence that no program needs to tell from others."""
+
+
+class CodedWarning(str):
+    """A sentence with a code, such as `lost_samples`."""
+
+    code: str
+
+    def __new__(cls, code: str, sentence: str) -> CodedWarning:
+        """Keep the code beside the sentence."""
+        made = super().__new__(cls, sentence)
+        made.code = code
+        return made
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Keep the code where a result travels between processes."""
+        return CodedWarning, (self.code, str(self))
+
+
+def get_code(sentence: str) -> str:
+    """Return the code of a warning; `note` for a plain sentence."""
+    return getattr(sentence, "code", UNCODED)
+
+
+def format_with_code(sentence: str) -> str:
+    """Return a warning with its code in brackets behind it; a plain sentence as it is."""
+    code = get_code(sentence)
+    return str(sentence) if code == UNCODED else f"{sentence} [{code}]"
+
+
+def format_warnings(warnings: Iterable[str]) -> dict[str, list[str]]:
+    """Return the two parallel lists of a JSON result, each sentence once."""
+    once = list(dict.fromkeys(warnings))
+    return {
+        "warnings": [str(sentence) for sentence in once],
+        "warning_codes": [get_code(sentence) for sentence in once],
+    }
 
 
 class MessageCode(NamedTuple):

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from tau_dyn.cli import main
-from tau_dyn.log import log_opening
+from tau_dyn.log import recording
 
 T = np.arange(0, 24, 0.004)
 
@@ -21,8 +21,8 @@ def everything_is_large(monkeypatch) -> None:
     """Let small files take the way of large ones, in several blocks."""
     import tau_dyn.identify  # noqa: F401
 
-    monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_SAMPLES", 100)
-    blocks = sys.modules["tau_dyn.identify.blocks"]
+    monkeypatch.setattr(recording, "MAX_IN_MEMORY_SAMPLES", 100)
+    blocks = sys.modules["tau_dyn.identify.streaming"]
     monkeypatch.setattr(blocks, "SIZE", 1)
     monkeypatch.setattr(blocks, "MIN_BLOCK_ROWS", 101)
 

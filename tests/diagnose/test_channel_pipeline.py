@@ -8,7 +8,6 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from tau_dyn.coded_warning import get_code
 from tau_dyn.diagnose import Gain, confirmation, diagnose
 from tau_dyn.diagnose.channel import TEST
 from tau_dyn.diagnose.claims import recommend, select_confirmed, select_supported
@@ -17,6 +16,7 @@ from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap
 from tau_dyn.diagnose.plausibility import find_inconsistent
 from tau_dyn.diagnose.stepwise_selection import select_causes
 from tau_dyn.effects import Delay, PlausibleRange, QuadraticDrag, Stribeck, build_friction_model
+from tau_dyn.message_codes import get_code
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import load_robot

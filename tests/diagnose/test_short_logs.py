@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.coded_warning import get_code
 from tau_dyn.diagnose import diagnose
 from tau_dyn.log import Log
+from tau_dyn.message_codes import get_code
 from tau_dyn.robot import load_robot
 
 RATE_HZ = 200.0

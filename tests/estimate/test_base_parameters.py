@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.estimate import BaseParameters, find_base, read_expression
-from tau_dyn.identify.structural_identifiability import find_structural_base
+from tau_dyn.identify.fitted_model import find_structural_base
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 

@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.estimate import pseudo_inertia
-from tau_dyn.estimate.physics import PSEUDO_INERTIA_BASIS
+from tau_dyn.estimate.physical_consistency import PSEUDO_INERTIA_BASIS
 
 
 def of_points(masses: np.ndarray, places: np.ndarray) -> np.ndarray:

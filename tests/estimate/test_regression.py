@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.estimate import Regression, RegressionRun, SufficientStatistics
-from tau_dyn.estimate.sufficient_statistics import compute_triangular_factor
+from tau_dyn.estimate.regression import compute_triangular_factor
 from tau_dyn.parameters import Parameter, Parameters
 
 THETA = np.array([2.0, -1.0, 0.5])

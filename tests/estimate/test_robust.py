@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.estimate import compute_bisquare_weights, compute_robust_covariance_factor, estimate_robust_scale
-from tau_dyn.estimate.robust import BISQUARE
+from tau_dyn.estimate.weights import BISQUARE
 
 
 def test_far_samples_weigh_nothing_and_near_ones_all():

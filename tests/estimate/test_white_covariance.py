@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.signal import lfilter
 
-from tau_dyn.estimate.white_covariance import estimate_score_covariance
+from tau_dyn.estimate.covariance import estimate_score_covariance
 
 N, DT = 8000, 0.002
 

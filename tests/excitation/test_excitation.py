@@ -16,8 +16,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.excitation import CRITERIA, ExcitationDesign, Noise, design_motion, estimate_log_noise, predict
 from tau_dyn.excitation.bounds import Bounds
 from tau_dyn.excitation.design import _generic, _information
-from tau_dyn.excitation.search import MotionSearch
-from tau_dyn.excitation.series import Series
+from tau_dyn.excitation.search import MotionSearch, Series
 from tau_dyn.identify import build_model, build_regression
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot

@@ -18,7 +18,7 @@ from tau_dyn.cli import COMMANDS, build_app, main
 from tau_dyn.cli.app import is_path, list_options
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import write_atomically, write_whole
-from tau_dyn.log import Log, copies, log_opening, open_log
+from tau_dyn.log import Log, copies, open_log, recording
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full and fork")
 
@@ -127,7 +127,7 @@ def test_every_fault_of_a_disk_leaves_the_old_file(tmp_path, monkeypatch, number
 
 def test_no_room_for_a_copy_of_a_large_log(log, tmp_path, monkeypatch) -> None:
     """A log that must be copied first says where the room is missing."""
-    monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_BYTES", 1000)
+    monkeypatch.setattr(recording, "MAX_IN_MEMORY_BYTES", 1000)
 
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from raising import raises_code
 
-from tau_dyn.log import log_opening, open_log, read_log, text_chunks
+from tau_dyn.log import copies, open_log, read_log, recording
 
 N = 4000
 T = np.arange(N) / 1000
@@ -29,9 +29,9 @@ def text(n: int = N, form: str = "%.12g") -> str:
 @pytest.fixture
 def large(monkeypatch) -> None:
     """Let small files take the way of large ones."""
-    monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_SAMPLES", 100)
-    monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_BYTES", 1000)
-    monkeypatch.setattr(text_chunks, "CHUNK_BYTES", 20_000)
+    monkeypatch.setattr(recording, "MAX_IN_MEMORY_SAMPLES", 100)
+    monkeypatch.setattr(recording, "MAX_IN_MEMORY_BYTES", 1000)
+    monkeypatch.setattr(copies, "CHUNK_BYTES", 20_000)
 
 
 @pytest.mark.parametrize("form", ["%.12g", "%.6f", "%.5e"])
@@ -58,7 +58,7 @@ def test_a_large_log_that_grows_while_it_is_copied(tmp_path, large, monkeypatch)
     whole = text()
     now, later = whole[: len(whole) // 2], whole[len(whole) // 2 :]
     path.write_text(now)
-    parse = text_chunks.parse_delimited
+    parse = copies.parse_delimited
     pieces = iter([later[:5], later[5:], "9.5,1,2\n", ""])
 
     def parse_and_grow(*args):
@@ -66,7 +66,7 @@ def test_a_large_log_that_grows_while_it_is_copied(tmp_path, large, monkeypatch)
             file.write(next(pieces, "10,1,2\n"))
         return parse(*args)
 
-    monkeypatch.setattr(text_chunks, "parse_delimited", parse_and_grow)
+    monkeypatch.setattr(copies, "parse_delimited", parse_and_grow)
     recording = open_log(path)
     monkeypatch.undo()
     complete = now.count("\n") - 1
@@ -82,7 +82,7 @@ def test_an_incomplete_line_at_the_seam_of_two_pieces(tmp_path, large, monkeypat
     path.write_text(whole[:-9])
     end = whole[:-1].rfind("\n") + 1
     for size in (end, end - 1, end + 1, end // 2, end // 2 - 1, end // 2 + 1, end // 3, 700):
-        monkeypatch.setattr(text_chunks, "CHUNK_BYTES", size)
+        monkeypatch.setattr(copies, "CHUNK_BYTES", size)
         recording = open_log(path)
         assert recording.n_samples == 299 and len(recording.warnings) == 1, size
 

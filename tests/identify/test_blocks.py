@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from raising import raises_code
 
 from tau_dyn.effects import EFFECTS
-from tau_dyn.identify import Preparation, blocks, build_model, prepare_segment
-from tau_dyn.identify.blocks import Block, BlockWork, compute_overlap, list_channels, refuse_memory, split_blocks
+from tau_dyn.identify import Preparation, build_model, prepare_segment, streaming
+from tau_dyn.identify.streaming import Block, BlockWork, compute_overlap, list_channels, refuse_memory, split_blocks
 from tau_dyn.log import InMemorySegment, Log, compute_edge_samples
 from tau_dyn.model import Model
 
@@ -28,8 +28,8 @@ def stretch_of(n: int) -> Any:
 @pytest.mark.parametrize("share", [0.7, 0.5])
 def test_blocks_hold_every_decimated_sample_once(monkeypatch, n: int, share: float) -> None:
     """In order, none empty or larger than asked; a first part, a gap as wide as the filters' memory, and the rest."""
-    monkeypatch.setattr(blocks, "SIZE", 10_000)
-    monkeypatch.setattr(blocks, "MIN_BLOCK_ROWS", 50)
+    monkeypatch.setattr(streaming, "SIZE", 10_000)
+    monkeypatch.setattr(streaming, "MIN_BLOCK_ROWS", 50)
     found = split_blocks(stretch_of(n), 3, FILTERS, 4, share)
     places = np.concatenate([np.arange(b.start, b.stop) for b in found])
     total = -(-n // 10)  # decimated by ten: 100 Hz
@@ -43,9 +43,9 @@ def test_blocks_hold_every_decimated_sample_once(monkeypatch, n: int, share: flo
 
 def test_a_block_has_rows_enough_however_many_columns_there_are(monkeypatch) -> None:
     """Not mostly neighbourhood: at least so many, though its columns then hold more numbers."""
-    monkeypatch.setattr(blocks, "SIZE", 100)
+    monkeypatch.setattr(streaming, "SIZE", 100)
     for b in split_blocks(stretch_of(100_000), 0, FILTERS, 1000, 0.7):
-        assert b.section == 1 or blocks.MIN_BLOCK_ROWS / 2 < b.stop - b.start <= blocks.MIN_BLOCK_ROWS
+        assert b.section == 1 or streaming.MIN_BLOCK_ROWS / 2 < b.stop - b.start <= streaming.MIN_BLOCK_ROWS
 
 
 def test_what_is_read_around_a_block_is_what_filters_and_gate_remember() -> None:

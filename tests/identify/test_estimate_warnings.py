@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.coded_warning import get_code
 from tau_dyn.estimate import (
     Estimate,
     InertialBody,
@@ -25,6 +24,7 @@ from tau_dyn.identify.estimate_warnings import (
     list_held_out_warnings,
     list_inertia_scale_warnings,
 )
+from tau_dyn.message_codes import get_code
 from tau_dyn.parameters import Parameter, Parameters
 
 N = 2000

@@ -22,8 +22,8 @@ def residual(x: np.ndarray, keep: np.ndarray | None = None) -> SimpleNamespace:
     keep = np.ones(x.shape, bool) if keep is None else keep
     parts = (slice(0, N // 3), slice(N // 3, N))
     stretches = [SimpleNamespace(keep=keep[p], log=SimpleNamespace(rate_hz=RATE)) for p in parts]
-    settings = {"preparation": SimpleNamespace(force_cutoff_hz=CUTOFF)}
-    estimate = SimpleNamespace(regression=SimpleNamespace(settings=settings))
+    preparation = SimpleNamespace(force_cutoff_hz=CUTOFF)
+    estimate = SimpleNamespace(regression=SimpleNamespace(preparation=preparation))
     return SimpleNamespace(estimate=estimate, residuals=[np.where(keep, x, 0.0)[p] for p in parts], stretches=stretches)
 
 

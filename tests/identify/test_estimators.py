@@ -12,7 +12,7 @@ from raising import raises_code
 from tau_dyn.estimate import solve_least_squares
 from tau_dyn.identify import build_model, build_regression, choose_preparation, identify
 from tau_dyn.identify.estimators import Estimator, is_residual_white
-from tau_dyn.identify.full_rate_estimators import estimate_full_rate
+from tau_dyn.identify.full_rate import estimate_full_rate
 from tau_dyn.log import Log
 
 SEEDS = 10
@@ -130,7 +130,7 @@ def test_auto_stays_with_least_squares_where_the_model_is_incomplete(axis):
         tau_axis=log.channels["tau_axis"] + 6 * np.sin(2 * np.pi * log.channels["q_axis"] / 0.03)
     )
     plain, auto = (identify(axis, ripple, estimator=kind) for kind in ("wls", "auto"))
-    assert auto.estimate.regression.settings["estimator"] == "wls"
+    assert auto.estimate.estimator == "wls"
     assert np.array_equal(auto.estimate.beta, plain.estimate.beta)
 
 
@@ -149,7 +149,7 @@ def test_auto_takes_instruments_where_the_noise_explains_the_residual(axis):
     """On a noisy log of a complete model, auto answers with iv, more precisely than least squares says of itself."""
     log = drive(2, feedback=True)
     plain, auto = (identify(axis, log, estimator=kind).estimate for kind in ("wls", "auto"))
-    assert auto.regression.settings["estimator"] == "iv"
+    assert auto.estimator == "iv"
     assert np.mean(np.diag(auto.cov) / np.diag(plain.cov)) < 1
 
 

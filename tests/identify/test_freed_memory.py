@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tau_dyn.identify.freed_memory import give_back
+from tau_dyn.identify.streaming import give_back
 
 STATUS = Path("/proc/self/status")
 

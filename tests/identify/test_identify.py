@@ -93,7 +93,7 @@ def test_held_out_logs_are_not_fitted(found, l1, monday, tuesday):
     """The estimate is the same without the held-out log, and the preparation is that of the training log."""
     alone = identify(l1, monday)
     assert values(alone) == values(found)
-    assert found.held.settings["preparation"] is found.estimate.regression.settings["preparation"]
+    assert found.held.preparation is found.estimate.regression.preparation
     assert "tuesday.csv" in found.holdout_how
 
 
@@ -342,7 +342,7 @@ def test_columns_and_forces_pass_the_same_filter(l1, truth, monday):
     e = np.concatenate(
         [r[run.usable] for r, run in zip(regression.residuals(truth.parameters.values), regression.runs, strict=True)]
     )
-    preparation = regression.settings["preparation"]
+    preparation = regression.preparation
     floor = 5 * np.sqrt(2 * 0.9 * preparation.force_cutoff_hz / 250)
     assert 0.9 * floor < np.sqrt(np.mean(e**2)) < 1.3 * floor
     assert np.max(np.abs(e)) < 6 * floor
@@ -379,7 +379,7 @@ def test_the_filters_do_not_see_beyond_a_logs_ends(l1, monday):
     """A log cut in mid motion: within a filter's length of its ends nothing is used."""
     regression = build_regression(Model.of(l1), [monday.window(1000, 6000)])
     (run,) = regression.runs
-    length = 1 / regression.settings["preparation"].force_cutoff_hz
+    length = 1 / regression.preparation.force_cutoff_hz
     near = (run.t < run.t[0] + 0.7 * length) | (run.t > run.t[-1] - 0.7 * length)
     assert near.sum() >= 4
     assert not run.usable[near].any()

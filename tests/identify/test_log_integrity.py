@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tau_dyn.coded_warning import get_code
 from tau_dyn.identify import check_integrity, identify, is_diagnosis_invalid
 from tau_dyn.log import Log, read_log
+from tau_dyn.message_codes import get_code
 from tau_dyn.robot import load_robot
 
 HERE = Path(__file__).resolve().parents[2]

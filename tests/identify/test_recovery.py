@@ -65,7 +65,7 @@ def test_held_out_residual_is_the_noise(trials, l1):
         blank = replace(
             held, channels=dict(held.channels) | {f"tau_{j}": noise[:, k] for k, j in enumerate(l1.actuated)}
         )
-        preparation = found.estimate.regression.settings["preparation"]
+        preparation = found.estimate.regression.preparation
         floor = np.sqrt(np.mean(build_regression(found.model, [blank], preparation=preparation).stacked()[1] ** 2))
         W, y, _ = found.held.stacked()
         ratios.append(np.sqrt(np.mean((y - W @ found.estimate.theta) ** 2)) / floor)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from tau_dyn.identify import build_model, choose_preparation
-from tau_dyn.identify.reference_instruments import predict_tracked_motion
+from tau_dyn.identify.full_rate import predict_tracked_motion
 from tau_dyn.log import Log
 
 RATE, MASS, COULOMB, VISCOUS = 500.0, 93.0, 25.0, 150.0

@@ -87,7 +87,7 @@ class Refining(Estimator):
 
 def fit(cov: float) -> Any:
     """Return what stands for an estimate of one parameter."""
-    regression = Regression(Parameters([Parameter("a", 1.0, "1")]), ("axis",), ("N",), (), {})
+    regression = Regression(Parameters([Parameter("a", 1.0, "1")]), ("axis",), ("N",), ())
     base = find_base(np.eye(1), ("a",))
     one, noise = np.ones(1), (Autoregression(np.zeros(0), 1.0),)
     return Estimate(
@@ -131,6 +131,6 @@ def test_instruments_come_first_and_what_cannot_answer_makes_room_for_the_next(
     first = fit(1.0)
     first = replace(first, regression=replace(first.regression, runs=(None,)))
     answer = chosen(first)
-    assert chosen.asked == asked and answer.regression.settings["estimator"] == taken
+    assert chosen.asked == asked and answer.estimator == taken
     expected = {"iv": iv, "ml": ml, "wls": (1.0, True)}[taken]
     assert answer.cov[0, 0] == expected[0]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tau_dyn.estimate import Estimate, solve_least_squares
-from tau_dyn.identify import build_model, build_regression, full_rate_estimators
-from tau_dyn.identify.full_rate_estimators import estimate_full_rate
+from tau_dyn.identify import build_model, build_regression, full_rate
+from tau_dyn.identify.full_rate import estimate_full_rate
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 
@@ -43,10 +43,10 @@ def test_more_rounds_of_weights_change_the_answer_by_nothing_that_counts(model, 
     """
     log, first = spoilt
     found = estimate_full_rate(model, [log], first, "robust").estimate
-    monkeypatch.setattr(full_rate_estimators, "MAX_ITERATIONS", 12)
-    monkeypatch.setattr(full_rate_estimators, "MAX_CHANGE_STDERRS", -1.0)
+    monkeypatch.setattr(full_rate, "MAX_ITERATIONS", 12)
+    monkeypatch.setattr(full_rate, "MAX_CHANGE_STDERRS", -1.0)
     settled = estimate_full_rate(model, [log], first, "robust").estimate
     assert np.max(np.abs(found.beta_plain - settled.beta_plain) / settled.stderr) < 2 * 0.02
-    monkeypatch.setattr(full_rate_estimators, "MAX_ITERATIONS", 1)
+    monkeypatch.setattr(full_rate, "MAX_ITERATIONS", 1)
     once = estimate_full_rate(model, [log], first, "robust").estimate
     assert np.max(np.abs(once.beta_plain - settled.beta_plain) / settled.stderr) > 0.2

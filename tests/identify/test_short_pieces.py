@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.coded_warning import get_code
 from tau_dyn.identify import EXPERIMENT, count_information, identify, keep_long
-from tau_dyn.identify.short_pieces import compute_min_samples
+from tau_dyn.identify.preparation import compute_min_samples
 from tau_dyn.log import Log, compute_edge_samples, count_short_segments
+from tau_dyn.message_codes import get_code
 from tau_dyn.robot import load_robot
 
 RATE_HZ = 200.0
@@ -65,7 +65,7 @@ def test_a_piece_too_short_for_the_filters_is_left_out_and_the_rest_is_fitted(ax
 def test_short_pieces_do_not_widen_the_filters(axis) -> None:
     """A piece of a tenth of a second resolves no band; the filters are those of the long piece alone."""
     whole, broken = (identify(axis, log).estimate.regression for log in (made(20.0), cut(made(20.0), [0.1, 0.1])))
-    used = [r.settings["preparation"].force_cutoff_hz for r in (whole, broken)]
+    used = [r.preparation.force_cutoff_hz for r in (whole, broken)]
     assert used[1] == pytest.approx(used[0], rel=0.1)
 
 

@@ -10,16 +10,16 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.identify import BlockExecutor, identify
-from tau_dyn.log import Recording, log_opening, open_log, read_log
+from tau_dyn.log import Recording, open_log, read_log, recording
 from tau_dyn.render import write_report
 
 
 @pytest.fixture
 def large(monkeypatch):
     """Let small files take the way of large ones, in many blocks."""
-    monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_SAMPLES", 100)
-    monkeypatch.setattr(sys.modules["tau_dyn.identify.blocks"], "SIZE", 1)
-    monkeypatch.setattr(sys.modules["tau_dyn.identify.blocks"], "MIN_BLOCK_ROWS", 61)
+    monkeypatch.setattr(recording, "MAX_IN_MEMORY_SAMPLES", 100)
+    monkeypatch.setattr(sys.modules["tau_dyn.identify.streaming"], "SIZE", 1)
+    monkeypatch.setattr(sys.modules["tau_dyn.identify.streaming"], "MIN_BLOCK_ROWS", 61)
 
 
 def stored(folder, log, name: str = "log.parquet", rows: int = 1999):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.identify import build_model
-from tau_dyn.identify.structural_identifiability import draw_random_positions, find_structural_base
+from tau_dyn.identify.fitted_model import draw_random_positions, find_structural_base
 from tau_dyn.robot import load_robot
 
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from raising import raises_code
 
-from tau_dyn.log import bag_checks
-from tau_dyn.log.bag_checks import check_database, check_definitions, check_profiles, limit_decompression
-from tau_dyn.log.decompression_limit import DecompressionLimit
+from tau_dyn.log import rosbag_log
+from tau_dyn.log.rosbag_log import check_database, check_definitions, check_profiles, limit_decompression
+from tau_dyn.log.table import DecompressionLimit
 
 GOOD = (
     "CREATE TABLE topics(id INTEGER, name TEXT, offered_qos_profiles TEXT)",
@@ -76,13 +76,13 @@ def test_sizes_have_bounds(tmp_path, monkeypatch) -> None:
     """As many topics and as long definitions as the bounds say, and not one more."""
     path = database(tmp_path, "INSERT INTO topics VALUES (2, '/x', '')", "INSERT INTO topics VALUES (3, '/y', NULL)")
     size = len("float64 x  # (of (two)) parts")
-    monkeypatch.setattr(bag_checks, "MAX_TOPICS", 3)
-    monkeypatch.setattr(bag_checks, "MAX_DEFINITION_BYTES", size)
+    monkeypatch.setattr(rosbag_log, "MAX_TOPICS", 3)
+    monkeypatch.setattr(rosbag_log, "MAX_DEFINITION_BYTES", size)
     check_database(path)
-    monkeypatch.setattr(bag_checks, "MAX_TOPICS", 2)
+    monkeypatch.setattr(rosbag_log, "MAX_TOPICS", 2)
     with pytest.raises(ValueError, match="more than 2 topics"):
         check_database(path)
-    monkeypatch.setattr(bag_checks, "MAX_DEFINITION_BYTES", size - 1)
+    monkeypatch.setattr(rosbag_log, "MAX_DEFINITION_BYTES", size - 1)
     with pytest.raises(ValueError, match=f"its message definitions have {size} bytes"):
         check_database(path)
 
@@ -104,7 +104,7 @@ def test_settings_are_yaml_or_nothing(monkeypatch) -> None:
     for bad in ("[" * 5000, "a: [", "!!python/object/apply:os.system ['true']"):
         with pytest.raises(ValueError, match="no plain YAML"):
             check_profiles(bad)
-    monkeypatch.setattr(bag_checks, "MAX_DEFINITION_BYTES", 5)
+    monkeypatch.setattr(rosbag_log, "MAX_DEFINITION_BYTES", 5)
     check_profiles("a: bc")
     with pytest.raises(ValueError, match="no plain YAML"):
         check_profiles("a: bcd")
@@ -139,7 +139,7 @@ def test_definitions_hold_something_and_not_too_much(monkeypatch) -> None:
         check_definitions({**known, **nested})
     check_definitions({**known, "Self": ([], [("me", (kinds.NAME, "Self")), ("all", list_of((kinds.NAME, "Self")))])})
     check_definitions({"Msg": ([], [("a", list_of((kinds.NAME, "Unknown")))])})
-    monkeypatch.setattr(bag_checks, "MAX_UNROLLED_ENTRIES", 10)
+    monkeypatch.setattr(rosbag_log, "MAX_UNROLLED_ENTRIES", 10)
     check(("a", many(text, 4)), ("b", many(point, 6)), ("c", many(number, 1000)))
     with pytest.raises(ValueError, match="b of Msg is an array of 7"):
         check(("a", many(text, 4)), ("b", many(point, 7)))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.log import Log
-from tau_dyn.log.check_clock import check_clock
+from tau_dyn.log.check import check_clock
 
 
 def log_of(t: np.ndarray) -> Log:

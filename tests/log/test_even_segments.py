@@ -17,9 +17,9 @@ from tau_dyn.log import (
     Log,
     ensure_even,
     even_segments,
-    log_opening,
     open_log,
     read_log,
+    recording,
     split_at_gaps,
     split_even_segments,
 )
@@ -30,7 +30,7 @@ N = 2000
 @pytest.fixture(autouse=True)
 def everything_is_large(monkeypatch) -> None:
     """Let small files take the way of large ones."""
-    monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_SAMPLES", 100)
+    monkeypatch.setattr(recording, "MAX_IN_MEMORY_SAMPLES", 100)
 
 
 def stored(path, t: np.ndarray):

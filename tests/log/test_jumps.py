@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.log import Log, check_jumps, check_log
-from tau_dyn.log.jumps import find_jumps
+from tau_dyn.log.signal_checks import find_jumps
 
 
 def said(log: Log, **known) -> str:

@@ -13,13 +13,13 @@ from tau_dyn.log import (
     ColumnMap,
     Log,
     Recording,
+    copies,
     ensure_even,
-    log_opening,
     open_log,
     read_log,
+    recording as on_disk,
     split_at_gaps,
     split_even_segments,
-    text_chunks,
 )
 
 N = 20_000
@@ -29,9 +29,9 @@ NAMES = ("q_axis", "tau_axis")
 @pytest.fixture(autouse=True)
 def everything_is_large(monkeypatch) -> None:
     """Let small files take the way of large ones."""
-    monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_SAMPLES", 100)
-    monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_BYTES", 1000)
-    monkeypatch.setattr(text_chunks, "CHUNK_BYTES", 40_000)
+    monkeypatch.setattr(on_disk, "MAX_IN_MEMORY_SAMPLES", 100)
+    monkeypatch.setattr(on_disk, "MAX_IN_MEMORY_BYTES", 1000)
+    monkeypatch.setattr(copies, "CHUNK_BYTES", 40_000)
 
 
 def table(t: np.ndarray | None = None) -> pd.DataFrame:
@@ -145,7 +145,7 @@ def test_foreign_columns_of_large_text_are_those_of_the_whole_log(tmp_path) -> N
 
 def test_huge_row_groups_are_cut(tmp_path, monkeypatch) -> None:
     """A file written as one row group does not have to fit in memory."""
-    monkeypatch.setattr(log_opening, "GROUP_ROWS", 5000)
+    monkeypatch.setattr(on_disk, "GROUP_ROWS", 5000)
     frame = table()
     frame.to_parquet(tmp_path / "one.parquet", row_group_size=N)
     recording = open_log(tmp_path / "one.parquet")

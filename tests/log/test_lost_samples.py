@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tau_dyn.coded_warning import get_code
 from tau_dyn.log import Log, check_log, list_data_warnings, mend_log
-from tau_dyn.log.lost_samples import find_lost_samples, find_repeated_rows
+from tau_dyn.log.data_integrity import find_lost_samples, find_repeated_rows
+from tau_dyn.message_codes import get_code
 
 
 def recounted(log: Log, rows: np.ndarray) -> Log:

@@ -10,8 +10,8 @@ import pytest
 from numpy.testing import assert_array_equal
 from raising import raises_code
 
-from tau_dyn.log import log_opening, open_log, read_log, text_chunks
-from tau_dyn.log.text_chunks import iterate_text_chunks as chunks
+from tau_dyn.log import copies, open_log, read_log, recording as on_disk
+from tau_dyn.log.copies import iterate_text_chunks as chunks
 
 HEADER = "# from the cell next door\n\nt,q_axis\n"
 ROWS = [f"{k / 100},{k * k / 7}\n" for k in range(400)]
@@ -20,7 +20,7 @@ ROWS = [f"{k / 100},{k * k / 7}\n" for k in range(400)]
 @pytest.fixture(autouse=True)
 def small_pieces(monkeypatch) -> None:
     """Parse a kilobyte at once."""
-    monkeypatch.setattr(text_chunks, "CHUNK_BYTES", 1000)
+    monkeypatch.setattr(copies, "CHUNK_BYTES", 1000)
 
 
 def written(folder: Path, text: str) -> Path:
@@ -101,8 +101,8 @@ def test_a_large_text_log_carries_the_hash_of_its_file(tmp_path, monkeypatch) ->
     """The same as the log read at once; not that of the copy that it is read from."""
     path = written(tmp_path, HEADER + "".join(ROWS))
     whole = read_log(path)
-    monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_SAMPLES", 100)
-    monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_BYTES", 1000)
+    monkeypatch.setattr(on_disk, "MAX_IN_MEMORY_SAMPLES", 100)
+    monkeypatch.setattr(on_disk, "MAX_IN_MEMORY_BYTES", 1000)
     recording = open_log(path)
     assert recording.sha256 == whole.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
     assert_array_equal(recording.window(0, 400, ("q_axis",)).channels["q_axis"], whole.channels["q_axis"])

@@ -7,10 +7,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from raising import raises_code
 
-from tau_dyn.log.resample import MIN_GAP_STEPS
-from tau_dyn.log.topic_clock import (
+from tau_dyn.log.resample import (
     MAX_INTERPOLATION_ERROR,
     MIN_CLOCK_SAMPLES,
+    MIN_GAP_STEPS,
     estimate_interpolation_error,
     resample_to_clock,
 )

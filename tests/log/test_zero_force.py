@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.coded_warning import get_code
 from tau_dyn.log import list_data_warnings
-from tau_dyn.log.zero_force import find_held_runs, find_zero_runs
+from tau_dyn.log.data_integrity import find_held_runs, find_zero_runs
+from tau_dyn.message_codes import get_code
 
 
 def test_forces_logged_as_zero_are_found(axis_log, rng) -> None:

@@ -92,7 +92,7 @@ def test_a_film_at_half_speed(axis, axis_log, make) -> None:
     """
     k = 2.0
     found = identify(axis, axis_log, estimator="wls")
-    p = found.estimate.regression.settings["preparation"]
+    p = found.estimate.regression.preparation
     slow = Preparation(
         p.position_cutoff_hz / k, p.force_cutoff_hz / k, p.rate_hz / k, p.speed_threshold / k, p.window_s * k, p.exclude
     )

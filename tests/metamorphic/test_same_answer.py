@@ -147,7 +147,7 @@ def test_a_log_with_a_gap_is_two_logs(case, make) -> None:
 def test_a_log_cut_in_two_says_the_same_but_for_its_borders(case, make) -> None:
     """Cut without a gap, only the filters' ends differ: a few of the samples, so a fraction of a standard error."""
     first, last = (make.remade(part, name=name) for part, name in zip(case.log.split(0.5), "ab", strict=True))
-    again = identify(case.robot, [first, last], preparation=case.found.estimate.regression.settings["preparation"])
+    again = identify(case.robot, [first, last], preparation=case.found.estimate.regression.preparation)
     rows = zip(case.found.base_rows(), again.base_rows(), strict=True)
     moved = [((b["value"] - a["value"]) / a["stderr"], b["stderr"] / a["stderr"]) for a, b in rows]
     z, ratio = np.array(moved).T

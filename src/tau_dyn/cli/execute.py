@@ -22,9 +22,9 @@ from rich.console import Console
 
 from tau_dyn.cli.arguments import is_model_file
 from tau_dyn.cli.run_folder import RunFolder, collect_configuration
-from tau_dyn.coded_warning import format_warnings, format_with_code
 from tau_dyn.exceptions import CannotAnswer, InputError, format_one_line
 from tau_dyn.files import compute_sha256, resolve_destination, write_atomically
+from tau_dyn.message_codes import format_warnings, format_with_code
 from tau_dyn.version import __version__
 
 if TYPE_CHECKING:

@@ -23,8 +23,8 @@ from tau_dyn.cli.arguments import (
     is_model_file,
 )
 from tau_dyn.cli.execute import Outcome, show_progress
-from tau_dyn.coded_warning import UNCODED, get_code
 from tau_dyn.exceptions import InputError
+from tau_dyn.message_codes import UNCODED, get_code
 
 
 def check(

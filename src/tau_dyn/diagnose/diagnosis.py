@@ -28,8 +28,7 @@ from tau_dyn.identify import (
     Identification,
     Preparation,
     build_model,
-    drop_duplicate_logs,
-    drop_trained_logs,
+    drop_repeated_logs,
     get_log_list,
     require_forces,
 )
@@ -215,11 +214,9 @@ def diagnose(
             raise InputError(
                 "bad_option", "diagnose does not take --fix JOINT.drive_gain; scale the forces in the column map"
             )
-        given = drop_duplicate_logs(get_log_list(logs), warnings)
-        train = load_into_memory(given)
-        held = load_into_memory(
-            drop_duplicate_logs(drop_trained_logs(given, get_log_list(holdout), warnings), warnings)
-        )
+        given, judged, doubled = drop_repeated_logs(get_log_list(logs), get_log_list(holdout))
+        warnings += doubled
+        train, held = load_into_memory(given), load_into_memory(judged)
         if not train:
             raise InputError("missing_input", "no log was given")
         tool, links, forces = (

@@ -151,7 +151,7 @@ def _data_warnings(case: FittedBaseline, train: Sequence[Log]) -> list[str]:
     channel = case.channel
     masks = channel.masks(TRAIN)
     runs = tuple(replace(run, usable=m) for run, m in zip(channel.runs, masks, strict=True))
-    used = Regression(channel.parameters, channel.outputs, channel.units, runs, {"preparation": case.preparation})
+    used = Regression(channel.parameters, channel.outputs, channel.units, runs, case.preparation)
     bands = [find_motion_band(log.joint("q", case.model.robot.actuated), log.rate_hz).edge_hz.max() for log in train]
     rank, band_hz = compute_determined_rank(used, channel.parts), float(max(bands))
     held = count_information(used, band_hz)

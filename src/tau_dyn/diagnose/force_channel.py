@@ -131,7 +131,7 @@ def prepare_segments(
 def build_force_regression(model: Model, prepared: Sequence[PreparedSegment], preparation: Preparation) -> Regression:
     """Return the baseline's regression on prepared pieces."""
     runs, robot = tuple(piece.run(model) for piece in prepared), model.robot
-    return Regression(model.parameters, robot.actuated, robot.force_units, runs, {"preparation": preparation})
+    return Regression(model.parameters, robot.actuated, robot.force_units, runs, preparation)
 
 
 def build_force_channel(

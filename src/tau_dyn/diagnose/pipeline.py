@@ -14,7 +14,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.coded_warning import get_code
 from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS
 from tau_dyn.diagnose.channel import EVERY, Channel
 from tau_dyn.diagnose.claims import Claims, Recommendation, Waterfall, recommend, select_confirmed, select_supported
@@ -35,8 +34,9 @@ from tau_dyn.diagnose.tool_channel import build_tool_channel
 from tau_dyn.diagnose.unknown_structure import Structure, compute_structure_p_value, find_structure
 from tau_dyn.effects import EFFECTS, Effect
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify import drop_duplicate_logs, drop_trained_logs, is_diagnosis_invalid
+from tau_dyn.identify import drop_repeated_logs, is_diagnosis_invalid
 from tau_dyn.log import Log
+from tau_dyn.message_codes import get_code
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
@@ -103,10 +103,9 @@ def diagnose_deflection(
         progress: Called with a word for each step.
         warnings: What was doubtful before.
     """
-    said = [*warnings]
-    train, held = ([x] if isinstance(x, Log) else list(x) for x in (logs, holdout))
-    train = drop_duplicate_logs(train, said)
-    held = drop_duplicate_logs(drop_trained_logs(train, held, said), said)
+    given, judged = ([x] if isinstance(x, Log) else list(x) for x in (logs, holdout))
+    train, held, doubled = drop_repeated_logs(given, judged)
+    said = [*warnings, *doubled]
     if not train:
         raise InputError("missing_input", "no log was given")
     progress("columns")

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.diagnose.channel import compute_fast_speeds
 from tau_dyn.diagnose.null_model import orthonormalise
 from tau_dyn.estimate import RegressionRun
@@ -45,6 +44,7 @@ from tau_dyn.log import (
     find_motion_band,
     lowpass,
 )
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
 
 BAND_FACTOR = 20.0

@@ -8,9 +8,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tau_dyn.coded_warning import format_warnings
 from tau_dyn.effects import Effect
 from tau_dyn.identify import Preparation
+from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter
 from tau_dyn.results import Shown

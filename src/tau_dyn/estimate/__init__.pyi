@@ -6,8 +6,13 @@ from .base_parameters import (
     find_base as find_base,
     read_expression as read_expression,
 )
-from .covariance import BLOCK_S as BLOCK_S, ROUNDING as ROUNDING
-from .estimate import MAX_RELATIVE_STDERR as MAX_RELATIVE_STDERR, Estimate as Estimate
+from .covariance import BLOCK_S as BLOCK_S, Whitener as Whitener
+from .estimate import (
+    MAX_RELATIVE_STDERR as MAX_RELATIVE_STDERR,
+    Estimate as Estimate,
+    ParameterSum as ParameterSum,
+    combine_parameters as combine_parameters,
+)
 from .instrumental_variables import (
     InstrumentalSolution as InstrumentalSolution,
     WhiteRows as WhiteRows,
@@ -25,29 +30,26 @@ from .nonlinear import (
     factor_system as factor_system,
     fit_nonlinear as fit_nonlinear,
 )
-from .parameter_combination import ParameterSum as ParameterSum, combine_parameters as combine_parameters
-from .physical_consistency import solve_consistent as solve_consistent
-from .physics import (
+from .physical_consistency import (
     InertialBody as InertialBody,
     PhysicalConstraints as PhysicalConstraints,
     pseudo_inertia as pseudo_inertia,
+    solve_consistent as solve_consistent,
 )
 from .position_noise import (
     REACH as REACH,
     PositionNoise as PositionNoise,
     compute_accelerations as compute_accelerations,
 )
-from .prior import build_prior_rows as build_prior_rows
 from .regression import (
+    ROUNDING as ROUNDING,
+    Preparation as Preparation,
     Regression as Regression,
     RegressionRows as RegressionRows,
     RegressionRun as RegressionRun,
+    StoredRows as StoredRows,
     StreamedData as StreamedData,
-)
-from .robust import (
-    compute_bisquare_weights as compute_bisquare_weights,
-    compute_robust_covariance_factor as compute_robust_covariance_factor,
-    estimate_robust_scale as estimate_robust_scale,
+    SufficientStatistics as SufficientStatistics,
 )
 from .robust_loss import (
     LOSSES as LOSSES,
@@ -55,7 +57,11 @@ from .robust_loss import (
     compute_tuning_constant as compute_tuning_constant,
     estimate_distance_scale as estimate_distance_scale,
 )
-from .scaled import scale_columns as scale_columns, solve_scaled as solve_scaled
-from .stored_rows import StoredRows as StoredRows
-from .sufficient_statistics import SufficientStatistics as SufficientStatistics
-from .whitening import Whitener as Whitener
+from .weights import (
+    build_prior_rows as build_prior_rows,
+    compute_bisquare_weights as compute_bisquare_weights,
+    compute_robust_covariance_factor as compute_robust_covariance_factor,
+    estimate_robust_scale as estimate_robust_scale,
+    scale_columns as scale_columns,
+    solve_scaled as solve_scaled,
+)

@@ -102,11 +102,7 @@ def read_expression(text: str) -> dict[str, float]:
 
 
 def find_base(
-    W: np.ndarray,
-    names: tuple[str, ...],
-    tolerance: float = RANK_TOLERANCE,
-    *,
-    units: Sequence[str] | None = None,
+    W: np.ndarray, names: tuple[str, ...], tolerance: float = RANK_TOLERANCE, *, units: Sequence[str] | None = None
 ) -> BaseParameters:
     """Find the base parameters of a regressor.
 

@@ -1,27 +1,39 @@
-r"""How certain least squares is when its residual is coloured.
+"""How certain an estimate is when its residual is coloured, and coloured residuals made white.
 
-With `W = U R` the weighted rows, `U` orthonormal, `cov = R^-1 (U' Omega U) R^-T`. `U' Omega U` is found twice: with `Omega`
-the autocovariance of an autoregressive model of each output's residual at true time lags, gaps in the mask included; and
-from the scatter of 2 s blocks' scores, which also sees colour that no such model has. Of any number wanted the larger standard
-error counts; the matrices themselves stay apart, as inflating one parameter by parameter would destroy what correlations say
-about sums (and, in `physical_consistency.py`, move an estimate in directions that the data forbid).
+**Least squares.** With `W = U R` the weighted rows, `U` orthonormal, `cov = R^-1 (U' Omega U) R^-T`. `U' Omega U` is found twice:
+with `Omega` the autocovariance of an autoregressive model of each output's residual at true time lags, gaps in the mask included;
+and from the scatter of 2 s blocks' scores, which also sees colour that no such model has. Of any number wanted the larger
+standard error counts; the matrices themselves stay apart, as inflating one parameter by parameter would destroy what
+correlations say about sums (and, in `physical_consistency.py`, move an estimate in directions that the data forbid).
 The point estimate stays that of weighted least squares: whitening it would amplify what the model misses at high
 frequency (on EMPS it moves the viscous coefficient by 4 %). Reference: White 1980; Newey & West 1987; Ljung 1999, 9.
+
+**White equations** (`cov = J^-1 (K + sum g g') J^-T`). `K` are known rows; the scores `g` are sums of `Z' e` over blocks. White
+residuals need no blocks: `sum g g'` is `sum_j sigma_j^2 Z_j' Z_j`, which knows the error ten times better than a scatter does.
+Where neighbours are correlated, blocks of 0.1 s take its place; blocks of 2 s stand beside them, for what has a longer memory.
+
+**Whitening.** Within each unbroken stretch of usable samples of one output, row t is
+
+    (e_t - sum_k phi_k^(m) e_{t-k}) / sigma_m,   m = min(t - start, order),
+
+with `phi^(m)` and `sigma_m` of the best predictor of order m (Levinson-Durbin), so that also the first samples of a stretch are
+white and of unit variance: the exact likelihood of a stationary process. Reference: Brockwell & Davis 1991, 8.7.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg, signal
+from scipy import linalg, signal, sparse
+from scipy.linalg import solve_toeplitz
 
 from tau_dyn.estimate.autoregression import Autoregression, Lags
-from tau_dyn.estimate.regression import RegressionRows
+from tau_dyn.estimate.regression import ROUNDING, RegressionRows, RegressionRun
 
 BLOCK_S = 2.0  # [s] of the blocks of the cluster-robust covariance
-ROUNDING = 1e-6  # of a block: a clock's last digit must not move a sample from one to the next
 
 
 def assign_blocks(since: np.ndarray, seconds: float = BLOCK_S) -> np.ndarray:
@@ -158,3 +170,137 @@ def _fading(model: Autoregression, state: np.ndarray) -> np.ndarray:
             break
         total = grown
     return total
+
+
+SHORT_S = 0.1  # [s] of the short blocks
+LAGS = 5  # samples; lags whose correlation is tested
+MAX_CORRELATION_Z = 4.0
+"""Standard errors that each of the first correlations may be off zero."""
+
+
+def estimate_score_covariance(
+    times: Sequence[np.ndarray], Z: Sequence[np.ndarray], residuals: Sequence[np.ndarray], keep: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the scores' covariance (r, r) twice: by the residual's colour, and from the scatter of long blocks.
+
+    Args:
+        times: Time (n,) of each stretch [s].
+        Z: White instruments (n, m, r) of each.
+        residuals: White residuals (n, m) of each, zero where an equation is left out.
+        keep: Which equations count (n, m).
+    """
+    freedom = 1 - Z[0].shape[2] / max(sum(int(k.sum()) for k in keep), Z[0].shape[2] + 1)
+    coloured = np.zeros((Z[0].shape[2],) * 2)
+    for k in range(Z[0].shape[1]):
+        if _white([e[:, k] for e in residuals], [x[:, k] for x in keep]):
+            count = max(sum(int(x[:, k].sum()) for x in keep), 1)
+            power = sum(float(np.sum(e[:, k] ** 2)) for e in residuals) / count
+            coloured += power * sum(rows[:, k].T @ rows[:, k] for rows in Z)
+        else:
+            scores = [rows[:, k] * e[:, k, None] for rows, e in zip(Z, residuals, strict=True)]
+            coloured += _scatter(times, scores, SHORT_S)
+    together = [np.einsum("nmr,nm->nr", rows, e) for rows, e in zip(Z, residuals, strict=True)]
+    return coloured / freedom, _scatter(times, together, BLOCK_S)
+
+
+def _white(residuals: Sequence[np.ndarray], keep: Sequence[np.ndarray]) -> bool:
+    """Return whether the first correlations of one output's residual are those of chance."""
+    power = sum(float(np.sum(e**2)) for e in residuals) / max(sum(int(x.sum()) for x in keep), 1)
+    for lag in range(1, LAGS + 1):
+        pairs = sum(int(np.sum(x[lag:] & x[:-lag])) for x in keep)
+        total = sum(float(np.sum(e[lag:] * e[:-lag])) for e in residuals)
+        if pairs < 10 or abs(total) > MAX_CORRELATION_Z * power * np.sqrt(pairs):
+            return False
+    return True
+
+
+def _scatter(times: Sequence[np.ndarray], scores: Sequence[np.ndarray], seconds: float) -> np.ndarray:
+    """Return the sum of outer products of the scores of blocks (r, r)."""
+    sums = []
+    for t, g in zip(times, scores, strict=True):
+        _, first = np.unique(assign_blocks(t - t[0], seconds), return_index=True)
+        sums.append(np.add.reduceat(g, first, axis=0))
+    blocks = np.concatenate(sums)
+    blocks = blocks[np.any(blocks != 0, axis=1)]
+    return blocks.T @ blocks * (len(blocks) / max(len(blocks) - 1, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Whitener:
+    """Turns arrays over runs into white rows.
+
+    Attributes:
+        rows: One sparse matrix (r, n) for each run and output, run by run.
+        n_outputs: Outputs m.
+        index: Output of each row (R,).
+        block: Number of the 2 s block of each row (R,).
+        t: Time of each row within its run (R,) [s].
+    """
+
+    rows: tuple[sparse.csr_matrix, ...]
+    n_outputs: int
+    index: np.ndarray
+    block: np.ndarray
+    t: np.ndarray
+
+    @classmethod
+    def of(
+        cls, runs: Sequence[RegressionRun], masks: Sequence[np.ndarray], noise: Sequence[Autoregression]
+    ) -> Whitener:
+        """Prepare for runs, the samples that count (n, m) of each, and the noise model of each output."""
+        predictors = [_predictors(model) for model in noise]
+        rows, index, block, t, first = [], [], [], [], 0
+        for run, mask in zip(runs, masks, strict=True):
+            number = first + assign_blocks(run.t - run.t[0])
+            first = int(number[-1]) + 1
+            for k, predictor in enumerate(predictors):
+                used = np.flatnonzero(mask[:, k])
+                rows.append(_matrix(used, len(run.t), predictor))
+                index.append(np.full(len(used), k))
+                block.append(number[used])
+                t.append(run.t[used])
+        return cls(tuple(rows), len(predictors), np.concatenate(index), np.concatenate(block), np.concatenate(t))
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows R."""
+        return len(self.index)
+
+    def __call__(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
+        """Return white rows (R, ...) of arrays over the runs (n, m, ...); runs without any row are not looked at."""
+        m = self.n_outputs
+        parts = [L @ arrays[k // m][:, k % m] for k, L in enumerate(self.rows) if L.nnz]
+        return np.concatenate(parts) if parts else np.zeros((0, *np.shape(arrays[0])[2:]))
+
+    def one(self, output: int, arrays: Sequence[np.ndarray]) -> np.ndarray:
+        """Return the white rows of one output alone, of arrays over the runs (n, ...)."""
+        return np.concatenate([self.rows[r * self.n_outputs + output] @ x for r, x in enumerate(arrays)])
+
+
+def _predictors(model: Autoregression) -> list[np.ndarray]:
+    """Return, for each order up to the model's, the row `[1, -phi_1, ..., -phi_m] / sigma_m`."""
+    p = len(model.phi)
+    c = model.autocovariance(p + 1) if p else np.array([model.variance])
+    c = np.maximum(c[0], 1e-300) * (c / c[0] if c[0] > 0 else np.eye(1, p + 1)[0])
+    found = [np.array([1.0]) / np.sqrt(c[0])]
+    for m in range(1, p + 1):
+        phi = np.asarray(solve_toeplitz(c[:m], c[1 : m + 1]))
+        variance = max(float(c[0] - phi @ c[1 : m + 1]), 1e-12 * c[0])
+        found.append(np.concatenate([[1.0], -phi]) / np.sqrt(variance))
+    return found
+
+
+def _matrix(used: np.ndarray, n: int, predictors: list[np.ndarray]) -> sparse.csr_matrix:
+    """Return the rows (r, n) of the used samples."""
+    fresh = np.concatenate([[True], np.diff(used) > 1]) if used.size else np.zeros(0, bool)
+    start = np.maximum.accumulate(np.where(fresh, np.arange(len(used)), 0)) if used.size else np.zeros(0, int)
+    depth = np.minimum(np.arange(len(used)) - start, len(predictors) - 1)
+    rows, columns, values = [], [], []
+    for m, predictor in enumerate(predictors):
+        mine = np.flatnonzero(depth == m)
+        for lag, value in enumerate(predictor):
+            rows.append(mine)
+            columns.append(used[mine] - lag)
+            values.append(np.full(len(mine), value))
+    triples = [np.concatenate(x) if x else np.zeros(0) for x in (values, rows, columns)]
+    return sparse.csr_matrix((triples[0], (triples[1].astype(int), triples[2].astype(int))), shape=(len(used), n))

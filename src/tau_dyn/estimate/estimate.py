@@ -1,9 +1,15 @@
-"""What an estimation knows about its answer: values, uncertainty, what could not be seen, and where physics held it."""
+"""What an estimation knows about its answer: values, uncertainty, what could not be seen, and where physics held it.
+
+A sum `w' theta` is told even where none of its terms is: if and only if `w` lies in the row space of the columns, that is if
+`w_D = K' w_B`; then it equals `w_B' beta`. So a published base parameter, or a total mass, can be compared whatever base either
+side has chosen.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +17,7 @@ from tau_dyn.estimate.autoregression import Autoregression
 from tau_dyn.estimate.base_parameters import BaseParameters
 from tau_dyn.estimate.covariance import select_larger_stderr
 from tau_dyn.estimate.regression import Regression
+from tau_dyn.exceptions import CannotAnswer, UnknownName
 from tau_dyn.parameters import Parameters
 
 MAX_RELATIVE_STDERR = 0.30
@@ -34,6 +41,8 @@ class Estimate:
         noise: Noise model of each output's residual.
         sigma: Residual deviation of each output (m,), the weights.
         moved: Names of what a constraint holds away from the plain estimate, with the plain value.
+        estimator: Name of the estimator that answered; see `identify/estimators.py`.
+        warnings: What is doubtful about how it was found.
     """
 
     regression: Regression
@@ -48,6 +57,8 @@ class Estimate:
     noise: tuple[Autoregression, ...]
     sigma: np.ndarray
     moved: Mapping[str, float]
+    estimator: str = "wls"
+    warnings: tuple[str, ...] = ()
 
     @property
     def theta(self) -> np.ndarray:
@@ -82,3 +93,45 @@ class Estimate:
         """Return whether these data tell the parameter to within 30 % of its value."""
         p = self.parameters[name]
         return p.stderr is not None and p.stderr < MAX_RELATIVE_STDERR * abs(p.value)
+
+
+_TOLERANCE = 1e-6
+"""Relative part of a weight that may be off: base combinations are known to about 1e-9, published ones are often rounded."""
+
+
+class ParameterSum(NamedTuple):
+    """The value of a sum of parameters and its standard error."""
+
+    value: float
+    stderr: float
+
+
+def combine_parameters(estimate: Estimate, weights: Mapping[str, float]) -> ParameterSum:
+    """Return `sum of weight * parameter` as plain least squares sees it, before bounds and physics, which the error is for.
+
+    Args:
+        estimate: A solved regression.
+        weights: Factor of each parameter, by name; a fixed parameter counts with its value, as exact.
+
+    Raises:
+        UnknownName: A name that is no parameter.
+        CannotAnswer: The data do not identify this sum.
+    """
+    base, parameters = estimate.base, estimate.parameters
+    for name in weights:
+        if name not in parameters:
+            raise UnknownName("parameter", name, parameters.names)
+    w = np.array([weights.get(name, 0.0) for name in base.names])
+    kept, dropped = w[base.kept], w[base.dropped]
+    off = np.abs(dropped - base.K.T @ kept)
+    unseen = off > _TOLERANCE * (np.abs(dropped) + np.abs(base.K.T) @ np.abs(kept))
+    if unseen.any():
+        names = [base.names[c] for c in base.dropped[unseen]]
+        text = " + ".join(f"{x:g}*{name}" for name, x in weights.items())
+        raise CannotAnswer(
+            "not_identifiable",
+            f"the data do not identify {text}; what they see holds other shares of {', '.join(names)}",
+            "ask for a base parameter's expression, or record a motion that tells these apart",
+        )
+    fixed = sum(x * parameters[name].value for name, x in weights.items() if name not in base.names)
+    return ParameterSum(float(kept @ estimate.beta_plain) + fixed, estimate.stderr_of(kept))

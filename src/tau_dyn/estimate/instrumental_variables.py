@@ -4,7 +4,7 @@ r"""Instrumental variables: columns that the noise does not touch, in place of t
 
 Least squares has Z = W, and where W holds noise that y - W theta holds too, it is biased. With the noise-free columns as Z and
 the noise's own covariance as Sigma, no consistent estimator that knows as little is more precise. Rows come whitened by
-`Sigma`; `Omega` is what the whitened residual says of itself (`white_covariance.py`), so that the error stays honest where
+`Sigma`; `Omega` is what the whitened residual says of itself (`covariance.py`), so that the error stays honest where
 `Sigma` is not quite right. Reference: Soderstrom & Stoica 1983, Instrumental Variable Methods for System
 Identification.
 """
@@ -16,12 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.estimate.covariance import select_larger_stderr
+from tau_dyn.estimate.covariance import estimate_score_covariance, select_larger_stderr
 from tau_dyn.estimate.estimate import Estimate
-from tau_dyn.estimate.physical_consistency import solve_consistent
-from tau_dyn.estimate.physics import PhysicalConstraints
-from tau_dyn.estimate.prior import build_prior_rows
-from tau_dyn.estimate.white_covariance import estimate_score_covariance
+from tau_dyn.estimate.physical_consistency import PhysicalConstraints, solve_consistent
+from tau_dyn.estimate.weights import build_prior_rows
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
 

@@ -5,7 +5,7 @@ r"""Weighted least squares on base parameters, each output weighted by its own n
 `sigma_j` is output j's residual deviation; estimate and weights take turns until they agree. A parameter known beforehand
 with an uncertainty is one more row. Covariances hold under coloured noise (`noise.py`), bounds and physics come after
 (`physical_consistency.py`). Reference: Gautier & Poignet 2001, Extended Kalman filtering and weighted least squares dynamic
-identification of robot. All of it works on the outputs' triangular factors (`sufficient_statistics.py`), so that the number of
+identification of robot. All of it works on the outputs' triangular factors (`regression.py`), so that the number of
 samples does not
 matter; only the covariance looks at the residuals themselves, run by run.
 """
@@ -20,10 +20,9 @@ import numpy as np
 from tau_dyn.estimate.base_parameters import BaseParameters, find_base
 from tau_dyn.estimate.covariance import Scores, estimate_covariance, select_larger_stderr
 from tau_dyn.estimate.estimate import Estimate
-from tau_dyn.estimate.physical_consistency import solve_consistent
-from tau_dyn.estimate.physics import PhysicalConstraints
-from tau_dyn.estimate.prior import build_prior_rows
+from tau_dyn.estimate.physical_consistency import PhysicalConstraints, solve_consistent
 from tau_dyn.estimate.regression import Regression, RegressionRows
+from tau_dyn.estimate.weights import build_prior_rows
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
 

@@ -1,10 +1,12 @@
-r"""Keep an estimate physical: the nearest admissible parameters, in the metric of the data.
+"""Keep an estimate physical: the nearest admissible parameters, in the metric of the data.
 
     minimise  || R (theta_B + K theta_D - beta) ||^2 + eps || (theta - theta_nominal) / scale ||^2
-    subject to  lower <= theta <= upper,   pseudo-inertia of every body >= 0
+    subject to  lower <= theta <= upper,   J = [[ 1/2 tr(I) 1 - I,  m c ], [ (m c)',  m ]]  >=  0   of every body
 
-A conic program (cvxpy, clarabel). The second term chooses, of all vectors the data cannot tell apart, the one nearest the
-robot file; `eps` is too small to move what the data see. Reference: Sousa & Cortesao 2014; Wensing, Kim & Slotine 2018.
+`J` is the pseudo-inertia, `I` about the joint frame's origin: it is positive semidefinite if and only if some distribution of
+positive mass has these ten numbers. A conic program (cvxpy, clarabel). The second term chooses, of all vectors the data cannot
+tell apart, the one nearest the robot file; `eps` is too small to move what the data see. Reference: Sousa & Cortesao 2014;
+Wensing, Kim & Slotine 2018.
 """
 
 from __future__ import annotations
@@ -17,9 +19,62 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.estimate.base_parameters import BaseParameters
-from tau_dyn.estimate.physics import PSEUDO_INERTIA_BASIS, InertialBody, PhysicalConstraints, pseudo_inertia
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.parameters import Parameters
+
+_IXX, _IXY, _IYY, _IXZ, _IYZ, _IZZ = range(4, 10)
+
+
+@dataclass(frozen=True, eq=False)
+class InertialBody:
+    """One body: which parameters make its ten inertial numbers `pi = map @ parameters`.
+
+    Attributes:
+        name: Link name.
+        parameters: Names of its parameters (k,).
+        map: (10, k).
+    """
+
+    name: str
+    parameters: tuple[str, ...]
+    map: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class PhysicalConstraints:
+    """The bodies whose inertial numbers must be those of something that exists.
+
+    Attributes:
+        bodies: The bodies.
+        rotors: Fixed drive inertias that no data tell from the bodies'. A rotor turns about its joint alone, faster than the
+            body that carries it, so its inertia in a body may be more than any mass distribution has.
+    """
+
+    bodies: tuple[InertialBody, ...]
+    rotors: tuple[str, ...] = ()
+
+
+def pseudo_inertia(pi: np.ndarray) -> np.ndarray:
+    """Return the pseudo-inertia (4, 4) of ten inertial numbers (10,), Pinocchio's order, about the joint origin."""
+    return np.tensordot(np.asarray(pi, float), PSEUDO_INERTIA_BASIS, axes=1)
+
+
+def _basis() -> np.ndarray:
+    basis = np.zeros((10, 4, 4))
+    basis[0, 3, 3] = 1.0
+    for k in range(3):
+        basis[1 + k, k, 3] = basis[1 + k, 3, k] = 1.0
+    for k, index in enumerate((_IXX, _IYY, _IZZ)):
+        basis[index, :3, :3] = np.eye(3) / 2
+        basis[index, k, k] -= 1.0
+    for (i, j), index in (((0, 1), _IXY), ((0, 2), _IXZ), ((1, 2), _IYZ)):
+        basis[index, i, j] = basis[index, j, i] = -1.0
+    return basis
+
+
+PSEUDO_INERTIA_BASIS = _basis()
+"""`d J / d pi` (10, 4, 4): the pseudo-inertia is linear in the ten numbers."""
+
 
 _EPS = (1e-4, 1e-2)
 """Pull towards the robot file: the smallest that leaves the program solvable is taken. On TX40 1e-4 moves no base parameter by

@@ -2,18 +2,117 @@
 
 Plain arrays that can be inspected before anybody trusts `theta`. A run is one stretch of one log, evenly sampled; each of
 its outputs has its own mask of usable samples. Torque, pose and vibration measurements all end in this form.
+
+Least squares needs of any number of rows only the triangular factor of each output's columns and measurements: with
+`[W_k y_k] = Q_k R_k`, `R_k` (p + 1, p + 1) gives every weighted fit of these rows and every residual's size,
+`|y_k - W_k theta| = |R_k [-theta; 1]|`, whatever the outputs' weights. Factors of blocks of rows are stacked and factored again,
+so rows may come in any number and be forgotten; unlike the normal equations this keeps all digits. Rows that a covariance needs
+and memory does not hold lie in a temporary file that no name leads to. Reference: Golub & Van Loan 2013, 5.2 and 6.5 (updating);
+Demmel et al. 2012 (tall-skinny QR).
 """
 
 from __future__ import annotations
 
+import tempfile
+import weakref
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg import lapack
 
-from tau_dyn.estimate.sufficient_statistics import SufficientStatistics
 from tau_dyn.parameters import Parameters
+
+_FACTORED_ROWS = 4096
+"""Rows factored at once; more do not fit the processor's cache."""
+
+
+@dataclass(frozen=True, eq=False)
+class SufficientStatistics:
+    """Rows of m outputs and p columns, summed up.
+
+    Attributes:
+        R: Triangular factors of `[W y]` (m, p + 1, p + 1).
+        sums: Sums of the rows `[W y]` (m, p + 1).
+        count: Number of rows (m,).
+    """
+
+    R: np.ndarray
+    sums: np.ndarray
+    count: np.ndarray
+
+    @classmethod
+    def zero(cls, n_outputs: int, n_columns: int) -> SufficientStatistics:
+        """Return the totals of no rows."""
+        k = n_columns + 1
+        return cls(np.zeros((n_outputs, k, k)), np.zeros((n_outputs, k)), np.zeros(n_outputs, int))
+
+    @classmethod
+    def of(cls, W: np.ndarray, y: np.ndarray, usable: np.ndarray | None = None) -> SufficientStatistics:
+        """Return the totals of columns (n, m, p) and measurements (n, m), of usable samples (n, m) where given."""
+        n, m, p = W.shape
+        found = cls.zero(m, p)
+        for k in range(m):
+            columns, measured = W[:, k].T, y[:, k]
+            if usable is not None and not usable[:, k].all():
+                columns, measured = columns[:, usable[:, k]], measured[usable[:, k]]
+            found.R[k], found.sums[k] = (
+                compute_triangular_factor(columns.T, measured),
+                [*columns.sum(axis=1), measured.sum()],
+            )
+            found.count[k] = len(measured)
+        return found
+
+    def __add__(self, other: SufficientStatistics) -> SufficientStatistics:
+        """Return the totals of these rows and others."""
+        both = np.concatenate([self.R, other.R], axis=1)
+        R = np.stack([_factor(np.asfortranarray(rows)) for rows in both]) if len(both) else self.R
+        return SufficientStatistics(R, self.sums + other.sums, self.count + other.count)
+
+    def scaled(self, factors: Sequence[float]) -> SufficientStatistics:
+        """Return the totals with each output's measurements multiplied by a factor."""
+        R, sums = self.R.copy(), self.sums.copy()
+        R[:, :, -1] *= np.asarray(factors)[:, None]
+        sums[:, -1] *= factors
+        return SufficientStatistics(R, sums, self.count)
+
+    def squares(self, theta: np.ndarray) -> np.ndarray:
+        """Return the sum of squared residuals of each output (m,) at a parameter vector (p,)."""
+        return np.sum((self.R[:, :, -1] - self.R[:, :, :-1] @ theta) ** 2, axis=1)
+
+    def power(self) -> np.ndarray:
+        """Return the sum of squared measurements of each output (m,)."""
+        return np.sum(self.R[:, :, -1] ** 2, axis=1)
+
+
+def compute_triangular_factor(W: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the triangular factor (p + 1, p + 1) of rows `[W y]`, W (n, p) and y (n,); columns of zeros cost nothing."""
+    p = W.shape[1]
+    used = np.flatnonzero(W.any(axis=0)) if len(W) else np.zeros(0, int)
+    small = np.zeros((0, len(used) + 1))
+    for start in range(0, len(y), _FACTORED_ROWS):
+        part = slice(start, start + _FACTORED_ROWS)
+        rows = np.empty(
+            (len(used) + 1, len(small) + len(y[part]))
+        )  # transposed: LAPACK takes columns one after another
+        rows[:, : len(small)] = small.T
+        rows[:-1, len(small) :] = W.T[:, part] if len(used) == p else W.T[used, part]
+        rows[-1, len(small) :] = y[part]
+        small = _factor(rows.T)
+    out = np.zeros((p + 1, p + 1))
+    place = [*used, p]
+    out[np.ix_(place[: len(small)], place)] = small
+    return out
+
+
+def _factor(rows: np.ndarray) -> np.ndarray:
+    """Return the triangular factor (min(n, k), k) of rows (n, k) in Fortran order, which are overwritten."""
+    factored, _, _, fault = lapack.dgeqrf(rows, overwrite_a=1)
+    if fault:
+        raise ValueError(f"dgeqrf: argument {-fault}")
+    return np.triu(factored[: min(rows.shape)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +170,44 @@ class StreamedData:
     runs: Sequence[Sequence[RegressionRows]]
 
 
+ROUNDING = 1e-6
+"""Part of a sample or a block; a clock's last digit must not turn five samples into six."""
+
+
+@dataclass(frozen=True, eq=False)
+class Preparation:
+    """Filters and masks between a recording and its regression.
+
+    Attributes:
+        position_cutoff_hz: Zero-phase low-pass on positions before differentiation [Hz].
+        force_cutoff_hz: The one low-pass on forces and on every column [Hz].
+        rate_hz: Rate after decimation, at least [Hz].
+        speed_threshold: Slowest speed of each joint with a sure sign (na,) [m/s or rad/s].
+        window_s: Time gated out on both sides of slow, reversing or excluded samples [s].
+        exclude: Columns whose nonzero samples are left out.
+    """
+
+    position_cutoff_hz: float
+    force_cutoff_hz: float
+    rate_hz: float
+    speed_threshold: np.ndarray
+    window_s: float
+    exclude: tuple[str, ...] = ()
+
+    def factor(self, rate_hz: float) -> int:
+        """Return the whole number by which a log of this rate is decimated."""
+        return max(1, int(rate_hz / self.rate_hz + ROUNDING))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers for JSON."""
+        out = asdict(self)
+        return out | {"speed_threshold": self.speed_threshold.tolist(), "exclude": list(self.exclude)}
+
+
+AS_RECORDED = Preparation(inf, inf, inf, np.zeros(0), 0.0)
+"""Of rows that no filter and no mask has touched."""
+
+
 @dataclass(frozen=True, eq=False)
 class Regression:
     """A stacked linear problem.
@@ -80,7 +217,7 @@ class Regression:
         outputs: Names of the outputs (the actuated joints, for torques).
         units: Units of the outputs.
         runs: The data; of a recording too large for memory, excerpts to look at.
-        settings: How the data were prepared, for the report.
+        preparation: Filters and masks that the rows went through.
         everything: Where `runs` are excerpts, all data; else None. Estimates and errors are of all data.
     """
 
@@ -88,7 +225,7 @@ class Regression:
     outputs: tuple[str, ...]
     units: tuple[str, ...]
     runs: tuple[RegressionRun, ...]
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    preparation: Preparation = AS_RECORDED
     everything: StreamedData | None = None
 
     @property
@@ -143,3 +280,64 @@ class Regression:
     def with_parameters(self, parameters: Parameters) -> Regression:
         """Return the same data with other values, bounds or freedoms."""
         return replace(self, parameters=parameters)
+
+
+class StoredRows:
+    """Pieces of runs, each run's in order.
+
+    Attributes:
+        n_columns: Columns of all rows.
+    """
+
+    def __init__(self, n_columns: int) -> None:
+        """Open a file with nothing in it."""
+        self.n_columns = n_columns
+        self._file = tempfile.TemporaryFile(prefix="tau_dyn_")
+        weakref.finalize(self, self._file.close)
+        self._places: list[list[int]] = []
+
+    def begin(self) -> None:
+        """Say that what comes next is another run."""
+        self._places.append([])
+
+    def add(self, rows: RegressionRows) -> None:
+        """Write a piece of the run that was begun last."""
+        self._file.seek(0, 2)
+        self._places[-1].append(self._file.tell())
+        for array in (rows.t, rows.usable, rows.y):
+            np.save(self._file, array)
+        for k in range(rows.y.shape[1]):
+            touching = np.flatnonzero(rows.W[:, k].any(axis=0))
+            np.save(self._file, touching)
+            np.save(self._file, rows.W[:, k, touching])
+
+    @property
+    def runs(self) -> Sequence[Sequence[RegressionRows]]:
+        """Every run as its pieces, read when they are asked for."""
+        return tuple(_StoredRun(self, places) for places in self._places)
+
+    def read(self, place: int) -> RegressionRows:
+        """Return the piece at a place in the file."""
+        self._file.seek(place)
+        t, usable, y = (np.load(self._file) for _ in range(3))
+        W = np.zeros((*y.shape, self.n_columns))
+        for k in range(y.shape[1]):
+            touching = np.load(self._file)
+            W[:, k, touching] = np.load(self._file)
+        return RegressionRows(t, W, y, usable)
+
+
+class _StoredRun(Sequence[RegressionRows]):
+    """One run's pieces."""
+
+    def __init__(self, stored: StoredRows, places: list[int]) -> None:
+        self._stored, self._places = stored, places
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __getitem__(self, index):
+        return self._stored.read(self._places[index])
+
+    def __iter__(self) -> Iterator[RegressionRows]:
+        return (self._stored.read(place) for place in self._places)

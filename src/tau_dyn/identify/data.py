@@ -6,18 +6,21 @@ block (`streaming.py`), and the regression holds their totals; estimates, errors
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
-from tau_dyn.estimate import Regression
-from tau_dyn.identify.choices import scale_outputs
-from tau_dyn.identify.log_inputs import log_warnings
+from tau_dyn.estimate import ROUNDING, Preparation, Regression
+from tau_dyn.exceptions import InputError
+from tau_dyn.identify.fitted_model import scale_outputs
+from tau_dyn.identify.gate import SATURATION_RATIO
 from tau_dyn.identify.log_integrity import check_integrity
-from tau_dyn.identify.preparation import ROUNDING, Preparation
-from tau_dyn.identify.regression import build_regression
-from tau_dyn.identify.short_pieces import list_crumbs, refuse_short
+from tau_dyn.identify.preparation import list_crumbs, refuse_short
+from tau_dyn.identify.regression import build_regression_of_pieces
 from tau_dyn.identify.streaming import (
     BlockExecutor,
     Progress,
@@ -26,50 +29,174 @@ from tau_dyn.identify.streaming import (
     refuse_missing,
     split_recording_evenly,
 )
-from tau_dyn.log import MIN_SEGMENT_SAMPLES, Log, Recording, mend_log, resample_segments
+from tau_dyn.log import (
+    MIN_SEGMENT_SAMPLES,
+    Log,
+    Recording,
+    check_signals,
+    find_moving_samples,
+    list_unit_warnings,
+    mend_log,
+    resample_segments,
+)
+from tau_dyn.message_codes import UNCODED, CodedWarning, get_code
 from tau_dyn.model import Model
+from tau_dyn.robot import Robot
+
+Kind = TypeVar("Kind", bound=Log | Recording)
+
+_CHANNEL_FAULTS = ("frozen", "clipping", "held")
+"""What a fit does not notice by itself."""
+
+_MAX_LISTED_WARNINGS = 4  # warnings about one log before they are counted instead of listed
+
+
+def get_log_list(logs: Log | Recording | Iterable[Log | Recording]) -> list[Log | Recording]:
+    """Return one log or many as a list; a path is refused."""
+    if isinstance(logs, Log | Recording):
+        return [logs]
+    if isinstance(logs, str | Path):
+        raise InputError("invalid_value", f"{str(logs)[:80]} is a path, not a Log; read it with read_log(path)")
+    return list(logs)
+
+
+def drop_repeated_logs(train: Sequence[Kind], held: Sequence[Kind]) -> tuple[list[Kind], list[Kind], list[str]]:
+    """Return logs to train on and held-out logs with no samples twice, and a warning about each log that is left out.
+
+    The same samples twice would look like twice the evidence; errors on logs that are also trained on are not held-out errors.
+    """
+    trained, doubled = _keep_once(train)
+    both = [log for log in held if any(has_common_samples(log, other) for other in trained)]
+    doubled += [
+        f"{log.name} is both trained on and held out; its errors are not held-out errors and are left out"
+        for log in both
+    ]
+    judged, more = _keep_once([log for log in held if log not in both])
+    return trained, judged, doubled + more
+
+
+def _keep_once(logs: Sequence[Kind]) -> tuple[list[Kind], list[str]]:
+    """Return the logs without repetitions, and what is said of those."""
+    once: list[Kind] = []
+    doubled = []
+    for log in logs:
+        if any(has_common_samples(log, other) for other in once):
+            doubled.append(f"{log.name} is given twice, or overlaps with a log given before; it counts once")
+        else:
+            once.append(log)
+    return once, doubled
+
+
+def log_warnings(robot: Robot, logs: Sequence[Log]) -> list[str]:
+    """Return what is doubtful about the logs' pieces; of many alike from one file the first two and their number."""
+    found: list[str] = []
+    for name in dict.fromkeys(log.name for log in logs):
+        pieces = [log for log in logs if log.name == name]
+        of_logs = (w for log in pieces for w in (*log.warnings, *list_unit_warnings(log, robot)))
+        longest = max(pieces, key=lambda log: log.n_samples)
+        said = list(dict.fromkeys([*of_logs, *_channel_warnings(robot, longest)]))
+        found += said if len(said) <= _MAX_LISTED_WARNINGS else _some(said, name)
+    return found
+
+
+def _some(said: list[str], name: str) -> list[str]:
+    """Return the first two of many warnings, the first of each other code, and how many more there are."""
+    codes = [get_code(sentence) for sentence in said]
+    shown = [s for k, s in enumerate(said) if k < 2 or (codes[k] != UNCODED and codes[k] not in codes[:k])]
+    return shown if len(shown) == len(said) else [*shown, f"{name}: {len(said) - len(shown)} more warnings like these"]
+
+
+def _channel_warnings(robot: Robot, log: Log) -> list[str]:
+    """Return what is wrong with the channels of a log, of those that the fit uses; forces at the drives' limits are gated out."""
+    if log.n_samples < MIN_SEGMENT_SAMPLES:
+        return []
+    columns = {f"{signal}_{joint}" for signal in ("q", "tau") for joint in robot.actuated}
+    limits = dict(zip((f"tau_{joint}" for joint in robot.actuated), robot.effort_limit, strict=True))
+    used = {
+        c: x
+        for c, x in log.channels.items()
+        if c in columns and np.abs(x).max() < SATURATION_RATIO * limits.get(c, np.inf)
+    }
+    channels = Log(log.t, used, log.name)
+    moving = {joint: find_moving_samples(channels, joint) for joint in channels.joints("q")}
+    found = check_signals(channels, moving)[0]
+    doubtful = [f for f in found if f.topic in _CHANNEL_FAULTS and f.severity != "ok"]
+    return [CodedWarning(f.code, f.sentence) if f.code else f.sentence for f in doubtful]
+
+
+def has_common_samples(one: Log | Recording, other: Log | Recording) -> bool:
+    """Return whether two logs hold the same samples; parts of one file that do not overlap in time are different data."""
+    if one is other:
+        return True
+    if not one.sha256 or one.sha256 != other.sha256:
+        return False
+    if isinstance(one, Recording) or isinstance(other, Recording):
+        return True
+    return bool(one.t[0] <= other.t[-1] and other.t[0] <= one.t[-1])
+
+
+def require_forces(robot: Robot, logs: Sequence[Log | Recording]) -> None:
+    """Refuse logs that hold positions and no force at all, and name what would do.
+
+    Raises:
+        InputError: A log has no force of any actuated joint.
+    """
+    for log in logs:
+        if (
+            isinstance(log, Log)
+            and log.has("q", robot.actuated)
+            and not any(log.has("tau", [j]) for j in robot.actuated)
+        ):
+            commands = " and commands" if log.has("cmd", robot.actuated[:1]) else ""
+            raise InputError(
+                "missing_column",
+                f"{log.name} holds positions{commands} and no force; log each drive's force (tau_{robot.actuated[0]}), or its "
+                "current, which a column map scales by torque constant and gear ratio; tool positions (x_tool, y_tool, z_tool) "
+                "are diagnosed without forces",
+            )
+
 
 TRAIN_SHARE = 0.7
 """Where no held-out log is given, a fit of this first part of each log predicts the rest."""
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Data:
     """Logs for one model.
 
     Attributes:
         model: What is fitted to them.
         logs: The logs.
+        pieces: Even stretches of logs in memory; none where one of the logs is a recording on disk.
         preparation: Filters and masks; None to choose them from the logs.
         exclude: Columns whose nonzero samples are left out.
         factors: Factor of an output's measurements, by name.
         campaigns: Names of logs that are numbered before these.
         engine: Who computes blocks.
         progress: Told how far it is.
-
-    `pieces` are the even pieces, those that are too short for the filters until the first regression tells them apart; what is
-    left out stands in `left_out`.
     """
 
     model: Model
-    logs: Sequence[Log | Recording]
+    logs: tuple[Log | Recording, ...]
+    pieces: tuple[Log, ...]
     preparation: Preparation | None = None
     exclude: tuple[str, ...] = ()
-    factors: dict[str, float] = field(default_factory=dict)
+    factors: Mapping[str, float] = field(default_factory=dict)
     campaigns: tuple[str, ...] = ()
     engine: BlockExecutor = BlockExecutor()
     progress: Progress = lambda step: None
 
-    def __post_init__(self) -> None:
-        """Cut logs in memory into even pieces."""
-        self.streams = any(isinstance(log, Recording) for log in self.logs)
-        self.pieces = [] if self.streams else [piece for log in self.logs for piece in self._mended(log)]
-        self._parts: tuple[Regression, Regression] | None = None
-        self.left_out: tuple[str, ...] = () if self.streams else tuple(list_crumbs(self.logs))
+    @classmethod
+    def of(cls, model: Model, logs: Sequence[Log | Recording], **options: Any) -> Data:
+        """Cut logs in memory into even pieces, their few lost samples being gaps in the clock."""
+        here = [log for log in logs if isinstance(log, Log)]
+        mended = (mend_log(log, model.robot.actuated) for log in here if len(here) == len(logs))
+        return cls(model, tuple(logs), tuple(piece for log in mended for piece in resample_segments(log)), **options)
 
-    def _mended(self, log: Log | Recording) -> list[Log]:
-        """Return a log's even pieces, its few lost samples being gaps in the clock."""
-        return resample_segments(mend_log(log, self.model.robot.actuated)) if isinstance(log, Log) else []
+    @property
+    def streams(self) -> bool:
+        """Whether the rows are on disk."""
+        return any(isinstance(log, Recording) for log in self.logs)
 
     def warnings(self) -> list[str]:
         """Return what is doubtful about the logs, what spoils them first; of a large one, about a stretch in its middle."""
@@ -80,9 +207,8 @@ class Data:
                 refuse_missing(self.model, [log], self.exclude)
                 for stretch in split_recording_evenly(log):
                     middle = max(0, stretch.n_samples // 2 - 2**15)
-                    part = stretch.window(
-                        middle, min(stretch.n_samples, middle + 2**16), list_channels(self.model, self.exclude)
-                    )
+                    channels = list_channels(self.model, self.exclude)
+                    part = stretch.window(middle, min(stretch.n_samples, middle + 2**16), channels)
                     found.append(part.with_warnings(*log.warnings, *stretch.warnings))
                     whole.append(part)
             else:
@@ -90,10 +216,10 @@ class Data:
         spoilt = check_integrity(self.model.robot, whole, self.exclude)
         return [*spoilt, *log_warnings(self.model.robot, [*self.pieces, *found])]
 
-    def regression(self, at: Model) -> Regression:
+    def build(self, at: Model) -> BuiltData:
         """Return the regression, with signals at a model's values."""
         if self.streams:
-            whole, *parts = build_stream_regression(
+            built = build_stream_regression(
                 self.model,
                 self.logs,
                 preparation=self.preparation,
@@ -105,39 +231,54 @@ class Data:
                 engine=self.engine,
                 progress=self.progress,
             )
-            self.preparation = whole.settings["preparation"]
-            self._parts = parts[0], parts[1]
-            self.left_out = whole.settings["left_out"]
-            return whole
+            data = replace(self, preparation=built.whole.preparation)
+            return BuiltData(data, built.whole, (built.first, built.last), tuple(built.left_out))
         logs = [log for log in self.logs if isinstance(log, Log)]
         if logs and not self.pieces:
             raise refuse_short(logs, MIN_SEGMENT_SAMPLES / min(log.rate_hz for log in logs))
-        built = build_regression(
-            self.model,
-            self.pieces,
-            preparation=self.preparation,
-            exclude=self.exclude,
-            at=at,
-            campaigns=self.campaigns,
+        built, kept = build_regression_of_pieces(
+            self.model, self.pieces, preparation=self.preparation, exclude=self.exclude, at=at, campaigns=self.campaigns
         )
-        self.left_out += built.settings["left_out"]
-        self.pieces = [self.pieces[k] for k in built.settings["kept"]]
-        return scale_outputs(built, self.factors) if self.factors else built
+        data = replace(self, pieces=tuple(kept.of(self.pieces)), preparation=built.preparation)
+        regression = scale_outputs(built, self.factors) if self.factors else built
+        return BuiltData(data, regression, None, (*list_crumbs(logs), *kept.warnings))
 
-    def parts(self, regression: Regression) -> tuple[Regression, Regression, bool]:
-        """Return the first and the last part of the regression built last, and whether their rows are there to look at."""
-        if self._parts is not None:
-            return *self._parts, False
-        return *_split(regression), True
+    def shifted(self, seconds: float) -> Data:
+        """Return the data with forces that are read `seconds` later."""
+        joints = self.model.robot.actuated
+        return replace(self, pieces=tuple(shift_forces(piece, joints, seconds) for piece in self.pieces))
 
 
-def _split(regression: Regression) -> tuple[Regression, Regression]:
-    """Cut each run in time, leaving a gap as wide as the filters' memory."""
-    preparation: Preparation = regression.settings["preparation"]
-    first, last = [], []
-    for run in regression.runs:
-        cut = int(TRAIN_SHARE * len(run.t))
-        gap = int(np.ceil(preparation.rate_hz / preparation.force_cutoff_hz - ROUNDING)) if len(run.t) > 1 else 0
-        first.append(run.window(slice(0, cut)))
-        last.append(run.window(slice(min(cut + gap, len(run.t) - 1), len(run.t))))
-    return replace(regression, runs=tuple(first)), replace(regression, runs=tuple(last))
+class BuiltData(NamedTuple):
+    """A regression and what it was made from.
+
+    Attributes:
+        data: The pieces that gave rows, and the filters and masks they went through.
+        regression: All rows.
+        blocks: Regressions of the first and the last part of each log, without rows to look at; None of logs in memory.
+        left_out: What is said about pieces that gave no rows.
+    """
+
+    data: Data
+    regression: Regression
+    blocks: tuple[Regression, Regression] | None
+    left_out: tuple[str, ...]
+
+    def parts(self) -> tuple[Regression, Regression]:
+        """Return the first and the last part, cut in time with a gap between as wide as the filters' memory."""
+        if self.blocks is not None:
+            return self.blocks
+        first, last, preparation = [], [], self.regression.preparation
+        for run in self.regression.runs:
+            cut = int(TRAIN_SHARE * len(run.t))
+            gap = int(np.ceil(preparation.rate_hz / preparation.force_cutoff_hz - ROUNDING)) if len(run.t) > 1 else 0
+            first.append(run.window(slice(0, cut)))
+            last.append(run.window(slice(min(cut + gap, len(run.t) - 1), len(run.t))))
+        return replace(self.regression, runs=tuple(first)), replace(self.regression, runs=tuple(last))
+
+
+def shift_forces(log: Log, joints: Sequence[str], seconds: float) -> Log:
+    """Return a log whose forces are read `seconds` later, by cubic interpolation; its ends keep their last value."""
+    t = np.clip(log.t + seconds, log.t[0], log.t[-1])
+    names = [f"tau_{joint}" for joint in joints]
+    return replace(log, channels={**log.channels, **{n: CubicSpline(log.t, log.channels[n])(t) for n in names}})

@@ -7,11 +7,40 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import chi2
 
-from tau_dyn.coded_warning import CodedWarning
-from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate
-from tau_dyn.identify.errors import ForceErrors
+from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Regression
+from tau_dyn.identify.result import ForceErrors
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import INERTIAL
+
+MAX_RESTING_SHARE = 0.5
+"""Share of the samples at rest from which a joint rests most of the time."""
+
+
+def compute_rest_shares(regression: Regression) -> np.ndarray:
+    """Return the share of samples at which each joint (na,) is slower than the slowest speed of a sure sign."""
+    v = np.concatenate([run.signals["v"] for run in regression.runs])
+    return np.mean(np.abs(v) < regression.preparation.speed_threshold, axis=0)
+
+
+def list_resting_warnings(regression: Regression) -> list[str]:
+    """Return one warning that names the joints at rest most of the time."""
+    if not any(len(run.t) for run in regression.runs):
+        return []
+    resting = {
+        j: x for j, x in zip(regression.outputs, compute_rest_shares(regression), strict=True) if x > MAX_RESTING_SHARE
+    }
+    if not resting:
+        return []
+    named = ", ".join(f"{joint} ({100 * share:.0f} %)" for joint, share in resting.items())
+    return [
+        CodedWarning(
+            "rests_mostly",
+            f"{named} rest{'s' if len(resting) == 1 else ''} most of the time; errors and friction there are of the moving "
+            "samples only, so look at the errors over all samples too",
+        )
+    ]
+
 
 _ILL_CONDITIONED = 200.0  # condition number; beyond, errors of the columns show in the estimates
 _CORRELATED = 0.99  # correlation from which two estimates are named together

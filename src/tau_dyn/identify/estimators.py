@@ -1,7 +1,7 @@
 """Which estimator answers: weighted least squares, or one of those at the statistical limit where the log bears it.
 
 wls     on the prepared regression: low-pass, gate, decimation. Stable where the model leaves something out.
-ml      full rate, errors in all variables; needs no reference (`full_rate_estimators.py`).
+ml      full rate, errors in all variables; needs no reference (`full_rate.py`).
 iv      the same with instruments from `q_ref_J`; also unbiased where the controller answers the encoders' noise.
 robust  ml with bisquare weights against outliers in the forces.
 auto    iv where the log has references, else ml; wls where that is not more precise, or where the whitened residual
@@ -10,16 +10,17 @@ shows that the model, not noise, makes it: then exact weights are exactly wrong.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.estimate import Estimate, Regression
+from tau_dyn.estimate import BaseParameters, Estimate, Regression, solve_least_squares
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.fixed_point import PARAMETER_DEPENDENT_SIGNALS
-from tau_dyn.identify.full_rate_estimators import FullRateEstimate, estimate_full_rate
-from tau_dyn.identify.structural_identifiability import build_physical_constraints
+from tau_dyn.identify.data import BuiltData
+from tau_dyn.identify.fitted_model import build_physical_constraints
+from tau_dyn.identify.full_rate import FullRateEstimate, estimate_full_rate
 from tau_dyn.log import Log, estimate_encoder_noise
 from tau_dyn.model import Model
 
@@ -27,6 +28,13 @@ ESTIMATORS = ("auto", "wls", "ml", "iv", "robust")
 
 MAX_COLUMN_VALUES = 30_000_000
 """Numbers in the full-rate columns (samples x joints x columns) up to which they are held in memory."""
+
+PARAMETER_DEPENDENT_SIGNALS = frozenset({"force", "rigid_force", "load", "inertia", "damping", "weight_gradient"})
+"""Signals that follow from the parameters' values, so that a fit changes the columns it was made with."""
+
+MAX_ITERATIONS = 8  # bounds the time of a fit that does not converge
+RELATIVE_CHANGE_TOL = 0.01
+"""A fit is repeated until the predicted force moves by less than this share of what it leaves unexplained."""
 
 CLEAN_REFERENCE = 0.2
 """Share of the encoders' noise that references may have; more, and they are measurements themselves."""
@@ -50,14 +58,14 @@ class Estimator:
         model: What is fitted.
         pieces: Even stretches of the training logs, in the order of the regression's runs.
         gains: Factor of each joint's logged force and its relative deviation.
-        warnings: Told what is doubtful.
+        structural: Base parameters that any motion could show.
     """
 
     kind: str
     model: Model
     pieces: Sequence[Log]
     gains: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
+    structural: BaseParameters | None = None
 
     def __post_init__(self) -> None:
         """Refuse an unknown name, and logs or models that the one asked for cannot take."""
@@ -68,6 +76,17 @@ class Estimator:
             if fault:
                 raise InputError("bad_option", f"--estimator {self.kind}: {fault}")
 
+    @property
+    def structural_rank(self) -> int:
+        """Number of base parameters that any motion could show."""
+        return 0 if self.structural is None else self.structural.rank
+
+    def solve(self, regression: Regression) -> Estimate:
+        """Return the estimate that answers, on a regression of the pieces or of parts of them."""
+        sigmas = {joint: sigma for joint, (_, sigma) in self.gains.items()}
+        physics = build_physical_constraints(self.model)
+        return self(solve_least_squares(regression, physics=physics, structural=self.structural, gains=sigmas))
+
     def __call__(self, first: Estimate) -> Estimate:
         """Return the estimate that answers, given weighted least squares on a regression of the pieces or of parts of them."""
         if self.kind == "auto":
@@ -75,16 +94,16 @@ class Estimator:
         if self.kind == "wls":
             return first
         found = self._refined(first, self.kind)
-        if self.kind != "robust" and not is_residual_white(found):
-            self.warnings.append(
-                f"the residual is not the noise that estimator {self.kind} takes it for; its errors are wider than they need be, "
-                "and --estimator wls or diagnose may serve better"
-            )
-        return _named(found.estimate, self.kind)
+        doubtful = self.kind != "robust" and not is_residual_white(found)
+        sentence = (
+            f"the residual is not the noise that estimator {self.kind} takes it for; its errors are wider than they need be, "
+            "and --estimator wls or diagnose may serve better"
+        )
+        return replace(found.estimate, estimator=self.kind, warnings=(sentence,) if doubtful else ())
 
     def _automatic(self, first: Estimate) -> Estimate:
         if len(self.pieces) != len(first.regression.runs):
-            return _named(first, "wls")
+            return first
         for kind in ("iv", "ml"):
             if self._fault(kind):
                 continue
@@ -94,9 +113,9 @@ class Estimator:
                 continue
             if not is_residual_white(found):
                 break
-            if _size(found.estimate.cov, first.cov) < 1:
-                return _named(found.estimate, kind)
-        return _named(first, "wls")
+            if np.mean(np.diag(found.estimate.cov) / np.diag(first.cov)) < 1:
+                return replace(found.estimate, estimator=kind)
+        return first
 
     def _refined(self, first: Estimate, kind: str) -> FullRateEstimate:
         pieces = [_part(log, run.t) for log, run in zip(self.pieces, first.regression.runs, strict=True)]
@@ -129,7 +148,7 @@ class Estimator:
 
 def is_residual_white(found: FullRateEstimate) -> bool:
     """Return whether whitened residuals are white where the motion is: no more power in its band, no memory."""
-    cutoff = found.estimate.regression.settings["preparation"].force_cutoff_hz
+    cutoff = found.estimate.regression.preparation.force_cutoff_hz
     for k in range(found.residuals[0].shape[1]):
         pairs = [(e[:, k], s.keep[:, k], s.log.rate_hz) for e, s in zip(found.residuals, found.stretches, strict=True)]
         count = max(sum(int(keep.sum()) for _, keep, _ in pairs), 1)
@@ -180,11 +199,49 @@ def _part(log: Log, t: np.ndarray) -> Log:
     return log.select_time(t[0], min(t[-1] + step, log.t[-1] + log.dt))
 
 
-def _size(cov: np.ndarray, other: np.ndarray) -> float:
-    """Return the mean ratio of two covariances' diagonals."""
-    return float(np.mean(np.diag(cov) / np.diag(other)))
+class Settled(NamedTuple):
+    """A fit, what it was fitted to, and what is doubtful about it."""
+
+    built: BuiltData
+    estimate: Estimate
+    warnings: tuple[str, ...]
 
 
-def _named(estimate: Estimate, kind: str) -> Estimate:
-    regression: Regression = estimate.regression
-    return replace(estimate, regression=replace(regression, settings={**regression.settings, "estimator": kind}))
+def iterate_to_fixed_point(built: BuiltData, solve: Callable[[Regression], Estimate]) -> Settled:
+    """Return the fit, repeated where effects feel what the fitted values make of forces and loads.
+
+    Friction in proportion to a load, or a gain of the model's own force, has columns that depend on what the fit finds: they are
+    made again with the signals of the last estimate. Each pass brings a gain error `g` closer by a factor `g`, and a load's
+    friction by the share of the force that it is; two or three passes are the rule.
+
+    Args:
+        built: The data, with signals at the values to start from.
+        solve: The estimation.
+    """
+    model, estimate = built.data.model, solve(built.regression)
+    feeling = [effect.name for effect in model.effects if PARAMETER_DEPENDENT_SIGNALS & set(effect.needs)]
+    if not feeling:
+        return Settled(built, estimate, estimate.warnings)
+    for _ in range(MAX_ITERATIONS):
+        before, theta = built.regression, estimate.theta
+        built = built.data.build(model.with_parameters(estimate.parameters))
+        estimate = solve(built.regression)
+        moved, left = _changed(before, theta, built.regression, estimate.theta)
+        if moved <= RELATIVE_CHANGE_TOL * left:
+            return Settled(built, estimate, estimate.warnings)
+    sentence = (
+        f"no convergence in {MAX_ITERATIONS} iterations: effect {feeling[0]} depends on a force or load that "
+        f"changes with the estimate"
+    )
+    return Settled(built, estimate, (*estimate.warnings, sentence))
+
+
+def _changed(before: Regression, theta: np.ndarray, after: Regression, now: np.ndarray) -> tuple[float, float]:
+    """Return by how much the residual moved and how large it is now: roots of sums of squares over usable samples."""
+    moved = left = 0.0
+    for one, other in zip(before.rows(), after.rows(), strict=True):
+        for x, y in zip(one, other, strict=True):
+            e = y.y - y.W @ now
+            moved += float(np.sum((e - (x.y - x.W @ theta))[y.usable] ** 2))
+            left += float(np.sum(e[y.usable] ** 2))
+    return moved**0.5, left**0.5

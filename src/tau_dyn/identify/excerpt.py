@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.gate import find_excluded_samples
-from tau_dyn.identify.preparation import MIN_SEGMENT_SAMPLES, choose_preparation
+from tau_dyn.identify.gate import find_excluded_samples, find_unsure_samples, widen
+from tau_dyn.identify.preparation import choose_preparation
 from tau_dyn.log import (
+    MIN_SEGMENT_SAMPLES,
     Log,
     compute_edge_samples,
     compute_noise_gain,
@@ -104,13 +105,12 @@ def _filtered(robot: Robot, log: Log, cutoff: float, exclude: tuple[str, ...]) -
     threshold = np.maximum(
         NOISE_FACTOR * estimate_encoder_noise(raw) * compute_noise_gain(rate, cutoff), 0.005 * np.abs(v).max(axis=0)
     )
-    shut = np.abs(v) <= threshold
-    shut[1:] |= np.sign(v[1:]) != np.sign(v[:-1])
+    shut = find_unsure_samples(v, threshold)
     left_out = find_excluded_samples(log, joints, robot.effort_limit, exclude)
     if np.mean(left_out) > MAX_SATURATED:  # forces in another unit, or limits that mean nothing
         left_out = find_excluded_samples(log, joints, np.full(robot.na, np.inf), exclude)
     shut |= left_out
-    used = ~_widen(shut, int(np.ceil(MASK_PERIODS * rate / cutoff)))
+    used = ~widen(shut, int(np.ceil(MASK_PERIODS * rate / cutoff)))
     edge = compute_edge_samples(cutoff, rate)
     used[:edge] = used[len(used) - edge :] = False
     factor = max(1, int(rate / (4 * cutoff)))
@@ -121,8 +121,9 @@ def _filtered(robot: Robot, log: Log, cutoff: float, exclude: tuple[str, ...]) -
     return Excerpt(log, q, v, a, tau, used, factor * log.dt, cutoff)
 
 
-def _widen(shut: np.ndarray, half: int) -> np.ndarray:
-    """Return where a sample (N, na) or one at most `half` away is shut."""
-    n, i = len(shut), np.arange(len(shut))
-    total = np.concatenate([np.zeros((1, shut.shape[1]), int), np.cumsum(shut, axis=0)])
-    return total[np.minimum(i + half + 1, n)] > total[np.maximum(i - half, 0)]
+def compute_clipped_power(r: np.ndarray, deviations: float) -> float:
+    """Return the mean square of residuals (n,), of which those beyond so many robust standard deviations count no more."""
+    if not r.size:
+        return 0.0
+    limit = deviations * 1.4826 * float(np.median(np.abs(r)))
+    return float(np.mean(np.minimum(r**2, limit**2))) if limit > 0 else float(np.mean(r**2))

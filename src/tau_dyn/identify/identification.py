@@ -1,6 +1,6 @@
 """Torque logs -> masses and friction that can be trusted: the whole main path in one place.
 
-    robot, logs -> Model -> Regression -> Estimate -> errors on data the fit never saw -> Identification
+    robot, logs -> Model -> Data -> Regression -> Estimate -> errors on data the fit never saw -> Identification
 
 What is doubtful is said in sentences: what the motion does not determine, where physics held the answer, which
 descriptions the data cannot tell apart.
@@ -9,45 +9,33 @@ descriptions the data cannot tell apart.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from tau_dyn.coded_warning import CodedWarning
-from tau_dyn.effects import FRICTION_MODELS, build_friction_model
-from tau_dyn.estimate import MAX_RELATIVE_STDERR, BaseParameters, Estimate, Regression, solve_least_squares
+from tau_dyn.effects import FRICTION_MODELS
+from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Preparation, Regression
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.choices import Choices
-from tau_dyn.identify.data import Data
-from tau_dyn.identify.drive_inertia import free_drive_inertias
-from tau_dyn.identify.errors import ForceErrors, build_force_errors
+from tau_dyn.identify.data import BuiltData, Data, drop_repeated_logs, get_log_list, require_forces
 from tau_dyn.identify.estimate_warnings import (
     list_equivalent_models,
     list_estimate_warnings,
     list_friction_sign_warnings,
     list_held_out_warnings,
     list_inertia_scale_warnings,
+    list_resting_warnings,
     list_unjudged_joint_warnings,
 )
-from tau_dyn.identify.estimators import Estimator
-from tau_dyn.identify.fixed_point import iterate_to_fixed_point
-from tau_dyn.identify.log_inputs import drop_duplicate_logs, drop_trained_logs, get_log_list, require_forces
-from tau_dyn.identify.preparation import Preparation
-from tau_dyn.identify.resting import list_resting_warnings
-from tau_dyn.identify.result import Identification
-from tau_dyn.identify.short_pieces import TooShort, count_information, list_information_warnings
+from tau_dyn.identify.estimators import Estimator, Settled, iterate_to_fixed_point
+from tau_dyn.identify.fitted_model import Choices, build_model, build_physical_constraints, find_structural_base
+from tau_dyn.identify.preparation import TooShort, count_information, list_information_warnings
+from tau_dyn.identify.result import ForceErrors, Identification, build_force_errors
 from tau_dyn.identify.streaming import BlockExecutor
-from tau_dyn.identify.structural_identifiability import build_physical_constraints, find_structural_base
-from tau_dyn.identify.timing import (
-    ForceOffset,
-    build_offset_columns,
-    estimate_offset,
-    shift_forces,
-    widen_by_offset,
-)
+from tau_dyn.identify.timing import ForceOffset, build_offset_columns, estimate_offset, widen_by_offset
 from tau_dyn.log import Log, Recording
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 from tau_dyn.scale import count_cores
@@ -86,209 +74,86 @@ def identify(
         InputError: A log, the model or a choice is at fault.
         CannotAnswer: The logs determine nothing.
     """
-    ask = _Request(
-        robot=robot,
-        train=get_log_list(logs),
-        holdout=get_log_list(holdout),
-        model=model,
-        choices=choices or Choices(),
-        preparation=preparation,
-        exclude=exclude,
-        estimator=estimator,
-        seed=seed,
-        engine=engine or BlockExecutor(count_cores()),
-        progress=progress,
-    )
-    warnings: list[str] = []
+    given, judged = get_log_list(logs), get_log_list(holdout)
+    asked = choices or Choices()
+    warnings: list[str] = []  # what was doubtful on the way; where no answer comes, often the reason
     try:
-        return _identify(ask, warnings)
+        fitted = asked.apply(build_model(robot, model))
+        if not fitted.parameters.free.any():
+            raise InputError("bad_option", "every parameter is fixed; nothing is left to estimate")
+        gains = asked.gains(fitted.robot.actuated)
+        train, held, doubled = drop_repeated_logs(given, judged)
+        require_forces(fitted.robot, [*train, *held])
+        how: dict[str, Any] = {
+            "factors": {joint: factor for joint, (factor, _) in gains.items()},
+            "engine": engine or BlockExecutor(count_cores()),
+            "progress": progress,
+        }
+        data = Data.of(fitted, train, preparation=preparation, exclude=exclude, **how)
+        held_out = Data.of(fitted, held, campaigns=tuple(log.name for log in train), **how)
+        _refuse_in_blocks(estimator, data)
+        warnings += [*data.warnings(), *held_out.warnings(), *fitted.robot.warnings, *doubled]
+
+        progress("columns")
+        built = data.build(fitted)
+        warnings += [*built.left_out, *list_resting_warnings(built.regression)]
+        _refuse_constant_forces(train, built.regression)
+        warnings += _list_singularities(fitted, built.regression)
+
+        progress("structure")
+        solver = Estimator(estimator, fitted, built.data.pieces, gains, find_structural_base(fitted, seed))
+        warnings += list_information_warnings(built.regression, solver.structural_rank)
+
+        progress("estimate")
+        settled = _settled_or_scarce(built, solver)
+        warnings += settled.warnings
+
+        progress("timing")
+        settled, offset = _account_for_timing(settled, solver)
+        warnings += settled.warnings
+
+        progress("held-out errors")
+        if held:
+            late = offset.seconds if offset is not None and offset.corrected else 0.0
+            errors = _judge_held_out(held_out.shifted(late) if late else held_out, settled)
+        elif judged:
+            errors = _Judged(None, None, "no held-out log was left")
+        else:
+            errors = _judge_last_part(settled.built, solver)
+        warnings += errors.warnings
+        _refuse_if_nothing_determined(settled.estimate)
     except CannotAnswer as fault:
         fault.warnings = tuple(dict.fromkeys(warnings))
         raise
-
-
-@dataclass(frozen=True, eq=False)
-class _Request:
-    """What `identify` was asked; see there."""
-
-    robot: Robot
-    train: list[Log | Recording]
-    holdout: list[Log | Recording]
-    model: str | Path | Model
-    choices: Choices
-    preparation: Preparation | None
-    exclude: tuple[str, ...]
-    estimator: str
-    seed: int
-    engine: BlockExecutor
-    progress: Callable[[str], None]
-
-
-class _Held(NamedTuple):
-    """Data that the fit never saw: their regression, where its rows are there to look at, the errors on them, and how."""
-
-    regression: Regression | None
-    errors: ForceErrors | None
-    how: str
-
-
-def _identify(ask: _Request, warnings: list[str]) -> Identification:
-    """Do what `identify` says, leaving in `warnings` what was doubtful even if no answer comes."""
-    model = ask.choices.apply(build_model(ask.robot, ask.model))
-    if not model.parameters.free.any():
-        raise InputError("bad_option", "every parameter is fixed; nothing is left to estimate")
-    gains = ask.choices.gains(model.robot.actuated)
-    data, held_out = _data(ask, model, {joint: factor for joint, (factor, _) in gains.items()}, warnings)
-    ask.progress("columns")
-    training = data.regression(model)
-    warnings += [*data.left_out, *list_resting_warnings(training)]
-    _refuse_constant_forces(data.logs, training)
-    warnings += _singularities(model, training)
-    ask.progress("structure")
-    better = Estimator(ask.estimator, model, data.pieces, gains, warnings)
-    sigmas = {joint: sigma for joint, (_, sigma) in gains.items()}
-    solve = _Solver(model, find_structural_base(model, ask.seed), sigmas, better)
-    warnings += list_information_warnings(training, solve.structural.rank)
-    ask.progress("estimate")
-    training, estimate = _settled_or_scarce(model, training, solve, data, warnings)
-    ask.progress("timing")
-    training, estimate, offset = _account_for_timing(model, data, held_out, training, estimate, solve, warnings)
-    ask.progress("held-out errors")
-    if held_out.logs:
-        held = _judge_held_out(held_out, training, model, estimate, warnings)
-    else:
-        held = _judge_last_part(data, training, solve, bool(ask.holdout), warnings)
-    _refuse_if_nothing_determined(estimate)
-    train = build_force_errors(training, estimate.theta)
-    warnings += list_unjudged_joint_warnings(train, held.errors)
-    warnings += list_held_out_warnings(train, held.errors if held_out.logs else None)
+    estimate = settled.estimate
+    trained = build_force_errors(settled.built.regression, estimate.theta)
+    warnings += list_unjudged_joint_warnings(trained, errors.errors)
+    warnings += list_held_out_warnings(trained, errors.errors if held else None)
+    warnings += [*list_estimate_warnings(estimate), *list_inertia_scale_warnings(estimate, fitted.parameters)]
     return Identification(
-        model=replace(
-            model.with_parameters(estimate.parameters), provenance=_provenance(data.logs, held_out.logs, ask.seed)
-        ),
+        model=replace(fitted.with_parameters(estimate.parameters), provenance=_list_provenance(train, held, seed)),
         estimate=estimate,
-        train=train,
-        holdout=held.errors,
-        holdout_how=held.how,
-        held=held.regression,
-        nominal=model.parameters,
-        friction=ask.model if isinstance(ask.model, str) and ask.model in FRICTION_MODELS else "",
-        warnings=tuple(
-            dict.fromkeys(
-                [*warnings, *list_estimate_warnings(estimate), *list_inertia_scale_warnings(estimate, model.parameters)]
-            )
-        ),
-        equivalent=list_equivalent_models(estimate, model.robot.actuated),
-        seed=ask.seed,
-        logs=tuple(data.logs),
+        train=trained,
+        holdout=errors.errors,
+        holdout_how=errors.how,
+        held=errors.regression,
+        nominal=fitted.parameters,
+        friction=model if isinstance(model, str) and model in FRICTION_MODELS else "",
+        warnings=tuple(dict.fromkeys(warnings)),
+        equivalent=list_equivalent_models(estimate, fitted.robot.actuated),
+        seed=seed,
+        logs=tuple(train),
         force_offset=offset,
     )
 
 
-def _account_for_timing(
-    model: Model,
-    data: Data,
-    held_out: Data,
-    training: Regression,
-    estimate: Estimate,
-    solve: _Solver,
-    warnings: list[str],
-) -> tuple[Regression, Estimate, ForceOffset | None]:
-    """Return the fit with forces read when they acted, and intervals that hold for what is not known of it."""
-    columns = build_offset_columns(model.with_parameters(estimate.parameters), data.pieces, training)
-    if columns is None:
-        return training, estimate, None
-    period = max(piece.dt for piece in data.pieces)
-    offset = estimate_offset(training, columns, period, build_physical_constraints(model))
-    if offset.is_shown:
-        for some in (data, held_out):
-            some.pieces = [shift_forces(piece, model.robot.actuated, offset.seconds) for piece in some.pieces]
-        solve = replace(solve, better=replace(solve.better, pieces=data.pieces))
-        training, estimate = iterate_to_fixed_point(model, data.regression(model), solve, data.regression, warnings)
-        offset = replace(offset, corrected=True)
-    return training, widen_by_offset(estimate, columns, offset), offset
-
-
-def _data(ask: _Request, model: Model, factors: dict[str, float], warnings: list[str]) -> tuple[Data, Data]:
-    """Return what is fitted and what is held out, each log once, and say what is doubtful about them."""
-    doubled: list[str] = []
-    train = drop_duplicate_logs(ask.train, doubled)
-    held = drop_duplicate_logs(drop_trained_logs(train, ask.holdout, doubled), doubled)
-    require_forces(model.robot, [*train, *held])
-    names = tuple(log.name for log in train)
-    data = Data(model, train, ask.preparation, ask.exclude, factors, engine=ask.engine, progress=ask.progress)
-    held_out = Data(model, held, factors=factors, campaigns=names, engine=ask.engine, progress=ask.progress)
-    refuse_in_blocks(ask.estimator, data.streams)
-    warnings += [*data.warnings(), *held_out.warnings(), *model.robot.warnings, *doubled]
-    return data, held_out
-
-
-def refuse_in_blocks(estimator: str, streams: bool) -> None:
-    """Refuse estimators that look at all rows again and again, where the rows are on disk."""
-    if streams and estimator not in ("wls", "auto"):
-        raise InputError(
-            "unsupported",
-            f"estimator {estimator} needs all rows in memory, and a recording is too large; use wls, or give an excerpt",
-        )
-
-
-def build_model(robot: Robot, model: str | Path | Model) -> Model:
-    """Return a model of this robot: friction by name, or the effects and values of a model file.
-
-    Drive inertias that nobody gave are free where data can tell them from the bodies' (`drive_inertia.py`).
-
-    Raises:
-        InputError: The model file is of a robot with other actuated joints or parameters.
-    """
-    if isinstance(model, str) and model in FRICTION_MODELS:
-        return free_drive_inertias(Model.of(robot, build_friction_model(model, robot.actuated, robot.force_units)))
-    if not isinstance(model, Model):
-        if isinstance(model, str) and not Path(model).suffix:
-            build_friction_model(model, robot.actuated, robot.force_units)  # says which names there are
-        model = Model.load(model)
-    if model.robot.actuated != robot.actuated:
-        theirs = ", ".join(model.robot.actuated)
-        raise InputError(
-            "mismatch", f"the model is of a robot with joints {theirs}; this one has {', '.join(robot.actuated)}"
-        )
-    return free_drive_inertias(model.on(robot))
-
-
-@dataclass(frozen=True, eq=False)
-class _Solver:
-    """The estimation of one model, whatever the data."""
-
-    model: Model
-    structural: BaseParameters
-    gains: dict[str, float]
-    better: Estimator
-
-    def __call__(self, regression: Regression) -> Estimate:
-        first = solve_least_squares(
-            regression,
-            physics=build_physical_constraints(self.model),
-            structural=self.structural,
-            gains=self.gains,
-        )
-        return self.better(first)
-
-
-def _singularities(model: Model, regression: Regression) -> list[str]:
-    found = []
-    for run in regression.runs:
-        found += model.mechanism.singularity_warnings(run.signals["q"][:: max(1, len(run.t) // 500)])
-    return found
-
-
-def _settled_or_scarce(
-    model: Model, training: Regression, solve: _Solver, data: Data, warnings: list[str]
-) -> tuple[Regression, Estimate]:
+def _settled_or_scarce(built: BuiltData, solver: Estimator) -> Settled:
     """Return the estimate; where it fails on less information than it has unknowns, say that this is the reason."""
     try:
-        return iterate_to_fixed_point(model, training, solve, data.regression, warnings)
+        return iterate_to_fixed_point(built, solver.solve)
     except InputError as fault:
-        held, rank = count_information(training), solve.structural.rank
-        if training.everything is not None or held >= rank:
+        held, rank = count_information(built.regression), solver.structural_rank
+        if built.regression.everything is not None or held >= rank:
             raise
         raise TooShort(
             "too_little_data",
@@ -297,35 +162,71 @@ def _settled_or_scarce(
         ) from fault
 
 
-def _judge_held_out(
-    held_out: Data, training: Regression, model: Model, estimate: Estimate, warnings: list[str]
-) -> _Held:
+def _account_for_timing(settled: Settled, solver: Estimator) -> tuple[Settled, ForceOffset | None]:
+    """Return the fit with forces read when they acted, and intervals that hold for what is not known of it."""
+    built, estimate, model = settled.built, settled.estimate, solver.model
+    pieces = built.data.pieces
+    columns = build_offset_columns(model.with_parameters(estimate.parameters), pieces, built.regression)
+    if columns is None:
+        return settled, None
+    period = max(piece.dt for piece in pieces)
+    offset = estimate_offset(built.regression, columns, period, build_physical_constraints(model))
+    if offset.is_shown:
+        late = built.data.shifted(offset.seconds)
+        settled = iterate_to_fixed_point(late.build(model), replace(solver, pieces=late.pieces).solve)
+        offset = replace(offset, corrected=True)
+    return settled._replace(estimate=widen_by_offset(settled.estimate, columns, offset)), offset
+
+
+class _Judged(NamedTuple):
+    """Data that the fit never saw: their regression, where its rows are there to look at, the errors on them, and how."""
+
+    regression: Regression | None
+    errors: ForceErrors | None
+    how: str
+    warnings: tuple[str, ...] = ()
+
+
+def _judge_held_out(held_out: Data, settled: Settled) -> _Judged:
     """Return the errors on logs of their own, prepared as those that were fitted; none where all are too short for that."""
-    held_out.preparation = training.settings["preparation"]
+    alike = replace(held_out, preparation=settled.built.regression.preparation)
     try:
-        regression = held_out.regression(model.with_parameters(estimate.parameters))
+        built = alike.build(held_out.model.with_parameters(settled.estimate.parameters))
     except TooShort as fault:
-        warnings.append(CodedWarning("short_log", f"{fault.missing}; there are no held-out errors"))
-        return _Held(None, None, "no held-out log was long enough")
-    warnings += held_out.left_out
+        said = CodedWarning("short_log", f"{fault.missing}; there are no held-out errors")
+        return _Judged(None, None, "no held-out log was long enough", (said,))
     how = "held-out logs: " + ", ".join(log.name for log in held_out.logs)
-    return _Held(regression, build_force_errors(regression, estimate.theta), how)
+    errors = build_force_errors(built.regression, settled.estimate.theta)
+    return _Judged(built.regression, errors, how, built.left_out)
 
 
-def _judge_last_part(data: Data, training: Regression, solve: _Solver, asked: bool, warnings: list[str]) -> _Held:
-    """Return the errors on the last part of each log, by a fit of its first part; none where other logs were asked for."""
-    if asked:
-        return _Held(None, None, "no held-out log was left")
-    first, last, there = data.parts(training)
+def _judge_last_part(built: BuiltData, solver: Estimator) -> _Judged:
+    """Return the errors on the last part of each log, by a fit of its first part."""
+    first, last = built.parts()
     try:
-        estimate = solve(first)
+        estimate = solver.solve(first)
     except CannotAnswer:
-        warnings.append(
-            "the first 70 % of the logs alone determine nothing, so there are no held-out errors; give --holdout"
-        )
-        return _Held(None, None, "the logs are too short to hold a part out")
+        said = "the first 70 % of the logs alone determine nothing, so there are no held-out errors; give --holdout"
+        return _Judged(None, None, "the logs are too short to hold a part out", (said,))
     how = "last 30 % of each log, predicted by a fit of its first 70 %"
-    return _Held(last if there else None, build_force_errors(last, estimate.theta), how)
+    errors = build_force_errors(last, estimate.theta)
+    return _Judged(last if built.blocks is None else None, errors, how, estimate.warnings)
+
+
+def _refuse_in_blocks(estimator: str, data: Data) -> None:
+    """Refuse estimators that look at all rows again and again, where the rows are on disk."""
+    if data.streams and estimator not in ("wls", "auto"):
+        raise InputError(
+            "unsupported",
+            f"estimator {estimator} needs all rows in memory, and a recording is too large; use wls, or give an excerpt",
+        )
+
+
+def _list_singularities(model: Model, regression: Regression) -> list[str]:
+    found = []
+    for run in regression.runs:
+        found += model.mechanism.singularity_warnings(run.signals["q"][:: max(1, len(run.t) // 500)])
+    return found
 
 
 def _refuse_if_nothing_determined(estimate: Estimate) -> None:
@@ -359,7 +260,7 @@ def _flat(log: Log, signal: str, joint: str) -> bool:
     return np.ptp(log.joint(signal, [joint])) == 0
 
 
-def _provenance(train: Sequence[Log | Recording], held: Sequence[Log | Recording], seed: int) -> dict:
+def _list_provenance(train: Sequence[Log | Recording], held: Sequence[Log | Recording], seed: int) -> dict:
     from tau_dyn.version import __version__
 
     def rows(logs: Sequence[Log | Recording]) -> list[dict[str, str]]:

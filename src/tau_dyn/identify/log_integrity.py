@@ -1,7 +1,7 @@
 """Is this log what it claims to be? One set of tests for `check`, `identify` and `diagnose`.
 
 The data alone tell lost, repeated, zeroed and held samples (`log/data_integrity.py`). With the robot file, wiring (`wiring.py`)
-and the time of the forces (`force_timing.py`) are judged on the middle minute of each log, joint by joint. Where losses cannot be
+and the time of the forces (`timing.py`) are judged on the middle minute of each log, joint by joint. Where losses cannot be
 mended, they are said alone: they look like wrong scales and delays.
 """
 
@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from tau_dyn.coded_warning import CodedWarning, get_code
 from tau_dyn.identify.excerpt import make_excerpt
-from tau_dyn.identify.force_timing import check_timing
+from tau_dyn.identify.timing import check_timing
 from tau_dyn.identify.wiring import check_wiring
 from tau_dyn.log import Log, list_data_warnings, mend_log, resample_segments
+from tau_dyn.message_codes import CodedWarning, get_code
 from tau_dyn.robot import Robot
 
 SPOILING = frozenset(

@@ -19,12 +19,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion, name_effect_in_errors
-from tau_dyn.estimate import Regression, RegressionRun
+from tau_dyn.estimate import Preparation, Regression, RegressionRun
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.gate import compute_gate, find_excluded_samples, hold_closed, refuse_jumps
-from tau_dyn.identify.preparation import Preparation, choose_preparation
-from tau_dyn.identify.short_pieces import choose_from_long, keep_long, list_crumbs, refuse_short
-from tau_dyn.identify.signals import get_measured_signals, refuse_missing_campaign, refuse_missing_temperature
+from tau_dyn.identify.gate import (
+    compute_gate,
+    find_excluded_samples,
+    get_measured_signals,
+    hold_closed,
+    refuse_jumps,
+    refuse_missing_campaign,
+    refuse_missing_temperature,
+)
+from tau_dyn.identify.preparation import Kept, choose_from_long, choose_preparation, keep_long, refuse_short
 from tau_dyn.log import (
     MIN_SEGMENT_SAMPLES,
     Log,
@@ -64,11 +70,28 @@ def build_regression(
         CannotAnswer: No piece is long enough for the filters, or the masks leave nothing.
     """
     logs = list(logs)
-    pieces = [piece for log in logs for piece in resample_segments(log)]
     if not logs:
         raise InputError("missing_input", "no log was given")
+    pieces = [piece for log in logs for piece in resample_segments(log)]
     if not pieces:
         raise refuse_short(logs, MIN_SEGMENT_SAMPLES / logs[0].rate_hz)
+    return build_regression_of_pieces(
+        model, pieces, preparation=preparation, exclude=exclude, at=at, campaigns=campaigns
+    )[0]
+
+
+def build_regression_of_pieces(
+    model: Model,
+    pieces: Sequence[Log],
+    *,
+    preparation: Preparation | None,
+    exclude: tuple[str, ...],
+    at: Model | None,
+    campaigns: Sequence[str],
+) -> tuple[Regression, Kept]:
+    """Build the regression on even stretches, and say which of them are long enough for it; see `build_regression`."""
+    if not pieces:
+        raise InputError("missing_input", "no log was given")
     preparation = preparation or choose_from_long(pieces, lambda long: choose_preparation(model.robot, long, exclude))
     kept = keep_long(pieces, preparation.force_cutoff_hz, preparation.factor)
     pieces = kept.of(pieces)
@@ -79,11 +102,11 @@ def build_regression(
     for piece in pieces:
         number = {"campaign": np.full(piece.n_samples, float(names.index(piece.name)))}
         runs.append(prepare_segment(at or model, piece, preparation, signals=number).run(model))
-    settings = {"preparation": preparation, "kept": kept.index, "left_out": (*list_crumbs(logs), *kept.warnings)}
-    regression = Regression(model.parameters, model.robot.actuated, model.robot.force_units, tuple(runs), settings)
+    robot = model.robot
+    regression = Regression(model.parameters, robot.actuated, robot.force_units, tuple(runs), preparation)
     if regression.n_samples == 0:
         raise _nothing_left(model, pieces, preparation)
-    return regression
+    return regression, kept
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,9 @@
 """The regression of recordings larger than memory: blocks computed side by side, summed up in their order, and forgotten.
 
+Filters forget exponentially. A block is read with so many samples more on both sides that what is left of its cut ends is below
+rounding, goes through the same preparation as a whole log, and gives up the rows of its neighbourhood. So blocks need nothing
+of each other: they run side by side and in any process, and where they are cut changes no row by more than rounding.
+
 What stays is the outputs' triangular factors, the decimated rows in a temporary file (for the covariance, which needs the
 residuals in order), and some blocks in full, for a page to draw. The sum is taken block by block in order, whoever computed
 them, so one thread, many, or a cluster give the same bits.
@@ -7,26 +11,184 @@ them, so one thread, many, or a cluster give the same bits.
 
 from __future__ import annotations
 
+import ctypes
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tau_dyn.estimate import Regression, RegressionRun, StoredRows, StreamedData, SufficientStatistics
+from tau_dyn.effects import Hysteresis
+from tau_dyn.estimate import (
+    ROUNDING,
+    Preparation,
+    Regression,
+    RegressionRows,
+    RegressionRun,
+    StoredRows,
+    StreamedData,
+    SufficientStatistics,
+)
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify.blocks import Block, BlockRows, BlockWork, list_channels, refuse_memory, split_blocks
-from tau_dyn.identify.freed_memory import give_back
-from tau_dyn.identify.preparation import Preparation, choose_preparation
-from tau_dyn.identify.short_pieces import choose_from_long, keep_long, list_crumbs
-from tau_dyn.log import EvenSegment, InMemorySegment, Log, Recording, resample_segments, split_even_segments
+from tau_dyn.identify.preparation import choose_from_long, choose_preparation, keep_long, list_crumbs
+from tau_dyn.identify.regression import prepare_segment
+from tau_dyn.log import (
+    ROOM_TEMPERATURE,
+    EvenSegment,
+    InMemorySegment,
+    Log,
+    Recording,
+    compute_edge_samples,
+    resample_segments,
+    split_even_segments,
+)
 from tau_dyn.model import Model
 from tau_dyn.scale import iterate_in_order, run_on_workers
+
+SIZE = 2**22
+"""Numbers in a block's columns."""
+
+MIN_BLOCK_ROWS = 256
+"""Decimated rows that a block has at least, so that it is not mostly neighbourhood."""
+
+OVERLAP_FILTER_MEMORIES = 8
+"""Filter memories (to 1 % of a transient) read beyond a block: 1e-16 of a cut end is left."""
+
+
+class Block(NamedTuple):
+    """Which part of which stretch: decimated samples `start` to `stop - 1`, and the section they count for."""
+
+    stretch: int
+    start: int
+    stop: int
+    section: int
+
+
+class BlockRows(NamedTuple):
+    """A block's rows and their totals.
+
+    Attributes:
+        rows: What the covariance needs.
+        used: Totals of the rows a fit may use.
+        whole: Totals of all rows.
+        run: Everything, where it was asked for.
+    """
+
+    rows: RegressionRows
+    used: SufficientStatistics
+    whole: SufficientStatistics
+    run: RegressionRun | None
+
+
+@dataclass(frozen=True, eq=False)
+class BlockWork:
+    """What all blocks share; it travels to other processes.
+
+    Attributes:
+        model: Gives the columns.
+        at: Gives the signals that follow from values.
+        stretches: What is cut.
+        numbers: The number of the recording that each stretch is from.
+        preparation: Filters and masks.
+        scale: Factor of each output.
+        shown: Blocks of which everything is wanted.
+    """
+
+    model: Model
+    at: Model
+    stretches: tuple[EvenSegment | InMemorySegment, ...]
+    numbers: tuple[int, ...]
+    preparation: Preparation
+    scale: np.ndarray
+    shown: frozenset[Block] = frozenset()
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """Names of the channels that are read."""
+        return list_channels(self.model, self.preparation.exclude)
+
+    def compute(self, block: Block, log: Log | None = None) -> BlockRows:
+        """Return a block's rows; `log` is what `read` gives, where somebody else has read it."""
+        stretch, preparation = self.stretches[block.stretch], self.preparation
+        factor = preparation.factor(stretch.rate_hz)
+        log = self.read(block) if log is None else log
+        number = {"campaign": np.full(log.n_samples, float(self.numbers[block.stretch]))}
+        prepared = prepare_segment(self.at, log, preparation, signals=number, rate_hz=stretch.rate_hz)
+        first = self._around(block)[0] // factor
+        run = prepared.run(self.model).window(slice(block.start - first, block.stop - first))
+        run = replace(run, y=run.y * self.scale, y_all=run.y_all * self.scale)
+        used, whole = SufficientStatistics.of(run.W, run.y, run.usable), SufficientStatistics.of(run.W_all, run.y_all)
+        return BlockRows(
+            RegressionRows(run.t, run.W, run.y, run.usable), used, whole, run if block in self.shown else None
+        )
+
+    def read(self, block: Block) -> Log:
+        """Return a block's samples and those around it."""
+        return self.stretches[block.stretch].window(*self._around(block), self.wanted)
+
+    def _around(self, block: Block) -> tuple[int, int]:
+        stretch = self.stretches[block.stretch]
+        factor, margin = self.preparation.factor(stretch.rate_hz), compute_overlap(self.preparation, stretch.rate_hz)
+        return max(0, block.start * factor - margin), min(stretch.n_samples, (block.stop - 1) * factor + 1 + margin)
+
+
+def compute_overlap(preparation: Preparation, rate_hz: float) -> int:
+    """Return how many samples around a block its rows depend on, a multiple of the decimation."""
+    filters = sum(
+        compute_edge_samples(f, rate_hz) for f in (preparation.force_cutoff_hz, preparation.position_cutoff_hz)
+    )
+    gate = (preparation.window_s + 2 / preparation.position_cutoff_hz) * rate_hz
+    factor = preparation.factor(rate_hz)
+    return factor * int(np.ceil((OVERLAP_FILTER_MEMORIES * filters + gate + 16) / factor))
+
+
+def split_blocks(
+    stretch: EvenSegment | InMemorySegment, number: int, preparation: Preparation, width: int, share: float
+) -> list[Block]:
+    """Cut a stretch into blocks.
+
+    Args:
+        stretch: What is cut.
+        number: Its number.
+        preparation: Filters and masks.
+        width: Numbers of one sample's columns.
+        share: Share of its samples that make section 0; the rest is section 2, but for a gap, section 1, as wide as the filters'
+            memory.
+    """
+    factor = preparation.factor(stretch.rate_hz)
+    n = -(-stretch.n_samples // factor)
+    size = max(MIN_BLOCK_ROWS, SIZE // width // factor)
+    middle = int(share * n)
+    gap = int(np.ceil(preparation.rate_hz / preparation.force_cutoff_hz - ROUNDING))
+    edges = (0, middle, min(middle + gap, n - 1), n)
+    found = []
+    for section, (start, stop) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        cuts = np.linspace(start, stop, max(1, -(-(stop - start) // size)) + 1).astype(int)
+        found += [Block(number, int(a), int(b), section) for a, b in zip(cuts[:-1], cuts[1:], strict=True) if b > a]
+    return found
+
+
+def list_channels(model: Model, exclude: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the channels that a fit of a model reads."""
+    joints = model.robot.actuated
+    return (*(f"{s}_{j}" for s in ("q", "tau", "temp") for j in joints), ROOM_TEMPERATURE, *exclude)
+
+
+def refuse_memory(model: Model) -> None:
+    """Refuse effects whose force depends on what happened longer ago than any filter remembers."""
+    for effect in model.effects:
+        if isinstance(effect, Hysteresis) or {"reversal", "temperature"} & set(effect.needs):
+            raise InputError(
+                "unsupported",
+                f"effect {effect.name} remembers more than a block of a recording holds; give logs that fit in memory "
+                "(split the recording, or take the effect out of the model)",
+            )
+
 
 SURVEYED = 2**20
 """Samples from which filters and masks are chosen; of a longer recording, windows spread over it."""
@@ -83,11 +245,13 @@ class BlockExecutor:
         yield from run_on_workers(prepare, blocks, cluster=address, jobs=self.jobs, ahead=3)
 
 
-def sample_recordings(
-    pieces: Sequence[EvenSegment | InMemorySegment], model: Model, exclude: tuple[str, ...]
-) -> list[Log]:
-    """Return what filters and masks are chosen from."""
-    return [log for piece in pieces for log in piece.survey(list_channels(model, exclude), SURVEYED // len(pieces))]
+class StreamedRegressions(NamedTuple):
+    """The regressions of all data, of the first part, and of the last (the parts without rows), and what gave no rows."""
+
+    whole: Regression
+    first: Regression
+    last: Regression
+    left_out: tuple[str, ...]
 
 
 def build_stream_regression(
@@ -98,11 +262,11 @@ def build_stream_regression(
     exclude: tuple[str, ...],
     at: Model,
     campaigns: Sequence[str],
-    factors: dict[str, float],
+    factors: Mapping[str, float],
     share: float,
     engine: BlockExecutor,
     progress: Progress,
-) -> tuple[Regression, Regression, Regression]:
+) -> StreamedRegressions:
     """Build the regression of a model on recordings, and those of their first and last parts.
 
     Args:
@@ -116,18 +280,19 @@ def build_stream_regression(
         share: Share of each stretch that makes the first part.
         engine: Who computes.
         progress: Told how far it is.
-
-    Returns:
-        The regressions of all data, of the first part, and of the last; the parts without rows, for errors only.
     """
     refuse_memory(model)
     refuse_missing(model, [log for log in recordings if isinstance(log, Recording)], exclude)
     pieces = tuple(piece for log in recordings for piece in _pieces(log))
     if not pieces:
         raise InputError("too_little_data", f"{recordings[0].name} has no stretch of 10 samples without a gap")
-    preparation = preparation or choose_from_long(
-        pieces, lambda long: choose_preparation(model.robot, sample_recordings(long, model, exclude), exclude)
-    )
+    wanted = list_channels(model, exclude)
+
+    def choose(long: list[EvenSegment | InMemorySegment]) -> Preparation:
+        surveyed = [log for piece in long for log in piece.survey(wanted, SURVEYED // len(long))]
+        return choose_preparation(model.robot, surveyed, exclude)
+
+    preparation = preparation or choose_from_long(pieces, choose)
     kept = keep_long(pieces, preparation.force_cutoff_hz, preparation.factor)
     pieces = tuple(kept.of(pieces))
     names = list(dict.fromkeys([*campaigns, *(piece.name for piece in pieces)]))
@@ -135,11 +300,11 @@ def build_stream_regression(
     blocks = [b for k, piece in enumerate(pieces) for b in split_blocks(piece, k, preparation, width, share)]
     chosen = np.unique(np.linspace(0, len(blocks) - 1, SHOWN).astype(int))
     scale = np.array([factors.get(joint, 1.0) for joint in model.robot.actuated])
-    work = BlockWork(model, at, pieces, tuple(names.index(p.name) for p in pieces), preparation, scale,
-                frozenset(blocks[i] for i in chosen))  # fmt: skip
-    whole, first, last = _summed(work, blocks, engine, progress)
-    settings = {**whole.settings, "left_out": (*list_crumbs(recordings), *kept.warnings)}
-    return replace(whole, settings=settings), first, last
+    numbers = tuple(names.index(piece.name) for piece in pieces)
+    work = BlockWork(model, at, pieces, numbers, preparation, scale, frozenset(blocks[i] for i in chosen))
+    return StreamedRegressions(
+        *_summed(work, blocks, engine, progress), left_out=(*list_crumbs(recordings), *kept.warnings)
+    )
 
 
 def _summed(
@@ -157,7 +322,8 @@ def _summed(
         used[block.section] += done.used
         whole[block.section] += done.whole
         if done.run is not None:
-            shown.append(_named(done.run, len(blocks)))
+            name = f"{done.run.name}, from {done.run.t[0]:.0f} s"
+            shown.append(done.run if len(blocks) == 1 else replace(done.run, name=name))
         if number % _TIDIED == 0:
             give_back()
         left = (time.monotonic() - began) * (len(blocks) / number - 1)
@@ -165,17 +331,24 @@ def _summed(
 
     def regression(sections: Sequence[int], runs: Sequence[RegressionRun], rows) -> Regression:
         totals = [sum((of[s] for s in sections), zero) for of in (used, whole)]
-        settings = {"preparation": work.preparation}
-        everything = StreamedData(totals[0], totals[1], rows)
+        robot, everything = model.robot, StreamedData(totals[0], totals[1], rows)
         return Regression(
-            model.parameters, model.robot.actuated, model.robot.force_units, tuple(runs), settings, everything
+            model.parameters, robot.actuated, robot.force_units, tuple(runs), work.preparation, everything
         )
 
     return regression((0, 1, 2), shown, stored.runs), regression((0,), (), ()), regression((2,), (), ())
 
 
-def _named(run: RegressionRun, n_blocks: int) -> RegressionRun:
-    return run if n_blocks == 1 else replace(run, name=f"{run.name}, from {run.t[0]:.0f} s")
+def give_back() -> None:
+    """Hand freed memory back to the system, where the C library knows how (glibc's `malloc_trim`).
+
+    It is kept for the next request otherwise. Where blocks of many sizes come and go on several threads, it is kept in ever more
+    pieces that fit nothing: 12 bytes a sample, 1.9 GiB at 10^8 samples.
+    """
+    try:
+        ctypes.CDLL(None).malloc_trim(0)
+    except (OSError, AttributeError, TypeError):  # no glibc; Windows has no library without a name
+        return
 
 
 def refuse_missing(model: Model, recordings: Sequence[Recording], exclude: tuple[str, ...]) -> None:

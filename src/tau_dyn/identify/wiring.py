@@ -15,17 +15,16 @@ they gain nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.exceptions import InputError, LoopClosureError
-from tau_dyn.identify.excerpt import Excerpt
+from tau_dyn.identify.excerpt import Excerpt, compute_clipped_power
+from tau_dyn.identify.wiring_alternatives import Rewiring, list_alternatives
 from tau_dyn.mechanism import Mechanism, build_mechanism
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
 from tau_dyn.robot.robot import BODY_STDERR
 
@@ -75,12 +74,6 @@ SPARED_NATS = 15.0
 MAX_FAULTS = 4
 """So many faults are looked for one after another."""
 
-SCALES = (1e-3, 1e-2, np.pi / 180, 0.1, 0.2, 0.5, 2.0, 5.0, 10.0, 180 / np.pi, 100.0, 1000.0)
-"""Scales of a column: gear ratios, percent, degrees, mm, torque constants."""
-
-MAX_PLAUSIBLE_SCALE = 3.0
-"""Positions within the joint's limits are not taken for larger units than by this factor."""
-
 N_COMPARED = 700
 """Samples on which alternatives are compared."""
 
@@ -92,39 +85,6 @@ SCREENING_STEP = 5
 
 N_FINALISTS = 8
 """So many of the best are fitted to all samples."""
-
-CLOCKS = (1e-3, 0.1, 0.5, 2.0, 10.0, 1e3)
-"""Factors of a clock in another unit, or at another rate than the logger believes."""
-
-
-_IN_MAP = "into a column map (--columns)"
-
-
-@dataclass(frozen=True)
-class Rewiring:
-    """One way in which the columns of a log are read wrongly: the log's column is `scale` times the truth.
-
-    Attributes:
-        code: Warning code.
-        q_from: For each joint the joint whose position column holds its position (na,).
-        tau_from: The same for forces.
-        q_scale: Factor of the position columns against the truth (na,).
-        tau_scale: Factor of the force columns against the truth (na,).
-        gravity: Direction of gravity in the robot's base (3,); empty for the file's.
-        t_scale: Factor of the clock against the truth.
-        joints: Indices of the joints concerned.
-        words: What is wrong, and the mend.
-    """
-
-    code: str
-    q_from: tuple[int, ...]
-    tau_from: tuple[int, ...]
-    q_scale: tuple[float, ...]
-    tau_scale: tuple[float, ...]
-    gravity: tuple[float, ...] = ()
-    t_scale: float = 1.0
-    joints: tuple[int, ...] = ()
-    words: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +116,7 @@ def check_wiring(robot: Robot, excerpt: Excerpt, name: str) -> list[CodedWarning
 def _find_faults(judge: _Judge, name: str) -> list[CodedWarning]:
     """Return the faults that one after another gain most."""
     robot = judge.robot
-    order, ones = tuple(range(robot.na)), (1.0,) * robot.na
-    current = Rewiring("", order, order, ones, ones)
+    current = Rewiring.none(robot.na)
     warnings: list[CodedWarning] = []
     fit = judge.fit(current)
     if fit is not None:
@@ -246,8 +205,8 @@ class _Judge:
         """Return the alternative that gains most, and those that cannot be told from it and have another code."""
         quick = self.thinned()
         design, tried = quick.design(current), []
-        for change in _alternatives(self.robot, current, self.q):
-            same = design is not None and _moves_alike(change, current)
+        for change in list_alternatives(self.robot, current, self.q):
+            same = design is not None and change.moves_as(current)
             other = quick.solve(design, change) if same and design is not None else quick.fit(change)
             if other is not None:
                 tried.append((change, other.log_p))
@@ -283,8 +242,8 @@ class _Judge:
 
     def design(self, wiring: Rewiring) -> _Design | None:
         """Return the columns of a wiring's motion; None where the robot cannot move so."""
-        q_from, q_scale = list(wiring.q_from), np.array(wiring.q_scale)
-        q, v, a = (x[:, q_from] / q_scale for x in (self.q, self.v, self.a))
+        q_from = list(wiring.q_from)
+        q, v, a = (x[:, q_from] / np.array(wiring.q_scale) for x in (self.q, self.v, self.a))
         v, a = v * wiring.t_scale, a * wiring.t_scale**2
         try:
             rigid = self._rigid(wiring.gravity, q, v, a)
@@ -299,16 +258,10 @@ class _Judge:
         own, nominal = [], []
         for j in range(na):
             rows = used[:, j]
-            block = np.zeros((rows.sum(), n + 5 * na))
+            speed, forward = v[rows, j], v[rows, j] > 0
+            friction = (np.ones(len(speed)), forward, forward - 1, speed * forward, speed * ~forward)
+            block = np.zeros((len(speed), n + 5 * na))
             block[:, :n] = columns[rows, j]
-            forward = v[rows, j] > 0
-            friction = (
-                np.ones(rows.sum()),
-                forward,
-                np.where(forward, 0, -1),
-                v[rows, j] * forward,
-                v[rows, j] * ~forward,
-            )
             block[:, n + 5 * j : n + 5 * j + 5] = np.column_stack(friction)
             own.append(block)
             nominal.append(force[rows, j])
@@ -338,13 +291,12 @@ class _Judge:
                 b += weight[j] * right[j]
             x = _solve(A, b, low)
             residual = [target - scale[j] * (design.own[j] @ x) for j, target in enumerate(targets)]
-            power = np.array([_robust_power(r) for r in residual])
+            power = np.array([compute_clipped_power(r, 3.0) for r in residual])
         power = np.where(design.rows.sum(axis=0) < MIN_ROWS, size**2, power)  # no sample, no evidence
         prior = float(penalty @ x**2) / 2
         log_p = -float(counts @ np.log(np.maximum(power, floor) / size**2)) / 2 - prior
         whole = np.zeros(design.rows.shape)
-        for j in range(na):
-            whole[design.rows[:, j], j] = residual[j]
+        whole.T[design.rows.T] = np.concatenate(residual)
         return _Fit(log_p, power, prior, whole)
 
     def _rigid(self, gravity: tuple[float, ...], q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -371,45 +323,29 @@ class _Judge:
 
 
 def _prior(robot: Robot) -> np.ndarray:
-    """Return how parameters follow independent unknowns of unit variance (p, n): 25 % of a body, more at the last bodies."""
+    """Return how parameters follow independent unknowns of unit variance (p, n): 25 % of a body, more at the last bodies.
+
+    Drive inertia: three times what the joint itself moves, and 5 kg m^2 where gears reflect a rotor.
+    """
     names = robot.parameters.names
     total = sum(max(link.nominal[0], 0.0) for link in robot.links) or 1.0
     parents = {int(robot.model.parents[link.joint_id]) for link in robot.links}
     spread = np.zeros(len(names))
     for link in robot.links:
         mass = max(float(link.nominal[0]), 1e-3 * total)
-        radius = np.sqrt(max(float(np.trace(_tensor(link.nominal))), 1e-6 * mass) / mass / 2)
+        radius = np.sqrt(max(float(link.nominal[[4, 6, 9]].sum()), 1e-6 * mass) / mass / 2)
         radius = max(radius, float(np.linalg.norm(link.nominal[1:4])) / mass)
         sizes = BODY_STDERR * mass * radius ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
         if link.joint_id not in parents:
             reach = max(PAYLOAD_REACH_M, radius)
             sizes = np.hypot(sizes, PAYLOAD_SHARE * total * reach ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2]))
-        for name, k in zip(link.names, link.own, strict=True):
-            spread[names.index(name)] = sizes[k]
-    spread += _drive_inertia(robot)
-    columns = [spread[k] * np.eye(len(names))[k] for k in np.flatnonzero(spread)]
-    return np.column_stack(columns)
-
-
-def _drive_inertia(robot: Robot) -> np.ndarray:
-    """Return the standard deviation of every reflected drive inertia among the parameters (p,), zero elsewhere [kg or kg m^2].
-
-    Three times what the joint itself moves, and 5 kg m^2 where gears reflect a rotor.
-    """
+        spread[[names.index(name) for name in link.names]] = sizes[list(link.own)]
     moved = np.abs(np.diagonal(build_mechanism(robot).inertia(robot.home[None])[0]))
-    least = np.where([kind == "revolute" for kind in robot.joint_kinds], ROTOR_INERTIA_KG_M2, 0.0)
-    sizes = dict(zip((f"{joint}.armature" for joint in robot.actuated), np.maximum(3 * moved, least), strict=True))
-    sizes |= {
-        p.name: PAYLOAD_SHARE * sum(link.nominal[0] for link in robot.links)
-        for p in robot.parameters
-        if p.name.endswith(".gravity_mass")
-    }
-    return np.array([sizes.get(name, 0.0) for name in robot.parameters.names])
-
-
-def _tensor(nominal: np.ndarray) -> np.ndarray:
-    xx, xy, yy, xz, yz, zz = nominal[4:]
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    for joint, kind, m in zip(robot.actuated, robot.joint_kinds, moved, strict=True):
+        spread[names.index(f"{joint}.armature")] = max(3 * m, ROTOR_INERTIA_KG_M2 if kind == "revolute" else 0.0)
+    carried = PAYLOAD_SHARE * sum(link.nominal[0] for link in robot.links)
+    spread[[name.endswith(".gravity_mass") for name in names]] = carried
+    return np.diag(spread)[:, spread != 0]
 
 
 def _solve(A: np.ndarray, b: np.ndarray, low: np.ndarray) -> np.ndarray:
@@ -435,14 +371,6 @@ def _solve(A: np.ndarray, b: np.ndarray, low: np.ndarray) -> np.ndarray:
     return found.x / scale
 
 
-def _robust_power(r: np.ndarray) -> float:
-    """Return the mean square of residuals (n,), of which those beyond three robust standard deviations count no more."""
-    if not r.size:
-        return 0.0
-    limit = 3 * 1.4826 * float(np.median(np.abs(r)))
-    return float(np.mean(np.minimum(r**2, limit**2))) if limit > 0 else float(np.mean(r**2))
-
-
 def _effective(r: np.ndarray) -> float:
     """Return the number of independent samples in an autocorrelated residual (n,): `n / (1 + 2 sum rho_k)`."""
     n = len(r)
@@ -457,146 +385,14 @@ def _effective(r: np.ndarray) -> float:
     return float(n / (1 + 2 * rho[1:last].sum()))
 
 
-def _moves_alike(one: Rewiring, other: Rewiring) -> bool:
-    """Return whether two wirings differ in the signs and scales of forces only."""
-    return replace(one, tau_scale=(), code="", joints=(), words="") == replace(
-        other, tau_scale=(), code="", joints=(), words=""
-    )
-
-
-def _alternatives(robot: Robot, now: Rewiring, q: np.ndarray) -> Iterator[Rewiring]:
-    """Yield the wirings that differ from one in a single thing; `q` are the logged positions (n, na)."""
-    yield from _sign_changes(robot, now)
-    yield from _exchanges(robot, now)
-    yield from _scale_changes(robot, now, q)
-    if not now.gravity:
-        yield from _mountings(robot, now)
-    for factor in CLOCKS if now.t_scale == 1 else ():
-        words = (
-            f"the clock runs about {factor:g} times as fast as the robot moves; write "
-            f"`t: {{column: t, scale: {1 / factor:g}}}` {_IN_MAP}, or give the true rate"
-        )
-        yield replace(now, code="scale_wrong", t_scale=factor, joints=tuple(range(robot.na)), words=words)
-
-
-def _sign_changes(robot: Robot, now: Rewiring) -> Iterator[Rewiring]:
-    for j, joint in enumerate(robot.actuated):
-        tau, q = _times(now.tau_scale, [j], -1.0), _times(now.q_scale, [j], -1.0)
-        line = f"`tau_{joint}: {{column: tau_{joint}, scale: -1}}`", f"`q_{joint}: {{column: q_{joint}, scale: -1}}`"
-        turned = partial(replace, now, code="sign_reversed", joints=(j,))
-        yield turned(tau_scale=tau, words=f"the force of {joint} has the wrong sign; write {line[0]} {_IN_MAP}")
-        yield turned(q_scale=q, words=f"the position of {joint} has the wrong sign; write {line[1]} {_IN_MAP}")
-        both = (
-            f"position and force of {joint} both have the wrong sign (its axis points the other way); write {line[1]} and "
-            f"{line[0]} {_IN_MAP}, or turn the axis in the robot file"
-        )
-        yield turned(q_scale=q, tau_scale=tau, words=both)
-    everyone = tuple(range(robot.na))
-    if robot.na > 1:
-        words = f"the forces of all joints have the wrong sign; write `scale: -1` for each tau {_IN_MAP}"
-        tau = _times(now.tau_scale, everyone, -1.0)
-        yield replace(now, code="sign_reversed", tau_scale=tau, joints=everyone, words=words)
-
-
-def _exchanges(robot: Robot, now: Rewiring) -> Iterator[Rewiring]:
-    for i in range(robot.na):
-        for j in range(i + 1, robot.na):
-            one, other = robot.actuated[i], robot.actuated[j]
-            for kinds in (("q",), ("tau",), ("q", "tau")):
-                lines = " and ".join(f"`{k}_{one}: {k}_{other}`, `{k}_{other}: {k}_{one}`" for k in kinds)
-                what = {"q": "positions", "tau": "forces"}
-                named = " and ".join(what[k] for k in kinds)
-                words = f"the {named} of {one} and {other} are exchanged; write {lines} {_IN_MAP}"
-                yield replace(
-                    now,
-                    code="joints_exchanged",
-                    q_from=_swap(now.q_from, i, j) if "q" in kinds else now.q_from,
-                    tau_from=_swap(now.tau_from, i, j) if "tau" in kinds else now.tau_from,
-                    joints=(i, j),
-                    words=words,
-                )
-
-
-def _scale_changes(robot: Robot, now: Rewiring, q: np.ndarray) -> Iterator[Rewiring]:
-    groups = [(j,) for j in range(robot.na)] + ([tuple(range(robot.na))] if robot.na > 1 else [])
-    for group in groups:
-        who = robot.actuated[group[0]] if len(group) == 1 else "all joints"
-        column = robot.actuated[group[0]] if len(group) == 1 else "JOINT"
-        for factor in SCALES:
-            mend = f"`{{0}}_{column}: {{{{column: {{0}}_{column}, scale: {1 / factor:.4g}}}}}`"
-            words = (
-                "the {1} of {2} is about {3:.3g} times what the robot file says (gear ratio, torque constant or unit); write {0} "
-                + _IN_MAP
-            )
-            for signal, what in (("tau", "force"), ("q", "position")):
-                if signal == "q" and not _may_be_scaled(robot, now, q, group, factor):
-                    continue
-                text = words.format(mend.format(signal), what, who, factor)
-                changed = _times(getattr(now, f"{signal}_scale"), group, factor)
-                change: Callable[..., Rewiring] = partial(replace, now, code="scale_wrong", joints=group, words=text)
-                yield change(**{f"{signal}_scale": changed})
-
-
-def _may_be_scaled(robot: Robot, now: Rewiring, q: np.ndarray, group: Sequence[int], factor: float) -> bool:
-    """Return whether positions may be `factor` times the truth, by the joints' limits."""
-    for j in group:
-        x = q[:, now.q_from[j]] / now.q_scale[j]
-        low, high = robot.lower[j], robot.upper[j]
-        slack = 0.5 * (high - low) if np.isfinite(high - low) else 4 * np.pi
-        low, high = (low, high) if np.isfinite(high - low) else (-2 * np.pi, 2 * np.pi)
-        inside = [bool(np.all((y > low - slack) & (y < high + slack))) for y in (x, x / factor)]
-        if not inside[1] or (inside[0] and factor > MAX_PLAUSIBLE_SCALE):
-            return False
-    return True
-
-
-def _mountings(robot: Robot, now: Rewiring) -> Iterator[Rewiring]:
-    down = np.array(robot.model.gravity.linear)
-    if not np.linalg.norm(down):
-        return
-    down = down / np.linalg.norm(down)
-    for direction in _directions():
-        if direction @ down > 0.99:
-            continue
-        shown = ", ".join(f"{x:.2g}" for x in direction + 0.0)
-        place = "the ceiling" if direction @ down < -0.99 else ("a wall" if abs(direction @ down) < 0.01 else "a slope")
-        usual = ", ".join(f"{x:.2g}" for x in down + 0.0)
-        words = (
-            f"gravity acts along ({shown}) of the robot's base instead of ({usual}): the robot stands on {place}; "
-            "turn the base in the robot file (the origin of its first fixed joint)"
-        )  # fmt: skip
-        yield replace(
-            now, code="gravity_direction", gravity=tuple(direction), joints=tuple(range(robot.na)), words=words
-        )
-
-
-def _directions() -> list[np.ndarray]:
-    """Return the 26 directions along axes, face diagonals and space diagonals of a cube (3,)."""
-    steps = (-1.0, 0.0, 1.0)
-    cells = [np.array([x, y, z]) for x in steps for y in steps for z in steps if x or y or z]
-    return [cell / np.linalg.norm(cell) for cell in cells]
-
-
-def _times(values: tuple[float, ...], group: Sequence[int], factor: float) -> tuple[float, ...]:
-    return tuple(x * factor if k in group else x for k, x in enumerate(values))
-
-
-def _swap(order: tuple[int, ...], i: int, j: int) -> tuple[int, ...]:
-    out = list(order)
-    out[i], out[j] = out[j], out[i]
-    return tuple(out)
-
-
 def _say(robot: Robot, name: str, change: Rewiring, gain: float, before: _Fit | None, after: _Fit) -> CodedWarning:
     """Return the warning about one wrong wiring, with its evidence."""
-    if before is None:
-        return CodedWarning(
-            change.code, f"{name}: {change.words}. Evidence: as logged, the robot cannot reach its positions."
+    evidence = "as logged, the robot cannot reach its positions."
+    if before is not None:
+        ratio = np.sqrt(after.power / np.maximum(before.power, 1e-300))
+        k = int(np.argmin(np.where(before.power > 0, ratio, np.inf)))
+        evidence = (
+            f"so read, the model leaves {np.sqrt(after.power[k]):.3g} instead of {np.sqrt(before.power[k]):.3g} "
+            f"{robot.force_units[k]} of tau_{robot.actuated[k]}, a gain of {gain:.0f} nats."
         )
-    ratio = np.sqrt(after.power / np.maximum(before.power, 1e-300))
-    k = int(np.argmin(np.where(before.power > 0, ratio, np.inf)))
-    evidence = (
-        f"so read, the model leaves {np.sqrt(after.power[k]):.3g} instead of {np.sqrt(before.power[k]):.3g} "
-        f"{robot.force_units[k]} of tau_{robot.actuated[k]}"
-    )
-    return CodedWarning(change.code, f"{name}: {change.words}. Evidence: {evidence}, a gain of {gain:.0f} nats.")
+    return CodedWarning(change.code, f"{name}: {change.words}. Evidence: {evidence}")

@@ -1,11 +1,14 @@
 """Recordings: files and column maps in, `Log` out; an even clock, filters, and a judgement of what was recorded."""
 
-from .band import MotionBand as MotionBand, find_motion_band as find_motion_band
-from .check import check_log as check_log
+from .check import check_log as check_log, list_unit_warnings as list_unit_warnings
 from .check_motion import find_moving_samples as find_moving_samples
-from .check_result import CheckFinding as CheckFinding, LogCheck as LogCheck
 from .column_map import ColumnMap as ColumnMap
-from .column_names import ROOM_TEMPERATURE as ROOM_TEMPERATURE, count as count, format_names as format_names
+from .column_names import (
+    ROOM_TEMPERATURE as ROOM_TEMPERATURE,
+    count as count,
+    describe_missing_column as describe_missing_column,
+    format_names as format_names,
+)
 from .data_integrity import list_data_warnings as list_data_warnings, mend_log as mend_log
 from .delimited import parse_delimited as parse_delimited
 from .even_segments import (
@@ -14,36 +17,36 @@ from .even_segments import (
     split_even_segments as split_even_segments,
 )
 from .filtering import (
+    MotionBand as MotionBand,
     compute_attenuation as compute_attenuation,
     compute_edge_samples as compute_edge_samples,
+    compute_noise_gain as compute_noise_gain,
+    compute_velocity_noise as compute_velocity_noise,
     decimate as decimate,
     differentiate as differentiate,
+    estimate_encoder_noise as estimate_encoder_noise,
+    estimate_quantisation_step as estimate_quantisation_step,
+    find_motion_band as find_motion_band,
     find_reversals as find_reversals,
     lowpass as lowpass,
 )
-from .jumps import check_jumps as check_jumps
 from .log import Log as Log
-from .log_opening import open_log as open_log
-from .masks import find_true_runs as find_true_runs
-from .measured import read_measured as read_measured
-from .motions import split_by_motion as split_by_motion
-from .noise_estimation import (
-    compute_noise_gain as compute_noise_gain,
-    compute_velocity_noise as compute_velocity_noise,
-    estimate_encoder_noise as estimate_encoder_noise,
-    estimate_quantisation_step as estimate_quantisation_step,
-)
-from .read import compute_mapped_columns as compute_mapped_columns, read_log as read_log
-from .read_errors import describe_missing_column as describe_missing_column
-from .recording import Recording as Recording
+from .read import compute_mapped_columns as compute_mapped_columns, read_log as read_log, read_measured as read_measured
+from .recording import Recording as Recording, open_log as open_log
 from .resample import (
     MIN_SEGMENT_SAMPLES as MIN_SEGMENT_SAMPLES,
     count_short_segments as count_short_segments,
     ensure_even as ensure_even,
     examine_clock as examine_clock,
+    find_true_runs as find_true_runs,
     resample_segments as resample_segments,
     split_at_gaps as split_at_gaps,
+    split_by_motion as split_by_motion,
 )
-from .signal_checks import check_signals as check_signals
+from .signal_checks import (
+    CheckFinding as CheckFinding,
+    LogCheck as LogCheck,
+    check_jumps as check_jumps,
+    check_signals as check_signals,
+)
 from .table import MAX_MAGNITUDE as MAX_MAGNITUDE, Table as Table, read_table as read_table
-from .units import list_unit_warnings as list_unit_warnings

@@ -1,25 +1,193 @@
 """Is a log fit for use? Its clock, its channels, its motion and its units, judged before anything is estimated.
 
-`check_log` asks the three siblings `check_clock.py`, `check_signals.py` and `check_motion.py`, and the robot if there
-is one, and `data_integrity.py` for losses on the way to the file. Wiring and the time of the forces take a model:
+`check_log` judges clock and units here and asks `signal_checks.py`, `check_motion.py`, the robot if there is one, and
+`data_integrity.py` for losses on the way to the file. Wiring and the time of the forces take a model:
 `identify/log_integrity.py`.
+
+Positions that read like millimetres or degrees are the likeliest mistake in a foreign log. A robot's joint limits tell a wrong
+unit with certainty enough for a warning; without a robot only a number that no joint reaches does. Nothing is converted here:
+the remedy is a `scale` in the column map.
 """
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tau_dyn.coded_warning import UNCODED, get_code
-from tau_dyn.log.check_clock import check_clock
 from tau_dyn.log.check_motion import check_motion, find_moving_samples
-from tau_dyn.log.check_result import CheckFinding, LogCheck, Severity, build_fault
-from tau_dyn.log.column_names import format_names
+from tau_dyn.log.column_names import count, format_names
 from tau_dyn.log.data_integrity import list_data_warnings
-from tau_dyn.log.jumps import check_jumps
 from tau_dyn.log.log import Log
-from tau_dyn.log.resample import resample_segments, split_at_gaps
-from tau_dyn.log.signal_checks import check_signals
-from tau_dyn.log.units import JointLimits, list_unit_warnings
+from tau_dyn.log.resample import (
+    MAX_RELATIVE_JITTER,
+    Clock,
+    describe_gaps,
+    examine_clock,
+    resample_segments,
+    split_at_gaps,
+)
+from tau_dyn.log.signal_checks import CheckFinding, LogCheck, Severity, build_fault, check_jumps, check_signals
+from tau_dyn.message_codes import UNCODED, CodedWarning, get_code
+
+MAX_AXIS_LENGTH_M = 20.0
+"""No prismatic joint without limits travels further [m]."""
+
+WIDEST_TURN = 16 * np.pi
+"""No revolute joint without limits turns further [rad]: eight turns."""
+
+SUSPECT = 100.0
+"""Without a robot, a position beyond this is in doubt [m or rad]."""
+
+
+class JointLimits(Protocol):
+    """A robot's actuated joints: names, kinds (`prismatic` or `revolute`) and limits (na,) [m or rad]."""
+
+    @property
+    def actuated(self) -> Sequence[str]: ...  # noqa: D102
+
+    @property
+    def joint_kinds(self) -> Sequence[str]: ...  # noqa: D102
+
+    @property
+    def lower(self) -> NDArray[np.float64]: ...  # noqa: D102
+
+    @property
+    def upper(self) -> NDArray[np.float64]: ...  # noqa: D102
+
+
+def list_unit_warnings(log: Log, robot: JointLimits | None = None) -> tuple[str, ...]:
+    """Return a sentence for every joint whose positions do not look like m or rad.
+
+    Args:
+        log: The log, as read.
+        robot: Its robot, or None if unknown: then only positions beyond 100 are doubted.
+
+    Returns:
+        Sentences, empty where all is plausible. With limits, a joint is doubted if it leaves them by more than half
+        their width.
+    """
+    if robot is None:
+        return tuple(_doubt_without_robot(log))
+    sentences = []
+    limits = zip(robot.actuated, robot.joint_kinds, robot.lower, robot.upper, strict=True)
+    for joint, kind, lower, upper in limits:
+        if log.has("q", [joint]):
+            sentences.append(_doubt(log, joint, kind, float(lower), float(upper)))
+    return tuple(CodedWarning("scale_wrong", sentence) for sentence in sentences if sentence)
+
+
+def _doubt(log: Log, joint: str, kind: str, lower: float, upper: float) -> str:
+    """Return a sentence if a joint's positions are far outside its limits, naming the unit that explains it."""
+    low, high = _extent(log, joint)
+    prismatic = kind == "prismatic"
+    unit, foreign, scale = ("m", "mm", 1e-3) if prismatic else ("rad", "degrees", np.pi / 180)
+    reach = MAX_AXIS_LENGTH_M if prismatic else WIDEST_TURN
+    lower, upper = max(lower, -reach), min(upper, reach)
+    margin = (upper - lower) / 2
+    if low >= lower - margin and high <= upper + margin:
+        return ""
+    where = f"{log.name}: q_{joint} runs from {low:.4g} to {high:.4g}, far outside {lower:.4g} to {upper:.4g} {unit}"
+    slack = 0.1 * margin
+    if low * scale >= lower - slack and high * scale <= upper + slack:
+        line = f"q_{joint}: {{column: q_{joint}, scale: {scale:.9g}}}"
+        return f"{where}; the unit is probably {foreign}: write `{line}` into a column map."
+    return f"{where}; is it this joint, at its own side of the gear, in {unit}?"
+
+
+def _doubt_without_robot(log: Log) -> list[str]:
+    sentences: list[str] = []
+    for joint in log.joints("q"):
+        low, high = _extent(log, joint)
+        if max(abs(low), abs(high)) > SUSPECT:
+            sentence = (
+                f"{log.name}: q_{joint} runs from {low:.4g} to {high:.4g}, probably in mm or degrees; "
+                "positions are in m or rad (scale 0.001 or 0.0174532925 in a column map)."
+            )
+            sentences.append(CodedWarning("scale_wrong", sentence))
+    return sentences
+
+
+def _extent(log: Log, joint: str) -> tuple[float, float]:
+    q = log.joint("q", [joint])
+    return float(q.min()), float(q.max())
+
+
+MIN_RATE_HZ = 50.0
+"""Below this rate [Hz] accelerations of a machine can hardly be had from positions."""
+
+_UNITS = ((2e5, "nanoseconds", "1e-9"), (200.0, "microseconds", "1e-6"), (0.5, "milliseconds", "0.001"))
+"""Steps from which a clock reads like another unit, as machines log at 5 Hz to 2 kHz, and its scale to seconds."""
+
+MIN_DURATION_S = 5.0
+"""Shorter logs [s] rarely hold enough independent motion."""
+
+
+def check_clock(log: Log) -> tuple[list[CheckFinding], dict[str, Any]]:
+    """Judge the clock of a log.
+
+    Returns:
+        Findings, and the numbers `n_samples`, `duration` [s], `rate_hz`, `jitter` (share of a step), `n_missing`,
+        `gaps` (from, to) [s] and `times_rounded`.
+    """
+    clock = examine_clock(log)
+    numbers = {
+        "n_samples": log.n_samples,
+        "duration": log.duration,
+        "rate_hz": 1.0 / clock.dt,
+        "jitter": clock.jitter,
+        "n_missing": clock.n_missing,
+        "gaps": [[float(log.t[i]), float(log.t[i + 1])] for i in clock.gaps],
+        "times_rounded": clock.rounded,
+    }
+    return [_rate(log, clock), _evenness(log, clock), *_gaps(log, clock)], numbers
+
+
+def _rate(log: Log, clock: Clock) -> CheckFinding:
+    rate = 1.0 / clock.dt
+    what = f"{log.name} has {log.n_samples} samples at {rate:.6g} Hz, {log.duration:.4g} s."
+    if clock.dt >= 0.5:
+        unit, scale = next((name, scale) for least, name, scale in _UNITS if clock.dt >= least)
+        remedy = f"Give t in s: `t: {{column: t, scale: {scale}}}` in a column map (--columns)."
+        return CheckFinding("fault", "sampling", f"{what} The time step suggests {unit}.", remedy)
+    if rate < MIN_RATE_HZ:
+        return CheckFinding(
+            "warning", "sampling", f"{what} The sampling rate is too low for accelerations.", "Log at 250 Hz or more."
+        )
+    if log.duration < MIN_DURATION_S:
+        return CheckFinding("warning", "sampling", f"{what} The log is short.", "Record 10 s or more of varied motion.")
+    return CheckFinding("ok", "sampling", what)
+
+
+def _evenness(log: Log, clock: Clock) -> CheckFinding:
+    if clock.rounded:
+        sentence = f"{log.name}: uniform clock, rounded stamps."
+        return CheckFinding("warning", "jitter", sentence, "Write more digits; a uniform clock is used.")
+    sentence = f"{log.name}: steps differ from {clock.dt:.6g} s by up to {100 * clock.jitter:.2g} %."
+    if clock.jitter > MAX_RELATIVE_JITTER:
+        return CheckFinding("warning", "jitter", sentence, "Stamp samples in the real-time loop; the log is resampled.")
+    return CheckFinding("ok", "jitter", sentence)
+
+
+def _gaps(log: Log, clock: Clock) -> list[CheckFinding]:
+    if clock.gaps:
+        return [
+            CheckFinding(
+                "warning",
+                "gaps",
+                describe_gaps(log, clock),
+                "Record without interruption; the parts are used separately.",
+            )
+        ]
+    if clock.n_missing:
+        lost = f"{count(clock.n_missing, 'sample')} {'is' if clock.n_missing == 1 else 'are'}"
+        sentence = f"{log.name}: {lost} missing, never three in a row."
+        return [
+            CheckFinding(
+                "warning", "gaps", sentence, "Give the logger more priority; missing samples are interpolated."
+            )
+        ]
+    return [CheckFinding("ok", "gaps", f"{log.name}: no sample is missing.")]
 
 
 def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
@@ -36,7 +204,7 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
     findings += [
         CheckFinding("warning", "reading", sentence, "Let the logger finish its file.") for sentence in log.warnings
     ]
-    findings += _columns(log, robot) + _units(log, robot)
+    findings += _columns(log, robot) + _check_units(log, robot)
     findings += [build_fault(warning) for warning in list_data_warnings(log, () if robot is None else robot.actuated)]
     parts = split_at_gaps(log)
     if not parts:
@@ -49,7 +217,7 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
         if part.n_samples == raw.n_samples
         else {}
     )
-    findings += _jumps(raw, robot)
+    findings += _find_jumps(raw, robot)
     for more, figures in (check_signals(raw, moving), check_motion(part)):
         findings += more
         numbers.update(figures)
@@ -88,7 +256,7 @@ def _columns(log: Log, robot: JointLimits | None) -> list[CheckFinding]:
     ]
 
 
-def _units(log: Log, robot: JointLimits | None) -> list[CheckFinding]:
+def _check_units(log: Log, robot: JointLimits | None) -> list[CheckFinding]:
     doubts = [
         CheckFinding(
             "warning" if robot is None else "fault",
@@ -102,7 +270,7 @@ def _units(log: Log, robot: JointLimits | None) -> list[CheckFinding]:
     return doubts or [CheckFinding("ok", "units", f"{log.name}: positions look like m and rad.")]
 
 
-def _jumps(log: Log, robot: JointLimits | None) -> list[CheckFinding]:
+def _find_jumps(log: Log, robot: JointLimits | None) -> list[CheckFinding]:
     kinds = {} if robot is None else dict(zip(robot.actuated, robot.joint_kinds, strict=True))
     turns = {joint: kinds[joint] != "prismatic" if joint in kinds else None for joint in log.joints("q")}
     found = (check_jumps(log, joint, revolute=revolute) for joint, revolute in turns.items())

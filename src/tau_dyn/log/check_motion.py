@@ -9,11 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
-from tau_dyn.log.check_result import CheckFinding
 from tau_dyn.log.column_names import count
-from tau_dyn.log.filtering import compute_edge_samples, differentiate, find_reversals, lowpass
+from tau_dyn.log.filtering import (
+    compute_edge_samples,
+    compute_noise_gain,
+    differentiate,
+    estimate_encoder_noise,
+    estimate_quantisation_step,
+    find_reversals,
+    lowpass,
+)
 from tau_dyn.log.log import Log
-from tau_dyn.log.noise_estimation import compute_noise_gain, estimate_encoder_noise, estimate_quantisation_step
+from tau_dyn.log.signal_checks import CheckFinding
 
 CUTOFF_SHARE = 0.06
 """Low-pass for judging a motion, as a share of the sampling rate: 60 Hz at 1 kHz."""

@@ -1,11 +1,14 @@
-"""Column names of a log, read as a signal and a joint.
+"""Column names of a log, read as a signal and a joint, and what is wrong with a cell, a header or a whole file.
 
-A column is `signal_joint`: `q_ref_cart1` is the signal `q_ref` of the joint `cart1`. `t` [s] is the clock, the tool's
-columns stand alone, and `temp_room` [degC] belongs to no joint. All other names are foreign: they are kept, and nothing
-here interprets them. The list is the contract's; how files are read lives in `table.py` and `read.py`.
+A column is `signal_joint`: `q_ref_cart1` is the signal `q_ref` of the joint `cart1`. `t` [s] is the clock, the tool's columns
+stand alone, and `temp_room` [degC] belongs to no joint. All other names are foreign: they are kept, and nothing here
+interprets them. The list is the contract's; how files are read lives in `table.py` and `read.py`. The likeliest mistakes have
+words of their own: dates, decimal commas, a line of units, other names, other programs' files.
 """
 
-from collections.abc import Iterable
+import json
+import re
+from collections.abc import Iterable, Sequence
 
 SIGNALS = ("q_ref", "q_link", "temp", "tau", "q", "v", "a")
 """Signals a joint may have; `q_ref` stands before `q`, so that `q_ref_J` is not read as `q` of `ref_J`, and so does `q_link`,
@@ -69,3 +72,108 @@ def _is_used(column: str, joints: set[str]) -> bool:
     if pair is None:
         return is_contract_name(column)
     return pair[0] in ("q", "q_ref", "tau") or pair[1] in joints
+
+
+_DATE = re.compile(r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[/.]\d{1,2}[/.]\d{2,4}|\d{1,2}:\d{2}")
+_OTHER_FILES = {
+    b"PK\x03\x04": "an Excel workbook or another zip archive; save its sheet as CSV in UTF-8",
+    b"\xd0\xcf\x11\xe0": "an old Excel workbook; save its sheet as CSV in UTF-8",
+    b"\x1f\x8b": "compressed by gzip; unpack it first",
+    b"%PDF": "a PDF; give the recording itself, as CSV",
+    b"PAR1": "a Parquet file; let its name end in .parquet",
+    b"\x89HDF": "an HDF5 file (MATLAB 7.3 is one); export it as CSV or Parquet, from MATLAB with save(.., '-v7')",
+}
+"""What a file that is no text begins with -> what it is, and what to do."""
+
+
+def describe_bad_cell(cell: object, largest: float) -> str:
+    """Say why a cell is not a usable number, and what would be right."""
+    text = "" if cell is None else str(cell).strip()
+    if not text:
+        return "the cell is empty; every sample needs a number here"
+    if text.lower().lstrip("+-") in ("nan", "inf", "infinity", "na", "null", "<na>"):
+        return (
+            f"{text} is not a finite number; every sample needs one here (leave out the line of a sample that was lost)"
+        )
+    if text.count(",") == 1 and text.replace(",", "").lstrip("+-").isdigit():
+        return f"{text!r} has a decimal comma; write numbers with a decimal point"
+    if _DATE.match(text):
+        return f"{text[:40]!r} is a date or a time of day; write seconds, such as 0.004, from any start"
+    if _is_number(text):
+        return f"{text[:40]} is beyond {largest:.0e}, larger than anything in SI units; a scale in a column map brings it to them"
+    return f"{text[:40]!r} is not a number; write it as 0.125 or 1.25e-1"
+
+
+def is_unit_row(first: object, second: object) -> bool:
+    """Tell whether a column's first cell is a unit above numbers, such as `[s]`."""
+    text = str(first).strip()
+    return bool(text) and not any(c.isdigit() for c in text) and len(text) <= 12 and _is_number(str(second).strip())
+
+
+def describe_foreign_file(data: bytes) -> str:
+    """Return what a file is that is plainly no table, and what to do about it; nothing where it may be one."""
+    known = next((words for start, words in _OTHER_FILES.items() if data.startswith(start)), "")
+    return known or (
+        "JSON; a log is CSV with the columns t, q_JOINT, tau_JOINT, or Parquet, MCAP, a ROS bag or .mat"
+        if _is_json(data)
+        else ""
+    )
+
+
+def _is_json(data: bytes) -> bool:
+    """Tell whether a file begins as JSON does; a header may begin with a bracket as well, as `[s]`."""
+    text = data[:400].removeprefix(b"\xef\xbb\xbf").lstrip()
+    if text[:1] == b"{":
+        return True
+    if text[:1] != b"[":
+        return False
+    try:
+        json.JSONDecoder().raw_decode(text[1:].lstrip().decode("utf-8", "replace"))
+    except ValueError:
+        return text[1:].lstrip()[:1] in (b"{", b"[")
+    return True
+
+
+def find_nearest_column(name: str, columns: Iterable[str]) -> str:
+    """Return the column that is called so but for capitals, blanks and punctuation; nothing where there is none."""
+    return next((c for c in columns if _bare(c) == _bare(name)), "")
+
+
+def _bare(name: str) -> str:
+    return "".join(c for c in name.lower() if c.isalnum())
+
+
+def describe_missing_column(file: str, name: str, columns: Sequence[str], why: str = "", more: str = "") -> str:
+    """Return the sentence about a column that is not there: what is, and which was probably meant.
+
+    Args:
+        file: The log's name.
+        name: The column wanted.
+        columns: Those that there are.
+        why: A clause on who wants it.
+        more: A clause on what else would help.
+    """
+    if len(columns) == 1 and columns[0].count(" ") > 1:
+        return f"{file} has one column, '{columns[0][:60]}'; separate names and cells by commas, semicolons or tabs."
+    near = find_nearest_column(name, columns)
+    hint = f" (did you mean {near}?)" if near else ""
+    return f"{file} has no column {name}{why}{hint}; it has {format_names(columns)}{more}."
+
+
+def describe_missing_clock(file: str, columns: Sequence[str]) -> str:
+    """Return the sentence about a log without `t`."""
+    clock = next((c for c in columns if c.strip("[]() ").lower() in _CLOCKS or c.lower().startswith("time")), "")
+    line = f"`t: {clock or 'NAME'}`, or `t: {{rate_hz: F}}` if there is none,"
+    more = f"; name the clock t [s], or write {line} into a column map (--columns MAP.yaml)"
+    return describe_missing_column(file, "t", columns, more=more)
+
+
+_CLOCKS = ("t", "time", "zeit", "temps", "timestamp", "stamp", "clock", "sec", "seconds")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return "_" not in text  # which Python takes, and no logger writes

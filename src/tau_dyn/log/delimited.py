@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.read_errors import describe_foreign_file
+from tau_dyn.log.column_names import describe_foreign_file
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 

@@ -1,12 +1,35 @@
-"""From measured positions to velocities, without shifting anything in time: filters on arrays (N, ...) along axis 0.
+"""From measured positions to velocities without shifting anything in time, their noise, and the band of the motion.
 
-The low-pass is a Butterworth filter run forwards and backwards, so its power response is |H|^4 and its phase is zero:
-`|H(f)|^2 = 1 / (1 + (tan(pi f dt) / tan(pi f_c dt))^(2 order))`, half the amplitude at `cutoff_hz`. Whatever multiplies
-forces in a fit has to pass the same filter as the forces; filtering `W` and `tau` differently biases it. Derivatives
-are central differences, with the gain `sin(w dt) / (w dt)`, 2.3 % short at 60 Hz and 1 kHz. Reference: Gautier,
-Vandanjon & Presse 1994. Clocks live in `resample.py`.
+**Low-pass**: a Butterworth filter run forwards and backwards, so its power response is |H|^4 and its phase is zero:
+
+    |H(f)|^2 = 1 / (1 + (tan(pi f dt) / tan(pi f_c dt))^(2 order))
+
+with half the amplitude at `cutoff_hz`. Whatever multiplies forces in a fit has to pass the same filter as the forces; filtering
+`W` and `tau` differently biases it. Derivatives are central differences, with the gain `sin(w dt) / (w dt)`, 2.3 % short at 60 Hz
+and 1 kHz. Arrays are (N, ...) along axis 0. Reference: Gautier, Vandanjon & Presse 1994. Clocks live in `resample.py`.
+
+**Noise**: an encoder's noise and its quantisation while moving are white; a motion driven through a mass is not, and its
+spectrum falls steeply. So the level is read where motion has died out, in the upper half of the band (a quarter to half of the
+sampling rate):
+
+1. fourth differences whiten the motion away (2 Hz at 1 kHz is reduced to 2.5e-8) and multiply white noise by |2 sin(w
+   dt / 2)|^4;
+2. the log is cut into windows, and those in which the joint stands still are left out, since a resting encoder hides
+   its rounding;
+3. in each window the level is the median over frequencies of the periodogram divided by that gain, which a few lines (a
+   gear, a resonance) do not move; over windows it is the median again, which a few knocks do not move;
+4. a level below that of uniform rounding, step / sqrt(12), is raised to it.
+
+Then `sigma_v^2 = sigma^2 (2 dt) int |H|^4 (sin(w dt) / dt)^2 df`. The estimate fails, to the high side, where real vibration
+fills the whole upper band, and to the low side where the drive has already filtered q.
+
+**Band**: the spectrum is taken of second differences of q (Welch, Blackman-Harris windows of 8 s), which keeps the motion's
+large slow part from leaking over everything else, and divided by their gain. The noise floor is the median over 0.25 to 0.49
+of the sampling rate. The motion band reaches from the spectral peak as far as the signal stays ten times above that floor; its
+edge is where 99.9 % of the *velocity's* power is reached. Acceleration would count vibration.
 """
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, cast
 
@@ -117,3 +140,142 @@ def find_reversals(v: ArrayLike, threshold: float = 0.0) -> NDArray[np.intp]:
     v = np.asarray(v, dtype=np.float64)
     moving = np.flatnonzero(np.abs(v) > threshold)
     return moving[1:][np.diff(np.sign(v[moving])) != 0]
+
+
+WINDOW_SAMPLES = 128
+"""Samples of one window: a spectral resolution of 1/128 of the sampling rate."""
+
+_DIFFERENCES = 4  # order of differences, which remove a smooth motion
+
+
+def estimate_quantisation_step(q: ArrayLike) -> NDArray[np.float64]:
+    """Return the step (n,) or () of a rounded signal (N, n) or (N,), and 0 where values stand on no grid.
+
+    The step is the smallest change between samples; it counts only if 99 % of all changes are whole multiples of it.
+    """
+    q = np.asarray(q, dtype=np.float64)
+    steps = np.array([_step(column) for column in q.reshape(len(q), -1).T])
+    return steps.reshape(q.shape[1:])
+
+
+def estimate_encoder_noise(q: ArrayLike) -> NDArray[np.float64]:
+    """Return the standard deviation (n,) or () of the white noise on positions (N, n) or (N,), in their unit."""
+    q = np.asarray(q, dtype=np.float64)
+    columns = q.reshape(len(q), -1).T
+    floor = estimate_quantisation_step(q).reshape(-1) / np.sqrt(12)
+    return np.maximum([_white_level(column) for column in columns], floor).reshape(q.shape[1:])
+
+
+def compute_velocity_noise(q: ArrayLike, rate_hz: float, cutoff_hz: float, order: int = 4) -> NDArray[np.float64]:
+    """Return how much encoder noise is left in a filtered and differentiated position.
+
+    Args:
+        q: Measured positions (N, n) or (N,) [m or rad], evenly spaced and not filtered.
+        rate_hz: Sampling rate [Hz].
+        cutoff_hz: Cutoff of the zero-phase low-pass before differentiation [Hz].
+        order: Order of one of its runs.
+
+    Returns:
+        Standard deviation (n,) or () of the velocity [m/s or rad/s] that noise and quantisation alone cause.
+    """
+    return estimate_encoder_noise(q) * compute_noise_gain(rate_hz, cutoff_hz, order, derivatives=1)
+
+
+def compute_noise_gain(rate_hz: float, cutoff_hz: float, order: int = 4, derivatives: int = 1) -> float:
+    """Return what `lowpass` and central differences make of white noise of 1 [1/s^derivatives]."""
+    half_turns = (np.arange(4096) + 0.5) / 4096 * np.pi / 2  # pi f dt, from 0 to half the sampling rate
+    with np.errstate(over="ignore"):
+        passed = 1.0 / (1.0 + (np.tan(half_turns) / np.tan(np.pi * cutoff_hz / rate_hz)) ** (2 * order))
+    slope = np.sin(2 * half_turns) * rate_hz
+    return float(np.sqrt(np.mean(passed**2 * slope ** (2 * derivatives))))
+
+
+def _step(q: NDArray[np.float64]) -> float:
+    changes = np.abs(np.diff(q))
+    changes = changes[changes > 1e-12 * max(float(np.abs(q).max()), 1e-300)]
+    if changes.size == 0:
+        return 0.0
+    step = float(changes.min())
+    multiples = changes / step
+    on_grid = np.abs(multiples - np.round(multiples)) <= 0.05
+    return step if np.mean(on_grid) >= 0.99 and np.median(multiples) < 1e4 else 0.0
+
+
+def _white_level(q: NDArray[np.float64]) -> float:
+    """Return the standard deviation of the white part of one signal (N,)."""
+    width = min(WINDOW_SAMPLES, len(q) - _DIFFERENCES)
+    if width < 16:
+        return 0.0
+    windows = np.lib.stride_tricks.sliding_window_view(np.diff(q, n=_DIFFERENCES), width)[:: width // 2]
+    moving = np.any(windows != 0.0, axis=1) & (np.mean(windows != 0.0, axis=1) > 0.5)
+    windows = windows[moving] if np.any(moving) else windows
+    taper = np.hanning(width)
+    power = np.abs(np.fft.rfft(windows * taper, axis=1)) ** 2 / np.sum(taper**2)
+    omega = 2 * np.pi * np.fft.rfftfreq(width)
+    band = (omega >= np.pi / 2) & (omega < 0.98 * np.pi)
+    level = np.median(power[:, band] / (2 * np.sin(omega[band] / 2)) ** (2 * _DIFFERENCES), axis=1) / np.log(2)
+    return float(np.sqrt(np.median(level)))
+
+
+_WINDOW_S = 8.0  # [s] of Welch's method
+_SMOOTHING_HZ = 2.0  # [Hz] over which the spectrum is averaged
+_MIN_SNR = 10.0  # power over that of the noise, at the band's edge
+_CLEAR_SNR = 300.0  # power over that of the noise, where the motion is beyond doubt
+_POWER_SHARE = 0.999  # of the motion's power lies below the band's edge
+_NOISE_SHARE = 1e-4  # of the motion's power that noise within the band may have
+
+
+@dataclass(frozen=True)
+class MotionBand:
+    """The band of the motion of each joint.
+
+    Attributes:
+        edge_hz: Below it lies 99.9 % of the velocity's power (n,) [Hz].
+        noise_edge_hz: Below it, the acceleration's noise power is less than 1e-4 of the acceleration's power (n,) [Hz]; a
+            regressor low-passed there is not biased by its own noise.
+        encoder_noise: White-noise level of the encoder (n,), in the unit of q.
+        signal_edge_hz: Up to it the motion stands ten times above the encoder's noise (n,) [Hz].
+        clear_edge_hz: Up to it the motion stands 300 times above the encoder's noise (n,) [Hz].
+    """
+
+    edge_hz: NDArray[np.float64]
+    noise_edge_hz: NDArray[np.float64]
+    encoder_noise: NDArray[np.float64]
+    signal_edge_hz: NDArray[np.float64]
+    clear_edge_hz: NDArray[np.float64]
+
+
+def find_motion_band(q: ArrayLike, rate_hz: float) -> MotionBand:
+    """Find the band of the motion in measured positions (N, n), evenly spaced and not filtered."""
+    q = np.asarray(q, dtype=np.float64)
+    acceleration = np.diff(q, 2, axis=0) * rate_hz**2
+    n = min(len(acceleration), round(_WINDOW_S * rate_hz))  # a rate of 199.9999 Hz is one of 200
+    f, power = signal.welch(acceleration, rate_hz, "blackmanharris", nperseg=n, detrend=cast(Any, False), axis=0)
+    gain = (2 * np.sin(np.pi * f / rate_hz)) ** 4 * rate_hz**4
+    upper = (f > 0.25 * rate_hz) & (f < 0.49 * rate_hz)
+    sigma = np.sqrt(np.median(power[upper] / gain[upper, None], axis=0) * rate_hz / 2)
+    noise = gain[:, None] * 2 * sigma**2 / rate_hz
+    columns = [_edges(f, power[:, k], noise[:, k], rate_hz / len(q)) for k in range(q.shape[1])]
+    edges = np.array(columns, dtype=np.float64).reshape(-1, 4)
+    return MotionBand(edges[:, 0], edges[:, 1], sigma, edges[:, 2], edges[:, 3])
+
+
+def _edges(f: NDArray, power: NDArray, noise: NDArray, resolution: float) -> tuple[float, ...]:
+    """Return the motion's edge, the noise edge, the signal's edge and the clear edge of one joint."""
+    width = max(3, int(round(_SMOOTHING_HZ / f[1])))
+    ratio = _smooth(power, width) / np.maximum(_smooth(noise, width), 1e-300)
+    clean = np.clip(power - noise, 0, None)
+    velocity = np.divide(clean, (2 * np.pi * f) ** 2, out=np.zeros_like(clean), where=f > 0.5 * resolution)
+    peak = int(np.argmax(velocity))
+    clear, top = (peak + int(np.argmax(np.append(ratio[peak:], 0.0) < least)) for least in (_CLEAR_SNR, _MIN_SNR))
+    if top == peak or velocity[:top].sum() <= 0:  # nothing stands out of the noise: a joint at rest
+        return 0.0, 0.0, 0.0, 0.0
+    share = np.cumsum(velocity[:top])
+    edge = f[np.searchsorted(share, _POWER_SHARE * share[-1])]
+    within = np.searchsorted(np.cumsum(noise), _NOISE_SHARE * clean[:top].sum())
+    last = len(f) - 1
+    return float(edge), float(f[min(last, int(within))]), float(f[min(top, last)]), float(f[min(clear, last)])
+
+
+def _smooth(x: NDArray, width: int) -> NDArray:
+    return np.asarray(signal.convolve(x, np.full(width, 1 / width), "same"))

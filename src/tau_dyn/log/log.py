@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import write_atomically
-from tau_dyn.log.column_names import ROOM_TEMPERATURE, count, map_joints
-from tau_dyn.log.read_errors import describe_missing_column
+from tau_dyn.log.column_names import ROOM_TEMPERATURE, count, describe_missing_column, map_joints
 from tau_dyn.results import Shown
 
 _NAME_IT = "; log it, or let a column map say which column it is"

@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.decompression_limit import DecompressionLimit
-from tau_dyn.log.messages import Recorded, build_message_table, describe_fault
-from tau_dyn.log.table import Table
+from tau_dyn.log.table import DecompressionLimit, Table
+from tau_dyn.log.topics import Recorded, build_message_table, describe_fault
 
 MAX_CHUNK_BYTES = 2**28
 """A chunk larger than this [bytes] is not opened; recorders write chunks of a few MB."""
@@ -28,6 +27,8 @@ MAX_DEFINITION_BYTES = 2**20
 
 _MAGIC = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
+_BROKEN = -1
+"""Stands for the end of a file that has none, with a sentence."""
 _FRAME = struct.Struct("<BQ")
 
 
@@ -44,14 +45,13 @@ def read_mcap(path: Path, wanted: Mapping[str, str] | None = None, files: Sequen
     """
     _library()
     paths = tuple(files) or (path,)
-    warnings: list[str] = []
     kinds: dict[str, str] = {}
     for file in paths:
-        kinds |= {m.topic: m.kind for m in _messages(file, [])}
+        kinds |= {m.topic: m.kind for m in _messages(file) if isinstance(m, Recorded)}
     if not kinds:
         raise InputError("damaged_file", f"{path.name} is an MCAP file without messages; record it again.")
-    messages = (message for file in paths for message in _messages(file, warnings))
-    return build_message_table(path, paths, messages, kinds, wanted, warnings)
+    messages = (message for file in paths for message in _messages(file))
+    return build_message_table(path, paths, messages, kinds, wanted)
 
 
 def _library() -> None:
@@ -62,13 +62,15 @@ def _library() -> None:
         raise InputError("missing_package", "reading MCAP files needs an extra: pip install 'tau_dyn[mcap]'.") from None
 
 
-def _messages(path: Path, warnings: list[str]) -> Iterator[Recorded]:
-    """Yield a file's messages in its order."""
+def _messages(path: Path) -> Iterator[Recorded | str]:
+    """Yield a file's messages in its order, and a sentence where it breaks off."""
     schemas: dict[int, Any] = {}
     channels: dict[int, Any] = {}
     decoders = _Decoders(path.name)
-    for opcode, record in _records(path, warnings):
-        if opcode == _SCHEMA:
+    for opcode, record in _records(path):
+        if opcode == _BROKEN:
+            yield record
+        elif opcode == _SCHEMA:
             schemas[record.id] = record
         elif opcode == _CHANNEL:
             channels[record.id] = record
@@ -80,13 +82,13 @@ def _messages(path: Path, warnings: list[str]) -> Iterator[Recorded]:
             yield Recorded(channel.topic, kind, log, len(record.data), decode)
 
 
-def _records(path: Path, warnings: list[str]) -> Iterator[tuple[int, Any]]:
+def _records(path: Path) -> Iterator[tuple[int, Any]]:
     """Yield schemas, channels and messages with their kind, chunks opened."""
     from mcap.exceptions import McapError
 
     try:
         with path.open("rb") as file:
-            yield from _framed(path, file, warnings)
+            yield from _framed(path, file)
     except InputError:
         raise
     except (McapError, ValueError, struct.error, EOFError, MemoryError, OverflowError) as fault:
@@ -95,7 +97,7 @@ def _records(path: Path, warnings: list[str]) -> Iterator[tuple[int, Any]]:
         ) from None
 
 
-def _framed(path: Path, file: BinaryIO, warnings: list[str]) -> Iterator[tuple[int, Any]]:
+def _framed(path: Path, file: BinaryIO) -> Iterator[tuple[int, Any]]:
     size = path.stat().st_size
     if file.read(len(_MAGIC)) != _MAGIC:
         raise InputError(
@@ -107,7 +109,7 @@ def _framed(path: Path, file: BinaryIO, warnings: list[str]) -> Iterator[tuple[i
         frame = file.read(_FRAME.size)
         opcode, length = _FRAME.unpack(frame) if len(frame) == _FRAME.size else (0, 1)
         if length > size - file.tell():
-            warnings.append(f"{path.name} breaks off before its end; it is read to there, and what came after is lost.")
+            yield _BROKEN, f"{path.name} breaks off before its end; it is read to there, and what came after is lost."
             return
         if opcode == _CHUNK:
             yield from _inside(_opened(path.name, file.read(length), inflated))

@@ -1,11 +1,16 @@
-"""A recorded file, ours or foreign, becomes a `Log` in SI units; everything is converted here, once.
+"""A recorded file, ours or foreign, becomes a `Log` in SI units, or measured points; everything is converted here, once.
 
-Our own files name their columns as the contract says. A foreign file comes with a `ColumnMap`; its columns that the map
-does not mention keep their names. Every cell that the library will use is checked, and a fault is one sentence with
-file, line and column.
+Text and Parquet are read by `table.py`; files with topics of their own by readers that are imported when they are used, as
+they need extras. Our own files name their columns as the contract says. A foreign file comes with a `ColumnMap`; its columns
+that the map does not mention keep their names. Every cell that the library will use is checked, and a fault is one sentence
+with file, line and column. Measured points are actuated positions and where a device saw a point, without a clock: `q_J` for
+each actuated joint, `x_tool y_tool z_tool` [m], `qx_tool qy_tool qz_tool qw_tool`.
 """
 
-from collections.abc import Mapping
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +19,141 @@ from numpy.typing import NDArray
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import compute_joint_sha256
 from tau_dyn.log.column_map import ColumnMap
-from tau_dyn.log.column_names import count, format_names, list_used_columns
-from tau_dyn.log.containers import has_topics, read_any
+from tau_dyn.log.column_names import (
+    count,
+    describe_missing_clock,
+    describe_missing_column,
+    format_names,
+    list_used_columns,
+)
 from tau_dyn.log.log import Log
-from tau_dyn.log.read_errors import describe_missing_clock, describe_missing_column
-from tau_dyn.log.table import Table
+from tau_dyn.log.rosbag_log import is_bag_folder, read_bag
+from tau_dyn.log.table import Table, read_table
+
+SUFFIXES = (".mcap", ".bag", ".db3", ".mat")
+
+
+def has_topics(path: Path) -> bool:
+    """Tell whether a path is an MCAP file, a ROS bag or a MATLAB file, by its name or, for a folder, by what is in it."""
+    return is_bag_folder(path) or (path.suffix.lower() in SUFFIXES and not path.is_dir())
+
+
+def read_any(path: str | Path, wanted: Mapping[str, str] | None = None) -> Table:
+    """Read a log's file as a table.
+
+    Args:
+        path: CSV, Parquet, MCAP, a ROS bag (its folder, too) or a MATLAB file.
+        wanted: The file's columns that a map asks for, by our names; None without a map. Text and Parquet give all they have.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    path = Path(path)
+    if not has_topics(path):
+        return read_table(path)
+    _check_there(path)
+    suffix = "" if path.is_dir() else path.suffix.lower()  # a bag's folder may be called anything, `run.mcap` too
+    if suffix == ".mcap":
+        from tau_dyn.log.mcap_log import read_mcap
+
+        return read_mcap(path, wanted)
+    if suffix == ".mat":
+        from tau_dyn.log.matlab import read_mat
+
+        return read_mat(path, wanted)
+    return read_bag(path, wanted)
+
+
+def _check_there(path: Path) -> None:
+    if path.is_dir():
+        return
+    if path.exists() and not path.is_file():
+        raise InputError("cannot_read", f"{path.name} is a pipe or a device; a recording is read from a file.")
+    try:
+        with path.open("rb") as file:
+            if not file.read(1):
+                raise InputError(
+                    "damaged_file", f"{path.name} is empty; a log needs a message or a row for each sample."
+                )
+    except FileNotFoundError:
+        raise InputError("file_not_found", f"{path}: there is no such file; give the path of a log.") from None
+    except OSError as fault:
+        raise InputError(
+            "cannot_read", f"{path} cannot be read: {fault.strerror or fault}; give a readable log."
+        ) from None
+
+
+POSITION = ("x_tool", "y_tool", "z_tool")
+QUATERNION = ("qx_tool", "qy_tool", "qz_tool", "qw_tool")
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredPoints:
+    """A file of measured points.
+
+    Attributes:
+        name: File name.
+        sha256: Hash of the file.
+        joints: Joints whose positions it has, in the order asked for.
+        q: Their positions (N, k) [m or rad].
+        points: Measured positions (N, 3) [m]; None without all three columns.
+        quaternions: Measured orientations (N, 4), x y z w; None without all four columns.
+        warnings: What was left out while reading.
+    """
+
+    name: str
+    sha256: str
+    joints: tuple[str, ...]
+    q: np.ndarray
+    points: np.ndarray | None
+    quaternions: np.ndarray | None
+    warnings: tuple[str, ...]
+
+    def column(self, joint: str) -> np.ndarray:
+        """Return one joint's positions (N,).
+
+        Raises:
+            InputError: The file does not have them.
+        """
+        if joint not in self.joints:
+            raise InputError(
+                "missing_column", f"{self.name} has no column q_{joint}; it is needed to know where {joint} was"
+            )
+        return self.q[:, self.joints.index(joint)]
+
+
+def read_measured(path: str | Path, actuated: Sequence[str]) -> MeasuredPoints:
+    """Read a file of measured points.
+
+    Args:
+        path: CSV or Parquet.
+        actuated: The robot's actuated joints.
+
+    Raises:
+        InputError: The file cannot be read, has no `q_J` column of this robot, or a cell is no number.
+    """
+    table = read_table(path)
+    joints = tuple(j for j in actuated if f"q_{j}" in table.cells)
+    if not joints:
+        raise InputError(
+            "missing_column",
+            f"{table.name} has no column q_J of an actuated joint; it needs q_{', q_'.join(actuated)} or some of them",
+        )
+    points, quaternions = (
+        np.column_stack([table.numbers(c) for c in wanted]) if all(c in table.cells for c in wanted) else None
+        for wanted in (POSITION, QUATERNION)
+    )
+    if quaternions is not None:
+        sizes = np.linalg.norm(quaternions, axis=1)
+        wrong = np.flatnonzero(np.abs(sizes - 1) > 1e-3)
+        if wrong.size:
+            k = int(wrong[0])
+            raise InputError(
+                "bad_sample", f"{table.where(k)}: the quaternion qx_tool .. qw_tool has length {sizes[k]:.4g}, not 1"
+            )
+    q = np.column_stack([table.numbers(f"q_{j}") for j in joints])
+    return MeasuredPoints(table.name, table.sha256, joints, q, points, quaternions, table.warnings)
+
 
 MIN_SAMPLES = 10
 """A log with fewer samples answers nothing and is taken for a mistake."""
@@ -29,7 +164,7 @@ def read_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
 
     Args:
         path: CSV with one header line (comma, semicolon or tab), Parquet, MCAP, a ROS bag or a MATLAB file
-            (`containers.py`). With a map that has `files`, their folder will do.
+            (`read.py`). With a map that has `files`, their folder will do.
         columns: Map for a foreign log, or the path of one.
 
     Returns:

@@ -1,17 +1,161 @@
-"""Each channel by itself: constant, frozen for a while, held over several samples, clipped at its extremes.
+"""What a check of a log says, and each channel judged by itself: constant, frozen, held, clipped, or jumping.
 
-Part of `check.py`. Runs of exactly equal values tell all four apart: a live measurement hardly ever repeats itself to
-the last digit while its joint moves.
+A `CheckFinding` is one sentence about one topic, with what would help. `fault` means that the log should not be used as it is,
+`warning` that an answer will be poorer, `ok` that a thing was looked at and is fine, or why it was not looked at.
+
+Runs of exactly equal values tell a constant, a frozen, a held and a clipped channel apart: a live measurement hardly ever
+repeats itself to the last digit while its joint moves. A jump is a change that stands alone: ten times as far as nine of ten
+of the joint's changes and further than a fiftieth of its whole range, and neither the change before nor the one after goes a
+quarter as far the same way. An encoder that wraps, was set anew, or lost a reading does so; a joint that moves fast does so
+for several samples.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tau_dyn.log.check_result import CheckFinding
+from tau_dyn.log.column_names import count
 from tau_dyn.log.log import Log
+from tau_dyn.message_codes import CodedWarning, get_code
+from tau_dyn.results import Shown
+
+Severity = Literal["ok", "warning", "fault"]
+
+
+@dataclass(frozen=True)
+class CheckFinding:
+    """One thing that was looked at."""
+
+    severity: Severity
+    topic: str
+    sentence: str
+    remedy: str = ""
+    """What would help; empty where nothing has to."""
+    code: str = ""
+    """Stable code, see docs/reference/message_codes.md; empty where there is none."""
+
+
+def build_fault(warning: str) -> CheckFinding:
+    """Return a coded warning as a fault of the log; its sentence holds the remedy."""
+    return CheckFinding("fault", "integrity", str(warning), code=get_code(warning))
+
+
+@dataclass(frozen=True)
+class LogCheck(Shown):
+    """The judgement of a log.
+
+    Attributes:
+        name: The log's name.
+        findings: Everything that was looked at, in a fixed order of topics.
+        numbers: The figures behind the sentences, plain numbers and lists for JSON; per-joint figures are mappings by
+            joint.
+    """
+
+    name: str
+    findings: tuple[CheckFinding, ...]
+    numbers: dict[str, Any]
+
+    @property
+    def fit_for_use(self) -> bool:
+        """True where no finding is a fault."""
+        return not any(finding.severity == "fault" for finding in self.findings)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences of the findings that are warnings or faults."""
+        doubtful = [finding for finding in self.findings if finding.severity != "ok"]
+        return tuple(CodedWarning(f.code, f.sentence) if f.code else f.sentence for f in doubtful)
+
+    def with_faults(self, warnings: Iterable[str]) -> LogCheck:
+        """Return the check with what a robot file says against the log: coded warnings, as further faults."""
+        sentence = f"{self.name}: wiring and the time of the forces were held against the masses of the robot file."
+        judged = CheckFinding("ok", "synchronisation", sentence)
+        kept = [f for f in self.findings if (f.topic, f.severity) != ("synchronisation", "ok")]
+        faults = [build_fault(warning) for warning in warnings]
+        return replace(self, findings=(*kept, judged, *(f for f in faults if f not in kept)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the check as plain data for JSON."""
+        findings = [{k: x for k, x in asdict(f).items() if k != "code" or x} for f in self.findings]
+        return {"name": self.name, "fit_for_use": self.fit_for_use, "findings": findings, "numbers": self.numbers}
+
+
+_FURTHER = 10.0
+"""How much further than nine of ten steps a jump is."""
+
+_OF_RANGE = 0.02
+"""Least size of a jump, as a share of the joint's range."""
+
+_ALONE = 0.25
+"""A change with a neighbour of this share of its size, the same way, is motion: a quick move seen by few samples."""
+
+_TURN = 0.1
+"""How near a jump comes to whole turns, as a share of one, where the encoder wraps."""
+
+
+def find_jumps(q: NDArray[np.float64], fastest: float = 0.0) -> NDArray[np.intp]:
+    """Return the samples after which a position (N,) jumps.
+
+    Args:
+        q: Positions [m or rad], evenly sampled or nearly so.
+        fastest: The joint's own limit [per sample]; slower steps are motion.
+    """
+    changes = np.flatnonzero(np.diff(q))  # a reading held over several samples is one
+    step = np.diff(q)[changes]
+    if step.size < 2:
+        return np.zeros(0, np.intp)
+    size = np.abs(step)
+    least = max(_FURTHER * float(np.quantile(size, 0.9)), _OF_RANGE * float(np.ptp(q)), fastest)
+    padded = np.concatenate([[0.0], step, [0.0]])
+    found = np.flatnonzero(size > least)
+    apart = [max(np.sign(step[k]) * padded[[k, k + 2]]) < _ALONE * size[k] for k in found]
+    return changes[found[apart]]
+
+
+def check_jumps(
+    log: Log,
+    joint: str,
+    *,
+    revolute: bool | None = None,
+    fastest: float = 0.0,
+    left_out: NDArray[np.bool_] | None = None,
+) -> CheckFinding | None:
+    """Return what is wrong with a joint's positions if they jump.
+
+    Args:
+        log: The log.
+        joint: The joint.
+        revolute: Whether it turns, None if unknown.
+        fastest: Its speed limit [m/s or rad/s], where one is known.
+        left_out: Samples (N,) that nobody uses; jumps to or from them are let pass.
+    """
+    q = log.channels[f"q_{joint}"]
+    at = find_jumps(q, fastest * log.dt if np.isfinite(fastest) else 0.0)
+    if left_out is not None:
+        at = at[~(left_out[at] | left_out[at + 1])]
+    if not at.size:
+        return None
+    sizes, unit = np.abs(np.diff(q)[at]), {True: " rad", False: " m", None: ""}[revolute]
+    turns = sizes / (2 * np.pi)
+    wraps = revolute is not False and bool(np.all((turns > 0.5) & (np.abs(turns - np.round(turns)) < _TURN)))
+    where = f"first by {sizes[0]:.3g}{unit} after t = {log.t[at[0]]:.6g} s"
+    sentence = f"{log.name}: q_{joint} jumps {count(len(at), 'time')}, {where}, further than it can move in a sample"
+    if wraps:
+        return CheckFinding(
+            "fault", "jumps", f"{sentence}: the encoder begins anew each turn.", "Unwrap it (numpy.unwrap)."
+        )
+    return CheckFinding(
+        "fault",
+        "jumps",
+        f"{sentence}: readings were lost, or the encoder was set anew.",
+        "Leave out the lines of lost readings, or flag them in a column (--exclude); cut the log where an encoder was set anew.",
+    )
+
 
 MIN_CLIPPED_SAMPLES = 5
 """So many equal samples in a row at the largest or smallest value are a plateau."""

@@ -1,10 +1,12 @@
 """A file of columns, with the place of every cell, before anything is known about their meaning.
 
-`read_table` turns CSV or Parquet into a `Table`; cells become numbers only when a column is asked for, so that a fault
-is named with its line and column, while columns that nobody uses may hold anything. Lines are counted as an editor
-counts them: comments and header included, from 1. The splitting of text lives in `delimited.py`; what the columns mean,
-in `read.py`.
+`read_table` turns CSV or Parquet into a `Table`; cells become numbers only when a column is asked for, so that a fault is
+named with its line and column, while columns that nobody uses may hold anything. Lines are counted as an editor counts them:
+comments and header included, from 1. The splitting of text lives in `delimited.py`; what the columns mean, in `read.py`. A few
+bytes can say that they are gigabytes, which recordings never do: how far a file may grow is limited here.
 """
+
+from __future__ import annotations
 
 import hashlib
 from collections import Counter
@@ -20,9 +22,32 @@ from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
-from tau_dyn.log.decompression_limit import FREE_BYTES, MAX_INFLATION_RATIO
+from tau_dyn.log.column_names import describe_bad_cell, describe_missing_column, is_unit_row
 from tau_dyn.log.delimited import MAX_COLUMNS, parse_delimited
-from tau_dyn.log.read_errors import describe_bad_cell, describe_missing_column, is_unit_row
+
+MAX_INFLATION_RATIO = 200
+"""How many times its size a file may become, beside `FREE_BYTES` bytes; recorders reach about ten times."""
+
+FREE_BYTES = 2**26  # bytes; small files may inflate as they like
+
+
+class DecompressionLimit:
+    """Counts what comes out of a file's chunks."""
+
+    def __init__(self, path: Path) -> None:
+        """Count for this file."""
+        self.name, self.left = path.name, FREE_BYTES + MAX_INFLATION_RATIO * path.stat().st_size
+
+    def take(self, n: int) -> None:
+        """Take `n` bytes, or refuse the file."""
+        self.left -= n
+        if self.left < 0:
+            raise InputError(
+                "file_too_large",
+                f"{self.name} inflates to more than {MAX_INFLATION_RATIO} times its size, which no recording does; "
+                f"record it again.",
+            )
+
 
 MAX_MAGNITUDE = 1e15
 """No quantity of a robot in SI units is larger; what is comes from a broken logger."""
@@ -94,7 +119,7 @@ class Table:
         missing = np.flatnonzero(np.isnan(values))
         return values if all(_is_blank(cells[row]) for row in missing) else None
 
-    def first_rows(self, n: int, warning: str) -> "Table":
+    def first_rows(self, n: int, warning: str) -> Table:
         """Return the first `n` rows, with a sentence about the rest."""
         cells = {key: value[:n] for key, value in self.cells.items()}
         return Table(self.name, self.path, self.sha256, cells, self.places[:n], self.place, (*self.warnings, warning))

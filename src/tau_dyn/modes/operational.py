@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.modes.modal import FREQUENCY_TOLERANCE, Mode, build_stabilisation_diagram, compute_frequency_and_damping
 from tau_dyn.modes.order import read_whole_number
 from tau_dyn.modes.record import Record, build_records

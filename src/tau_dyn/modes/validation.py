@@ -20,8 +20,8 @@ from scipy.linalg import qr
 from scipy.signal import lfilter
 from scipy.stats import f as fisher
 
-from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.exceptions import TauDynError
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.modes.delay import DelayChoice
 from tau_dyn.modes.feedback_tests import Feedback
 from tau_dyn.modes.hankel import fit_autoregression

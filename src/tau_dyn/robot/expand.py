@@ -1,6 +1,6 @@
 """From a robot file to plain URDF text: short names, xacro arguments, and XML that cannot expand entities.
 
-A xacro file is code: it evaluates Python expressions. Here they may not reach for Python itself (`expressions.py`), and
+A xacro file is code: it evaluates Python expressions. Here they may not reach for Python itself (`xacro_evaluation.py`), and
 neither the file nor anything it includes may declare a document type or entities; but a xacro may still read files, and
 compute without end. Load one only from people whose scripts you would run, or refuse them all with `xacro=False`. A file that
 neither ends in `.xacro` nor declares xacro's namespace is never evaluated.
@@ -8,30 +8,24 @@ neither ends in `.xacro` nor declares xacro's namespace is never evaluated.
 
 from __future__ import annotations
 
-import io
 import re
-import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, redirect_stderr
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, files as files_of
 from importlib.resources import files
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 from xml.dom.minidom import Document
 from xml.parsers.expat import ExpatError
 
-import xacro
 from defusedxml.common import DefusedXmlException
 from defusedxml.minidom import parseString
 
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import format_yaml, read_bytes
 from tau_dyn.robot.dimensions import TableChanges, read_number
-from tau_dyn.robot.expressions import restrict_expressions
 from tau_dyn.robot.numbers import check_depth
-
-_LOCK = threading.Lock()  # xacro keeps its state in module globals
+from tau_dyn.robot.xacro_evaluation import evaluate_xacro
 
 _LOG = "; this looks like a log; were robot and log exchanged?"
 _MODEL = "; is it a model file? Then give the robot's file first"
@@ -148,40 +142,43 @@ def _expand(
 ) -> tuple[str, dict[str, str], TableChanges]:
     """Return the URDF text, the arguments that the file declares with their defaults, and its tables."""
     changes = TableChanges({})
-    with _LOCK, restrict_expressions():
+
+    def read_table(name: str) -> str:
+        """Return a table that a xacro loads, once it is known to hold nothing that takes long, with changes to it."""
         try:
-            document = _parse(None, str(path))
-            declared = _list_arguments(document)
-            own = {name: value for name, value in given.items() if name in declared}
-            more = {name: value for name, value in given.items() if name not in declared}
-            changes = TableChanges(more, listing=listing)
-            _check_arguments(path, declared, own)
-            if not is_xacro(path, document):
-                changes.require_all_used(list(declared), str(path))
-            if is_xacro(path, document):
-                if not evaluate:
-                    raise InputError(
-                        "unsupported",
-                        f"{path} is a xacro, which is code, and none may run; expand it to plain URDF first",
-                    )
-                xacro.init_stacks(str(path))
-                with _defused_xacro(changes), redirect_stderr(io.StringIO()):
-                    xacro.process_doc(document, mappings=own)
-                check_depth(document, str(path))
-                changes.require_all_used(list(declared), str(path))
-            return document.toprettyxml(indent="  "), declared, changes
+            return changes.apply(format_yaml(name), str(name))
         except InputError as fault:
-            raise fault if str(fault).startswith(str(path)) else InputError(fault.code, f"{path}: {fault}") from fault
-        except (RecursionError, MemoryError) as fault:
-            raise InputError("file_format", f"{path}: expands without end") from fault
-        except Exception as fault:  # whatever an expression in the file raised: its fault, named below
-            if changes.fault is not None:  # xacro wraps what a table raised in its own words
-                raise changes.fault from fault
-            reason = " ".join(str(fault).split()) or type(fault).__name__
-            reason = reason.partition(" when evaluating expression 'xacro.fatal(")[0]
-            if given and "math domain error" in reason:
-                reason = f"the dimensions do not fit together, such as rods too short to reach ({reason})"
-            raise InputError("file_format", f"{path}: xacro cannot expand it: {reason}") from fault
+            changes.fault = fault  # xacro wraps it in words of its own
+            raise
+
+    try:
+        document = _parse(None, str(path))
+        declared = _list_arguments(document)
+        own = {name: value for name, value in given.items() if name in declared}
+        more = {name: value for name, value in given.items() if name not in declared}
+        changes = TableChanges(more, listing=listing)
+        _check_arguments(path, declared, own)
+        if is_xacro(path, document):
+            if not evaluate:
+                raise InputError(
+                    "unsupported", f"{path} is a xacro, which is code, and none may run; expand it to plain URDF first"
+                )
+            evaluate_xacro(document, path, own, _parse, read_table)
+            check_depth(document, str(path))
+        changes.require_all_used(list(declared), str(path))
+        return document.toprettyxml(indent="  "), declared, changes
+    except InputError as fault:
+        raise fault if str(fault).startswith(str(path)) else InputError(fault.code, f"{path}: {fault}") from fault
+    except (RecursionError, MemoryError) as fault:
+        raise InputError("file_format", f"{path}: expands without end") from fault
+    except Exception as fault:  # whatever an expression in the file raised: its fault, named below
+        if changes.fault is not None:
+            raise changes.fault from fault
+        reason = " ".join(str(fault).split()) or type(fault).__name__
+        reason = reason.partition(" when evaluating expression 'xacro.fatal(")[0]
+        if given and "math domain error" in reason:
+            reason = f"the dimensions do not fit together, such as rods too short to reach ({reason})"
+        raise InputError("file_format", f"{path}: xacro cannot expand it: {reason}") from fault
 
 
 def is_xacro(path: Path, document: Document) -> bool:
@@ -230,24 +227,3 @@ def _parse(inp: object, filename: str | None = None) -> Document:
 
 def _prefix_hint(message: str) -> str:
     return "; declare xmlns:xacro and xmlns:drake on <robot>" if "unbound prefix" in message else ""
-
-
-@contextmanager
-def _defused_xacro(changes: TableChanges) -> Iterator[None]:
-    """Let xacro, which parses included files and opens tables by itself, do so our way, with changes to the tables."""
-
-    def open_table(name: str) -> IO[str]:
-        """Open a table that a xacro loads, once it is known to hold nothing that takes long."""
-        try:
-            return io.StringIO(changes.apply(format_yaml(name), str(name)))
-        except InputError as fault:
-            changes.fault = fault
-            raise
-
-    original, xacro.parse = xacro.parse, _parse
-    xacro.open = open_table  # stands before the builtin
-    try:
-        yield
-    finally:
-        xacro.parse = original
-        del xacro.open

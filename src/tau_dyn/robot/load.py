@@ -77,8 +77,7 @@ def load_robot_from_urdf(
     model = _build_model(urdf, source)
     if lock_springs and notes.springs:
         model = _locked(model, [s.joint for s in notes.springs], source)
-    warnings: list[str] = []
-    names = _actuated(model, notes, actuated, source, warnings)
+    names, warnings = _actuated(model, notes, actuated, source)
     if notes.mimics:
         warnings.append(
             f"{source}: the <mimic> of {', '.join(notes.mimics)} counts in calibrate alone; elsewhere each joint moves by itself"
@@ -95,7 +94,9 @@ def load_robot_from_urdf(
             f"{source}: no passive joint is left to close its loops, of {', '.join(names)}; name only those with a motor",
         )
     loops = tuple(_add_loop(model, k, ball, source) for k, ball in enumerate(notes.loops))
-    links = _links(model, notes, warnings)
+    links = _links(model, notes)
+    if not any(model.inertias[link.joint_id].mass > 0 for link in links):
+        warnings.append("the robot file gives no mass at all; all inertial parameters start from zero")
     kinds = {j: model.joints[model.getJointId(j)].shortname() for j in names}
     units = {j: "kg" if kind.startswith("JointModelP") else "kg m^2" for j, kind in kinds.items()}
     return Robot(
@@ -179,8 +180,9 @@ def _said_on_stderr() -> Iterator[list[str]]:
 
 
 def _actuated(
-    model: pin.Model, notes: Annotations, wanted: Iterable[str] | None, where: str, warnings: list[str]
-) -> tuple[str, ...]:
+    model: pin.Model, notes: Annotations, wanted: Iterable[str] | None, where: str
+) -> tuple[tuple[str, ...], list[str]]:
+    """Return the actuated joints in the tree's order, and what is doubtful about them."""
     movable = [n for n in model.names[1:]]
     names = list(wanted) if wanted is not None else [t.joint for t in notes.transmissions]
     for name in names:
@@ -192,15 +194,15 @@ def _actuated(
             f"{where}: the robot has kinematic loops but no <transmission>; "
             "name its actuated joints with --actuated (load_robot(..., actuated=[...]))",
         )
+    warnings = []
     if not names:
         names = movable
-        warnings.append(
-            f"{where} has no <transmission>; all its movable joints are taken as actuated: {', '.join(names)}"
-        )
+        listed = ", ".join(names)
+        warnings = [f"{where} has no <transmission>; all its movable joints are taken as actuated: {listed}"]
     for name in names:
         if model.joints[model.getJointId(name)].nv != 1:
             raise InputError("robot_structure", f"{where}: actuated joint '{name}' must have one degree of freedom")
-    return tuple(n for n in movable if n in names)
+    return tuple(n for n in movable if n in names), warnings
 
 
 def _find_tool(model: pin.Model, notes: Annotations, wanted: str | None, where: str) -> str:
@@ -229,14 +231,10 @@ def _anchor(model: pin.Model, name: str, link: str, point: np.ndarray, where: st
     return model.addFrame(pin.Frame(name, body.parentJoint, 0, placement, pin.FrameType.OP_FRAME))
 
 
-def _links(model: pin.Model, notes: Annotations, warnings: list[str]) -> tuple[LinkInertia, ...]:
+def _links(model: pin.Model, notes: Annotations) -> tuple[LinkInertia, ...]:
     """Return the links that carry mass; of a file without any inertia all links, starting from zero."""
-    with_mass = [i for i in range(1, model.njoints) if model.inertias[i].mass > 0]
-    if not with_mass:
-        with_mass = list(range(1, model.njoints))
-        warnings.append("the robot file gives no mass at all; all inertial parameters start from zero")
-    found = []
-    for i in with_mass:
+    found, bodies = [], range(1, model.njoints)
+    for i in [i for i in bodies if model.inertias[i].mass > 0] or bodies:
         link = notes.joints[model.names[i]]
         own = (0,) if link in notes.mass_only else tuple(range(10))
         found.append(LinkInertia(link, i, np.array(model.inertias[i].toDynamicParameters()), own))

@@ -24,9 +24,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from tau_dyn.coded_warning import format_warnings
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import ROOM_TEMPERATURE, Log, differentiate, ensure_even, find_motion_band, lowpass
+from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw
 from tau_dyn.simulate.forces import EffectSurroundings, SampledForces

@@ -85,7 +85,7 @@ def compute_residuals(found: Identification) -> list[ResidualSummary]:
     """Return each joint's residual on the training logs; joints without a usable sample are left out."""
     regression = found.estimate.regression
     errors = found.estimate.residuals()
-    cutoff = regression.settings["preparation"].force_cutoff_hz
+    cutoff = regression.preparation.force_cutoff_hz
     used = [any(run.usable[:, k].any() for run in regression.runs) for k in range(len(regression.outputs))]
     return [_residual(regression, errors, k, cutoff) for k in range(len(regression.outputs)) if used[k]]
 
@@ -174,7 +174,7 @@ def _friction(found: Identification, k: int, effects: list[JointwiseEffect]) -> 
     offset = found.parameters[f"{joint}.offset"].value if f"{joint}.offset" in found.parameters else 0.0
     return Friction(
         joint, regression.units[k], f"{robot.position_units[k]}/s", v, force, grid, _law(found, k, effects, grid), offset,
-        float(regression.settings["preparation"].speed_threshold[k]),
+        float(regression.preparation.speed_threshold[k]),
     )  # fmt: skip
 
 
@@ -241,7 +241,7 @@ def build_correlation_figure(residual: ResidualSummary) -> Figure:
 def describe_preparation(found: Identification) -> list[str]:
     """Return how logs became a regression, one sentence a step."""
     regression = found.estimate.regression
-    p, robot = regression.settings["preparation"], found.model.robot
+    p, robot = regression.preparation, found.model.robot
     rate = 1 / float(np.median(np.diff(regression.runs[0].t)))
     slowest = [
         f"{_speed(float(v), unit)} ({joint})"

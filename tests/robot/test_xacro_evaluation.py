@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from raising import raises_code
 
-from tau_dyn.robot.expressions import MAX_CHARACTERS, check_expression
+from tau_dyn.robot.xacro_evaluation import MAX_CHARACTERS, check_expression
 
 
 @pytest.mark.parametrize(
