@@ -23,14 +23,9 @@ import pandas as pd
 from scipy.linalg import eigh
 
 from tau_dyn.modes import Record, RefinedModel, compress_subspace_data, refine
-from tau_dyn.modes.mechanical.mass_damping_stiffness import (
-    PRINTED,
-    Mechanical,
-    fit_mechanical,
-    judge_character,
-    solve_unconstrained,
-)
-from tau_dyn.modes.mechanical.structure import SecondOrder, pack
+from tau_dyn.modes.mechanical import Mechanical, SecondOrder, fit_mechanical
+from tau_dyn.modes.mechanical.mass_damping_stiffness import PRINTED, judge_character, solve_unconstrained
+from tau_dyn.modes.mechanical.structure import pack
 from tau_dyn.modes.state_space import simulate
 
 DT = 0.004  # [s], the thesis' 250 Hz

@@ -27,8 +27,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.codegen import Program, build_program, write_c_source
-from tau_dyn.codegen.forms import draw_random_states
+from tau_dyn.codegen import Program, build_program, draw_random_states, write_c_source
 from tau_dyn.control import Feedforward
 from tau_dyn.effects import build_friction_model
 from tau_dyn.model import Model

@@ -13,8 +13,7 @@ from fuzz_parts.reader import BINARY, PARQUET, TABLE, YAML, Reader, axis, beside
 
 
 def _log(path: Path) -> None:
-    from tau_dyn.log import check_log, open_log, read_log
-    from tau_dyn.log.recording import Recording
+    from tau_dyn.log import Recording, check_log, open_log, read_log
 
     log = read_log(path)
     opened = open_log(path)
@@ -48,8 +47,7 @@ def _as_if_large() -> Iterator[None]:
 def _streamed(path: Path) -> None:
     """Read in windows; where a file is read at once, too, the samples must be the same."""
     from tau_dyn.exceptions import TauDynError
-    from tau_dyn.log import open_log, read_log
-    from tau_dyn.log.recording import Recording
+    from tau_dyn.log import Recording, open_log, read_log
 
     with _as_if_large():
         opened = open_log(path)

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 from ilc_parts.bench import AXES
 
-from tau_dyn.control.iterative import LearningHistory, compute_frequency_condition
-from tau_dyn.control.iterative.laws import UpdateLaw
+from tau_dyn.control.iterative import LearningHistory, UpdateLaw, compute_frequency_condition
 
 COLOURS = {"1": "0.5", "2A": "tab:blue", "2B": "tab:red", "3": "tab:green", "3, norm-optimal": "tab:purple"}
 

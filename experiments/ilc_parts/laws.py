@@ -10,11 +10,11 @@ from tau_dyn.control.iterative import (
     NormOptimalLaw,
     TimeShift,
     ToolSide,
+    UpdateLaw,
     design_low_pass,
     design_robust_filter,
     stack_controlled_actuators,
 )
-from tau_dyn.control.iterative.laws import UpdateLaw
 from tau_dyn.control.observers import ComplementaryToolObserver, tune_kalman
 from tau_dyn.simulate import LearningPlant, Trial
 

@@ -5,15 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.modes import Mode, Record, RefinedModel, compress_subspace_data, refine
-from tau_dyn.modes.mechanical.mass_damping_stiffness import (
-    PRINTED,
-    Character,
-    Mechanical,
-    fit_mechanical,
-    judge_character,
-    solve_unconstrained,
-)
-from tau_dyn.modes.mechanical.structure import SecondOrder
+from tau_dyn.modes.mechanical import Mechanical, SecondOrder, fit_mechanical
+from tau_dyn.modes.mechanical.mass_damping_stiffness import PRINTED, Character, judge_character, solve_unconstrained
 from tau_dyn.modes.methods import realise_pulse_tests
 from tau_dyn.modes.state_space import simulate
 from tau_dyn.simulate import VibrationSensors, push_log, simulate_vibration_log

@@ -13,8 +13,7 @@ from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import simulate_poses
 from tau_dyn.kinematics.accuracy import ActuatorError, ErrorBounds, study_accuracy
 from tau_dyn.kinematics.workspace import PoseRequirements, find_workspace
-from tau_dyn.mechanism import build_kinematics, build_rods
-from tau_dyn.mechanism.tree_pose import TreePose
+from tau_dyn.mechanism import TreePose, build_kinematics, build_rods
 
 COUNTS = {"five_bar": 4, "three_rrr": 8, "three_rpr": 1, "six_pus": 64, "three_prs": 8}
 """Positions of all actuators at one pose: two an arm of two links or of a slide and a rod, one a telescopic leg."""

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from tau_dyn.modes import StateSpace
-from tau_dyn.modes.mechanical.structure import SecondOrder
+from tau_dyn.modes.mechanical import SecondOrder
 
 DT = 0.004  # [s]
 

@@ -19,8 +19,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from structures import DT, Found, chain, refined, relative_error
 
 from tau_dyn.modes import StateSpace
-from tau_dyn.modes.mechanical.mass_damping_stiffness import Mechanical, fit_mechanical
-from tau_dyn.modes.mechanical.structure import OUTPUTS, SecondOrder, pack
+from tau_dyn.modes.mechanical import Mechanical, SecondOrder, fit_mechanical
+from tau_dyn.modes.mechanical.structure import OUTPUTS, pack
 
 HZ = (7.4, 11.5, 14.0)
 HZ4 = (7.4, 11.5, 14.0, 103.0)

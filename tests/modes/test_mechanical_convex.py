@@ -12,8 +12,9 @@ from numpy.testing import assert_allclose
 sys.path.insert(0, str(Path(__file__).parent))
 from structures import chain, relative_error
 
+from tau_dyn.modes.mechanical import SecondOrder
 from tau_dyn.modes.mechanical.estimation import _clipped, _program, _triangle, is_physical, solve_conic
-from tau_dyn.modes.mechanical.structure import SecondOrder, pack, unpack
+from tau_dyn.modes.mechanical.structure import pack, unpack
 
 RATE = 2 * np.pi * 10.0
 

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 sys.path.insert(0, str(Path(__file__).parent))
 from structures import chain, relative_error
 
+from tau_dyn.modes.mechanical import SecondOrder
 from tau_dyn.modes.mechanical.estimation import (
     Target,
     compute_relative_frame,
@@ -19,7 +20,7 @@ from tau_dyn.modes.mechanical.estimation import (
     split,
 )
 from tau_dyn.modes.mechanical.fit import compute_worst_relative_stderr, get_covariance
-from tau_dyn.modes.mechanical.structure import Places, SecondOrder, pack, unpack
+from tau_dyn.modes.mechanical.structure import Places, pack, unpack
 
 RATE = 2 * np.pi * 10.0
 S = (0.05 + 1j) * np.geomspace(0.2, 4.0, 30)

@@ -13,7 +13,8 @@ from raising import raises_code
 sys.path.insert(0, str(Path(__file__).parent))
 from structures import DT, chain
 
-from tau_dyn.modes.mechanical.structure import SecondOrder, pack, unpack
+from tau_dyn.modes.mechanical import SecondOrder
+from tau_dyn.modes.mechanical.structure import pack, unpack
 
 HZ = (7.4, 11.5, 14.0)
 

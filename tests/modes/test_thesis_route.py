@@ -14,12 +14,8 @@ from raising import raises_code
 sys.path.insert(0, str(Path(__file__).parent))
 from structures import DT, chain, refined, relative_error
 
-from tau_dyn.modes.mechanical.mass_damping_stiffness import (
-    PRINTED,
-    fit_mechanical,
-    judge_character,
-    solve_unconstrained,
-)
+from tau_dyn.modes.mechanical import fit_mechanical
+from tau_dyn.modes.mechanical.mass_damping_stiffness import PRINTED, judge_character, solve_unconstrained
 from tau_dyn.modes.mechanical.structure import OUTPUTS
 
 

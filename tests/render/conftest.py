@@ -17,11 +17,11 @@ from tau_dyn.diagnose import (
     Limit,
     OutputErrors,
     Signature,
+    Step,
     TimeTrace,
     Unexplained,
     Untestable,
 )
-from tau_dyn.diagnose.result import Step
 from tau_dyn.effects import Stribeck, build_friction_model
 from tau_dyn.identify import Identification, identify
 from tau_dyn.kinematics import build_forward_table

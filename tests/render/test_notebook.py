@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tau_dyn.render.notebook import DARK, render_notebook as render_html, tabulate as build_table
+from tau_dyn.render import render_notebook as render_html, tabulate as build_table
+from tau_dyn.render.notebook import DARK
 
 PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "notebooks.md"
 
