@@ -12,6 +12,7 @@ from .expand import (
 )
 from .load import load_robot as load_robot, load_robot_from_urdf as load_robot_from_urdf
 from .robot import (
+    BODY_STDERR as BODY_STDERR,
     INERTIAL as INERTIAL,
     NOMINAL_MASS_STDERR as NOMINAL_MASS_STDERR,
     NOT_GIVEN as NOT_GIVEN,
