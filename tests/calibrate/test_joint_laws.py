@@ -16,7 +16,7 @@ from tau_dyn.calibrate.addition_tests import find_unit_coupling
 from tau_dyn.calibrate.crossvalidation import HeldOutErrors, compare_paired, split_folds
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.gravity import ArmGeometry, build_gravity_laws, compute_gravity_moments
-from tau_dyn.calibrate.laws import CouplingLaw, EccentricityLaw
+from tau_dyn.calibrate.joint_laws import CouplingLaw, EccentricityLaw
 from tau_dyn.calibrate.models import TreeFamily
 from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry

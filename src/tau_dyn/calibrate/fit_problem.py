@@ -194,7 +194,7 @@ def compute_actuated_positions(poses: PoseSet, slack: np.ndarray) -> np.ndarray:
 _MAX_ROUNDS = 15  # bounds the time of a fit that does not converge
 _MAX_STEPS = 15  # of Gauss-Newton in one round
 _RELATIVE_CHANGE_TOL = 1e-2  # of the noise: what a round may still change
-_NEAR = 0.2  # change of the noise below which a round walks to the end
+_SETTLED_NOISE_CHANGE = 0.2  # relative change of the noise below which a round walks to the end
 _FREE_FRAMES = 1e3  # how much less than dimensions frames are known beforehand
 _UNIDENTIFIABLE_PRIOR_WEIGHT = 1e5  # prior of parameters that poses cannot tell, in units of 1 / scale
 _FULL_STEPS = 4  # undamped Gauss-Newton steps along a curved valley
@@ -356,7 +356,7 @@ def descend_in_rounds(problem: Problem, robust: str, noise: tuple[float, ...] | 
         state, steps = end.state, steps + end.trials
         new = weighted.estimate_noise(state) if noise is None else noise
         change = max(abs(a / b - 1) for a, b in zip(new, weighted.noise, strict=True))
-        weighted, near = replace(weighted, noise=new), change < _NEAR
+        weighted, near = replace(weighted, noise=new), change < _SETTLED_NOISE_CHANGE
         if end.converged and change < _RELATIVE_CHANGE_TOL:
             return Rounds(state, weighted, steps, True)
     return Rounds(state, weighted, steps, False)

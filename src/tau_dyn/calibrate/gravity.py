@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.calibrate.geometry import KNOWN_BEFOREHAND, GeometryDefaults, Predicted
-from tau_dyn.calibrate.laws import JointLaw, MovedJoints, move_joints
+from tau_dyn.calibrate.joint_laws import JointLaw, MovedJoints, move_joints
 from tau_dyn.calibrate.tree_geometry import TreeGeometry
 from tau_dyn.mechanism import Poses, Rods, compute_frames, forward_kinematics, transform_point
 from tau_dyn.parameters import Parameter, Parameters

@@ -29,7 +29,7 @@ import numpy as np
 
 from tau_dyn.calibrate.geometry import Geometry, constrain_parameters
 from tau_dyn.calibrate.gravity import ArmGeometry, GravityLaw, RodLoads, build_gravity_laws
-from tau_dyn.calibrate.laws import (
+from tau_dyn.calibrate.joint_laws import (
     CartComplianceLaw,
     CouplingLaw,
     DriveComplianceLaw,

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.geometry import Closure, GeometryDefaults, Predicted
-from tau_dyn.calibrate.laws import GuideLaw, JointLaw, move_joints
+from tau_dyn.calibrate.joint_laws import GuideLaw, JointLaw, move_joints
 from tau_dyn.mechanism import (
     AXES,
     Carried,

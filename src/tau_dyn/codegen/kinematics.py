@@ -14,7 +14,7 @@ import numpy as np
 
 from tau_dyn.codegen import rods as closed_form
 from tau_dyn.codegen.forms import draw_reachable_positions
-from tau_dyn.codegen.loops import TreeKinematics
+from tau_dyn.codegen.loops import TreeExpressions
 from tau_dyn.codegen.rods import compute_rod_gaps
 from tau_dyn.codegen.tracing import TracedFunction, trace_function
 from tau_dyn.exceptions import InputError
@@ -143,7 +143,7 @@ def _trace_rods(rods: Rods) -> KinematicsProgram:
 
 def _trace_tree(robot: Robot) -> KinematicsProgram:
     get_solver(robot)  # says what is wrong with a robot that has no kinematics at all
-    tree = TreeKinematics(robot)
+    tree = TreeExpressions(robot)
     z = np.zeros(0) if tree.loops is None else tree.loops.home[tree.passive]
     state = {"q": robot.home, "z": z} if len(z) else {"q": robot.home}
 
@@ -220,7 +220,7 @@ def _by_equations(program: KinematicsProgram, q, plate, p, R, J) -> list[float]:
     if program.rods is not None:
         known["z"] = np.column_stack([plate.position, plate.rotation.reshape(-1, 9)])
     elif nt:
-        tree = TreeKinematics(program.robot)
+        tree = TreeExpressions(program.robot)
         assert tree.loops is not None
         known["z"] = np.array([tree.loops.closed(x) for x in q])[:, tree.passive]
     out, X = [], np.zeros((len(q), nt, na))

@@ -25,7 +25,7 @@ _RANK = 1e-8  # pivots relative to the largest; less counts as zero
 
 
 @dataclass(frozen=True, eq=False)
-class Closure:
+class ClosureExpressions:
     """The loops' equations on expressions.
 
     Attributes:
@@ -103,7 +103,7 @@ class Loops:
         """Return one speed or acceleration a joint; joints that are not solved for rest."""
         return spread_over_joints([0.0] * len(self.tree.joints), (self.active, active), (self.passive, passive))
 
-    def closure(self, q: Any, v: Any = None) -> Closure:
+    def closure(self, q: Any, v: Any = None) -> ClosureExpressions:
         """Return the loops' equations at positions and, for the drift, speeds of all joints."""
         tree = self.tree
         still = [0.0] * len(tree.joints)
@@ -114,7 +114,7 @@ class Loops:
             a, b = (self._point(frame, motions, places) for frame in (loop.frame_a, loop.frame_b))
             for out, x, y in zip((gap, jacobian, drift), a, b, strict=True):
                 out.append(x - y)
-        return Closure(*(np.concatenate(x) for x in (gap, jacobian, drift)))
+        return ClosureExpressions(*(np.concatenate(x) for x in (gap, jacobian, drift)))
 
     def _point(self, frame: int, motions: list[LinkMotion], places: list) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return place (3,), Jacobian (3, nv) and acceleration (3,) of a frame's origin, in base axes."""
@@ -150,7 +150,7 @@ def _pivoted(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(found[0]), np.asarray(found[1])
 
 
-class TreeKinematics:
+class TreeExpressions:
     """A tree's joints in the order of the export: drives first, then the passive joints that are solved for.
 
     Attributes:

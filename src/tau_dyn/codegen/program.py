@@ -30,7 +30,7 @@ AGREEMENT = 1e-10
 """Largest difference from Python, relative to the largest force."""
 
 
-class ForceLaw(Protocol):
+class TraceableForces(Protocol):
     """Forces of a model at states, as `control.Feedforward` gives them."""
 
     model: Model
@@ -64,7 +64,7 @@ class Program:
         difference: Largest difference from Python over random states, relative to the largest force.
     """
 
-    feedforward: ForceLaw
+    feedforward: TraceableForces
     graph: Graph
     outputs: tuple[Any, ...]
     signals: tuple[str, ...]
@@ -73,7 +73,7 @@ class Program:
     difference: float = 0.0
 
 
-def build_program(feedforward: ForceLaw) -> Program:
+def build_program(feedforward: TraceableForces) -> Program:
     """Return a feedforward as straight-line code, compared with Python over random states.
 
     Args:
@@ -98,7 +98,7 @@ def build_program(feedforward: ForceLaw) -> Program:
     return replace(program, difference=_compare_with_python(program))
 
 
-def _trace_forces(feedforward: ForceLaw, at: TracingInputs, felt: dict[str, Any]) -> tuple[Any, ...]:
+def _trace_forces(feedforward: TraceableForces, at: TracingInputs, felt: dict[str, Any]) -> tuple[Any, ...]:
     model = feedforward.model
     fields = (model.robot, model.effects, model.effect_parameters, model.provenance)
     try:

@@ -40,7 +40,7 @@ DIFFERENCED_RANK_TOLERANCE = 1e-8  # the same where derivatives are differences,
 MIN_SHARE = 1e-6  # of a blind direction that makes a parameter undetermined
 
 
-class Linearised(Protocol):
+class LinearisedProblem(Protocol):
     """A problem about one state."""
 
     def step(self, damping: float) -> tuple[np.ndarray, float]:
@@ -51,7 +51,7 @@ class Linearised(Protocol):
 class LeastSquaresProblem(Protocol[State]):
     """What `descend` asks of a problem."""
 
-    def linearise(self, state: State) -> Linearised:
+    def linearise(self, state: State) -> LinearisedProblem:
         """Return the problem about a state."""
         ...
 

@@ -36,9 +36,7 @@ _BAND = 1e-4  # of log |w|: what is nearer to the circle must be explained; roun
 _TOGETHER = 1e-6  # eigenvalues nearer to each other are looked at together
 _ROUNDING = 1e-13  # of the polynomial relative to its size, from which an eigenvalue's error follows
 _SPREAD = 1e8  # condition number above which directions of a null space are not told apart
-_PRODUCT_TOLERANCE = (
-    1e-5  # error of the products of a null space relative to their size, by which they may miss being such
-)
+_PRODUCT_TOLERANCE = 1e-5  # relative error by which products of a null space may miss being such
 _POINT = 1e-9  # [m] lengths of an arm whose axes all meet
 _OPEN = 1e-2  # of a loop relative to the arm's size: what candidates of real solutions do not leave open
 _ONE_EQUATION = 1e-4  # singular value relative to the largest; less, and an equation's rounding is too much to use it

@@ -56,7 +56,7 @@ from tau_dyn.simulate import (
     concatenate,
 )
 
-_N_KINDS = 6
+_N_KINDS = 6  # of motions that are proposed and compared
 
 
 def _build_piece(kind: int, model: Model, duration: float, rng: np.random.Generator) -> Trajectory:

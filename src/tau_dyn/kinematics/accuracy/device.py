@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.accuracy.errors import ErrorBounds, build_rod_sources
+from tau_dyn.kinematics.accuracy.error_bounds import ErrorBounds, build_rod_sources
 from tau_dyn.mechanism import Kinematics, Poses, Rods
 
 _TOLERANCE = 1e-12

@@ -10,7 +10,7 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.accuracy.device import Device
-from tau_dyn.kinematics.accuracy.errors import ErrorBounds
+from tau_dyn.kinematics.accuracy.error_bounds import ErrorBounds
 from tau_dyn.kinematics.accuracy.section import Grid
 from tau_dyn.kinematics.accuracy.shells import compute_half_edges
 from tau_dyn.kinematics.accuracy.study import (

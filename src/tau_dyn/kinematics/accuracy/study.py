@@ -10,7 +10,7 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.accuracy.device import Device, LegsDevice, State
-from tau_dyn.kinematics.accuracy.errors import MAX_ERROR_SIZE, ErrorBounds
+from tau_dyn.kinematics.accuracy.error_bounds import MAX_ERROR_SIZE, ErrorBounds
 from tau_dyn.kinematics.accuracy.shells import (
     bound_displacement,
     compute_face_areas,
