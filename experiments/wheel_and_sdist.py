@@ -37,6 +37,8 @@ CARRIED = (
     ".csv",
     ".h",
     ".c",
+    ".pyi",
+    ".c",
 )
 """How files of the package may end."""
 NEEDED = ("tau_dyn/py.typed", "tau_dyn/urdf/gantry_tau.urdf.xacro", "tau_dyn/render/templates/page.html.j2",

@@ -88,7 +88,6 @@ def test_same_seed_same_files(written: Path, tmp_path: Path) -> None:
         (["--rapid", "no/folder/p.mod"], "does not exist"),
         (["--out", "p.txt"], ".csv"),
         (["--camera", "a.yaml", "--tracker", "b.yaml"], "do not go together"),
-        (["--report", "p.html"], "has no report"),
     ],
 )
 def test_faulty_input_is_one_sentence(

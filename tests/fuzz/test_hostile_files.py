@@ -72,12 +72,12 @@ def test_tags_and_numbers_that_are_none_are_refused(tmp_path: Path, read, text: 
 
 
 def test_what_xacro_adds_to_the_yaml_loader_does_not_reach_our_files(tmp_path: Path) -> None:
-    """A xacro that loads a table teaches PyYAML's safe loader to evaluate `!radians`; our own loader never learns it."""
+    """A xacro that loads a table evaluates `!radians`; neither PyYAML's safe loader nor our own learns it."""
     (tmp_path / "table.yaml").write_text("angle: !radians 1.0\n")
     include = "<xacro:property name='t' value=\"${xacro.load_yaml('table.yaml')}\"/><link name=\"l${t['angle']}\"/>"
     with raises_code("robot_structure"):
         load_robot(robot(tmp_path, XACRO.format(include)))
-    assert "!radians" in yaml.SafeLoader.yaml_constructors
+    assert "!radians" not in yaml.SafeLoader.yaml_constructors
     (tmp_path / "model.yaml").write_text("value: !radians 2*3\n")
     with raises_code("file_format", "model.yaml"):
         read_yaml(tmp_path / "model.yaml")
@@ -275,7 +275,7 @@ def test_a_packed_cloud_is_not_inflated(tmp_path: Path) -> None:
 def test_a_picture_of_gigapixels_is_refused(tmp_path: Path, monkeypatch) -> None:
     """A PNG of 2 MB declares a billion grey values of 16 bits, which became eight gigabytes of floats."""
     cv2 = pytest.importorskip("cv2")
-    monkeypatch.setattr("tau_dyn.vision.album._MAX_PIXELS", 10_000)
+    monkeypatch.setattr("tau_dyn.vision.detect._MAX_PIXELS", 10_000)
     (tmp_path / "x.png").write_bytes(bytes(cv2.imencode(".png", np.zeros((101, 100), np.uint16))[1]))
     with raises_code("file_format", "100x101"):
         _readers()["image"](tmp_path / "x.png")

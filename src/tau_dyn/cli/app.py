@@ -6,11 +6,9 @@ right, with status 2, like every other fault.
 
 from __future__ import annotations
 
-import inspect
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, get_type_hints
 
@@ -47,6 +45,7 @@ from tau_dyn.cli import (
     workspace,
 )
 from tau_dyn.cli.arguments import Kind
+from tau_dyn.cli.call import Call
 from tau_dyn.cli.execute import Outcome
 from tau_dyn.cli.run_folder import RunFolder
 from tau_dyn.exceptions import InputError, suggest_nearest
@@ -83,43 +82,6 @@ _OWN_FILES = {"export": export.name_export, "feedforward export": export.name_fe
 _SHELLS = ("bash", "zsh", "fish")
 
 
-@dataclass(frozen=True)
-class Call:
-    """A command with its arguments.
-
-    Attributes:
-        command: Its first word, as results name it.
-        function: What it calls.
-        bound: With which arguments.
-    """
-
-    command: str
-    function: Callable[..., Any]
-    bound: inspect.BoundArguments
-
-    def run(self) -> Any:
-        """Call the function."""
-        return self.function(*self.bound.args, **self.bound.kwargs)
-
-    def values(self) -> dict[str, Any]:
-        """Return every argument by name, those of shared options beside the others, defaults included."""
-        complete = inspect.BoundArguments(self.bound.signature, self.bound.arguments.copy())
-        complete.apply_defaults()
-        return dict(_flatten(complete.arguments))
-
-    def replace(self, **values: Any) -> Call:
-        """Return the call with other values of some arguments."""
-        complete = inspect.BoundArguments(self.bound.signature, self.bound.arguments.copy())
-        complete.apply_defaults()
-        for name, value in complete.arguments.items():
-            if name in values:
-                complete.arguments[name] = values[name]
-            elif is_dataclass(value) and not isinstance(value, type):
-                own = {f.name: values[f.name] for f in fields(value) if f.name in values}
-                complete.arguments[name] = replace(value, **own) if own else value
-        return Call(self.command, self.function, complete)
-
-
 def name_own_file(call: Call) -> str:
     """Return the usual name of the command's own file in a run folder; empty where it has none."""
     words = next((words for words, function in COMMANDS.items() if function is call.function), "")
@@ -128,14 +90,6 @@ def name_own_file(call: Call) -> str:
     hint = get_type_hints(call.function, include_extras=True).get("out")
     named = [m.metavar for m in getattr(hint, "__metadata__", ()) if isinstance(m, Parameter) and m.metavar]
     return named[0].lower() if named and Path(named[0]).suffix else ""
-
-
-def _flatten(arguments: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    for name, value in arguments.items():
-        if is_dataclass(value) and not isinstance(value, type) and hasattr(type(value), "__cyclopts__"):
-            yield from _flatten({f.name: getattr(value, f.name) for f in fields(value)})
-        else:
-            yield name, value
 
 
 class _HelpFormatter(DefaultFormatter):
@@ -260,7 +214,7 @@ def _describe_value(fault: CoercionError | ValidationError, argument: Argument) 
     if isinstance(fault, ValidationError):
         worst = _find_refused(argument)
         return f"{worst or text}: {fault.exception_message}"
-    kind = next((v for v in argument.parameter.validator if isinstance(v, Kind)), None)
+    kind = next(iter(_list_kinds(argument)), None)
     if kind is not None:
         return f"{text}: write {kind.words}"
     if fault.target_type in (int, float):
@@ -268,9 +222,14 @@ def _describe_value(fault: CoercionError | ValidationError, argument: Argument) 
     return f"{text}: {fault.msg}" if fault.msg else f"{text}: write another value"
 
 
+def _list_kinds(argument: Argument) -> list[Kind]:
+    validators: Any = argument.parameter.validator
+    return [v for v in validators if isinstance(v, Kind)]
+
+
 def _find_refused(argument: Argument) -> str:
     """Return the first word that a kind of numbers refuses."""
-    for kind in (v for v in argument.parameter.validator if isinstance(v, Kind)):
+    for kind in _list_kinds(argument):
         for token in argument.tokens:
             try:
                 kind(None, float(token.value))

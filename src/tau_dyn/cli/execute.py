@@ -15,20 +15,18 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from rich.console import Console
 
 from tau_dyn.cli.arguments import is_model_file
+from tau_dyn.cli.call import Call
 from tau_dyn.cli.run_folder import RunFolder, collect_configuration
 from tau_dyn.exceptions import CannotAnswer, InputError, format_one_line
 from tau_dyn.files import compute_sha256, resolve_destination, write_atomically
 from tau_dyn.message_codes import format_warnings, format_with_code
 from tau_dyn.version import __version__
-
-if TYPE_CHECKING:
-    from tau_dyn.cli.app import Call
 
 _TWICE = "two outputs are to be written to one file; give each its own"
 

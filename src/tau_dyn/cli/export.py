@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from cyclopts import Group, Parameter
 
 from tau_dyn.cli.arguments import (
@@ -330,7 +331,7 @@ def export_feedforward(
         loaded = Model.load(model)
         kept = loaded.steady(ARGUMENTS) if steady else loaded
         dropped = [effect.name for effect in loaded.effects if effect not in kept.effects]
-        program = build_program(Feedforward(kept, width=width[0] if len(width) == 1 else list(width), shape=shape))
+        program = build_program(Feedforward(kept, width=width[0] if len(width) == 1 else np.array(width), shape=shape))
         if to == "c":
             header = locate_header(out)
             source, declared = write_c_source(program, name)

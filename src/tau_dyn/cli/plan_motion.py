@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from cyclopts import Group, Parameter
 
 from tau_dyn.cli.arguments import (
@@ -58,9 +59,9 @@ class Ends:
             InputError: They are given twice, or not at all.
         """
         if self.start and self.end and not (self.start_joints or self.end_joints):
-            return list(self.start), list(self.end), False
+            return np.array(self.start), np.array(self.end), False
         if self.start_joints and self.end_joints and not (self.start or self.end):
-            return list(self.start_joints), list(self.end_joints), True
+            return np.array(self.start_joints), np.array(self.end_joints), True
         raise InputError(
             "bad_option",
             "say where the motion starts and ends: --from X Y Z --to X Y Z, or --from-joints and --to-joints",

@@ -25,9 +25,10 @@ _DEVICE = Group(
     "What measures (default: everything seen with 0.1 mm and 0.1 mrad)", validator=validators.MutuallyExclusive()
 )
 _DEMANDS = Group("Where the robot may go")
+Count = int | Literal["auto"]
 
 
-def _read_count(_: Any, tokens: Sequence[Token]) -> int | str:
+def _read_count(_: Any, tokens: Sequence[Token]) -> Count:
     """Read a number of poses, or auto.
 
     Raises:
@@ -46,7 +47,7 @@ def plan_poses(
     robot: RobotName,
     /,
     *,
-    n: Annotated[int | str, Parameter(converter=_read_count, n_tokens=1, metavar="N|auto")] = "auto",
+    n: Annotated[Count, Parameter(converter=_read_count, n_tokens=1, metavar="N|auto")] = "auto",
     model: Annotated[str | None, Parameter(metavar="NAME")] = None,
     criterion: Literal["tool", "worst", "determinant", "condition", "smallest", "amplification"] = "tool",
     accuracy: Annotated[Positive | None, Parameter(metavar="M")] = None,

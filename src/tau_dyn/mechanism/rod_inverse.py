@@ -178,8 +178,8 @@ class RodInverse:
         found = np.where(good[:, None], q, np.nan)
         blame[good | ~numbers] = ""
         turned = np.where(good[:, None, None], reached.rotation, np.nan)
-        missed = (np.where(good, x, np.nan) for x in (away, turn))
-        return InverseResult(found, code, *missed, blame.astype(str), found, turned)
+        away, turn = np.where(good, away, np.nan), np.where(good, turn, np.nan)
+        return InverseResult(found, code, away, turn, blame.astype(str), found, turned)
 
     def _beyond(self, q: np.ndarray, tool: Poses) -> np.ndarray:
         """Return where the plate is on the other side of a parallel singularity than at home (N,)."""

@@ -4,5 +4,5 @@ from .json import render_json as render_json
 from .kinds import ExcitingMotion as ExcitingMotion, SimulatedLog as SimulatedLog
 from .notebook import render_notebook as render_notebook, tabulate as tabulate
 from .page import build_page as build_page, write_report as write_report
-from .present import present as present
+from .presentation import present as present
 from .terminal import print_result as print_result, say as say

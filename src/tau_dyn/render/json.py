@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tau_dyn.render.notebook import build_frame
-from tau_dyn.render.present import present
+from tau_dyn.render.presentation import present
 from tau_dyn.results import Presentation, to_plain
 
 

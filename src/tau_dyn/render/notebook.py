@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from tau_dyn.render.chart import format_tag
 from tau_dyn.render.markup import build_table, draw
-from tau_dyn.render.present import present
+from tau_dyn.render.presentation import present
 from tau_dyn.results import Figures, Listing, On, Presentation, ResultTable, Text, replace_plus_minus
 
 if TYPE_CHECKING:

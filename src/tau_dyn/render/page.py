@@ -22,7 +22,7 @@ from markupsafe import Markup
 
 from tau_dyn.files import write_whole
 from tau_dyn.render.markup import build_table, draw
-from tau_dyn.render.present import present
+from tau_dyn.render.presentation import present
 from tau_dyn.render.sketch import build_joint_labels
 from tau_dyn.render.time_view import build_payload, select_printed
 from tau_dyn.results import Beside, Element, Folded, Group, On, Presentation, Provenance, RobotPicture, TimeView

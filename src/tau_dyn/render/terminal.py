@@ -18,7 +18,7 @@ from rich.segment import Segment, Segments
 from rich.table import Table as Grid
 from rich.text import Text as Said
 
-from tau_dyn.render.present import present
+from tau_dyn.render.presentation import present
 from tau_dyn.results import (
     Bar,
     Cell,

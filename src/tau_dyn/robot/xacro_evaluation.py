@@ -114,7 +114,7 @@ def _load_restricted_xacro() -> Any:
     own.loader.exec_module(xacro)
     substitution: Any = import_module(f"{_NAME}.substitution_args")
     xacro.safe_eval, substitution._eval = _after_check(xacro.safe_eval), _after_check(substitution._eval)
-    for said in ("error", "message", "warning"):
+    for said in ("error", "message", "warning", "print_location"):
         setattr(xacro, said, lambda *text, **how: None)
 
     class TableLoader(yaml.SafeLoader):

@@ -8,6 +8,7 @@ one remains, it goes through a place in between. A pose that nothing leads to is
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -31,7 +32,7 @@ class PathCheck:
         """Prepare."""
         self.machine = machine
         self._given = _Given(machine)
-        self._judge = PoseChecker(self._given, demands)
+        self._judge = PoseChecker(cast(WorkspaceModel, self._given), demands)  # it answers what the judge asks
         lower, upper = machine.robot.lower, machine.robot.upper
         self.travel = np.where(np.isfinite(upper - lower), upper - lower, 2 * np.pi)
 

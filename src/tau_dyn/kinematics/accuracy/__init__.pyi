@@ -1,6 +1,6 @@
 """How far the tool may be from where it should be, for stated errors of actuators, rods and joints (thesis 4.3, Appendix A)."""
 
-from .errors import (
+from .error_bounds import (
     ActuatorError as ActuatorError,
     ErrorBounds as ErrorBounds,
     RodError as RodError,

@@ -10,7 +10,7 @@ from tau_dyn.kinematics.accuracy import AccuracyResult
 from tau_dyn.kinematics.assumptions import Guideway
 from tau_dyn.render.kinds import accuracy_figures as figures
 from tau_dyn.render.kinds.accuracy_figures import format_size
-from tau_dyn.render.present import present_kind
+from tau_dyn.render.presentation import present_kind
 from tau_dyn.results import (
     Beside,
     Chapter,

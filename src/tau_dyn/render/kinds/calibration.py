@@ -20,7 +20,7 @@ from tau_dyn.calibrate.poses import CalibrationCampaign
 from tau_dyn.render.kinds import calibration_words as words
 from tau_dyn.render.kinds.calibration_words import format_angle, format_length
 from tau_dyn.render.kinds.waterfall import WaterfallSeries, WaterfallStep
-from tau_dyn.render.present import flatten_rows, present_kind, warn
+from tau_dyn.render.presentation import flatten_rows, present_kind, warn
 from tau_dyn.results import (
     Axis,
     Bar,

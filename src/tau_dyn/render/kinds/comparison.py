@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from tau_dyn.compare import Change, CircumstanceDifference, Comparison, ErrorChange, FindingChange, InputChange
-from tau_dyn.render.present import flatten_rows, present_kind
+from tau_dyn.render.presentation import flatten_rows, present_kind
 from tau_dyn.results import (
     Bar,
     Chapter,

@@ -20,7 +20,7 @@ from tau_dyn.render.kinds.waterfall import (
     build_total_table,
     format_finding,
 )
-from tau_dyn.render.present import ZOOM, list_logs_used, pad_used, present_kind, warn
+from tau_dyn.render.presentation import ZOOM, list_logs_used, pad_used, present_kind, warn
 from tau_dyn.results import (
     Beside,
     Chapter,

@@ -17,7 +17,7 @@ from tau_dyn.effects import JointwiseEffect, Motion, TorqueOffset
 from tau_dyn.estimate import Regression
 from tau_dyn.identify import Identification
 from tau_dyn.render.kinds.parameter_rows import ParameterRow
-from tau_dyn.render.present import pad_used
+from tau_dyn.render.presentation import pad_used
 from tau_dyn.results import (
     Z95,
     Axis,

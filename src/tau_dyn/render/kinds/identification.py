@@ -14,7 +14,7 @@ from tau_dyn.render.kinds.parameter_rows import (
     build_parameter_table,
     compute_bar_scale,
 )
-from tau_dyn.render.present import ZOOM, flatten_rows, list_logs_used, present_kind, warn
+from tau_dyn.render.presentation import ZOOM, flatten_rows, list_logs_used, present_kind, warn
 from tau_dyn.results import (
     Bar,
     Beside,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.kinematics import PoseTable
-from tau_dyn.render.present import list_assumptions, present_kind, warn
+from tau_dyn.render.presentation import list_assumptions, present_kind, warn
 from tau_dyn.results import (
     Chapter,
     Column,

@@ -23,7 +23,7 @@ from tau_dyn.render.kinds.modes_words import (
     tabulate_modes,
 )
 from tau_dyn.render.pictures import find_space_axes
-from tau_dyn.render.present import present_kind, warn
+from tau_dyn.render.presentation import present_kind, warn
 from tau_dyn.results import (
     Z95,
     Bar,

@@ -12,7 +12,7 @@ from tau_dyn.excitation import InformationPrediction
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.render.kinds.fit_quality import FAIR, WELL, describe_separation
-from tau_dyn.render.present import ZOOM, present_kind, warn
+from tau_dyn.render.presentation import ZOOM, present_kind, warn
 from tau_dyn.results import (
     Axis,
     Bar,

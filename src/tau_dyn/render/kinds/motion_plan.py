@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from tau_dyn.control.motion import MotionPlan
-from tau_dyn.render.present import ZOOM, list_assumptions, present_kind
+from tau_dyn.render.presentation import ZOOM, list_assumptions, present_kind
 from tau_dyn.results import (
     THIRD,
     WHOLE,

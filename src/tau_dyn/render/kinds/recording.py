@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.log import CheckFinding, Log, LogCheck, examine_clock
-from tau_dyn.render.present import ZOOM, present_kind, warn
+from tau_dyn.render.presentation import ZOOM, present_kind, warn
 from tau_dyn.render.time_view import decimate_min_max
 from tau_dyn.results import (
     SMALL,

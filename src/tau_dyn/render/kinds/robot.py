@@ -9,7 +9,7 @@ import numpy as np
 
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
-from tau_dyn.render.present import list_assumptions, present_kind, warn
+from tau_dyn.render.presentation import list_assumptions, present_kind, warn
 from tau_dyn.results import (
     Chapter,
     Column,

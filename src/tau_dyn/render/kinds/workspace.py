@@ -9,7 +9,7 @@ import numpy as np
 from tau_dyn.kinematics.workspace import QUANTITIES, Study, build_points_table
 from tau_dyn.render.kinds import workspace_figures as figures
 from tau_dyn.render.kinds.workspace_figures import SHOWN_UNITS
-from tau_dyn.render.present import present_kind, warn
+from tau_dyn.render.presentation import present_kind, warn
 from tau_dyn.results import (
     Bar,
     Beside,
