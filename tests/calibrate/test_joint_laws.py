@@ -21,8 +21,7 @@ from tau_dyn.calibrate.models import TreeFamily
 from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.cli import main
-from tau_dyn.robot import Robot, load_robot_from_urdf
-from tau_dyn.robot.robot import BODY_STDERR
+from tau_dyn.robot import BODY_STDERR, Robot, load_robot_from_urdf
 
 NOISE = (3e-5, 6e-5)
 PLACES = ("0 0 0.4", "0.1 0 0", "0.6 0 0", "0.4 0 0.05")

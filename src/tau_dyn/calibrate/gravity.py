@@ -31,7 +31,7 @@ from tau_dyn.calibrate.joint_laws import JointLaw, MovedJoints, move_joints
 from tau_dyn.calibrate.tree_geometry import TreeGeometry
 from tau_dyn.mechanism import Poses, Rods, compute_frames, forward_kinematics, transform_point
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.robot.robot import BODY_STDERR
+from tau_dyn.robot import BODY_STDERR
 
 MAX_DEFLECTION = 0.01
 """Deflection by gravity that a machine is taken to have before its poses are known (one standard deviation) [rad or m]."""

@@ -25,8 +25,7 @@ from tau_dyn.identify.excerpt import Excerpt, compute_clipped_power
 from tau_dyn.identify.wiring_alternatives import Rewiring, list_alternatives
 from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.message_codes import CodedWarning
-from tau_dyn.robot import Robot
-from tau_dyn.robot.robot import BODY_STDERR
+from tau_dyn.robot import BODY_STDERR, Robot
 
 MIN_GAIN_NATS = 30.0
 """Log-likelihood gain from which an alternative is named; sound logs with bodies 40 % off reach about 5."""
