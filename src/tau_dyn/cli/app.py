@@ -199,7 +199,8 @@ def _describe(app: App, fault: CycloptsError, chain: list[str]) -> str:
     if isinstance(fault, MissingArgumentError | ConsumeMultipleError):
         return _describe_missing(app, fault, chain, name)
     if isinstance(fault, CoercionError | ValidationError):
-        choices = argument.get_choices() if isinstance(fault, CoercionError) else None
+        chosen = isinstance(fault, CoercionError) and argument.parameter.converter is None
+        choices = argument.get_choices() if chosen else None
         if choices and fault.token is not None:
             near = suggest_nearest(fault.token.value, choices)
             return f"there is no {name} '{fault.token.value}'{near}; there are {', '.join(choices)}"
