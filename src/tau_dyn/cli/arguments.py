@@ -86,11 +86,12 @@ def require_csv_name(_: Any, path: Any) -> None:
         raise ValueError("must end in .csv, which is what is written")
 
 
-def build_destination(own: str, *, csv: bool = False) -> Parameter:
+def build_destination(own: str, text: str = "", *, csv: bool = False) -> Parameter:
     """Return how `--out` is read: as the command's own file, or as a run folder that takes it with result and report.
 
     Args:
         own: The file's usual name in capitals, `DIR` of a command that fills a folder, `FOLDER/` of one without an own file.
+        text: Help of an own file; the docstring's where it is empty.
         csv: Whether the file must be a CSV.
     """
 
@@ -100,22 +101,13 @@ def build_destination(own: str, *, csv: bool = False) -> Parameter:
             require_csv_name(None, found)
         return found
 
-    return Parameter(name="--out", converter=convert, n_tokens=1, metavar=own)
+    said = f"{text}; FOLDER/ takes it with result, report and run.json" if text else None
+    return Parameter(name="--out", converter=convert, n_tokens=1, metavar=own, help=said)
 
 
-_TO_FOLDER = "; FOLDER/ takes it with result, report and run.json"
 TABLE_OUT = Annotated[
-    Path | None,
-    build_destination("POSES.csv", csv=True),
-    Parameter(help=f"Write q_<joint>, x_tool .. qw_tool, reason here{_TO_FOLDER}"),
+    Path | None, build_destination("POSES.csv", "Write q_<joint>, x_tool .. qw_tool, reason here", csv=True)
 ]
-
-
-def describe_destination(text: str) -> Parameter:
-    """Return the help of `--out` for a command's own file."""
-    return Parameter(help=f"{text}{_TO_FOLDER}")
-
-
 _OUTPUT = Group("Output", sort_key=90)
 _ROBOT = Group("Robot", sort_key=80)
 

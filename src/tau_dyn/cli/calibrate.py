@@ -16,7 +16,6 @@ from tau_dyn.cli.arguments import (
     RobotOptions,
     Strings,
     build_destination,
-    describe_destination,
     read_columns,
     require_csv_name,
 )
@@ -48,9 +47,7 @@ def calibrate(
     prior: Sigmas = (),
     correct: Annotated[Path | None, Parameter(metavar="Q.csv")] = None,
     corrected: Annotated[Path | None, Parameter(metavar="Q.csv", validator=require_csv_name)] = None,
-    out: Annotated[
-        Path | None, build_destination("MODEL.yaml"), describe_destination("Write the calibrated robot here")
-    ] = None,
+    out: Annotated[Path | None, build_destination("MODEL.yaml", "Write the calibrated robot here")] = None,
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:

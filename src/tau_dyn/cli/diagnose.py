@@ -15,7 +15,6 @@ from tau_dyn.cli.arguments import (
     RobotOptions,
     Strings,
     build_destination,
-    describe_destination,
     require_csv_name,
 )
 from tau_dyn.cli.execute import Outcome, show_progress
@@ -32,9 +31,9 @@ def diagnose(
     fitting: FittingOptions = FittingOptions(),
     out: Annotated[
         Path | None,
-        build_destination("MODEL.yaml"),
-        describe_destination(
-            "Write the model extended by the confirmed causes here; simulate, identify and the feedforward read it"
+        build_destination(
+            "MODEL.yaml",
+            "Write the model extended by the confirmed causes here; simulate, identify and the feedforward read it",
         ),
     ] = None,
     propose: Annotated[Path | None, Parameter(metavar="MOTION.csv", validator=require_csv_name)] = None,

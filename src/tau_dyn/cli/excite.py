@@ -20,7 +20,6 @@ from tau_dyn.cli.arguments import (
     RobotOptions,
     Whole,
     build_destination,
-    describe_destination,
 )
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
@@ -35,9 +34,7 @@ def excite(
     robot: RobotName,
     /,
     *,
-    out: Annotated[
-        Path, build_destination("MOTION.csv", csv=True), describe_destination("Write t, q_ref, v_ref, a_ref here")
-    ],
+    out: Annotated[Path, build_destination("MOTION.csv", "Write t, q_ref, v_ref, a_ref here", csv=True)],
     duration: Annotated[Positive, Parameter(metavar="S")] = 30.0,
     trials: Annotated[Whole, Parameter(metavar="N")] = 20,
     model: Annotated[str, Parameter(metavar="MODEL")] = "asymmetric",

@@ -16,7 +16,6 @@ from tau_dyn.cli.arguments import (
     Positives,
     RobotOptions,
     build_destination,
-    describe_destination,
     is_model_file,
 )
 from tau_dyn.cli.execute import Outcome, show_progress
@@ -99,11 +98,7 @@ def export(
     /,
     *,
     to: Literal["urdf", "mjcf", "fmu", "c", "reference", "rapid"],
-    out: Annotated[
-        Path | None,
-        build_destination("FILE"),
-        describe_destination("By default beside the model, or here for a robot"),
-    ] = None,
+    out: Annotated[Path | None, build_destination("FILE", "By default beside the model, or here for a robot")] = None,
     options: ExportOptions = ExportOptions(),
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
@@ -295,7 +290,7 @@ def export_feedforward(
     /,
     *,
     to: Literal["c", "python"],
-    out: Annotated[Path, build_destination("FILE"), describe_destination("FILE.c (with FILE.h beside it) or FILE.py")],
+    out: Annotated[Path, build_destination("FILE", "FILE.c (with FILE.h beside it) or FILE.py")],
     name: Annotated[str, Parameter(metavar="NAME")] = "tau_ff",
     width: Annotated[Positives, Parameter(metavar="V")] = (0.01,),
     shape: Literal["ramp", "tanh"] = "ramp",

@@ -16,7 +16,6 @@ from tau_dyn.cli.arguments import (
     Strings,
     Whole,
     build_destination,
-    describe_destination,
 )
 from tau_dyn.cli.execute import Outcome, show_progress
 
@@ -31,9 +30,7 @@ def identify(
     holdout: Annotated[Strings, Parameter(metavar="LOG")] = (),
     model: Annotated[str, Parameter(metavar="MODEL")] = "asymmetric",
     fitting: FittingOptions = FittingOptions(),
-    out: Annotated[
-        Path | None, build_destination("MODEL.yaml"), describe_destination("Write the identified model here")
-    ] = None,
+    out: Annotated[Path | None, build_destination("MODEL.yaml", "Write the identified model here")] = None,
     estimator: Literal["auto", "wls", "ml", "iv", "robust"] = "auto",
     jobs: Annotated[Whole, Parameter(group=_BLOCKS, metavar="N")] = 0,
     cluster: Annotated[str | None, Parameter(group=_BLOCKS, metavar="tcp://HOST:PORT")] = None,

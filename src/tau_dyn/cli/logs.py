@@ -18,7 +18,6 @@ from tau_dyn.cli.arguments import (
     Positives,
     RobotOptions,
     build_destination,
-    describe_destination,
     describe_robot_or_model,
     is_model_file,
 )
@@ -128,7 +127,7 @@ def simulate(
     *,
     motion: Annotated[str, Parameter(metavar="M")] = "fourier",
     duration: Annotated[Positive, Parameter(metavar="S")] = 60.0,
-    out: Annotated[Path, build_destination("LOG.csv", csv=True), describe_destination("Write the log here")],
+    out: Annotated[Path, build_destination("LOG.csv", "Write the log here", csv=True)],
     effects: Annotated[Path | None, Parameter(group=_TRUTH, metavar="E.yaml")] = None,
     model: Annotated[Path | None, Parameter(group=_TRUTH, metavar="FILE")] = None,
     sensors: SensorOptions = SensorOptions(),

@@ -13,7 +13,6 @@ from tau_dyn.cli.arguments import (
     RobotOptions,
     Strings,
     build_destination,
-    describe_destination,
 )
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
@@ -36,9 +35,7 @@ def modes(
     sensor: Literal["displacement", "velocity", "acceleration"] = "displacement",
     collocated: Annotated[Strings, Parameter(metavar="INPUT:OUTPUT")] = (),
     robot: Annotated[str | None, Parameter(metavar="ROBOT")] = None,
-    out: Annotated[
-        Path | None, build_destination("MODEL.yaml"), describe_destination("Write the black-box model here")
-    ] = None,
+    out: Annotated[Path | None, build_destination("MODEL.yaml", "Write the black-box model here")] = None,
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:

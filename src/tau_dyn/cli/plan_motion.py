@@ -19,7 +19,6 @@ from tau_dyn.cli.arguments import (
     RobotOptions,
     Whole,
     build_destination,
-    describe_destination,
     describe_robot_or_model,
     is_model_file,
     read_columns,
@@ -121,9 +120,7 @@ def plan_motion(
     energy_weight: Annotated[NotNegative, Parameter(metavar="W")] = 0.0,
     rate: Annotated[Positive, Parameter(metavar="HZ")] = 1000.0,
     nodes: Annotated[Whole, Parameter(metavar="N")] = 80,
-    out: Annotated[
-        Path, build_destination("MOTION.csv", csv=True), describe_destination("Write t, q_ref, v_ref, a_ref here")
-    ],
+    out: Annotated[Path, build_destination("MOTION.csv", "Write t, q_ref, v_ref, a_ref here", csv=True)],
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:

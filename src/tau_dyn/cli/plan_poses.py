@@ -16,7 +16,6 @@ from tau_dyn.cli.arguments import (
     RobotName,
     RobotOptions,
     build_destination,
-    describe_destination,
 )
 from tau_dyn.cli.calibrate import Frames
 from tau_dyn.cli.execute import Outcome, show_progress
@@ -61,9 +60,7 @@ def plan_poses(
     safety_angle: Annotated[NotNegative, Parameter(group=_DEMANDS, metavar="DEG")] = 5.0,
     candidates: Annotated[int, Parameter(group=_DEMANDS, metavar="N", validator=POSITIVE_WHOLE)] = 1000,
     out: Annotated[
-        Path | None,
-        build_destination("POSES.csv", csv=True),
-        describe_destination("Write the places in driving order here: pose, q_J"),
+        Path | None, build_destination("POSES.csv", "Write the places in driving order here: pose, q_J", csv=True)
     ] = None,
     rapid: Annotated[Path | None, Parameter(metavar="FILE.mod")] = None,
     resume: Annotated[Path | None, Parameter(metavar="FILE.json")] = None,

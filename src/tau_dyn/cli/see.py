@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from tau_dyn.cli.arguments import Output, Positive, Strings, build_destination, describe_destination
+from tau_dyn.cli.arguments import Output, Positive, Strings, build_destination
 from tau_dyn.cli.execute import Outcome, show_progress
 
 _CAMERAS = Group("Cameras")
@@ -27,9 +27,7 @@ def see(
     cameras: Annotated[Path | None, Parameter(group=_CAMERAS, metavar="CAMERAS.yaml")] = None,
     save_cameras: Annotated[Path | None, Parameter(group=_CAMERAS, metavar="CAMERAS.yaml")] = None,
     out: Annotated[
-        Path | None,
-        build_destination("POSES.csv", csv=True),
-        describe_destination("Write the poses here, as calibrate reads them"),
+        Path | None, build_destination("POSES.csv", "Write the poses here, as calibrate reads them", csv=True)
     ] = None,
     output: Output = Output(),
 ) -> Outcome:

@@ -18,7 +18,6 @@ from tau_dyn.cli.arguments import (
     RobotOptions,
     Strings,
     build_destination,
-    describe_destination,
 )
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
@@ -49,9 +48,7 @@ def workspace(
     rod_stiffness: Annotated[float | None, Parameter(group=_SPRINGS, validator=POSITIVE_LARGE, metavar="N/M")] = None,
     actuator_stiffness: Annotated[Strings, Parameter(group=_SPRINGS, metavar="[JOINT=]VALUE")] = (),
     out: Annotated[
-        Path | None,
-        build_destination("POINTS.csv", csv=True),
-        describe_destination("Write the judged points with their reasons here"),
+        Path | None, build_destination("POINTS.csv", "Write the judged points with their reasons here", csv=True)
     ] = None,
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
