@@ -9,7 +9,7 @@ from typing import Annotated
 
 from cyclopts import Group, Parameter
 
-from tau_dyn.cli.arguments import FolderOutput, RobotName, RobotOptions, Strings, build_whole_kind
+from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
 
@@ -32,26 +32,26 @@ class PlaceOptions:
     """
 
     section: Annotated[str | None, Parameter(metavar="AXIS=VALUE")] = None
-    range: Annotated[Strings, Parameter(metavar="AXIS=LOW:HIGH")] = ()
-    grid: Annotated[int | None, Parameter(metavar="N", validator=build_whole_kind(2, 201))] = None
+    range: Annotated[args.Strings, Parameter(metavar="AXIS=LOW:HIGH")] = ()
+    grid: Annotated[int | None, Parameter(metavar="N", validator=args.build_whole_kind(2, 201))] = None
     no_limits: bool = False
     poses: Annotated[Path | None, Parameter(metavar="POSES.csv")] = None
 
 
 def accuracy(
-    robot: RobotName,
+    robot: args.RobotName,
     /,
     *,
-    actuator_error: Annotated[Strings, Parameter(group=_ERRORS, metavar="SIZE")] = (),
+    actuator_error: Annotated[args.Strings, Parameter(group=_ERRORS, metavar="SIZE")] = (),
     errors: Annotated[Path | None, Parameter(group=_ERRORS, metavar="FILE.yaml")] = None,
-    measured: Annotated[Strings, Parameter(group=_ERRORS, metavar="[JOINT=]FILE.csv")] = (),
+    measured: Annotated[args.Strings, Parameter(group=_ERRORS, metavar="[JOINT=]FILE.csv")] = (),
     places: PlaceOptions = PlaceOptions(),
-    method: Annotated[Strings, Parameter(group=_METHODS, metavar="METHOD")] = (),
+    method: Annotated[args.Strings, Parameter(group=_METHODS, metavar="METHOD")] = (),
     samples: Annotated[
-        int | None, Parameter(group=_METHODS, metavar="N", validator=build_whole_kind(1, 100000))
+        int | None, Parameter(group=_METHODS, metavar="N", validator=args.build_whole_kind(1, 100000))
     ] = None,
-    robot_options: RobotOptions = RobotOptions(),
-    output: FolderOutput = FolderOutput(),
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.FolderOutput = args.FolderOutput(),
 ) -> Outcome:
     """How far the tool may be from where it should be: stated or measured errors of actuators and rods, over a section.
 
@@ -84,12 +84,7 @@ def accuracy(
     return Outcome(
         result=found.to_dict(),
         warnings=[*machine.warnings, *(w for _, points in files for w in points.warnings), *_list_lost_poses(found)],
-        inputs=[
-            *robot_options.list_files(robot),
-            *([errors] if errors else []),
-            *hashes,
-            *([places.poses] if places.poses else []),
-        ],
+        inputs=[*robot_options.list_files(robot), errors, *hashes, places.poses],
         found=found,
         context={"files": hashes},
     )

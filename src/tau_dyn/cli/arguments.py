@@ -101,8 +101,8 @@ def build_destination(own: str, text: str = "", *, csv: bool = False) -> Paramet
             require_csv_name(None, found)
         return found
 
-    said = f"{text}; FOLDER/ takes it with result, report and run.json" if text else None
-    return Parameter(name="--out", converter=convert, n_tokens=1, metavar=own, help=said)
+    told = {"help": f"{text}; FOLDER/ takes it with result, report and run.json"} if text else {}
+    return Parameter(name="--out", converter=convert, n_tokens=1, metavar=own, **told)
 
 
 TABLE_OUT = Annotated[

@@ -7,49 +7,35 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from tau_dyn.cli.arguments import (
-    SEVERAL,
-    ColumnMapFile,
-    Output,
-    Paths,
-    RobotName,
-    RobotOptions,
-    Strings,
-    build_destination,
-    read_columns,
-    require_csv_name,
-)
+from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import compute_sha256
 
-Frames = Annotated[
-    tuple[Literal["device", "tool"], ...],
-    Parameter(consume_multiple=SEVERAL, metavar="FRAME"),
-]
-Sigmas = Annotated[tuple[float, ...], Parameter(consume_multiple=SEVERAL, metavar="SIGMA")]
+Frames = Annotated[tuple[Literal["device", "tool"], ...], Parameter(consume_multiple=args.SEVERAL, metavar="FRAME")]
+Sigmas = Annotated[tuple[float, ...], Parameter(consume_multiple=args.SEVERAL, metavar="SIGMA")]
 
 
 def calibrate(
-    robot: RobotName,
+    robot: args.RobotName,
     poses: Annotated[Path, Parameter(name="POSES.csv")],
     /,
     *,
-    holdout: Annotated[Paths, Parameter(metavar="POSES.csv")] = (),
-    columns: ColumnMapFile = None,
+    holdout: Annotated[args.Paths, Parameter(metavar="POSES.csv")] = (),
+    columns: args.ColumnMapFile = None,
     model: Annotated[str, Parameter(metavar="NAME")] = "auto",
     residual: Literal["forward", "closure", "inverse"] = "forward",
     robust: Literal["none", "huber", "biweight"] = "none",
     known: Frames = (),
-    fix: Annotated[Strings, Parameter(metavar="NAME")] = (),
-    free: Annotated[Strings, Parameter(metavar="NAME")] = (),
+    fix: Annotated[args.Strings, Parameter(metavar="NAME")] = (),
+    free: Annotated[args.Strings, Parameter(metavar="NAME")] = (),
     accuracy: Sigmas = (),
     prior: Sigmas = (),
     correct: Annotated[Path | None, Parameter(metavar="Q.csv")] = None,
-    corrected: Annotated[Path | None, Parameter(metavar="Q.csv", validator=require_csv_name)] = None,
-    out: Annotated[Path | None, build_destination("MODEL.yaml", "Write the calibrated robot here")] = None,
-    robot_options: RobotOptions = RobotOptions(),
-    output: Output = Output(),
+    corrected: Annotated[Path | None, Parameter(metavar="Q.csv", validator=args.require_csv_name)] = None,
+    out: Annotated[Path | None, args.build_destination("MODEL.yaml", "Write the calibrated robot here")] = None,
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.Output = args.Output(),
 ) -> Outcome:
     """From measured poses to a geometry with uncertainty: the model they bear, what each step gained, what no pose can tell.
 
@@ -82,7 +68,7 @@ def calibrate(
         from tau_dyn.robot import read_annotations
 
         machine = robot_options.load(robot)
-        wanted = None if correct is None else read_positions(read_columns(correct), machine, str(correct))
+        wanted = None if correct is None else read_positions(args.read_columns(correct), machine, str(correct))
         reading = {"columns": columns, "mimics": read_annotations(machine.urdf, machine.source).mimics}
         measured = read_poses(poses, machine.actuated, **reading)
         held, hashes, warnings = _read_held_out(holdout, poses, machine, reading)
@@ -103,7 +89,7 @@ def calibrate(
             progress=step,
         )
     read = [(str(poses), measured.sha256), *hashes, *([(str(correct), compute_sha256(correct))] if correct else [])]
-    files: dict[Path, Any] = {out: lambda path: save_calibration(path, found)} if out else {}
+    files: dict[Path | None, Any] = {out: lambda path: save_calibration(path, found)}
     more: list[str] = []
     if wanted is not None and corrected is not None:
         files[corrected], more = _correct(found, wanted)

@@ -7,39 +7,30 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from tau_dyn.cli.arguments import (
-    FittingOptions,
-    Logs,
-    Output,
-    RobotName,
-    RobotOptions,
-    Strings,
-    build_destination,
-    require_csv_name,
-)
+from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import CannotAnswer
 
 
 def diagnose(
-    robot: RobotName,
-    logs: Logs,
+    robot: args.RobotName,
+    logs: args.Logs,
     /,
     *,
-    holdout: Annotated[Strings, Parameter(metavar="LOG")] = (),
+    holdout: Annotated[args.Strings, Parameter(metavar="LOG")] = (),
     model: Annotated[str, Parameter(metavar="MODEL")] = "asymmetric",
-    fitting: FittingOptions = FittingOptions(),
+    fitting: args.FittingOptions = args.FittingOptions(),
     out: Annotated[
         Path | None,
-        build_destination(
+        args.build_destination(
             "MODEL.yaml",
             "Write the model extended by the confirmed causes here; simulate, identify and the feedforward read it",
         ),
     ] = None,
-    propose: Annotated[Path | None, Parameter(metavar="MOTION.csv", validator=require_csv_name)] = None,
+    propose: Annotated[Path | None, Parameter(metavar="MOTION.csv", validator=args.require_csv_name)] = None,
     controller: Annotated[Path | None, Parameter(metavar="LAW.yaml")] = None,
-    robot_options: RobotOptions = RobotOptions(),
-    output: Output = Output(),
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.Output = args.Output(),
 ) -> Outcome:
     """What the simulation gets wrong, which physical cause explains it, and how much better the model is with that cause.
 
@@ -67,7 +58,7 @@ def diagnose(
         if law is not None:
             found = add_simulation(found, trained, law, step)
         result, warnings, status = found.to_dict(), list(found.warnings), found.exit_status
-        files: dict[Path, Any] = {out: found.extended_model.save} if out else {}
+        files: dict[Path | None, Any] = {out: found.extended_model.save}
         if propose:
             motion, refusal, answer = _propose(found, trained, propose, output.seed, step)
             result |= answer
@@ -75,22 +66,15 @@ def diagnose(
             files |= {propose: motion.to_csv} if motion else {}
             status = status if motion else CannotAnswer.exit_status
 
-    def show(console, written: dict[str, str]) -> None:
-        from tau_dyn.render import print_result
-
-        print_result(console, found, written)
-        for note in result.get("proposal", {}).get("notes", ()):
-            console.print(f"proposed: {note}", markup=False)
-
     return Outcome(
         result=result,
         warnings=warnings,
         inputs=[
             *robot_options.list_files(robot),
             *fitting.list_inputs(model, [*logs, *holdout], [*trained, *held]),
-            *([controller] if controller else []),
+            controller,
         ],
-        show=show,
+        lines=[f"proposed: {note}" for note in result.get("proposal", {}).get("notes", ())],
         files=files,
         named={"extended model": out, "motion": propose if propose in files else None},
         found=found,

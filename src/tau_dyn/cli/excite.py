@@ -5,68 +5,95 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from tau_dyn.cli.arguments import (
-    NotNegative,
-    NotNegatives,
-    Output,
-    Positive,
-    Positives,
-    RobotName,
-    RobotOptions,
-    Whole,
-    build_destination,
-)
+from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
 
 _DESIGN = Group("Design (--method optimal)")
 _NOISE = Group("Noise, for the predicted standard errors")
-_LIMIT = "one or one a joint"
-_Box = tuple[float, float, float, float, float, float]
+
+
+@Parameter(name="*", group=_DESIGN)
+@dataclass(frozen=True, kw_only=True)
+class DesignOptions:
+    """How the best motion is searched for; None leaves a choice to the design.
+
+    Attributes:
+        criterion: worst: the largest relative standard error (default); d: the volume of the confidence ellipsoid;
+            condition: of the regressor
+        fastest: Highest frequency of the periodic part (default 2)
+        strokes: Share of the time for strokes at constant speeds (default 0.2)
+        speed: Highest speed, one or one a joint [m/s or rad/s] (default 90 % of the limit, at most 1 m/s or 2 rad/s)
+        acceleration: Highest acceleration, one or one a joint (default 6 times the highest speed a second)
+        box: Box [m] that the tool stays in: its lowest and its highest corner
+        condition: Largest conditioning of the loops
+        time: Longest time for the search (default 90 s)
+    """
+
+    criterion: Literal["worst", "d", "condition"] | None = None
+    fastest: Annotated[args.Positive | None, Parameter(metavar="HZ")] = None
+    strokes: Annotated[args.NotNegative | None, Parameter(metavar="SHARE")] = None
+    speed: Annotated[args.Positives | None, Parameter(metavar="V")] = None
+    acceleration: Annotated[args.Positives | None, Parameter(metavar="A")] = None
+    box: Annotated[tuple[float, float, float, float, float, float] | None, Parameter(metavar="X Y Z X Y Z")] = None
+    condition: Annotated[args.Positive | None, Parameter(metavar="C")] = None
+    time: Annotated[args.Positive | None, Parameter(metavar="S")] = None
+
+
+@Parameter(name="*", group=_NOISE)
+@dataclass(frozen=True, kw_only=True)
+class NoiseOptions:
+    """What noise the log to come will have.
+
+    Attributes:
+        force_noise: Standard deviation [N or N m]
+        encoder_noise: Standard deviation [m or rad]
+        noise_from: Take both from what a model leaves of this log
+        rate: Rate of the log to come
+    """
+
+    force_noise: Annotated[args.Positives | None, Parameter(metavar="N")] = None
+    encoder_noise: Annotated[args.NotNegatives | None, Parameter(metavar="M")] = None
+    noise_from: Annotated[Path | None, Parameter(metavar="LOG")] = None
+    rate: Annotated[args.Positive, Parameter(metavar="HZ")] = 1000.0
+
+    def estimate(self, model):
+        """Return the noise, None where nothing is said of it.
+
+        Raises:
+            InputError: The encoders' noise is given without the forces'.
+        """
+        from tau_dyn.excitation import Noise, estimate_log_noise
+        from tau_dyn.log import read_log
+
+        if self.noise_from is not None:
+            return estimate_log_noise(model, read_log(self.noise_from), self.rate)
+        if self.force_noise is not None:
+            return Noise.given(model.robot, self.force_noise, self.encoder_noise or [0.0], self.rate)
+        if self.encoder_noise is not None:
+            raise InputError("bad_option", "--encoder-noise needs --force-noise as well")
+        return None
 
 
 def excite(
-    robot: RobotName,
+    robot: args.RobotName,
     /,
     *,
-    out: Annotated[Path, build_destination("MOTION.csv", "Write t, q_ref, v_ref, a_ref here", csv=True)],
-    duration: Annotated[Positive, Parameter(metavar="S")] = 30.0,
-    trials: Annotated[Whole, Parameter(metavar="N")] = 20,
+    out: Annotated[Path, args.build_destination("MOTION.csv", "Write t, q_ref, v_ref, a_ref here", csv=True)],
+    duration: Annotated[args.Positive, Parameter(metavar="S")] = 30.0,
+    trials: Annotated[args.Whole, Parameter(metavar="N")] = 20,
     model: Annotated[str, Parameter(metavar="MODEL")] = "asymmetric",
     method: Literal["optimal", "random"] = "optimal",
-    criterion: Annotated[Literal["worst", "d", "condition"] | None, Parameter(group=_DESIGN)] = None,
-    fastest: Annotated[Positive | None, Parameter(group=_DESIGN, metavar="HZ")] = None,
-    strokes: Annotated[NotNegative | None, Parameter(group=_DESIGN, metavar="SHARE")] = None,
-    speed: Annotated[
-        Positives | None,
-        Parameter(
-            group=_DESIGN,
-            metavar="V",
-            help=f"Highest speed, {_LIMIT} [m/s or rad/s] (default 90 % of the limit, at most 1 m/s or 2 rad/s)",
-        ),
-    ] = None,
-    acceleration: Annotated[
-        Positives | None,
-        Parameter(
-            group=_DESIGN,
-            metavar="A",
-            help=f"Highest acceleration, {_LIMIT} (default 6 times the highest speed a second)",
-        ),
-    ] = None,
-    box: Annotated[_Box | None, Parameter(group=_DESIGN, metavar="X Y Z X Y Z")] = None,
-    condition: Annotated[Positive | None, Parameter(group=_DESIGN, metavar="C")] = None,
-    time: Annotated[Positive | None, Parameter(group=_DESIGN, metavar="S")] = None,
-    force_noise: Annotated[Positives | None, Parameter(group=_NOISE, metavar="N")] = None,
-    encoder_noise: Annotated[NotNegatives | None, Parameter(group=_NOISE, metavar="M")] = None,
-    noise_from: Annotated[Path | None, Parameter(group=_NOISE, metavar="LOG")] = None,
-    rate: Annotated[Positive, Parameter(group=_NOISE, metavar="HZ")] = 1000.0,
-    robot_options: RobotOptions = RobotOptions(),
-    output: Output = Output(),
+    design: DesignOptions = DesignOptions(),
+    noise: NoiseOptions = NoiseOptions(),
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.Output = args.Output(),
 ) -> Outcome:
     """An exciting motion within the robot's limits, designed for the most information, with the standard errors it will give.
 
@@ -75,65 +102,42 @@ def excite(
         trials: Random motions to start or choose from
         model: What shall be identified: rigid, symmetric, asymmetric or a model file
         method: Search for the best motion, or keep the best conditioned of random ones
-        criterion: worst: the largest relative standard error (default); d: the volume of the confidence ellipsoid;
-            condition: of the regressor
-        fastest: Highest frequency of the periodic part (default 2)
-        strokes: Share of the time for strokes at constant speeds (default 0.2)
-        box: Box [m] that the tool stays in: its lowest and its highest corner
-        condition: Largest conditioning of the loops
-        time: Longest time for the search (default 90 s)
-        force_noise: Standard deviation [N or N m]
-        encoder_noise: Standard deviation [m or rad]
-        noise_from: Take both from what a model leaves of this log
-        rate: Rate of the log to come
     """
-    design = {
-        "fastest": fastest, "strokes": strokes, "speed": speed, "acceleration": acceleration, "box": box,
-        "condition": condition, "time": time, "criterion": criterion,
-    }  # fmt: skip
-    design = {name: value for name, value in design.items() if value is not None}
-    if method == "random" and design:
+    given = {name: value for name, value in asdict(design).items() if value is not None}
+    if method == "random" and given:
         raise InputError(
-            "bad_option", f"--{next(iter(design))} is not available with --method random; use --method optimal"
+            "bad_option", f"--{next(iter(given))} is not available with --method random; use --method optimal"
         )
-    if noise_from is not None and (force_noise or encoder_noise):
+    if noise.noise_from is not None and (noise.force_noise or noise.encoder_noise):
         raise InputError(
             "bad_option", "--noise-from excludes --force-noise and --encoder-noise; give one or the others"
         )
     with _show_rounds(output.quiet) as step:
         step("loading")
-        from tau_dyn.excitation import Noise, estimate_log_noise
         from tau_dyn.identify import build_model
-        from tau_dyn.log import read_log
         from tau_dyn.render import ExcitingMotion
 
         machine = robot_options.load(robot)
-        built, noise = build_model(machine, model), None
-        if noise_from is not None:
-            noise = estimate_log_noise(built, read_log(noise_from), rate)
-        elif force_noise is not None:
-            noise = Noise.given(machine, force_noise, encoder_noise or [0.0], rate)
-        elif encoder_noise is not None:
-            raise InputError("bad_option", "--encoder-noise needs --force-noise as well")
+        built = build_model(machine, model)
+        known = noise.estimate(built)
         if method == "random":
-            motion, result, said, prediction = _choose_random(built, noise, duration, trials, output.seed, step)
+            motion, result, said, prediction = _choose_random(built, known, duration, trials, output.seed, step)
         else:
-            motion, result, said, prediction = _design(built, noise, duration, trials, output.seed, rate, design, step)
+            motion, result, said, prediction = _design(
+                built, known, duration, trials, output.seed, noise.rate, given, step
+            )
     condition_number = result["condition_number"]
-
-    def show(console, written: dict[str, str]) -> None:
-        console.print(f"{motion.duration:.4g} s, condition number {condition_number:.3g} {said} -> {out}", markup=False)
-        for row in () if prediction is None else prediction.rows():
-            shown = f"  {row['expression']:44s} {row['value']:10.4g} ± {row['stderr']:.2g} {row['unit']}"
-            console.print(shown, markup=False, highlight=False)
-
+    lines = [f"{motion.duration:.4g} s, condition number {condition_number:.3g} {said} -> {out}"]
+    for row in () if prediction is None else prediction.rows():
+        lines.append(f"  {row['expression']:44s} {row['value']:10.4g} ± {row['stderr']:.2g} {row['unit']}")
     made = {"seed": str(output.seed), "trials": str(trials), "method": method}
     return Outcome(
         result=result | {"out": str(out)},
         warnings=[*machine.warnings, *motion.notes],
-        inputs=[*robot_options.list_files(robot), *([noise_from] if noise_from is not None else [])],
-        show=show,
+        inputs=[*robot_options.list_files(robot), noise.noise_from],
+        lines=lines,
         files={out: motion.to_csv},
+        printed=False,
         found=ExcitingMotion(motion, built, condition_number, prediction, made),
     )
 

@@ -7,7 +7,6 @@ file written), 3 the data cannot answer (`--json` and the run folder say so), 1 
 from __future__ import annotations
 
 import json
-import math
 import os
 import shlex
 import sys
@@ -17,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
-import numpy as np
 from rich.console import Console
 
 from tau_dyn.cli.arguments import is_model_file
@@ -26,6 +24,7 @@ from tau_dyn.cli.run_folder import RunFolder, collect_configuration
 from tau_dyn.exceptions import CannotAnswer, InputError, format_one_line
 from tau_dyn.files import compute_sha256, resolve_destination, write_atomically
 from tau_dyn.message_codes import format_warnings, format_with_code
+from tau_dyn.results import to_plain
 from tau_dyn.version import __version__
 
 _TWICE = "two outputs are to be written to one file; give each its own"
@@ -41,11 +40,13 @@ class Outcome:
     Attributes:
         result: The command's part of the JSON result.
         warnings: Sentences.
-        inputs: Files read; or pairs of path and hash, where a reader knows the hash already.
+        inputs: Files read; or pairs of path and hash, where a reader knows the hash already. None stands for one not given.
         found: What was found, which `render` prints and makes a page of; None where neither is asked.
         context: What `render` is told besides.
+        printed: Whether what was found is printed, too.
+        lines: Lines for a person, below what was found.
         show: Prints the result for a person instead; it is told what was written, by name.
-        files: What to write: path -> text, or a function that writes to the path given.
+        files: What to write: path -> text, or a function that writes to the path given. None stands for a file not asked for.
         named: Names of files that were written, for the last line on the screen.
         report: Makes the report page's text instead, from the command line that repeats it.
         exit_status: 0 where the answer stands; 3 where the data cannot tell, and `result` says so in its own `status`.
@@ -53,11 +54,13 @@ class Outcome:
 
     result: dict[str, Any] = field(default_factory=dict)
     warnings: Sequence[str] = ()
-    inputs: Sequence[Path | tuple[str, str]] = ()
+    inputs: Sequence[Path | tuple[str, str] | None] = ()
     found: Any = None
     context: Mapping[str, Any] = field(default_factory=dict)
+    printed: bool = True
+    lines: Sequence[str] = ()
     show: Callable[[Console, dict[str, str]], None] | None = None
-    files: Mapping[Path, str | Callable[[Path], None]] = field(default_factory=dict)
+    files: Mapping[Path | None, Any] = field(default_factory=dict)
     named: Mapping[str, Path | None] = field(default_factory=dict)
     report: Callable[[str], str] | None = None
     exit_status: int = 0
@@ -78,10 +81,12 @@ class Outcome:
         """Print the result for a person."""
         if self.show is not None:
             self.show(console, written)
-        elif self.found is not None:
+        elif self.found is not None and self.printed:
             from tau_dyn.render import print_result
 
             print_result(console, self.found, written, **self.context)
+        for line in self.lines:
+            console.print(line, markup=False)
 
 
 @dataclass(frozen=True)
@@ -128,7 +133,8 @@ def execute(call: Call, own_file: str = "") -> int:
         refusal, outcome = fault, _build_unanswered(run.values, fault)
     if run.page_asked and refusal is None and not outcome.has_page():
         raise InputError("bad_option", f"tau-dyn {call.command} has no report; leave --report out")
-    outcome = replace(outcome, warnings=[*outcome.warnings, *_list_changed(outcome.inputs, before)])
+    inputs = [item for item in outcome.inputs if item is not None]
+    outcome = replace(outcome, inputs=inputs, warnings=[*outcome.warnings, *_list_changed(inputs, before)])
     written = _write(run, outcome)
     errors = Console(stderr=True, soft_wrap=True, highlight=False)
     sentences = [f"warning: {format_with_code(sentence)}" for sentence in dict.fromkeys(outcome.warnings)]
@@ -229,7 +235,7 @@ def _stamp(path: Path) -> tuple[int, int]:
     return about.st_size, about.st_mtime_ns
 
 
-def _list_changed(inputs: Sequence[Path | tuple[str, str]], before: dict[Path, tuple[int, int]]) -> list[str]:
+def _list_changed(inputs: Sequence[Path | tuple[str, str] | None], before: dict[Path, tuple[int, int]]) -> list[str]:
     """Return a sentence for each input that somebody wrote to meanwhile; the hash of a log is that of what was read."""
     paths = [item.resolve() for item in inputs if isinstance(item, Path)]
     return [
@@ -243,7 +249,7 @@ def _write(run: _Run, outcome: Outcome) -> dict[str, str]:
     """Write everything, the run folder last, all complete before the first takes its place; return what was written by name."""
     values, folder, command_line = run.values, run.folder, format_command_line()
     about = build_result_envelope(run.call.command, values["seed"], outcome.inputs, "ok", outcome.warnings)
-    files: dict[Path, str | Callable[[Path], None]] = dict(outcome.files)
+    files = {path: content for path, content in outcome.files.items() if path is not None}
     _refuse_overwritten(run, files)
     named = dict(outcome.named)
     if values["report"] is not None and outcome.has_page():
@@ -319,13 +325,15 @@ class _Screen(Console):
 
 
 def build_result_envelope(
-    command: str, seed: int, inputs: Sequence[Path | tuple[str, str]], status: str, warnings: Sequence[str]
+    command: str, seed: int, inputs: Sequence[Path | tuple[str, str] | None], status: str, warnings: Sequence[str]
 ) -> dict[str, Any]:
     """Return what every result says of itself."""
     return {
         "tool_version": __version__,
         "command": command,
-        "inputs": [{"path": path, "sha256": sha256} for path, sha256 in map(_hash_input, inputs) if sha256],
+        "inputs": [
+            {"path": path, "sha256": sha256} for path, sha256 in map(_hash_input, filter(None, inputs)) if sha256
+        ],
         "seed": seed,
         "status": status,
         **format_warnings(warnings),
@@ -356,20 +364,4 @@ def show_progress(quiet: bool) -> Iterator[Callable[[str], None]]:
 
 def format_json(value: Any) -> str:
     """Return strict JSON: arrays as lists, what is not finite as null."""
-    return json.dumps(_plain(value), indent=2, allow_nan=False) + "\n"
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, np.bool_):
-        return bool(value)
-    if isinstance(value, np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value
+    return json.dumps(to_plain(value), indent=2, allow_nan=False) + "\n"

@@ -10,14 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from cyclopts import Group, Parameter
 
-from tau_dyn.cli.arguments import (
-    Output,
-    Positive,
-    Positives,
-    RobotOptions,
-    build_destination,
-    is_model_file,
-)
+from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
 
@@ -64,14 +57,14 @@ class ExportOptions:
     name: Annotated[str | None, Parameter(group=_CODE, metavar="NAME")] = None
     motion: Annotated[Path | None, Parameter(group=_SENT, metavar="MOTION.csv")] = None
     correction: Annotated[Path | None, Parameter(group=_SENT, metavar="FILE.csv")] = None
-    period: Annotated[Positive, Parameter(group=_SENT, metavar="S")] = 0.004
+    period: Annotated[args.Positive, Parameter(group=_SENT, metavar="S")] = 0.004
     resample: Annotated[bool, Parameter(group=_SENT)] = False
-    speed: Annotated[Positives | None, Parameter(group=_SENT, metavar="X")] = None
-    acceleration: Annotated[Positives | None, Parameter(group=_SENT, metavar="X")] = None
-    force: Annotated[Positives | None, Parameter(group=_SENT, metavar="X")] = None
-    largest_correction: Annotated[Positives | None, Parameter(group=_SENT, metavar="X")] = None
+    speed: Annotated[args.Positives | None, Parameter(group=_SENT, metavar="X")] = None
+    acceleration: Annotated[args.Positives | None, Parameter(group=_SENT, metavar="X")] = None
+    force: Annotated[args.Positives | None, Parameter(group=_SENT, metavar="X")] = None
+    largest_correction: Annotated[args.Positives | None, Parameter(group=_SENT, metavar="X")] = None
     by: Annotated[Literal["joints", "tool"], Parameter(group=_SENT)] = "joints"
-    tolerance: Annotated[Positive, Parameter(group=_SENT, metavar="X")] = 1e-4
+    tolerance: Annotated[args.Positive, Parameter(group=_SENT, metavar="X")] = 1e-4
 
 
 @dataclass(frozen=True)
@@ -82,13 +75,13 @@ class _Request:
     to: str
     out: Path
     options: ExportOptions
-    robot_options: RobotOptions = field(default_factory=RobotOptions)
+    robot_options: args.RobotOptions = field(default_factory=args.RobotOptions)
 
     def load_model(self):
         """Return the model; of a robot its nominal rigid body without effects."""
         from tau_dyn.model import Model
 
-        if is_model_file(self.source):
+        if args.is_model_file(self.source):
             return Model.load(self.source)
         return Model.of(self.robot_options.load(self.source), [])
 
@@ -98,10 +91,12 @@ def export(
     /,
     *,
     to: Literal["urdf", "mjcf", "fmu", "c", "reference", "rapid"],
-    out: Annotated[Path | None, build_destination("FILE", "By default beside the model, or here for a robot")] = None,
+    out: Annotated[
+        Path | None, args.build_destination("FILE", "By default beside the model, or here for a robot")
+    ] = None,
     options: ExportOptions = ExportOptions(),
-    robot_options: RobotOptions = RobotOptions(),
-    output: Output = Output(),
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.Output = args.Output(),
 ) -> Outcome:
     """A robot or its identified model for another program: URDF, MJCF, FMU, C kinematics, controller references, RAPID.
 
@@ -125,7 +120,7 @@ def export(
         result={"out": str(path), "format": to, **made.result},
         warnings=made.warnings,
         inputs=given,
-        show=lambda console, written: console.print(made.said, markup=False),
+        lines=[made.said],
         files=made.files,
     )
 
@@ -136,7 +131,7 @@ def name_export(values: dict[str, Any]) -> str:
 
 
 def _name_beside(model: Path, motion: Path | None, ending: str) -> Path:
-    if is_model_file(model):
+    if args.is_model_file(model):
         return model.with_suffix(ending)
     stem = motion.stem if motion is not None else model.name.split(".")[0]
     return Path(f"{stem}_reference{ending}" if ending == ".csv" else f"{stem}{ending}")
@@ -147,7 +142,7 @@ def _make_exchanged(request: _Request) -> Made:
     from tau_dyn.exchange import build_mjcf, build_urdf
     from tau_dyn.model import Model
 
-    if not is_model_file(request.source):
+    if not args.is_model_file(request.source):
         learned = f"tau-dyn identify {request.source} LOG --out model.yaml"
         raise InputError(
             "unsupported",
@@ -290,12 +285,12 @@ def export_feedforward(
     /,
     *,
     to: Literal["c", "python"],
-    out: Annotated[Path, build_destination("FILE", "FILE.c (with FILE.h beside it) or FILE.py")],
+    out: Annotated[Path, args.build_destination("FILE", "FILE.c (with FILE.h beside it) or FILE.py")],
     name: Annotated[str, Parameter(metavar="NAME")] = "tau_ff",
-    width: Annotated[Positives, Parameter(metavar="V")] = (0.01,),
+    width: Annotated[args.Positives, Parameter(metavar="V")] = (0.01,),
     shape: Literal["ramp", "tanh"] = "ramp",
     steady: bool = False,
-    output: Output = Output(),
+    output: args.Output = args.Output(),
 ) -> Outcome:
     """A model's feedforward tau_ff(q, v, a) written out for a controller: dependency-free C, or Python with NumPy alone.
 
@@ -354,7 +349,7 @@ def export_feedforward(
             f"the feedforward leaves out {effect}, which a single state does not determine" for effect in dropped
         ],
         inputs=[model],
-        show=lambda console, written: console.print(said, markup=False),
+        lines=[said],
         files=files,
     )
 

@@ -7,35 +7,26 @@ from typing import Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from tau_dyn.cli.arguments import (
-    FittingOptions,
-    Logs,
-    Output,
-    RobotName,
-    RobotOptions,
-    Strings,
-    Whole,
-    build_destination,
-)
+from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome, show_progress
 
 _BLOCKS = Group("Large recordings, which are read block by block")
 
 
 def identify(
-    robot: RobotName,
-    logs: Logs,
+    robot: args.RobotName,
+    logs: args.Logs,
     /,
     *,
-    holdout: Annotated[Strings, Parameter(metavar="LOG")] = (),
+    holdout: Annotated[args.Strings, Parameter(metavar="LOG")] = (),
     model: Annotated[str, Parameter(metavar="MODEL")] = "asymmetric",
-    fitting: FittingOptions = FittingOptions(),
-    out: Annotated[Path | None, build_destination("MODEL.yaml", "Write the identified model here")] = None,
+    fitting: args.FittingOptions = args.FittingOptions(),
+    out: Annotated[Path | None, args.build_destination("MODEL.yaml", "Write the identified model here")] = None,
     estimator: Literal["auto", "wls", "ml", "iv", "robust"] = "auto",
-    jobs: Annotated[Whole, Parameter(group=_BLOCKS, metavar="N")] = 0,
+    jobs: Annotated[args.Whole, Parameter(group=_BLOCKS, metavar="N")] = 0,
     cluster: Annotated[str | None, Parameter(group=_BLOCKS, metavar="tcp://HOST:PORT")] = None,
-    robot_options: RobotOptions = RobotOptions(),
-    output: Output = Output(),
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.Output = args.Output(),
 ) -> Outcome:
     """Masses and friction from torque logs, with standard errors; evaluated on data that the fit did not use.
 
@@ -66,18 +57,12 @@ def identify(
             **fitting.collect(model, output.seed),
         )
 
-    def show(console, written: dict[str, str]) -> None:
-        from tau_dyn.render import print_result
-
-        print_result(console, found, written)
-        console.print(f"estimator: {found.estimator}")
-
     return Outcome(
         result=found.to_dict(),
         warnings=found.warnings,
         inputs=[*robot_options.list_files(robot), *fitting.list_inputs(model, [*logs, *holdout], [*trained, *held])],
-        show=show,
-        files={out: found.model.save} if out else {},
+        lines=[f"estimator: {found.estimator}"],
+        files={out: found.model.save},
         named={"model": out},
         found=found,
     )

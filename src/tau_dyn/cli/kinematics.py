@@ -8,21 +8,21 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
-from tau_dyn.cli.arguments import FINITE, TABLE_OUT, Finites, Output, Place, RobotName, RobotOptions, read_columns
+from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
 
 
 def fk(
-    robot: RobotName,
+    robot: args.RobotName,
     /,
     *,
-    q: Annotated[Finites, Parameter(metavar="VALUE")] = (),
+    q: Annotated[args.Finites, Parameter(metavar="VALUE")] = (),
     all: bool = False,
     poses: Annotated[Path | None, Parameter(metavar="POSES.csv")] = None,
-    out: TABLE_OUT = None,
-    robot_options: RobotOptions = RobotOptions(),
-    output: Output = Output(),
+    out: args.TABLE_OUT = None,
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.Output = args.Output(),
 ) -> Outcome:
     """Where actuated positions put the tool.
 
@@ -42,25 +42,25 @@ def fk(
         if poses is None and len(q) != machine.na:
             named = ", ".join(machine.actuated)
             raise InputError("bad_option", f"--q: one value for each actuated joint ({named}), not {len(q)}")
-        positions = np.array([q]) if poses is None else read_positions(read_columns(poses), machine, str(poses))
+        positions = np.array([q]) if poses is None else read_positions(args.read_columns(poses), machine, str(poses))
         step("closing the rods")
         table = build_forward_table(machine, positions, all_modes=all, progress=step)
     return _build_outcome(table, robot_options.list_files(robot), poses, out)
 
 
 def ik(
-    robot: RobotName,
+    robot: args.RobotName,
     /,
     *,
-    position: Place | None = None,
+    position: args.Place | None = None,
     quaternion: Annotated[
-        tuple[float, float, float, float] | None, Parameter(validator=FINITE, metavar="X Y Z W")
+        tuple[float, float, float, float] | None, Parameter(validator=args.FINITE, metavar="X Y Z W")
     ] = None,
     all: bool = False,
     poses: Annotated[Path | None, Parameter(metavar="POSES.csv")] = None,
-    out: TABLE_OUT = None,
-    robot_options: RobotOptions = RobotOptions(),
-    output: Output = Output(),
+    out: args.TABLE_OUT = None,
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.Output = args.Output(),
 ) -> Outcome:
     """Which actuated positions put the tool at a pose.
 
@@ -82,7 +82,7 @@ def ik(
 
         machine = robot_options.load(robot)
         if poses is not None:
-            wanted = read_poses(read_columns(poses), machine, str(poses))
+            wanted = read_poses(args.read_columns(poses), machine, str(poses))
         elif quaternion is not None:
             wanted = convert_from_quaternions(np.array([position]), np.array([quaternion]))
         else:
@@ -96,8 +96,8 @@ def _build_outcome(table, robot_files: list[Path], poses: Path | None, out: Path
     return Outcome(
         result=table.to_dict(),
         warnings=[*table.robot.warnings, *table.warnings],
-        inputs=[*robot_files, *([poses] if poses else [])],
-        files={out: table.to_csv()} if out else {},
+        inputs=[*robot_files, poses],
+        files={out: table.to_csv()},
         named={"table": out},
         found=table,
     )

@@ -80,12 +80,7 @@ def _show_robots(console, rows: list[dict[str, str]]) -> None:
         console.print(Text(f"\n{package}: {names}"))
 
 
-def causes(
-    cause: str | None = None,
-    /,
-    *,
-    output: FolderOutput = FolderOutput(),
-) -> Outcome:
+def causes(cause: str | None = None, /, *, output: FolderOutput = FolderOutput()) -> Outcome:
     """The causes that `diagnose` and `calibrate` can name, with the law of each and the motion that reveals it.
 
     Args:
@@ -136,8 +131,7 @@ def _show_causes(console, rows: list[dict[str, str]], *, whole: bool) -> None:
 
 
 Side = Annotated[
-    Path,
-    Parameter(help="A run folder (--out FOLDER/), the --json result of a command, or a model file (.yaml)"),
+    Path, Parameter(help="A run folder (--out FOLDER/), the --json result of a command, or a model file (.yaml)")
 ]
 
 
@@ -149,9 +143,4 @@ def compare(a: Side, b: Side, /, *, output: FolderOutput = FolderOutput()) -> Ou
 
         found = compare_sides(read_side(a), read_side(b))
 
-    return Outcome(
-        result=found.to_dict(),
-        warnings=found.warnings,
-        inputs=[found.a.path, found.b.path],
-        found=found,
-    )
+    return Outcome(result=found.to_dict(), warnings=found.warnings, inputs=[found.a.path, found.b.path], found=found)

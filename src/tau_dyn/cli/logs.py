@@ -8,19 +8,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Group, Parameter, validators
 
-from tau_dyn.cli.arguments import (
-    FINITE,
-    ColumnMapFile,
-    FolderOutput,
-    NotNegative,
-    Output,
-    Positive,
-    Positives,
-    RobotOptions,
-    build_destination,
-    describe_robot_or_model,
-    is_model_file,
-)
+from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
 from tau_dyn.message_codes import UNCODED, get_code
@@ -31,9 +19,9 @@ def check(
     robot: str | None = None,
     /,
     *,
-    columns: ColumnMapFile = None,
-    robot_options: RobotOptions = RobotOptions(),
-    output: FolderOutput = FolderOutput(),
+    columns: args.ColumnMapFile = None,
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.FolderOutput = args.FolderOutput(),
 ) -> Outcome:
     """Check whether a log is usable: sampling, gaps, quantisation, saturation, excitation; problems and fixes.
 
@@ -57,11 +45,7 @@ def check(
     return Outcome(
         result=checked.to_dict(),
         warnings=[*read.warnings, *(w for w in checked.warnings if get_code(w) != UNCODED)],
-        inputs=[
-            (log, read.sha256),
-            *([columns] if columns else []),
-            *(robot_options.list_files(robot) if robot else []),
-        ],
+        inputs=[(log, read.sha256), columns, *(robot_options.list_files(robot) if robot else [])],
         found=checked,
         context={"log": read, "robot": machine},
     )
@@ -87,13 +71,13 @@ class SensorOptions:
         tool_noise: Tool position noise [m]
     """
 
-    rate: Annotated[Positive | None, Parameter(metavar="HZ")] = None
-    log_rate: Annotated[Positive | None, Parameter(metavar="HZ")] = None
-    force_noise: Annotated[NotNegative, Parameter(metavar="N")] = 5.0
-    force_colour: Annotated[float, Parameter(metavar="PHI", validator=FINITE)] = 0.0
-    encoder_noise: Annotated[NotNegative, Parameter(metavar="M")] = 5e-6
-    encoder_resolution: Annotated[NotNegative, Parameter(metavar="M")] = 0.0
-    tool_noise: Annotated[NotNegative, Parameter(metavar="M")] = 0.0
+    rate: Annotated[args.Positive | None, Parameter(metavar="HZ")] = None
+    log_rate: Annotated[args.Positive | None, Parameter(metavar="HZ")] = None
+    force_noise: Annotated[args.NotNegative, Parameter(metavar="N")] = 5.0
+    force_colour: Annotated[float, Parameter(metavar="PHI", validator=args.FINITE)] = 0.0
+    encoder_noise: Annotated[args.NotNegative, Parameter(metavar="M")] = 5e-6
+    encoder_resolution: Annotated[args.NotNegative, Parameter(metavar="M")] = 0.0
+    tool_noise: Annotated[args.NotNegative, Parameter(metavar="M")] = 0.0
 
 
 @Parameter(name="*", group=_VIBRATION)
@@ -113,27 +97,27 @@ class VibrationOptions:
     """
 
     vibration: Literal["prbs", "push-x", "push-y", "push-z", "push-xyz"] | None = None
-    amplitude: Annotated[Positive | None, Parameter(metavar="A")] = None
+    amplitude: Annotated[args.Positive | None, Parameter(metavar="A")] = None
     frame: Annotated[str, Parameter(metavar="NAME")] = "tool"
     push_at: Annotated[str | None, Parameter(metavar="NAME")] = None
-    drive_lag: Annotated[Positives, Parameter(metavar="S")] = ()
-    drive_delay: Annotated[NotNegative, Parameter(metavar="S")] = 0.0
-    acceleration_noise: Annotated[NotNegative, Parameter(metavar="A")] = 0.07
+    drive_lag: Annotated[args.Positives, Parameter(metavar="S")] = ()
+    drive_delay: Annotated[args.NotNegative, Parameter(metavar="S")] = 0.0
+    acceleration_noise: Annotated[args.NotNegative, Parameter(metavar="A")] = 0.07
 
 
 def simulate(
-    robot: Annotated[str, describe_robot_or_model("which carries its robot, its effects and their values")],
+    robot: Annotated[str, args.describe_robot_or_model("which carries its robot, its effects and their values")],
     /,
     *,
     motion: Annotated[str, Parameter(metavar="M")] = "fourier",
-    duration: Annotated[Positive, Parameter(metavar="S")] = 60.0,
-    out: Annotated[Path, build_destination("LOG.csv", "Write the log here", csv=True)],
+    duration: Annotated[args.Positive, Parameter(metavar="S")] = 60.0,
+    out: Annotated[Path, args.build_destination("LOG.csv", "Write the log here", csv=True)],
     effects: Annotated[Path | None, Parameter(group=_TRUTH, metavar="E.yaml")] = None,
     model: Annotated[Path | None, Parameter(group=_TRUTH, metavar="FILE")] = None,
     sensors: SensorOptions = SensorOptions(),
     vibration: VibrationOptions = VibrationOptions(),
-    robot_options: RobotOptions = RobotOptions(),
-    output: Output = Output(),
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.Output = args.Output(),
 ) -> Outcome:
     """A log from the model, its controller and its sensors; `check`, `identify` and the rest read it like a recorded one.
 
@@ -184,19 +168,20 @@ def simulate(
             *robot_options.list_files(robot),
             *(p for p in (effects, model, Path(motion)) if p is not None and p.is_file()),
         ],
-        show=lambda console, written: console.print(said, markup=False),
+        lines=[said],
         files={out: log.to_csv},
+        printed=False,
         found=SimulatedLog(log, true, built, {"motion": motion, "seed": str(output.seed)}),
     )
 
 
-def _build_true_model(robot: str, options: RobotOptions, effects: Path | None, model: Path | None):
+def _build_true_model(robot: str, options: args.RobotOptions, effects: Path | None, model: Path | None):
     """Return what is simulated: a model file's robot as it is, or ROBOT with hidden effects, a model's values, or nominal."""
     from tau_dyn.identify import build_model
     from tau_dyn.model import Model
     from tau_dyn.simulate import read_effects_file
 
-    if is_model_file(robot):
+    if args.is_model_file(robot):
         named = {"--set": options.set, "--actuated": options.actuated, "--effects": effects, "--model": model}
         given = [name for name, value in named.items() if value]
         if given:
@@ -214,12 +199,12 @@ def _build_true_model(robot: str, options: RobotOptions, effects: Path | None, m
 
 def _simulate_vibration(
     robot: str,
-    options: RobotOptions,
+    options: args.RobotOptions,
     duration: float,
     sensors: SensorOptions,
     test: VibrationOptions,
     out: Path,
-    output: Output,
+    output: args.Output,
 ) -> Outcome:
     """Simulate a vibration test."""
     with show_progress(output.quiet) as step:
@@ -254,7 +239,7 @@ def _simulate_vibration(
         },
         warnings=[*machine.warnings, *log.warnings],
         inputs=options.list_files(robot),
-        show=lambda console, written: console.print(said, markup=False),
+        lines=[said],
         files={out: log.to_csv},
     )
 

@@ -7,13 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from tau_dyn.cli.arguments import (
-    ColumnMapFile,
-    Output,
-    RobotOptions,
-    Strings,
-    build_destination,
-)
+from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
 
@@ -24,20 +18,20 @@ def modes(
     logs: Annotated[tuple[str, ...], Parameter(name="LOG")],
     /,
     *,
-    inputs: Annotated[Strings, Parameter(group=_COLUMNS, metavar="COLUMN")] = (),
-    outputs: Annotated[Strings, Parameter(group=_COLUMNS, metavar="COLUMN")] = (),
-    reference: Annotated[Strings, Parameter(group=_COLUMNS, metavar="COLUMN")] = (),
-    holdout: Annotated[Strings, Parameter(metavar="LOG")] = (),
-    columns: ColumnMapFile = None,
+    inputs: Annotated[args.Strings, Parameter(group=_COLUMNS, metavar="COLUMN")] = (),
+    outputs: Annotated[args.Strings, Parameter(group=_COLUMNS, metavar="COLUMN")] = (),
+    reference: Annotated[args.Strings, Parameter(group=_COLUMNS, metavar="COLUMN")] = (),
+    holdout: Annotated[args.Strings, Parameter(metavar="LOG")] = (),
+    columns: args.ColumnMapFile = None,
     method: Annotated[str, Parameter(metavar="METHOD")] = "auto",
     order: Annotated[str, Parameter(metavar="N")] = "auto",
     delay: Annotated[str, Parameter(metavar="N")] = "auto",
     sensor: Literal["displacement", "velocity", "acceleration"] = "displacement",
-    collocated: Annotated[Strings, Parameter(metavar="INPUT:OUTPUT")] = (),
+    collocated: Annotated[args.Strings, Parameter(metavar="INPUT:OUTPUT")] = (),
     robot: Annotated[str | None, Parameter(metavar="ROBOT")] = None,
-    out: Annotated[Path | None, build_destination("MODEL.yaml", "Write the black-box model here")] = None,
-    robot_options: RobotOptions = RobotOptions(),
-    output: Output = Output(),
+    out: Annotated[Path | None, args.build_destination("MODEL.yaml", "Write the black-box model here")] = None,
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.Output = args.Output(),
 ) -> Outcome:
     """Resonances from vibration logs, with uncertainty; a black-box model; M, D and K where the data hold them.
 
@@ -103,8 +97,8 @@ def modes(
     return Outcome(
         result=found.to_dict() | ({} if on_robot is None else {"robot_modes": on_robot.to_list()}),
         warnings=[*(w for log in (*trained, *held) for w in log.warnings), *found.warnings, *warned],
-        inputs=[*read, *([columns] if columns else []), *(robot_options.list_files(robot) if robot else [])],
-        files={out: save} if out else {},
+        inputs=[*read, columns, *(robot_options.list_files(robot) if robot else [])],
+        files={out: save},
         named={"model": out},
         found=found,
         context={"on_robot": on_robot, "logs": read},

@@ -9,20 +9,7 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Group, Parameter
 
-from tau_dyn.cli.arguments import (
-    Finites,
-    NotNegative,
-    Output,
-    Place,
-    Positive,
-    Positives,
-    RobotOptions,
-    Whole,
-    build_destination,
-    describe_robot_or_model,
-    is_model_file,
-    read_columns,
-)
+from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
 
@@ -45,10 +32,10 @@ class Ends:
             free)
     """
 
-    start: Annotated[Place | None, Parameter(name="--from")] = None
-    end: Annotated[Place | None, Parameter(name="--to")] = None
-    start_joints: Annotated[Finites, Parameter(name="--from-joints", metavar="Q")] = ()
-    end_joints: Annotated[Finites, Parameter(name="--to-joints", metavar="Q")] = ()
+    start: Annotated[args.Place | None, Parameter(name="--from")] = None
+    end: Annotated[args.Place | None, Parameter(name="--to")] = None
+    start_joints: Annotated[args.Finites, Parameter(name="--from-joints", metavar="Q")] = ()
+    end_joints: Annotated[args.Finites, Parameter(name="--to-joints", metavar="Q")] = ()
     path: Annotated[str | None, Parameter(metavar="line|POINTS.csv")] = None
 
     def choose(self):
@@ -80,7 +67,7 @@ class Ends:
             raise InputError(
                 "bad_option", f"--path {self.path}: write line, or name a table with the columns {', '.join(_COLUMNS)}"
             )
-        table = read_columns(Path(self.path))
+        table = args.read_columns(Path(self.path))
         missing = [name for name in _COLUMNS if name not in table]
         if missing:
             raise InputError(
@@ -103,26 +90,26 @@ class LimitOptions:
         condition: Largest conditioning of the loops
     """
 
-    force_limit: Annotated[Positives | None, Parameter(metavar="L")] = None
-    speed_limit: Annotated[Positives | None, Parameter(metavar="L")] = None
-    acceleration_limit: Annotated[Positives | None, Parameter(metavar="L")] = None
-    jerk_limit: Annotated[Positives | None, Parameter(metavar="L")] = None
-    margin: Annotated[NotNegative, Parameter(metavar="SHARE")] = 0.0
-    condition: Annotated[Positive | None, Parameter(metavar="C")] = None
+    force_limit: Annotated[args.Positives | None, Parameter(metavar="L")] = None
+    speed_limit: Annotated[args.Positives | None, Parameter(metavar="L")] = None
+    acceleration_limit: Annotated[args.Positives | None, Parameter(metavar="L")] = None
+    jerk_limit: Annotated[args.Positives | None, Parameter(metavar="L")] = None
+    margin: Annotated[args.NotNegative, Parameter(metavar="SHARE")] = 0.0
+    condition: Annotated[args.Positive | None, Parameter(metavar="C")] = None
 
 
 def plan_motion(
-    robot: Annotated[str, describe_robot_or_model("whose friction then counts")],
+    robot: Annotated[str, args.describe_robot_or_model("whose friction then counts")],
     /,
     *,
     ends: Ends = Ends(),
     limits: LimitOptions = LimitOptions(),
-    energy_weight: Annotated[NotNegative, Parameter(metavar="W")] = 0.0,
-    rate: Annotated[Positive, Parameter(metavar="HZ")] = 1000.0,
-    nodes: Annotated[Whole, Parameter(metavar="N")] = 80,
-    out: Annotated[Path, build_destination("MOTION.csv", "Write t, q_ref, v_ref, a_ref here", csv=True)],
-    robot_options: RobotOptions = RobotOptions(),
-    output: Output = Output(),
+    energy_weight: Annotated[args.NotNegative, Parameter(metavar="W")] = 0.0,
+    rate: Annotated[args.Positive, Parameter(metavar="HZ")] = 1000.0,
+    nodes: Annotated[args.Whole, Parameter(metavar="N")] = 80,
+    out: Annotated[Path, args.build_destination("MOTION.csv", "Write t, q_ref, v_ref, a_ref here", csv=True)],
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.Output = args.Output(),
 ) -> Outcome:
     """The fastest motion between two places that the drives can follow, or one with less effort; free or along a path.
 
@@ -155,11 +142,11 @@ def plan_motion(
     )
 
 
-def _load_model(robot: str, options: RobotOptions):
+def _load_model(robot: str, options: args.RobotOptions):
     """Return the model that ROBOT names: a file of ours with its effects, or a rigid robot."""
     from tau_dyn.model import Model
 
-    if not is_model_file(robot):
+    if not args.is_model_file(robot):
         return Model.of(options.load(robot))
     if options.set or options.actuated:
         raise InputError(

@@ -8,15 +8,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Group, Parameter, Token, validators
 
-from tau_dyn.cli.arguments import (
-    POSITIVE_WHOLE,
-    NotNegative,
-    Output,
-    Positive,
-    RobotName,
-    RobotOptions,
-    build_destination,
-)
+from tau_dyn.cli import arguments as args
 from tau_dyn.cli.calibrate import Frames
 from tau_dyn.cli.execute import Outcome, show_progress
 
@@ -36,36 +28,36 @@ def _read_count(_: Any, tokens: Sequence[Token]) -> Count:
     text = tokens[0].value
     try:
         value = "auto" if text == "auto" else int(text)
-        POSITIVE_WHOLE(None, value)
+        args.POSITIVE_WHOLE(None, value)
     except ValueError:
-        raise ValueError(f"write {POSITIVE_WHOLE.words}, or auto") from None
+        raise ValueError(f"write {args.POSITIVE_WHOLE.words}, or auto") from None
     return value
 
 
 def plan_poses(
-    robot: RobotName,
+    robot: args.RobotName,
     /,
     *,
     n: Annotated[Count, Parameter(converter=_read_count, n_tokens=1, metavar="N|auto")] = "auto",
     model: Annotated[str | None, Parameter(metavar="NAME")] = None,
     criterion: Literal["tool", "worst", "determinant", "condition", "smallest", "amplification"] = "tool",
-    accuracy: Annotated[Positive | None, Parameter(metavar="M")] = None,
+    accuracy: Annotated[args.Positive | None, Parameter(metavar="M")] = None,
     known: Frames = (),
     weighted: bool = False,
     camera: Annotated[Path | None, Parameter(group=_DEVICE, metavar="FILE.yaml")] = None,
     tracker: Annotated[Path | None, Parameter(group=_DEVICE, metavar="FILE.yaml")] = None,
     obstacles: Annotated[Path | None, Parameter(group=_DEMANDS, metavar="FILE.yaml")] = None,
     no_collisions: Annotated[bool, Parameter(group=_DEMANDS)] = False,
-    safety: Annotated[NotNegative, Parameter(group=_DEMANDS, metavar="M")] = 0.05,
-    safety_angle: Annotated[NotNegative, Parameter(group=_DEMANDS, metavar="DEG")] = 5.0,
-    candidates: Annotated[int, Parameter(group=_DEMANDS, metavar="N", validator=POSITIVE_WHOLE)] = 1000,
+    safety: Annotated[args.NotNegative, Parameter(group=_DEMANDS, metavar="M")] = 0.05,
+    safety_angle: Annotated[args.NotNegative, Parameter(group=_DEMANDS, metavar="DEG")] = 5.0,
+    candidates: Annotated[int, Parameter(group=_DEMANDS, metavar="N", validator=args.POSITIVE_WHOLE)] = 1000,
     out: Annotated[
-        Path | None, build_destination("POSES.csv", "Write the places in driving order here: pose, q_J", csv=True)
+        Path | None, args.build_destination("POSES.csv", "Write the places in driving order here: pose, q_J", csv=True)
     ] = None,
     rapid: Annotated[Path | None, Parameter(metavar="FILE.mod")] = None,
     resume: Annotated[Path | None, Parameter(metavar="FILE.json")] = None,
-    robot_options: RobotOptions = RobotOptions(),
-    output: Output = Output(),
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.Output = args.Output(),
 ) -> Outcome:
     """Which poses to measure for a calibration, how accurate it will be, and in which order to drive to them.
 
@@ -120,14 +112,16 @@ def plan_poses(
     return Outcome(
         result=plan.to_dict(),
         warnings=[*machine.warnings, *plan.warnings],
-        inputs=[*robot_options.list_files(robot), *(p for p in (camera, tracker, obstacles) if p is not None)],
+        inputs=[*robot_options.list_files(robot), camera, tracker, obstacles],
         found=plan,
         files=files,
         named={"places": out, "RAPID": rapid, "progress": resume},
     )
 
 
-def _go_on(robot: str, options: RobotOptions, resume: Path, demands, out: Path | None, rapid: Path | None) -> Outcome:
+def _go_on(
+    robot: str, options: args.RobotOptions, resume: Path, demands, out: Path | None, rapid: Path | None
+) -> Outcome:
     """Hand out what is left of a plan."""
     from tau_dyn.calibrate.poses import PathCheck, format_rapid_module, format_tour_csv, read_progress
     from tau_dyn.kinematics.workspace import build_machine
@@ -149,7 +143,7 @@ def _go_on(robot: str, options: RobotOptions, resume: Path, demands, out: Path |
         result={"resumed": True, **done, "left": left},
         warnings=machine.warnings,
         inputs=[*options.list_files(robot), resume],
-        show=lambda console, written: console.print(said),
+        lines=[said],
         files=files if left else {},
     )
 

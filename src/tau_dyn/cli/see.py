@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import Group, Parameter
 
-from tau_dyn.cli.arguments import Output, Positive, Strings, build_destination
+from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome, show_progress
 
 _CAMERAS = Group("Cameras")
@@ -18,18 +18,18 @@ def see(
     /,
     *,
     pattern: Annotated[str, Parameter(metavar="9x6")],
-    square: Annotated[Positive, Parameter(metavar="M")],
-    second: Annotated[Strings, Parameter(metavar="IMAGES")] = (),
+    square: Annotated[args.Positive, Parameter(metavar="M")],
+    second: Annotated[args.Strings, Parameter(metavar="IMAGES")] = (),
     positions: Annotated[Path | None, Parameter(metavar="Q.csv")] = None,
-    extra: Annotated[Strings, Parameter(group=_CAMERAS, metavar="IMAGES")] = (),
-    second_extra: Annotated[Strings, Parameter(group=_CAMERAS, metavar="IMAGES")] = (),
+    extra: Annotated[args.Strings, Parameter(group=_CAMERAS, metavar="IMAGES")] = (),
+    second_extra: Annotated[args.Strings, Parameter(group=_CAMERAS, metavar="IMAGES")] = (),
     lens: Annotated[str, Parameter(group=_CAMERAS, metavar="MODEL")] = "brown",
     cameras: Annotated[Path | None, Parameter(group=_CAMERAS, metavar="CAMERAS.yaml")] = None,
     save_cameras: Annotated[Path | None, Parameter(group=_CAMERAS, metavar="CAMERAS.yaml")] = None,
     out: Annotated[
-        Path | None, build_destination("POSES.csv", "Write the poses here, as calibrate reads them", csv=True)
+        Path | None, args.build_destination("POSES.csv", "Write the poses here, as calibrate reads them", csv=True)
     ] = None,
-    output: Output = Output(),
+    output: args.Output = args.Output(),
 ) -> Outcome:
     """Measured poses from images of a chessboard plate on the robot, taken by one camera or two; lenses are found along.
 
@@ -66,14 +66,12 @@ def see(
             lens=lens,
             progress=step,
         )
-    files: dict[Path, Any] = {out: table.to_csv()} if out else {}
-    files |= {save_cameras: format_cameras_text(table.cameras)} if save_cameras else {}
     return Outcome(
         result=table.to_dict(),
         warnings=table.warnings,
-        inputs=[*table.inputs, *(path for path in (positions, cameras) if path)],
+        inputs=[*table.inputs, positions, cameras],
         show=lambda console, written: _show(console, table, written),
-        files=files,
+        files={out: table.to_csv(), save_cameras: format_cameras_text(table.cameras)},
         named={"poses": out, "cameras": save_cameras},
     )
 

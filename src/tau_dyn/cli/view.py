@@ -10,7 +10,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from tau_dyn.cli.arguments import PORT, FolderOutput, Paths, Positive, RobotName, RobotOptions
+from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
 
@@ -35,23 +35,23 @@ class Contents:
 
     simulated: Annotated[Path | None, Parameter(metavar="LOG")] = None
     columns: Annotated[Path | None, Parameter(metavar="MAP.yaml")] = None
-    result: Annotated[Paths, Parameter(metavar="FILE.json")] = ()
+    result: Annotated[args.Paths, Parameter(metavar="FILE.json")] = ()
     compute: bool = False
     cloud: Annotated[Path | None, Parameter(metavar="FILE.csv")] = None
     host: Annotated[str, Parameter(metavar="ADDRESS")] = _HERE[0]
-    port: Annotated[int, Parameter(validator=PORT)] = 8080
+    port: Annotated[int, Parameter(validator=args.PORT)] = 8080
     no_shadows: bool = False
 
 
 def view(
-    robot: RobotName,
+    robot: args.RobotName,
     log: Path | None = None,
     /,
     *,
     contents: Contents = Contents(),
-    seconds: Annotated[Positive | None, Parameter(name="--for", metavar="SECONDS")] = None,
-    robot_options: RobotOptions = RobotOptions(),
-    output: FolderOutput = FolderOutput(),
+    seconds: Annotated[args.Positive | None, Parameter(name="--for", metavar="SECONDS")] = None,
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.FolderOutput = args.FolderOutput(),
 ) -> Outcome:
     """The robot in the browser: sliders for its actuated joints, playback of a log, results where they live.
 
@@ -66,15 +66,16 @@ def view(
     if not output.quiet:
         print(f"{viewer.robot.name} at {viewer.url}   (Ctrl+C ends it)", flush=True)
     viewer.wait(seconds)
-    given = [p for p in (log, contents.simulated, *contents.result, contents.cloud) if p is not None]
     return Outcome(
         result={"url": viewer.url},
         warnings=viewer.robot.warnings,
-        inputs=[*robot_options.list_files(robot), *given],
+        inputs=[*robot_options.list_files(robot), log, contents.simulated, *contents.result, contents.cloud],
     )
 
 
-def open_window(robot: str, log: Path | None, contents: Contents, options: RobotOptions, step: Callable[[str], None]):
+def open_window(
+    robot: str, log: Path | None, contents: Contents, options: args.RobotOptions, step: Callable[[str], None]
+):
     """Return the window with all that the arguments name in it; nothing is opened before all of it is read."""
     from tau_dyn.log import read_log
     from tau_dyn.view import Viewer, build_playback, read_cloud, read_result

@@ -7,18 +7,7 @@ from typing import Annotated
 
 from cyclopts import Group, Parameter
 
-from tau_dyn.cli.arguments import (
-    FINITE,
-    POSITIVE_LARGE,
-    NotNegative,
-    Output,
-    Place,
-    Positive,
-    RobotName,
-    RobotOptions,
-    Strings,
-    build_destination,
-)
+from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
 
@@ -28,30 +17,32 @@ _SPRINGS = Group("What gives way")
 
 
 def workspace(
-    robot: RobotName,
+    robot: args.RobotName,
     /,
     *,
-    resolution: Annotated[Positive | None, Parameter(group=_PLACES, metavar="M")] = None,
+    resolution: Annotated[args.Positive | None, Parameter(group=_PLACES, metavar="M")] = None,
     orientation: Annotated[
-        tuple[float, float, float] | None, Parameter(group=_PLACES, validator=FINITE, metavar="ROLL PITCH YAW")
+        tuple[float, float, float] | None, Parameter(group=_PLACES, validator=args.FINITE, metavar="ROLL PITCH YAW")
     ] = None,
     section: Annotated[tuple[str, ...], Parameter(group=_PLACES, metavar="AXIS=M")] = (),
-    map: Annotated[Strings, Parameter(group=_PLACES, metavar="NAME")] = (),
-    tilt: Annotated[Place | None, Parameter(group=_PLACES)] = None,
+    map: Annotated[args.Strings, Parameter(group=_PLACES, metavar="NAME")] = (),
+    tilt: Annotated[args.Place | None, Parameter(group=_PLACES)] = None,
     obstacles: Annotated[Path | None, Parameter(group=_DEMANDS, metavar="FILE.yaml")] = None,
     tool_limit: Annotated[tuple[str, ...], Parameter(group=_DEMANDS, metavar="AXIS=LO:HI")] = (),
-    ball_angle: Annotated[Positive | None, Parameter(group=_DEMANDS, metavar="DEG")] = None,
-    clearance: Annotated[NotNegative, Parameter(group=_DEMANDS, metavar="M")] = 0.0,
+    ball_angle: Annotated[args.Positive | None, Parameter(group=_DEMANDS, metavar="DEG")] = None,
+    clearance: Annotated[args.NotNegative, Parameter(group=_DEMANDS, metavar="M")] = 0.0,
     no_collisions: Annotated[bool, Parameter(group=_DEMANDS)] = False,
-    condition: Annotated[Positive, Parameter(group=_DEMANDS, metavar="N")] = 1000.0,
-    border: Annotated[NotNegative, Parameter(group=_DEMANDS, metavar="M")] = 0.0,
-    rod_stiffness: Annotated[float | None, Parameter(group=_SPRINGS, validator=POSITIVE_LARGE, metavar="N/M")] = None,
-    actuator_stiffness: Annotated[Strings, Parameter(group=_SPRINGS, metavar="[JOINT=]VALUE")] = (),
-    out: Annotated[
-        Path | None, build_destination("POINTS.csv", "Write the judged points with their reasons here", csv=True)
+    condition: Annotated[args.Positive, Parameter(group=_DEMANDS, metavar="N")] = 1000.0,
+    border: Annotated[args.NotNegative, Parameter(group=_DEMANDS, metavar="M")] = 0.0,
+    rod_stiffness: Annotated[
+        float | None, Parameter(group=_SPRINGS, validator=args.POSITIVE_LARGE, metavar="N/M")
     ] = None,
-    robot_options: RobotOptions = RobotOptions(),
-    output: Output = Output(),
+    actuator_stiffness: Annotated[args.Strings, Parameter(group=_SPRINGS, metavar="[JOINT=]VALUE")] = (),
+    out: Annotated[
+        Path | None, args.build_destination("POINTS.csv", "Write the judged points with their reasons here", csv=True)
+    ] = None,
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.Output = args.Output(),
 ) -> Outcome:
     """Where a robot's tool can be, why not elsewhere, and how stiff, fast and far from singular it is there.
 
@@ -108,8 +99,8 @@ def workspace(
     return Outcome(
         result=found.to_dict(),
         warnings=[*machine.warnings, *found.warnings],
-        inputs=[*robot_options.list_files(robot), *([obstacles] if obstacles else [])],
-        files={out: save} if out else {},
+        inputs=[*robot_options.list_files(robot), obstacles],
+        files={out: save},
         named={"points": out},
         found=found,
     )
@@ -121,7 +112,7 @@ def _read_stiffnesses(given: tuple[str, ...]) -> dict[str, float]:
         name, _, number = text.rpartition("=")
         try:
             found[name] = float(number)
-            POSITIVE_LARGE(None, found[name])
+            args.POSITIVE_LARGE(None, found[name])
         except ValueError as fault:
             raise InputError(
                 "bad_option", f"--actuator-stiffness {text}: write a number above zero, or JOINT=number"
