@@ -13,21 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup, escape
 
-from tau_dyn.results import (
-    Cells,
-    ColourScale,
-    Dots,
-    Figure,
-    Label,
-    Levels,
-    Line,
-    Mark,
-    Ribbon,
-    Ring,
-    Rule,
-    Spans,
-    Strokes,
-)
+from tau_dyn import results as r
 
 
 def format_tag(name: str, *content: Markup | str, **attributes: object) -> Markup:
@@ -94,7 +80,7 @@ COLOURS = ("#f3f0dd", "#fbe29a", "#f6bf5f", "#ee9748", "#dd6b44", "#c1434d", "#9
 """From light to dark, so that it prints in grey and reads without colour vision."""
 
 
-def draw_levels(mark: Levels, x: Place, y: Place) -> list[Markup]:
+def draw_levels(mark: r.Levels, x: Place, y: Place) -> list[Markup]:
     """Return one path a band of colour, one a level line, on a drawing with these axes."""
     u, v, values = _refined(mark.u, mark.v, mark.values)
     across, up = x(u), y(v)
@@ -206,38 +192,38 @@ class Chart:
         """Return vertical drawing coordinates."""
         return self.height - BOTTOM - _share(value, self.ylim, self.log_y) * (self.height - TOP - BOTTOM)
 
-    def draw(self, mark: Mark) -> Markup:
+    def draw(self, mark: r.Mark) -> Markup:
         """Return a mark's elements, or nothing where it shows nothing."""
         match mark:
-            case Line():
+            case r.Line():
                 return self._path(self._line(mark.x, mark.y), mark.ink)
-            case Dots():
+            case r.Dots():
                 return self._path(self._dots(mark), mark.ink)
-            case Strokes():
+            case r.Strokes():
                 ends = zip(
                     _points(self.x(mark.x0), self.y(mark.y0)), _points(self.x(mark.x1), self.y(mark.y1)), strict=True
                 )
                 return self._path("".join(f"M{start}L{end}" for start, end in ends), mark.ink)
-            case Ribbon():
+            case r.Ribbon():
                 return self._path(self._ribbon(mark), mark.ink)
-            case Spans():
+            case r.Spans():
                 return self._path(self._spans(mark), mark.ink)
-            case Rule():
+            case r.Rule():
                 return self._path(self._rule(mark), mark.ink)
-            case Ring():
+            case r.Ring():
                 ring = np.column_stack([self.x(mark.points[:, 0]), self.y(mark.points[:, 1])])
                 return self._path(format_path(ring, closed=True), mark.ink)
-            case Label():
+            case r.Label():
                 place = {"x": float(self.x(mark.x)), "y": float(self.y(mark.y))}
                 return format_tag("text", mark.words, **place, class_=mark.ink or None, text_anchor=mark.anchor)
-            case Cells():
+            case r.Cells():
                 return Markup("").join(
                     self._path(self._cells(mark, mark.of == k), ink) for k, ink in enumerate(mark.inks)
                 )
-            case Levels():
+            case r.Levels():
                 return Markup("").join(draw_levels(mark, self.x, self.y))
 
-    def render(self, *marks: Mark, style: str = "chart", beside: str = "", wider: int = 0) -> Markup:
+    def render(self, *marks: r.Mark, style: str = "chart", beside: str = "", wider: int = 0) -> Markup:
         """Return the whole drawing: axes behind, marks within, and what stands beside it in so much more width."""
         return format_tag(
             "svg", format_tag("title", f"{self.title}: {self.ylabel} over {self.xlabel}"), self._axes(), *map(self.draw, marks),
@@ -253,7 +239,7 @@ class Chart:
         points = _points(self.x(x), self.y(np.where(there, y, self.ylim[0])))
         return "".join("M" + "L".join(points[s[0] : s[-1] + 1]) for s in stretches if there[s[0]])
 
-    def _dots(self, mark: Dots) -> str:
+    def _dots(self, mark: r.Dots) -> str:
         """Return round dots as zero-length strokes with round ends, others as outlines."""
         s = mark.size
         shape = {
@@ -265,7 +251,7 @@ class Chart:
         }[mark.shape]
         return "".join(f"M{p}{shape}" for p in _points(self.x(mark.x), self.y(mark.y)))
 
-    def _ribbon(self, mark: Ribbon) -> str:
+    def _ribbon(self, mark: r.Ribbon) -> str:
         keep = np.isfinite(mark.low) & np.isfinite(mark.high)
         if keep.sum() < 2:
             return ""
@@ -274,7 +260,7 @@ class Chart:
         ring = np.column_stack([np.concatenate([across, across[::-1]]), np.concatenate([up, down[::-1]])])
         return format_path(ring, closed=True)
 
-    def _spans(self, mark: Spans) -> str:
+    def _spans(self, mark: r.Spans) -> str:
         pieces = []
         for low, high in mark.intervals:
             left, right = (float(v) for v in np.clip(self.x(np.array([low, high])), LEFT, self.width - RIGHT))
@@ -282,12 +268,12 @@ class Chart:
                 pieces.append(f"M{left:.1f} {TOP}H{right:.1f}V{self.height - BOTTOM}H{left:.1f}Z")
         return "".join(pieces)
 
-    def _rule(self, mark: Rule) -> str:
+    def _rule(self, mark: r.Rule) -> str:
         if mark.x is not None:
             return f"M{float(self.x(mark.x)):.1f} {TOP}V{self.height - BOTTOM}"
         return f"M{LEFT} {float(self.y(mark.y or 0.0)):.1f}H{self.width - RIGHT}"
 
-    def _cells(self, mark: Cells, there: np.ndarray) -> str:
+    def _cells(self, mark: r.Cells, there: np.ndarray) -> str:
         """Return the cells of a class as one path, rows of neighbours joined."""
         half_u, half_v = (float(x[1] - x[0]) / 2 if len(x) > 1 else 0.005 for x in (mark.u, mark.v))
         pieces = []
@@ -324,9 +310,9 @@ class Chart:
         return Markup("").join(pieces)
 
 
-def draw_figure(figure: Figure) -> Markup:
+def draw_figure(figure: r.Figure) -> Markup:
     """Return a figure as SVG; beside a map of levels stands their scale."""
-    maps = [mark for mark in figure.marks if isinstance(mark, Levels)]
+    maps = [mark for mark in figure.marks if isinstance(mark, r.Levels)]
     wider = LEGEND if maps else 0
     (width, height), x, y = figure.size, figure.x, figure.y
     chart = Chart(width - wider, height, x.limits, y.limits, figure.title, x.label, y.label, x.log, y.log)
@@ -335,7 +321,7 @@ def draw_figure(figure: Figure) -> Markup:
     return chart.render(*figure.marks, style=style, beside=Markup("").join(scale), wider=wider)
 
 
-def draw_colour_scale(scale: ColourScale) -> Markup:
+def draw_colour_scale(scale: r.ColourScale) -> Markup:
     """Return a scale of colours with its numbers below."""
     wide, n = 15.0, len(scale.inks)
     pieces = [

@@ -7,28 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
+from tau_dyn import results as r
 from tau_dyn.render.chart import draw_colour_scale, draw_figure, format_tag
 from tau_dyn.render.sketch import draw_robot, draw_vectors
-from tau_dyn.results import (
-    Bar,
-    Cell,
-    ColourScale,
-    Column,
-    Drawing,
-    Figure,
-    IntervalBar,
-    On,
-    PolarPicture,
-    ResultTable,
-    RobotPicture,
-    Row,
-    ShapePicture,
-    SpacePicture,
-    StepBar,
-    SwingPicture,
-    VectorPicture,
-    Verdict,
-)
 
 LONG = 44
 """Characters of a cell above which it breaks into lines in a notebook."""
@@ -37,25 +18,25 @@ MAX_SIGMAS = 3.0
 """Standard errors off the truth from which a number stands out, in a column of style `far`."""
 
 
-def draw(drawing: Drawing) -> Markup:
+def draw(drawing: r.Drawing) -> Markup:
     """Return any drawing as SVG."""
     match drawing:
-        case Figure():
+        case r.Figure():
             return draw_figure(drawing)
-        case ColourScale():
+        case r.ColourScale():
             return draw_colour_scale(drawing)
-        case RobotPicture():
+        case r.RobotPicture():
             return draw_robot(drawing)
-        case VectorPicture():
+        case r.VectorPicture():
             return draw_vectors(drawing)
-        case SwingPicture() | ShapePicture() | SpacePicture() | PolarPicture():
+        case r.SwingPicture() | r.ShapePicture() | r.SpacePicture() | r.PolarPicture():
             from tau_dyn.render import pictures  # loads the kinematics, which most results do without
 
             return pictures.draw_picture(drawing)
     raise TypeError(f"{type(drawing).__name__} is no drawing")
 
 
-def build_table(table: ResultTable, on: On) -> Markup:
+def build_table(table: r.ResultTable, on: r.On) -> Markup:
     """Return a table as it stands on a page or in a notebook."""
     shown = [k for k, c in enumerate(table.columns) if c.on & on]
     columns = [table.columns[k] for k in shown]
@@ -70,7 +51,7 @@ def build_table(table: ResultTable, on: On) -> Markup:
     return format_tag("table", *pieces, class_=table.style or None)
 
 
-def _build_head(column: Column) -> Markup:
+def _build_head(column: r.Column) -> Markup:
     if column.scale:
         ends = (f"−{column.scale}", "0", f"+{column.scale}")
         return format_tag("th", *(format_tag("span", end) for end in ends), class_="bar-head")
@@ -78,20 +59,20 @@ def _build_head(column: Column) -> Markup:
     return format_tag("th", quiet, class_=_name_class(column) or None)
 
 
-def _name_class(column: Column, cell: Cell = "") -> str:
+def _name_class(column: r.Column, cell: r.Cell = "") -> str:
     kind = {"number": "num", "unit": "unit", "interval": "bar-cell", "step": "fall"}.get(column.kind, "")
     far = column.style == "far" and isinstance(cell, str) and float(cell or 0) > MAX_SIGMAS
     return f"{kind} {'' if column.style == 'far' and not far else column.style}".strip()
 
 
-def _build_row(row: Row, columns: Sequence[Column], shown: Sequence[int], on: On) -> Markup:
+def _build_row(row: r.Row, columns: Sequence[r.Column], shown: Sequence[int], on: r.On) -> Markup:
     cells, head = [], True
     for column, cell in zip(columns, (row.cells[k] for k in shown), strict=True):
-        if isinstance(cell, Verdict):
+        if isinstance(cell, r.Verdict):
             cells.append(format_tag("td", format_tag("span", cell.badge), class_=f"verdict {cell.level}"))
             continue
         content = build_cell(cell, on)
-        if head and row.link and on is On.PAGE:
+        if head and row.link and on is r.On.PAGE:
             content = format_tag("a", content, href=f"#{row.link}")
         classes = [_name_class(column, cell), "long" if isinstance(cell, str) and len(cell) > LONG else ""]
         class_ = " ".join(c for c in classes if c and not (head and c == "num")) or None
@@ -100,15 +81,15 @@ def _build_row(row: Row, columns: Sequence[Column], shown: Sequence[int], on: On
     return format_tag("tr", *cells, class_=row.style or None)
 
 
-def build_cell(cell: Cell, on: On) -> Markup | str:
+def build_cell(cell: r.Cell, on: r.On) -> Markup | str:
     """Return a cell's content."""
     match cell:
-        case Bar():
+        case r.Bar():
             return _build_meter(cell)
-        case IntervalBar():
+        case r.IntervalBar():
             return _draw_interval(cell)
-        case StepBar():
-            return _build_meter(Bar(min(cell.share, 1.0))) if on is On.NOTEBOOK else _build_step(cell)
+        case r.StepBar():
+            return _build_meter(r.Bar(min(cell.share, 1.0))) if on is r.On.NOTEBOOK else _build_step(cell)
         case tuple():
             return ", ".join(map(str, cell))
     return cell or ""
@@ -118,14 +99,14 @@ def _percent(share: float) -> str:
     return f"{100 * min(max(share, 0.0), 1.0):.1f}%" if np.isfinite(share) else "0%"
 
 
-def _build_meter(bar: Bar) -> Markup:
+def _build_meter(bar: r.Bar) -> Markup:
     start = f"left:{_percent(bar.start)};" if bar.start else ""
     filled = format_tag("i", style=f"{start}width:{_percent(bar.share - bar.start)}", class_=bar.ink or None)
     tick = [] if bar.tick is None else [format_tag("b", style=f"left:{_percent(bar.tick)}")]
     return format_tag("div", filled, *tick, class_="meter")
 
 
-def _build_step(step: StepBar) -> Markup:
+def _build_step(step: r.StepBar) -> Markup:
     """Return a step of a waterfall: what is left, hatched what it took away, its interval, and the noise floor dashed."""
     if not np.isfinite(step.share):
         return Markup("")
@@ -143,7 +124,7 @@ def _build_step(step: StepBar) -> Markup:
     return rung + (format_tag("em", style=f"left:{_percent(step.floor)}") if floor else Markup(""))
 
 
-def _draw_interval(bar: IntervalBar) -> Markup:
+def _draw_interval(bar: r.IntervalBar) -> Markup:
     """Return an estimate and its 95 % interval around the reference at the middle, cut at the scale."""
 
     def x(share: float) -> float:

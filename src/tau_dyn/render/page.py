@@ -20,12 +20,12 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from tau_dyn import results as r
 from tau_dyn.files import write_whole
 from tau_dyn.render.markup import build_table, draw
 from tau_dyn.render.presentation import present
 from tau_dyn.render.sketch import build_joint_labels
 from tau_dyn.render.time_view import build_payload, select_printed
-from tau_dyn.results import Beside, Element, Folded, Group, On, Presentation, Provenance, RobotPicture, TimeView
 from tau_dyn.version import __version__
 
 
@@ -42,8 +42,8 @@ def build_page(result: Any, *, command_line: str = "", **options: Any) -> str:
         command_line: The command that repeats it, for the provenance.
         options: What `present` may be told of such a result.
     """
-    shown = result if isinstance(result, Presentation) else present(result, **options)
-    sections = [(section, section.list_blocks(On.PAGE)) for section in shown.sections if section.on & On.PAGE]
+    shown = result if isinstance(result, r.Presentation) else present(result, **options)
+    sections = [(section, section.list_blocks(r.On.PAGE)) for section in shown.sections if section.on & r.On.PAGE]
     sections = [(section, blocks) for section, blocks in sections if blocks]
     views = [view for block in _spread(b for _, blocks in sections for b in blocks) for view in block.views]
     picture = Markup("") if shown.picture is None else draw(shown.picture)
@@ -63,13 +63,13 @@ def build_page(result: Any, *, command_line: str = "", **options: Any) -> str:
     )  # fmt: skip
 
 
-def _spread(blocks: Iterable[Element]) -> Iterable[TimeView]:
+def _spread(blocks: Iterable[r.Element]) -> Iterable[r.TimeView]:
     """Give the time views among blocks, wherever they stand."""
     for block in blocks:
-        if isinstance(block, TimeView):
+        if isinstance(block, r.TimeView):
             yield block
-        elif isinstance(block, Beside | Folded | Group):
-            yield from _spread([*block.left, *block.right] if isinstance(block, Beside) else block.blocks)
+        elif isinstance(block, r.Beside | r.Folded | r.Group):
+            yield from _spread([*block.left, *block.right] if isinstance(block, r.Beside) else block.blocks)
 
 
 @cache
@@ -77,7 +77,7 @@ def _environment() -> Environment:
     loader = PackageLoader("tau_dyn.render", "templates")
     made = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     made.filters["together"] = lambda text: text.replace(" %", "\u00a0%").replace("± ", "±\u00a0")
-    made.filters["table"] = lambda block: build_table(block, On.PAGE)
+    made.filters["table"] = lambda block: build_table(block, r.On.PAGE)
     made.filters["draw"] = draw
     made.tests["kind"] = lambda block, name: type(block).__name__ == name
     return made
@@ -99,13 +99,13 @@ def _hash(script: str) -> str:
 
 def _list_joints_drawn(picture: Any) -> list[str]:
     """Return what the numbers in a robot's picture stand for; nothing where it shows names."""
-    if not isinstance(picture, RobotPicture):
+    if not isinstance(picture, r.RobotPicture):
         return []
     names = zip(build_joint_labels(picture.robot), picture.robot.actuated, strict=True)
     return [f"{number} {joint}" for number, joint in names if number != joint]
 
 
-def _list_facts(provenance: Provenance) -> list[tuple[str, str]]:
+def _list_facts(provenance: r.Provenance) -> list[tuple[str, str]]:
     """Return versions, the robot file, what a kind adds, and when the page was made."""
     libraries = ", ".join(f"{name} {version(name)}" for name in ("pin", "numpy", "scipy", "cvxpy"))
     facts = [("tau_dyn", __version__), ("libraries", f"Python {platform.python_version()}, {libraries}")]

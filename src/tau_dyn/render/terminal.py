@@ -18,21 +18,8 @@ from rich.segment import Segment, Segments
 from rich.table import Table as Grid
 from rich.text import Text as Said
 
+from tau_dyn import results as r
 from tau_dyn.render.presentation import present
-from tau_dyn.results import (
-    Bar,
-    Cell,
-    Column,
-    Element,
-    Listing,
-    On,
-    Presentation,
-    ResultTable,
-    Row,
-    StepBar,
-    Text,
-    Verdict,
-)
 
 MARGIN = (0, 0, 0, 2)
 GAP = 3  # columns between two of a table: two of padding, one of the box
@@ -52,14 +39,14 @@ def print_result(console: Console, result: Any, written: Mapping[str, str] | Non
         written: What was written, such as `{"report": "m.html"}`, for the last lines.
         options: What `present` may be told of such a result.
     """
-    shown = result if isinstance(result, Presentation) else present(result, **options)
+    shown = result if isinstance(result, r.Presentation) else present(result, **options)
     about = [shown.about] if shown.about and shown.about not in shown.summary else []
     say(console, " · ".join([*about, *([shown.summary] if shown.summary else [])]), "dim")
     if shown.headline:
         say(console, shown.headline, "bold")
     if shown.verdict is not None and shown.verdict.sentence:
         say(console, shown.verdict.sentence, LEVEL_STYLE[shown.verdict.level])
-    for block in shown.list_blocks(On.TERMINAL):
+    for block in shown.list_blocks(r.On.TERMINAL):
         _print_block(console, block)
     if written:
         say(console, "\n".join(f"{what} → {path}" for what, path in written.items()))
@@ -96,20 +83,20 @@ def draw_meter(share: float, width: int) -> str:
     return "█" * (eighths // 8) + (_EIGHTHS[eighths % 8] if eighths % 8 else "")
 
 
-def _print_block(console: Console, block: Element) -> None:
-    if isinstance(block, ResultTable):
+def _print_block(console: Console, block: r.Element) -> None:
+    if isinstance(block, r.ResultTable):
         for grid in build_grids(block, measure_columns(console)):
             put(console, grid)
-        more = len([row for row in block.all_rows if row.on & On.TERMINAL]) - block.most
+        more = len([row for row in block.all_rows if row.on & r.On.TERMINAL]) - block.most
         if block.most and more > 0:
             say(console, f"and {more} {block.rest}", "dim")
-    elif isinstance(block, Text):
+    elif isinstance(block, r.Text):
         say(console, block.text, "dim" if block.style in ("dim", "note") else "")
-    elif isinstance(block, Listing):
+    elif isinstance(block, r.Listing):
         put(console, _build_listing(block))
 
 
-def _build_listing(block: Listing) -> Said | Grid:
+def _build_listing(block: r.Listing) -> Said | Grid:
     """Return a title with its single sentence behind it, or with several below."""
     start = f"{block.title}: " if block.title else ""
     if len(block.items) == 1 or not block.title:
@@ -122,11 +109,11 @@ def _build_listing(block: Listing) -> Said | Grid:
     return table
 
 
-def build_grids(table: ResultTable, columns: int) -> list[Grid]:
+def build_grids(table: r.ResultTable, columns: int) -> list[Grid]:
     """Return a table as one or more that fit into so many columns."""
-    rows = [row for row in table.all_rows if row.on & On.TERMINAL]
+    rows = [row for row in table.all_rows if row.on & r.On.TERMINAL]
     rows = rows[: table.most] if table.most else rows
-    shown = [k for k, c in enumerate(table.columns) if c.on & On.TERMINAL and c.kind != "interval"]
+    shown = [k for k, c in enumerate(table.columns) if c.on & r.On.TERMINAL and c.kind != "interval"]
     room = columns - MARGIN[3]
     wide = {k: _measure(table.columns[k], [row.cells[k] for row in rows]) for k in shown}
     kept = [k for k in shown if table.columns[k].kept]
@@ -146,16 +133,16 @@ def _sum(wide: Mapping[int, int], shown: Sequence[int]) -> int:
     return sum(wide[k] for k in shown) + GAP * (len(shown) - 1)
 
 
-def _measure(column: Column, cells: Sequence[Cell]) -> int:
+def _measure(column: r.Column, cells: Sequence[r.Cell]) -> int:
     """Return how wide a column has to be; pieces of text and bars take what is left."""
     if column.kind in ("bar", "step"):
         return max(MIN_BAR, len(column.title))
-    words = [x.badge if isinstance(x, Verdict) else x if isinstance(x, str) else "" for x in cells]
+    words = [x.badge if isinstance(x, r.Verdict) else x if isinstance(x, str) else "" for x in cells]
     return max((len(line) for text in (column.title, *words) for line in text.split("\n")), default=0)
 
 
 def _build_grid(
-    table: ResultTable, rows: Sequence[Row], shown: Sequence[int], wide: Mapping[int, int], room: int
+    table: r.ResultTable, rows: Sequence[r.Row], shown: Sequence[int], wide: Mapping[int, int], room: int
 ) -> Grid:
     grid = Grid(box=box.SIMPLE_HEAD, padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False, header_style="dim")
     columns = [table.columns[k] for k in shown]
@@ -175,14 +162,14 @@ def _build_grid(
     return grid
 
 
-def _write(cell: Cell, column: Column, bar: int, left: int, row: Row) -> Said:
+def _write(cell: r.Cell, column: r.Column, bar: int, left: int, row: r.Row) -> Said:
     style = ROW_STYLE.get(row.style, "")
-    if isinstance(cell, Bar | StepBar):
+    if isinstance(cell, r.Bar | r.StepBar):
         if not np.isfinite(cell.share):
             return Said("")
-        ink = "" if isinstance(cell, Bar) else "cyan" if cell.kind == "cause" else "dim"
+        ink = "" if isinstance(cell, r.Bar) else "cyan" if cell.kind == "cause" else "dim"
         return escape_control_characters(draw_meter(cell.share, bar), ink)
-    if isinstance(cell, Verdict):
+    if isinstance(cell, r.Verdict):
         return escape_control_characters(cell.badge, LEVEL_STYLE[cell.level])
     if isinstance(cell, tuple):
         return escape_control_characters(_fit(cell, left), "dim")

@@ -6,36 +6,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from tau_dyn import results as r
 from tau_dyn.kinematics.accuracy import AccuracyResult
 from tau_dyn.kinematics.assumptions import Guideway
 from tau_dyn.render.kinds import accuracy_figures as figures
 from tau_dyn.render.kinds.accuracy_figures import format_size
 from tau_dyn.render.presentation import present_kind
-from tau_dyn.results import (
-    Beside,
-    Chapter,
-    Column,
-    Element,
-    Figures,
-    Group,
-    Key,
-    Listing,
-    On,
-    Presentation,
-    Provenance,
-    ResultTable,
-    RobotPicture,
-    Row,
-    Text,
-    Verdict,
-    count,
-    end_sentence,
-    format_list,
-    format_number,
-    format_percent,
-    replace_minus_signs,
-    replace_plus_minus,
-)
 
 SMALL_SHARE = 0.1
 """Departure from the exact worst case up to which a linear bound counts as good."""
@@ -55,7 +31,7 @@ MAX_P_VALUE = 0.01
 
 
 @present_kind.register
-def present_accuracy(found: AccuracyResult, *, files: Sequence[tuple[str, str]] = ()) -> Presentation:
+def present_accuracy(found: AccuracyResult, *, files: Sequence[tuple[str, str]] = ()) -> r.Presentation:
     """Return how accuracy is presented.
 
     Args:
@@ -63,21 +39,25 @@ def present_accuracy(found: AccuracyResult, *, files: Sequence[tuple[str, str]] 
         files: Name and hash of every measured file.
     """
     a, grid, robot = found.accuracy, found.grid, found.robot
-    sections: list[Chapter] = []
+    sections: list[r.Chapter] = []
     if a is not None and grid is not None:
-        where = replace_minus_signs(grid.section.words)
-        sections.append(Chapter("map", f"Over the section {where}", lambda: _build_maps(found), On.PAGE | On.NOTEBOOK))
+        where = r.replace_minus_signs(grid.section.words)
+        sections.append(
+            r.Chapter("map", f"Over the section {where}", lambda: _build_maps(found), r.On.PAGE | r.On.NOTEBOOK)
+        )
     if a is not None:
-        sections.append(Chapter("methods", "Every method on the same errors", lambda: _build_methods(found), On.ALL))
-        sections.append(Chapter("linear", "Where the simple bounds fail", lambda: _build_failures(found)))
+        sections.append(
+            r.Chapter("methods", "Every method on the same errors", lambda: _build_methods(found), r.On.ALL)
+        )
+        sections.append(r.Chapter("linear", "Where the simple bounds fail", lambda: _build_failures(found)))
     if found.bodies:
-        sections.append(Chapter("bodies", "Where the tool may be", lambda: _build_bodies(found)))
+        sections.append(r.Chapter("bodies", "Where the tool may be", lambda: _build_bodies(found)))
     if found.measured.sentences:
-        sections.append(Chapter("measured", "What the measured points say", lambda: _build_measured(found), On.ALL))
-    return Presentation(
-        "Accuracy of", robot.name, f"{robot.name}: accuracy", end_sentence(describe_headline(found)), describe_verdict(found),
-        describe_inputs(found), sections, (), RobotPicture(robot),
-        Provenance(logs=[("measured", name, sha256) for name, sha256 in files], robot=robot), lambda: _tabulate(found), found,
+        sections.append(r.Chapter("measured", "What the measured points say", lambda: _build_measured(found), r.On.ALL))
+    return r.Presentation(
+        "Accuracy of", robot.name, f"{robot.name}: accuracy", r.end_sentence(describe_headline(found)), describe_verdict(found),
+        describe_inputs(found), sections, (), r.RobotPicture(robot),
+        r.Provenance(logs=[("measured", name, sha256) for name, sha256 in files], robot=robot), lambda: _tabulate(found), found,
     )  # fmt: skip
 
 
@@ -91,73 +71,75 @@ def _tabulate(found: AccuracyResult) -> dict[str, np.ndarray]:
     return columns | {f"largest_{m}": x for m, x in a.largest.items()}
 
 
-def _build_maps(found: AccuracyResult) -> Iterator[Element]:
+def _build_maps(found: AccuracyResult) -> Iterator[r.Element]:
     a = found.accuracy
     assert a is not None
     maps = [figures.build_error_map(found, a.best_method)]
-    yield Figures(maps[:1], on=On.NOTEBOOK)
+    yield r.Figures(maps[:1], on=r.On.NOTEBOOK)
     maps += [figures.build_usual_map(found)] if a.usual.size and np.isfinite(a.usual).any() else []
-    yield Figures([*maps, *([figures.build_turn_map(found)] if a.turned else [])], "maps")
+    yield r.Figures([*maps, *([figures.build_turn_map(found)] if a.turned else [])], "maps")
     lost = ", or no largest error" if found.lost.any() else ""
-    yield Text(
+    yield r.Text(
         "Largest: the worst that errors within their bounds can do at that pose. Squares: guideways. White: not "
-        f"reached{lost}. The "
-        "orientation is home's. Values above the scale's top, two in a hundred, share its last colour.",
+        f"reached{lost}. The orientation is home's. Values above the scale's top, two in a hundred, share its last "
+        "colour.",
         "note",
     )
 
 
-def _build_methods(found: AccuracyResult) -> Iterator[Element]:
+def _build_methods(found: AccuracyResult) -> Iterator[r.Element]:
     a = found.accuracy
     assert a is not None
     columns = [
-        Column("method"), Column("what it is", style="quiet", on=On.PAGE), Column("least", "number"), Column("median", "number"),
-        Column("largest", "number", "strong"), Column("off from exact, from", "number", on=On.PAGE),
-        Column("to", "number", on=On.PAGE),
-        Column("off from exact", "number", on=On.TERMINAL), Column("poses without", "number", on=On.PAGE),
-        Column("largest at", "unit", "quiet", on=On.PAGE | On.TERMINAL, spare=True),
+        r.Column("method"), r.Column("what it is", style="quiet", on=r.On.PAGE), r.Column("least", "number"),
+        r.Column("median", "number"),
+        r.Column("largest", "number", "strong"), r.Column("off from exact, from", "number", on=r.On.PAGE),
+        r.Column("to", "number", on=r.On.PAGE),
+        r.Column("off from exact", "number", on=r.On.TERMINAL), r.Column("poses without", "number", on=r.On.PAGE),
+        r.Column("largest at", "unit", "quiet", on=r.On.PAGE | r.On.TERMINAL, spare=True),
     ]  # fmt: skip
-    yield ResultTable(columns, [_build_method(found, m) for m in a.largest], style="methods", on=On.ALL)
+    yield r.ResultTable(columns, [_build_method(found, m) for m in a.largest], style="methods", on=r.On.ALL)
     for method, why in a.left_out.items():
-        yield Text(f"{method} is left out: {why}.", "note", on=On.PAGE | On.TERMINAL)
+        yield r.Text(f"{method} is left out: {why}.", "note", on=r.On.PAGE | r.On.TERMINAL)
     drawn = (
-        f"Monte Carlo: {a.samples} draws a pose, uniform within the bounds; it approaches the worst case from "
-        "below and shows what "
-        "is usual. "
+        f"Monte Carlo: {a.samples} draws a pose, uniform within the bounds; it approaches the worst case from below "
+        "and shows what is usual. "
         if a.samples
         else ""
     )
-    yield Text(
-        f"Negative: the method promises too much accuracy. {drawn}Proved: no errors within the bounds exceed it, shown by a "
-        "contraction argument.",
+    yield r.Text(
+        f"Negative: the method promises too much accuracy. {drawn}Proved: no errors within the bounds exceed it, shown "
+        "by a contraction argument.",
         "note",
     )
     if a.turned:
-        yield Text("Change of orientation", "heading")
-        rows = [Row([m, _milli(np.nanmedian(x)), _milli(np.nanmax(x))]) for m, x in a.turned.items()]
-        yield ResultTable(
-            [Column("method"), Column("median", "number"), Column("largest", "number", "strong")], rows, style="fitted"
+        yield r.Text("Change of orientation", "heading")
+        rows = [r.Row([m, _milli(np.nanmedian(x)), _milli(np.nanmax(x))]) for m, x in a.turned.items()]
+        yield r.ResultTable(
+            [r.Column("method"), r.Column("median", "number"), r.Column("largest", "number", "strong")],
+            rows,
+            style="fitted",
         )
     measured = ", from the measured points (95 % of them)" if found.from_measured else ""
-    yield Text(f"Assumed errors{measured}", "heading")
-    yield ResultTable([Column(), Column()], [Row(row) for row in _list_assumed(found)], style="plain")
+    yield r.Text(f"Assumed errors{measured}", "heading")
+    yield r.ResultTable([r.Column(), r.Column()], [r.Row(row) for row in _list_assumed(found)], style="plain")
 
 
-def _build_method(found: AccuracyResult, method: str) -> Row:
+def _build_method(found: AccuracyResult, method: str) -> r.Row:
     a, s = found.accuracy, found.summary(method)
     assert a is not None
     off = a.off(method) if "exact" in a.largest and method != "exact" else np.full(1, np.nan)
     there = np.isfinite(off).any()
     low, high = (format_share(float(f(off))) if there else "" for f in (np.nanmin, np.nanmax)) if there else ("", "")
     where = describe_place(a.position[s.worst_pose]) if np.isfinite(s.most) else "–"
-    return Row([
+    return r.Row([
         method, METHOD_WORDS[method], format_size(s.least), format_size(s.median), format_size(s.most), low, high,
         f"{low} … {high}" if there else "", str(s.unanswered or ""), where,
     ])  # fmt: skip
 
 
 def _milli(radians: float) -> str:
-    return f"{format_number(1e3 * float(radians), 3)} mrad" if np.isfinite(radians) else "–"
+    return f"{r.format_number(1e3 * float(radians), 3)} mrad" if np.isfinite(radians) else "–"
 
 
 def _list_assumed(found: AccuracyResult) -> list[tuple[str, str]]:
@@ -170,7 +152,7 @@ def _list_assumed(found: AccuracyResult) -> list[tuple[str, str]]:
         if error.axes is not None:
             said = ", ".join(f"{format_size(x)} in {axis}" for axis, x in zip("xyz", error.axes, strict=True))
         elif unit == "rad":
-            said = f"{format_number(1e3 * error.along, 3)} mrad"
+            said = f"{r.format_number(1e3 * error.along, 3)} mrad"
         elif error.across is None:
             said = f"{format_size(error.along)} along its motion"
         elif error.across == error.along:
@@ -184,73 +166,71 @@ def _list_assumed(found: AccuracyResult) -> list[tuple[str, str]]:
     return rows
 
 
-def _build_failures(found: AccuracyResult) -> Iterator[Element]:
+def _build_failures(found: AccuracyResult) -> Iterator[r.Element]:
     a, g = found.accuracy, found.growth
     assert a is not None
     linear = [m for m in ("linear", "parallelepiped", "ellipsoid") if m in a.largest]
     if found.grid is not None and "exact" in a.largest:
         known = [m for m in linear if np.isfinite(a.off(m)).any() and np.nanmax(np.abs(a.off(m))) > SHOWN_OFF]
         if known:
-            yield Figures([figures.build_departure_map(found, m) for m in known], "maps")
-            yield Text(
-                "Difference from the exact worst case. The linear bound knows the actuators' motion alone and "
-                "leaves out what goes "
-                "across the guideways; the ellipsoids of Appendix A.2 are thinner than the sets that they stand for.",
+            yield r.Figures([figures.build_departure_map(found, m) for m in known], "maps")
+            yield r.Text(
+                "Difference from the exact worst case. The linear bound knows the actuators' motion alone and leaves "
+                "out what goes across the guideways; the ellipsoids of Appendix A.2 are thinner than the sets that "
+                "they stand for.",
                 "note",
             )
     figure = figures.build_growth_figure(found)
     if figure is None or g is None:
         return
-    yield Text("How large errors may be", "heading")
+    yield r.Text("How large errors may be", "heading")
     key = [
-        Key("residual", "linear"),
-        Key("first", "parallelepiped"),
-        Key("shells", "ellipsoid"),
-        Key("proved", "certified"),
+        r.Key("residual", "linear"),
+        r.Key("first", "parallelepiped"),
+        r.Key("shells", "ellipsoid"),
+        r.Key("proved", "certified"),
     ]
-    rows = [Row([m, _times(g.holds_to(m, 0.01)), _times(g.holds_to(m, 0.1))]) for m in linear if m in g.largest]
-    columns = [Column("bound"), Column("within 1 % up to", "number"), Column("within 10 % up to", "number")]
+    rows = [r.Row([m, _times(g.holds_to(m, 0.01)), _times(g.holds_to(m, 0.1))]) for m in linear if m in g.largest]
+    columns = [r.Column("bound"), r.Column("within 1 % up to", "number"), r.Column("within 10 % up to", "number")]
     said = (
         "Times the stated errors, at the worst pose. A line that ends: beyond it errors can take the robot into a "
-        "singularity, or "
-        "nothing is proved."
+        "singularity, or nothing is proved."
     )
-    yield Beside(
-        [Figures([figure], "wide-chart", key)],
-        [ResultTable(columns, rows, style="fitted"), Text(said, "note")],
+    yield r.Beside(
+        [r.Figures([figure], "wide-chart", key)],
+        [r.ResultTable(columns, rows, style="fitted"), r.Text(said, "note")],
         "pairs",
     )
 
 
 def _times(factor: float) -> str:
-    return f"× {format_number(factor, 4)}" if np.isfinite(factor) else "never"
+    return f"× {r.format_number(factor, 4)}" if np.isfinite(factor) else "never"
 
 
-def _build_bodies(found: AccuracyResult) -> Iterator[Element]:
+def _build_bodies(found: AccuracyResult) -> Iterator[r.Element]:
     a = found.accuracy
     assert a is not None
-    boxed = [Key("box", "parallelepiped")] if len(found.bodies[0].corners) else []
-    key = [Key("cloud", "random errors"), *boxed, Key("residual", "worst case")]
+    boxed = [r.Key("box", "parallelepiped")] if len(found.bodies[0].corners) else []
+    key = [r.Key("cloud", "random errors"), *boxed, r.Key("residual", "worst case")]
     titles = ("Worst pose, nearest home",) if len(found.bodies) == 1 else ("Nearest home", "Worst pose")
     for k, (title, body) in enumerate(zip(titles, found.bodies, strict=False)):
         size = format_size(float(np.linalg.norm(body.worst)))
-        yield Text(f"{title}: {size} at {describe_place(a.position[body.pose])}", "heading")
-        yield Figures(figures.build_body_figures(body), "bodies", () if k else key)
-    yield Text(
+        yield r.Text(f"{title}: {size} at {describe_place(a.position[body.pose])}", "heading")
+        yield r.Figures(figures.build_body_figures(body), "bodies", () if k else key)
+    yield r.Text(
         "Displacement from the intended position, seen along z, y and x. The longest diagonal is the direction in "
-        "which the tool "
-        "errs most.",
+        "which the tool errs most.",
         "note",
     )
 
 
-def _build_measured(found: AccuracyResult) -> Iterator[Element]:
+def _build_measured(found: AccuracyResult) -> Iterator[r.Element]:
     seen = found.measured
     said = [format_sentence(s) for s in seen.sentences]
-    yield Listing(said)
+    yield r.Listing(said)
     told = said if found.accuracy is not None else said[1:]  # the first is the headline
     if told:
-        yield Listing(told, on=On.SCREENS)
+        yield r.Listing(told, on=r.On.SCREENS)
     if seen.guideways:
         titles = (
             "points",
@@ -263,10 +243,10 @@ def _build_measured(found: AccuracyResult) -> Iterator[Element]:
             "cycle",
             "backlash",
         )
-        columns = [Column("guideway"), *(Column(title, "number") for title in titles)]
-        yield ResultTable(columns, [_build_guideway(line) for line in seen.guideways])
-        yield Group(
-            [Figures([f for line in seen.guideways for f in figures.build_guideway_figures(line)], "pairs")], ""
+        columns = [r.Column("guideway"), *(r.Column(title, "number") for title in titles)]
+        yield r.ResultTable(columns, [_build_guideway(line) for line in seen.guideways])
+        yield r.Group(
+            [r.Figures([f for line in seen.guideways for f in figures.build_guideway_figures(line)], "pairs")], ""
         )
         alike = [
             f" {g.joint}: points so far apart cannot tell this cycle from one of "
@@ -274,26 +254,24 @@ def _build_measured(found: AccuracyResult) -> Iterator[Element]:
             for g in seen.guideways
             if g.cycle is not None and g.cycle.p_value <= MAX_P_VALUE and g.cycle.aliases
         ]
-        yield Text(
-            "Distance of each measured point from the best straight line: along the motion, where the drive errs, "
-            "and across it, "
-            f"where the guideway does. ± is one standard error (1 σ).{''.join(alike)}",
+        yield r.Text(
+            "Distance of each measured point from the best straight line: along the motion, where the drive errs, and "
+            f"across it, where the guideway does. ± is one standard error (1 σ).{''.join(alike)}",
             "note",
         )
     if seen.orientation is not None:
-        yield Text("Orientation of the plate", "heading")
-        key = [Key("predicted", "α"), Key("residual", "β"), Key("expected", "γ")]
-        yield Figures([figures.build_orientation_figure(seen.orientation)], "wide-chart", key)
+        yield r.Text("Orientation of the plate", "heading")
+        key = [r.Key("predicted", "α"), r.Key("residual", "β"), r.Key("expected", "γ")]
+        yield r.Figures([figures.build_orientation_figure(seen.orientation)], "wide-chart", key)
         pole = "β is near 0° or 180°, where α and γ trade against each other; only their sum or difference means something. "
-        yield Text(
-            f"{pole if seen.orientation.near_pole else ''}A pattern that repeats from layer to layer comes from "
-            "the rods; a drift "
-            "along the guideways from carts that turn.",
+        yield r.Text(
+            f"{pole if seen.orientation.near_pole else ''}A pattern that repeats from layer to layer comes from the "
+            "rods; a drift along the guideways from carts that turn.",
             "note",
         )
 
 
-def _build_guideway(line: Guideway) -> Row:
+def _build_guideway(line: Guideway) -> r.Row:
     along, across = line.bounds()
     scale, stderr = line.scale
     cycle = line.cycle
@@ -301,10 +279,10 @@ def _build_guideway(line: Guideway) -> Row:
         f"amplitude {format_size(cycle.amplitude)}, period {format_size(cycle.period)}")  # fmt: skip
     slack = "–" if line.backlash is None else f"{format_size(line.backlash.size)} ± {format_size(line.backlash.stderr)}"
     sizes = line.sizes
-    return Row([
+    return r.Row([
         line.joint, str(len(line.q)), *map(format_size, (float(sizes.mean()), float(sizes.std(ddof=1)), along, across)),
         f"{format_size(line.bow.size)} ± {format_size(line.bow.stderr)}",
-        f"{format_number(1e6 * scale, 3)} ± {format_number(1e6 * stderr, 2)}", wave, slack,
+        f"{r.format_number(1e6 * scale, 3)} ± {r.format_number(1e6 * stderr, 2)}", wave, slack,
     ])  # fmt: skip
 
 
@@ -314,19 +292,19 @@ def format_share(value: float) -> str:
         return "–"
     if abs(value) < 0.001:
         return "< 0.1 %"
-    return f"{'+' if value > 0 else '−'}{format_percent(100 * abs(value))}"
+    return f"{'+' if value > 0 else '−'}{r.format_percent(100 * abs(value))}"
 
 
 def format_sentence(sentence: str) -> str:
     """Return a sentence of a result with the signs that a person would write."""
-    return replace_plus_minus(sentence).replace(" um", " µm").replace(" deg", "°")
+    return r.replace_plus_minus(sentence).replace(" um", " µm").replace(" deg", "°")
 
 
 def describe_place(position: np.ndarray) -> str:
     """Return a tool position in words."""
     return (
         ", ".join(
-            f"{name} {format_number(round(float(x), 4) + 0.0, 3)}" for name, x in zip("xyz", position, strict=True)
+            f"{name} {r.format_number(round(float(x), 4) + 0.0, 3)}" for name, x in zip("xyz", position, strict=True)
         )
         + " m"
     )
@@ -354,7 +332,7 @@ def describe_headline(found: AccuracyResult) -> str:
     return start + usual
 
 
-def describe_verdict(found: AccuracyResult) -> Verdict:
+def describe_verdict(found: AccuracyResult) -> r.Verdict:
     """Return how far the numbers hold."""
     a = found.accuracy
     if a is None:
@@ -362,26 +340,27 @@ def describe_verdict(found: AccuracyResult) -> Verdict:
         wrong = any(p.sure for p in seen.parallel) or any(g.shape < 0.01 or g.bow.sure for g in seen.guideways)
         said = "The nominal model's assumptions fail beyond the scatter; the sections below say by how much."
         if wrong:
-            return Verdict("care", said, "Assumptions fail")
-        return Verdict("good", "No assumption fails beyond the scatter of these points.", "Assumptions hold")
+            return r.Verdict("care", said, "Assumptions fail")
+        return r.Verdict("good", "No assumption fails beyond the scatter of these points.", "Assumptions hold")
     lost = int(found.lost.sum())
     if lost:
-        said = f"At {count(lost, 'pose')} of {len(a.q)} errors within the bounds can reach a singularity; no bound exists there."
-        return Verdict("poor", said, "May lose its pose")
+        poses = f"{r.count(lost, 'pose')} of {len(a.q)}"
+        said = f"At {poses} errors within the bounds can reach a singularity; no bound exists there."
+        return r.Verdict("poor", said, "May lose its pose")
     if "exact" not in a.largest:
-        return Verdict(
+        return r.Verdict(
             "care", "Without the exact worst case nothing here tells how good the other bounds are.", "Not compared"
         )
     off = {m: a.off(m) for m in ("linear", "parallelepiped", "ellipsoid") if m in a.largest}
     worst = {m: float(np.nanmax(np.abs(x))) for m, x in off.items() if np.isfinite(x).any()}
     bad = [m for m, x in worst.items() if x > SMALL_SHARE]
     if bad:
-        words = format_list([f"{m} by up to {format_percent(100 * worst[m])}" for m in bad])
+        words = r.format_list([f"{m} by up to {r.format_percent(100 * worst[m])}" for m in bad])
         said = f"Simple bounds are off: {words}; the exact worst case is the one to use."
-        return Verdict("care", said, "Use the exact bound")
+        return r.Verdict("care", said, "Use the exact bound")
     said = "The linear bounds are as good as exact here; errors are small against the rods and no singularity is near."
     proved = "certified" in a.largest and bool(np.isfinite(a.largest["certified"]).all())
-    return Verdict("good", said, "Bound proved" if proved else "Bound not proved")
+    return r.Verdict("good", said, "Bound proved" if proved else "Bound not proved")
 
 
 def describe_inputs(found: AccuracyResult) -> str:
@@ -390,10 +369,10 @@ def describe_inputs(found: AccuracyResult) -> str:
     if a is None:
         return f"{found.robot.source}; measured points only, no errors to carry to the tool."
     where = (
-        count(len(a.q), "pose")
+        r.count(len(a.q), "pose")
         if found.grid is None
-        else f"{count(len(a.q), 'pose')} of the section {replace_minus_signs(found.grid.section.words)}"
+        else f"{r.count(len(a.q), 'pose')} of the section {r.replace_minus_signs(found.grid.section.words)}"
     )
     source = ", from measured points" if found.from_measured else ""
     names = [*a.errors.actuators, *a.errors.rods]
-    return f"{found.robot.source}, {where}; errors of {format_list(names)}{source}."
+    return f"{found.robot.source}, {where}; errors of {r.format_list(names)}{source}."

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tau_dyn import results as r
 from tau_dyn.calibrate import (
     CHANGE,
     Calibration,
@@ -21,41 +22,6 @@ from tau_dyn.render.kinds import calibration_words as words
 from tau_dyn.render.kinds.calibration_words import format_angle, format_length
 from tau_dyn.render.kinds.waterfall import WaterfallSeries, WaterfallStep
 from tau_dyn.render.presentation import flatten_rows, present_kind, warn
-from tau_dyn.results import (
-    Axis,
-    Bar,
-    Chapter,
-    Column,
-    Dots,
-    Drawing,
-    Element,
-    Figure,
-    Figures,
-    Folded,
-    IntervalBar,
-    Key,
-    Line,
-    On,
-    Presentation,
-    Provenance,
-    ResultTable,
-    RobotPicture,
-    Row,
-    Text,
-    VectorPicture,
-    Verdict,
-    capitalise,
-    choose_unit,
-    end_sentence,
-    format_interval,
-    format_list,
-    format_number,
-    format_unit,
-    format_with_uncertainty,
-    pad_limits,
-    replace_minus_signs,
-    round_to_stderr,
-)
 
 _MAX_CORRELATED = 12  # pairs listed at most
 _MAX_SENSITIVE = 12  # parameters listed at most
@@ -65,104 +31,111 @@ _ARROW = 0.13
 
 
 @present_kind.register
-def present_calibration(found: Calibration, *, poses: Sequence[tuple[str, str]] = ()) -> Presentation:
+def present_calibration(found: Calibration, *, poses: Sequence[tuple[str, str]] = ()) -> r.Presentation:
     """Return how a calibration is presented; `poses` are name and hash of every file of measured poses."""
     uses = [
         ("held-out poses" if k else "poses", name, sha256 or "not a file") for k, (name, sha256) in enumerate(poses)
     ]
     facts = [("model", found.chosen.name), ("seed", str(found.seed)), ("residual", found.fit.kind)]
-    both = On.PAGE | On.TERMINAL
-    findings = [Chapter("findings", "Errors of the robot file", lambda: _list_findings(found), both)]
+    both = r.On.PAGE | r.On.TERMINAL
+    findings = [r.Chapter("findings", "Errors of the robot file", lambda: _list_findings(found), both)]
     sections = [
-        *warn([end_sentence(capitalise(text)) for text in found.warnings]),
-        Chapter("error", "Error before and after", lambda: _build_errors(found), On.PAGE | On.NOTEBOOK),
-        Chapter("gain", "Error by model", lambda: _build_gain(found), both),
+        *warn([r.end_sentence(r.capitalise(text)) for text in found.warnings]),
+        r.Chapter("error", "Error before and after", lambda: _build_errors(found), r.On.PAGE | r.On.NOTEBOOK),
+        r.Chapter("gain", "Error by model", lambda: _build_gain(found), both),
         *(findings if found.findings else []),
-        Chapter("space", "Errors in space", lambda: _build_space(found)),
-        Chapter("left", "Residuals by joint", lambda: _build_residuals(found)),
-        Chapter("geometry", "Geometry", lambda: _build_geometry(found), On.PAGE | On.NOTEBOOK),
-        Chapter("blind", "Not identifiable", lambda: _build_blind(found), both),
-        Chapter("sensitivity", "Sensitivity", lambda: _build_sensitivity(found)),
+        r.Chapter("space", "Errors in space", lambda: _build_space(found)),
+        r.Chapter("left", "Residuals by joint", lambda: _build_residuals(found)),
+        r.Chapter("geometry", "Geometry", lambda: _build_geometry(found), r.On.PAGE | r.On.NOTEBOOK),
+        r.Chapter("blind", "Not identifiable", lambda: _build_blind(found), both),
+        r.Chapter("sensitivity", "Sensitivity", lambda: _build_sensitivity(found)),
     ]
-    return Presentation(
+    return r.Presentation(
         "Calibration from", found.poses.source, f"{found.robot.name}: calibration", words.describe_headline(found),
-        words.describe_verdict(found), words.describe_inputs(found), sections, found.warnings, RobotPicture(found.robot),
-        Provenance(facts, uses, found.robot), lambda: flatten_rows(found.parameter_rows()), found,
+        words.describe_verdict(found), words.describe_inputs(found), sections, found.warnings, r.RobotPicture(found.robot),
+        r.Provenance(facts, uses, found.robot), lambda: flatten_rows(found.parameter_rows()), found,
     )  # fmt: skip
 
 
-def _build_errors(found: Calibration) -> Iterator[Element]:
+def _build_errors(found: Calibration) -> Iterator[r.Element]:
     before, after = (found.errors(m) for m in (found.models[0], found.chosen))
-    key = [Key("measured", "robot file, device and target placed"), Key("predicted", "calibrated")]
+    key = [r.Key("measured", "robot file, device and target placed"), r.Key("predicted", "calibrated")]
     position = _draw_errors(before.distance, after.distance, "position error", "mm")
-    yield Figures([position], "wide-chart", key, on=On.PAGE | On.NOTEBOOK)
+    yield r.Figures([position], "wide-chart", key, on=r.On.PAGE | r.On.NOTEBOOK)
     if before.angle is not None and after.angle is not None:
-        yield Figures([_draw_errors(before.angle, after.angle, "orientation error", "mrad")], "wide-chart")
+        yield r.Figures([_draw_errors(before.angle, after.angle, "orientation error", "mrad")], "wide-chart")
     held = (
         "at poses that took no part in the fit"
         if found.holdout is not None
         else "each pose predicted by a fit without it"
     )
-    yield Text(f"Distance between measured and predicted tool, pose by pose, {held}, on a logarithmic scale.", "note")
+    yield r.Text(f"Distance between measured and predicted tool, pose by pose, {held}, on a logarithmic scale.", "note")
 
 
-def _draw_errors(before: np.ndarray, after: np.ndarray, title: str, unit: str) -> Figure:
+def _draw_errors(before: np.ndarray, after: np.ndarray, title: str, unit: str) -> r.Figure:
     """Return absolute errors pose by pose, before and after (thesis, figures 5.1, 5.9, 5.26)."""
     a, b = 1e3 * before, 1e3 * after
     index, values = np.arange(1, len(a) + 1), np.concatenate([a, b])
     values = values[np.isfinite(values) & (values > 0)]
     low, high = (float(values.min()), float(values.max())) if values.size else (1.0, 1.0)
-    marks = Line(index, a, "measured thin"), Line(index, b), Dots(index, b, "pose")
-    y = Axis(f"[{unit}]", (low / 1.3, high * 1.3), log=True)
-    return Figure(Axis("unseen pose", (0.0, len(a) + 1.0)), y, marks, title, (1100, 260))
+    marks = r.Line(index, a, "measured thin"), r.Line(index, b), r.Dots(index, b, "pose")
+    y = r.Axis(f"[{unit}]", (low / 1.3, high * 1.3), log=True)
+    return r.Figure(r.Axis("unseen pose", (0.0, len(a) + 1.0)), y, marks, title, (1100, 260))
 
 
 def _name(found: Calibration, k: int) -> tuple[str, str]:
     return words.describe_model(found.models[k], found.models[k - 1] if k else None)
 
 
-def _build_gain(found: Calibration) -> Iterator[Element]:
+def _build_gain(found: Calibration) -> Iterator[r.Element]:
     series = _build_steps(found)
-    columns = [Column(), Column(kind="step"), Column(kind="number", style="strong"), Column(style="about quiet")]
-    yield ResultTable(
-        columns, [Row([r.label, series.draw(r), r.rms, r.about[0]], r.kind) for r in series.rungs], style="waterfall"
+    columns = [
+        r.Column(),
+        r.Column(kind="step"),
+        r.Column(kind="number", style="strong"),
+        r.Column(style="about quiet"),
+    ]
+    yield r.ResultTable(
+        columns,
+        [r.Row([row.label, series.draw(row), row.rms, row.about[0]], row.kind) for row in series.rungs],
+        style="waterfall",
     )
-    yield Text(
+    yield r.Text(
         "RMS position error at held-out poses with its 95 % interval. Dashed: error expected from noise and the "
-        "parameters' standard "
-        "errors.",
+        "parameters' standard errors.",
         "note",
     )
-    yield Text("Numbers", "heading")
+    yield r.Text("Numbers", "heading")
     yield _build_sizes(found)
     if found.steps:
-        columns = [Column("model"), Column("compared with", style="quiet"), Column("rms before", "number"),
-                   Column("after", "number"), Column("p-value", "number"), Column(style="quiet")]  # fmt: skip
+        columns = [r.Column("model"), r.Column("compared with", style="quiet"), r.Column("rms before", "number"),
+                   r.Column("after", "number"), r.Column("p-value", "number"), r.Column(style="quiet")]  # fmt: skip
         rows = [
-            Row([s.name, s.over, format_length(s.gain.before), format_length(s.gain.after),
-                 "< 0.001" if s.gain.p_value < 1e-3 else format_number(s.gain.p_value, 2), "taken" if s.taken else "not better"])
+            r.Row([s.name, s.over, format_length(s.gain.before), format_length(s.gain.after),
+                 "< 0.001" if s.gain.p_value < 1e-3 else r.format_number(s.gain.p_value, 2),
+                 "taken" if s.taken else "not better"])
             for s in found.steps
         ]  # fmt: skip
         said = (
-            "Cross-validation within the fitted poses. A larger model is selected if a paired test shows a smaller held-out "
-            "error."
+            "Cross-validation within the fitted poses. A larger model is selected if a paired test shows a smaller "
+            "held-out error."
         )
-        yield Folded("All models tested", [ResultTable(columns, rows), Text(said, "note")])
+        yield r.Folded("All models tested", [r.ResultTable(columns, rows), r.Text(said, "note")])
 
 
-def _build_sizes(found: Calibration) -> ResultTable:
+def _build_sizes(found: Calibration) -> r.ResultTable:
     """Return one line a model: how far the tool is off."""
     turned = found.errors(found.chosen).orientation_size is not None
     columns = [
-        Column("model"),
-        Column("adds", style="quiet", on=On.PAGE),
-        Column("free", "number", on=On.TERMINAL),
-        Column("fitted poses, mean", "number", on=On.PAGE),
-        Column("held out, mean", "number", "strong"),
-        Column("rms", "number", on=On.PAGE),
-        Column("largest", "number"),
-        *([Column("turned by", "number"), Column("largest", "number", on=On.PAGE)] if turned else []),
-        Column("", "bar", on=On.TERMINAL),
+        r.Column("model"),
+        r.Column("adds", style="quiet", on=r.On.PAGE),
+        r.Column("free", "number", on=r.On.TERMINAL),
+        r.Column("fitted poses, mean", "number", on=r.On.PAGE),
+        r.Column("held out, mean", "number", "strong"),
+        r.Column("rms", "number", on=r.On.PAGE),
+        r.Column("largest", "number"),
+        *([r.Column("turned by", "number"), r.Column("largest", "number", on=r.On.PAGE)] if turned else []),
+        r.Column("", "bar", on=r.On.TERMINAL),
     ]
     worst, rows = found.errors(found.models[0]).position_size.mean, []
     for k, model in enumerate(found.models):
@@ -179,8 +152,8 @@ def _build_sizes(found: Calibration) -> ResultTable:
             *(format_length(x) for x in (train.mean, size.mean, size.rms, size.max)),
         ]
         cells += ([format_angle(turn.mean), format_angle(turn.max)] if turn is not None else ["", ""]) if turned else []
-        rows.append(Row([*cells, Bar(size.mean / worst)]))
-    return ResultTable(columns, rows, on=On.PAGE | On.TERMINAL)
+        rows.append(r.Row([*cells, r.Bar(size.mean / worst)]))
+    return r.ResultTable(columns, rows, on=r.On.PAGE | r.On.TERMINAL)
 
 
 def _build_steps(found: Calibration) -> WaterfallSeries:
@@ -198,16 +171,16 @@ def _build_steps(found: Calibration) -> WaterfallSeries:
         about = ("noise and the parameters' uncertainty",)
         text = format_length(expected)
         rungs.append(WaterfallStep("expected", about, "floor", 0, (), floor, floor, floor, float("nan"), text))
-    others = max([r.high for r in rungs[1:]], default=rungs[0].high)
+    others = max([row.high for row in rungs[1:]], default=rungs[0].high)
     end = 1.45 * others if rungs[0].high > 2.5 * others else 1.04 * rungs[0].high
     return WaterfallSeries("", tuple(rungs), floor, end)
 
 
-def _list_findings(found: Calibration) -> Iterator[Element]:
+def _list_findings(found: Calibration) -> Iterator[r.Element]:
     rows = [
-        Row(
+        r.Row(
             [
-                Verdict("good" if f.status == "confirmed" else "care", "", f.status),
+                r.Verdict("good" if f.status == "confirmed" else "care", "", f.status),
                 f.cause,
                 words.describe_finding(f),
                 f.equation,
@@ -215,27 +188,26 @@ def _list_findings(found: Calibration) -> Iterator[Element]:
         )
         for f in found.findings
     ]
-    columns = [Column(), Column(on=On.PAGE), Column(), Column(on=On.PAGE)]
-    yield ResultTable(columns, rows, style="findings", on=On.PAGE | On.TERMINAL)
-    yield Text("Each cause is removed from the model alone, and the rest is refitted.", "note")
+    columns = [r.Column(), r.Column(on=r.On.PAGE), r.Column(), r.Column(on=r.On.PAGE)]
+    yield r.ResultTable(columns, rows, style="findings", on=r.On.PAGE | r.On.TERMINAL)
+    yield r.Text("Each cause is removed from the model alone, and the rest is refitted.", "note")
 
 
-def _build_space(found: Calibration) -> Iterator[Element]:
+def _build_space(found: Calibration) -> Iterator[r.Element]:
     drawn = [(t, _draw_vectors(found, m)) for t, m in (("robot file", found.models[0]), ("calibrated", found.chosen))]
     pictures = [(title, picture) for title, picture in drawn if picture is not None]
     pictures = pictures[-1:] if len(found.models) == 1 else pictures
-    drawings: list[Drawing] = [picture for _, picture in pictures]
+    drawings: list[r.Drawing] = [picture for _, picture in pictures]
     captions = [(title, f"errors drawn {picture.times:g} times their size") for title, picture in pictures]
-    yield Figures(drawings, "spaces", captions=captions)
-    yield Text(
-        "Lines run from each measured pose along its error, measured minus predicted, in the robot's base frame, "
-        "seen from the front "
-        "right and above. Good: short lines in random directions.",
+    yield r.Figures(drawings, "spaces", captions=captions)
+    yield r.Text(
+        "Lines run from each measured pose along its error, measured minus predicted, in the robot's base frame, seen "
+        "from the front right and above. Good: short lines in random directions.",
         "note",
     )
 
 
-def _draw_vectors(found: Calibration, model: CandidateModel) -> VectorPicture | None:
+def _draw_vectors(found: Calibration, model: CandidateModel) -> r.VectorPicture | None:
     """Return the error vectors in the robot's base frame, the largest at a fixed share of the poses' extent."""
     frame = found.fit.frames.device[0]
     error = found.errors(model).position @ frame.rotation
@@ -246,7 +218,7 @@ def _draw_vectors(found: Calibration, model: CandidateModel) -> VectorPicture | 
     places, error = places[ok], error[ok]
     extent = float(np.ptp(places, axis=0).max()) or 1.0
     largest = float(np.percentile(np.linalg.norm(error, axis=1), 95)) or 1.0
-    return VectorPicture(places, error, _round_down(_ARROW * extent / largest))
+    return r.VectorPicture(places, error, _round_down(_ARROW * extent / largest))
 
 
 def _round_down(x: float) -> float:
@@ -254,7 +226,7 @@ def _round_down(x: float) -> float:
     return float(power * max(m for m in (1, 2, 5) if m * power <= x * (1 + 1e-9)))
 
 
-def _build_residuals(found: Calibration) -> Iterator[Element]:
+def _build_residuals(found: Calibration) -> Iterator[r.Element]:
     """Give, joint by joint, what is left over that joint's position: what is still cyclic or crooked would show."""
     poses, error = found.at(), 1e6 * (found.errors(found.chosen).position @ found.fit.frames.device[0].rotation)
     axis = int(np.nanargmax(np.nanstd(error, axis=0))) if np.isfinite(error).any() else 0
@@ -262,20 +234,22 @@ def _build_residuals(found: Calibration) -> Iterator[Element]:
     ok = np.isfinite(y)
     for k, (joint, unit) in enumerate(zip(found.robot.actuated, found.robot.position_units, strict=True)):
         x = poses.q[ok, k]
-        left = Axis(f"left along {'xyz'[axis]} [µm]", pad_limits(y[ok], np.zeros(1)))
-        figures.append(Figure(Axis(f"q [{unit}]", pad_limits(x)), left, (Dots(x, y[ok], "pose"),), joint, (340, 200)))
-    yield Figures(figures)
-    yield Text(
+        left = r.Axis(f"left along {'xyz'[axis]} [µm]", r.pad_limits(y[ok], np.zeros(1)))
+        figures.append(
+            r.Figure(r.Axis(f"q [{unit}]", r.pad_limits(x)), left, (r.Dots(x, y[ok], "pose"),), joint, (340, 200))
+        )
+    yield r.Figures(figures)
+    yield r.Text(
         "The component with the largest residual. A wave over a joint's position is a cyclic error, a bow a "
         "straightness error.",
         "note",
     )
 
 
-def _build_geometry(found: Calibration) -> Iterator[Element]:
+def _build_geometry(found: Calibration) -> Iterator[r.Element]:
     columns = [
-        Column("parameter"), Column("nominal", "number", "quiet"), Column("calibrated", "number"), Column("", "unit"),
-        Column("change ± standard error", "number", "strong"), Column("", "unit"), Column("", "interval"),
+        r.Column("parameter"), r.Column("nominal", "number", "quiet"), r.Column("calibrated", "number"), r.Column("", "unit"),
+        r.Column("change ± standard error", "number", "strong"), r.Column("", "unit"), r.Column("", "interval"),
     ]  # fmt: skip
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in build_parameter_rows(found.fit):
@@ -283,116 +257,125 @@ def _build_geometry(found: Calibration) -> Iterator[Element]:
         if not owner.startswith(("device", "tool")) and row["stderr"] is not None:
             groups.setdefault(owner, []).append(row)
     shown = [(owner, [_build_dimension(row, rows) for row in rows]) for owner, rows in groups.items()]
-    yield ResultTable(columns, groups=shown, style="geometry")
-    yield Text(
-        "± is one standard error (1 σ). The bar shows the change from nominal with its 95 % interval, each group "
-        "on its own scale. "
-        "Grey: determined by the robot file more than by these poses.",
+    yield r.ResultTable(columns, groups=shown, style="geometry")
+    yield r.Text(
+        "± is one standard error (1 σ). The bar shows the change from nominal with its 95 % interval, each group on "
+        "its own scale. Grey: determined by the robot file more than by these poses.",
         "note",
     )
-    yield Text("Device and target", "heading")
-    yield ResultTable(
-        [Column(), Column(), Column()], [_build_frame(row) for row in build_frame_rows(found.fit)], style="plain"
+    yield r.Text("Device and target", "heading")
+    yield r.ResultTable(
+        [r.Column(), r.Column(), r.Column()], [_build_frame(row) for row in build_frame_rows(found.fit)], style="plain"
     )
-    heads = [Column("dimension"), Column("value", "number"), Column("unit"), Column("95 % interval", "number"),
-             Column("nominal", "number")]  # fmt: skip
-    yield ResultTable(heads, [_build_estimate(row) for row in found.parameter_rows()], on=On.NOTEBOOK)
+    heads = [r.Column("dimension"), r.Column("value", "number"), r.Column("unit"), r.Column("95 % interval", "number"),
+             r.Column("nominal", "number")]  # fmt: skip
+    yield r.ResultTable(heads, [_build_estimate(row) for row in found.parameter_rows()], on=r.On.NOTEBOOK)
 
 
-def _build_dimension(row: dict[str, Any], group: list[dict[str, Any]]) -> Row:
+def _build_dimension(row: dict[str, Any], group: list[dict[str, Any]]) -> r.Row:
     value, stderr = float(row["value"]), float(row["stderr"])
     nominal = 0.0 if row["nominal"] is None else float(row["nominal"])
     change = value - nominal
     factor, unit = _choose_unit(str(row["unit"]), max(abs(change), stderr))
-    reach = max(abs(float(r["value"]) - float(r["nominal"] or 0.0)) + 2 * float(r["stderr"]) for r in group) or 1e-300
+    reach = (
+        max(abs(float(other["value"]) - float(other["nominal"] or 0.0)) + 2 * float(other["stderr"]) for other in group)
+        or 1e-300
+    )
     low, high = ((end - nominal) / reach for end in row["ci95"])
-    bar = IntervalBar(max(low, -1.0), min(high, 1.0), change / reach, 0.0, "" if row["determined"] else "weak", True)
-    said = f"{round_to_stderr(factor * change, factor * stderr)} ± {round_to_stderr(factor * stderr, factor * stderr)}"
+    bar = r.IntervalBar(max(low, -1.0), min(high, 1.0), change / reach, 0.0, "" if row["determined"] else "weak", True)
+    said = (
+        f"{r.round_to_stderr(factor * change, factor * stderr)} ± {r.round_to_stderr(factor * stderr, factor * stderr)}"
+    )
     cells = [
-        str(row["name"]).rpartition(".")[2], format_number(round(nominal, 12) + 0.0, 6), round_to_stderr(value, stderr),
+        str(row["name"]).rpartition(".")[2], r.format_number(round(nominal, 12) + 0.0, 6), r.round_to_stderr(value, stderr),
         str(row["unit"]) if row["unit"] != "1" else "", said, unit, bar,
     ]  # fmt: skip
-    return Row(cells, "" if row["determined"] else "weak")
+    return r.Row(cells, "" if row["determined"] else "weak")
 
 
 def _choose_unit(unit: str, size: float) -> tuple[float, str]:
     """Return factor and unit of a change; bare numbers are shown in millionths."""
-    return {"1": (1e6, "10⁻⁶"), "m/N": (1e9, "nm/N")}.get(unit) or choose_unit(unit, size)
+    return {"1": (1e6, "10⁻⁶"), "m/N": (1e9, "nm/N")}.get(unit) or r.choose_unit(unit, size)
 
 
-def _build_estimate(row: dict[str, Any]) -> Row:
+def _build_estimate(row: dict[str, Any]) -> r.Row:
     stderr, ends = row["stderr"], row["ci95"]
-    between = format_interval(ends, stderr) if stderr and ends else ""
-    nominal = "" if row["nominal"] is None else format_number(row["nominal"], 6)
-    value = format_with_uncertainty(row["value"], stderr)
-    return Row([row["name"], value, format_unit(row["unit"]), between, nominal], "" if row["determined"] else "care")
+    between = r.format_interval(ends, stderr) if stderr and ends else ""
+    nominal = "" if row["nominal"] is None else r.format_number(row["nominal"], 6)
+    value = r.format_with_uncertainty(row["value"], stderr)
+    return r.Row(
+        [row["name"], value, r.format_unit(row["unit"]), between, nominal], "" if row["determined"] else "care"
+    )
 
 
-def _build_frame(row: dict[str, Any]) -> Row:
+def _build_frame(row: dict[str, Any]) -> r.Row:
     name = f"{'device' if row['frame'] == 'device' else 'target'}, campaign {row['campaign']}"
     name = f"target {row['target']}" if row["target"] else name
     place, turn = ", ".join(f"{x:.5f}" for x in row["translation"]), ", ".join(f"{x:.6f}" for x in row["quaternion"])
-    return Row([name, f"{replace_minus_signs(place)} m", f"quaternion {replace_minus_signs(turn)}"])
+    return r.Row([name, f"{r.replace_minus_signs(place)} m", f"quaternion {r.replace_minus_signs(turn)}"])
 
 
-def _build_blind(found: Calibration) -> Iterator[Element]:
+def _build_blind(found: Calibration) -> Iterator[r.Element]:
     identified = found.fit.identifiability
     blind: Any = identified.to_dict()["not_identifiable"]
     if blind:
         rows = [
-            Row([row["parameter"], f"equivalent to a change of {', '.join(row['depends_on'])}" if row["depends_on"]
+            r.Row([row["parameter"], f"equivalent to a change of {', '.join(row['depends_on'])}" if row["depends_on"]
                  else "no effect on the tool"])
             for row in blind
         ]  # fmt: skip
-        yield ResultTable([Column(), Column()], rows, style="plain")
+        yield r.ResultTable([r.Column(), r.Column()], rows, style="plain")
         said = "These keep their nominal value. Another value, with the named parameters adjusted, describes the same robot."
-        yield Text(said, "note")
+        yield r.Text(said, "note")
     else:
-        yield Text("Every free parameter is identifiable from these poses.")
+        yield r.Text("Every free parameter is identifiable from these poses.")
     pairs: Any = list_correlated_pairs(found.fit)[:_MAX_CORRELATED]
     if pairs:
-        yield Text("Strongly correlated", "heading")
-        rows = [Row([*c["parameters"], f"correlation {format_number(float(c['correlation']), 3)}"]) for c in pairs]
-        yield ResultTable([Column(), Column(), Column()], rows, style="plain")
+        yield r.Text("Strongly correlated", "heading")
+        rows = [r.Row([*c["parameters"], f"correlation {r.format_number(float(c['correlation']), 3)}"]) for c in pairs]
+        yield r.ResultTable([r.Column(), r.Column(), r.Column()], rows, style="plain")
     if len(identified.dropped):
         yield _list_blind([identified.names[k] for k in identified.dropped])
 
 
-def _list_blind(names: Sequence[str]) -> Text:
-    return Text(f"not identifiable, nominal value kept: {format_list(names, 8)}", "dim", on=On.TERMINAL)
+def _list_blind(names: Sequence[str]) -> r.Text:
+    return r.Text(f"not identifiable, nominal value kept: {r.format_list(names, 8)}", "dim", on=r.On.TERMINAL)
 
 
-def _build_sensitivity(found: Calibration) -> Iterator[Element]:
+def _build_sensitivity(found: Calibration) -> Iterator[r.Element]:
     each = 2 * max(int(found.fit.state.ok.sum()), 1)
     largest = sorted(compute_sensitivities(found.fit), key=lambda s: -s.position)[:_MAX_SENSITIVE]
     rows = [
-        Row([s.name, format_length(s.position / each), format_angle(s.rotation / each) if s.rotation > 0 else "–"])
+        r.Row([s.name, format_length(s.position / each), format_angle(s.rotation / each) if s.rotation > 0 else "–"])
         for s in largest
         if s.position > 0
     ]
     head = f"parameter error of {1e6 * CHANGE:.0f} µm, µrad or 10⁻⁶"
-    columns = [Column(head), Column("moves the tool by", "number", "strong"), Column("turns it by", "number")]
-    yield ResultTable(columns, rows)
-    yield Text("On average over the fitted poses, with all loops closed.", "note")
+    columns = [r.Column(head), r.Column("moves the tool by", "number", "strong"), r.Column("turns it by", "number")]
+    yield r.ResultTable(columns, rows)
+    yield r.Text("On average over the fitted poses, with all loops closed.", "note")
 
 
 @present_kind.register
-def present_campaign(plan: CalibrationCampaign) -> Presentation:
+def present_campaign(plan: CalibrationCampaign) -> r.Presentation:
     """Return how the plan of a calibration is presented."""
-    return Presentation(
+    return r.Presentation(
         "Calibration plan", "", "calibration plan", words.describe_plan(plan), None, words.describe_plan_inputs(plan),
-        [Chapter("curve", "Accuracy by number of poses", lambda: _build_curve(plan), On.ALL)],
+        [r.Chapter("curve", "Accuracy by number of poses", lambda: _build_curve(plan), r.On.ALL)],
         data=lambda: [{"poses": row.poses, "rms": row.rms, "held_out": row.held_out} for row in plan.choice.curve], result=plan,
     )  # fmt: skip
 
 
-def _build_curve(plan: CalibrationCampaign) -> Iterator[Element]:
-    yield Text(words.describe_rehearsal(plan), on=On.ALL)
+def _build_curve(plan: CalibrationCampaign) -> Iterator[r.Element]:
+    yield r.Text(words.describe_rehearsal(plan), on=r.On.ALL)
     curve = plan.choice.curve
     step = max(1, -(-len(curve) // _MAX_PLANS))
-    rows = [Row([str(r.poses), format_length(r.rms), format_length(r.held_out)]) for r in [*curve[:-1:step], curve[-1]]]
-    yield ResultTable(
-        [Column("poses", "number"), Column("tool", "number"), Column("held out", "number")], rows, on=On.ALL
+    rows = [
+        r.Row([str(row.poses), format_length(row.rms), format_length(row.held_out)])
+        for row in [*curve[:-1:step], curve[-1]]
+    ]
+    yield r.ResultTable(
+        [r.Column("poses", "number"), r.Column("tool", "number"), r.Column("held out", "number")], rows, on=r.On.ALL
     )
     blind = list(plan.choice.not_identifiable)
     if blind:

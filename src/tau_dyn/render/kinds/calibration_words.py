@@ -113,14 +113,13 @@ def describe_verdict(found: Calibration) -> Verdict:
         return _judge(
             "care",
             f"Held-out RMS orientation error {format_angle(angle.rms)}, expected from noise "
-            f"{format_angle(np.sqrt(3) * noise)}: "
-            f"the model lacks an effect.",
+            f"{format_angle(np.sqrt(3) * noise)}: the model lacks an effect.",
         )
     if reached > _EXPLAINED * expected:
         return _judge(
             "care",
             f"Held-out RMS error {format_length(reached)}, expected from noise {format_length(expected)}: the model "
-            f"lacks an effect.",
+            "lacks an effect.",
         )
     return _judge(
         "good", f"Held-out RMS error {format_length(reached)}, as expected from noise ({format_length(expected)})."
@@ -172,9 +171,8 @@ def describe_finding(finding: CalibrationFinding) -> str:
         with_it += f" and {format_angle(gain.orientation_after)}"
         without += f" and {format_angle(gain.orientation_before)}"
     return (
-        f"{CAUSES[finding.cause]}{where}: {with_it} rms with it, {without} without "
-        f"({format_percent(gain.percent)} less, 95 % interval [{format_percent(gain.ci95[0])}, "
-        f"{format_percent(gain.ci95[1])}])."
+        f"{CAUSES[finding.cause]}{where}: {with_it} rms with it, {without} without ({format_percent(gain.percent)} "
+        f"less, 95 % interval [{format_percent(gain.ci95[0])}, {format_percent(gain.ci95[1])}])."
     )
 
 
@@ -187,9 +185,8 @@ def describe_plan(plan: CalibrationCampaign) -> str:
     made = plan.choice.predicted
     turned = "" if isnan(made.turn) else f" and {format_angle(made.turn)}"
     return (
-        f"{made.poses} poses: predicted RMS error {format_length(made.rms)}{turned} over the "
-        f"workspace, standard deviation {format_length(made.scatter)}; "
-        f"as many random poses {format_length(plan.choice.at_random)}"
+        f"{made.poses} poses: predicted RMS error {format_length(made.rms)}{turned} over the workspace, standard "
+        f"deviation {format_length(made.scatter)}; as many random poses {format_length(plan.choice.at_random)}"
     )
 
 
@@ -208,7 +205,7 @@ def describe_rehearsal(plan: CalibrationCampaign) -> str:
     ways = int((tour.pose < 0).sum())
     return (
         f"simulated: {format_length(rows['nominal'])} before, {format_length(tried.achieved)} after "
-        f"({len(tried.after)} robots); twice as many poses "
-        f"would lower held-out errors by {100 * compute_doubling_gain(plan.choice.predicted):.0f} %; tour of "
+        f"({len(tried.after)} robots); twice as many poses would lower held-out errors by "
+        f"{100 * compute_doubling_gain(plan.choice.predicted):.0f} %; tour of "
         f"{len(tour.q)} places" + (f", {ways} of them on the way" if ways else "")
     )

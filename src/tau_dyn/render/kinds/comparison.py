@@ -5,34 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from tau_dyn import results as r
 from tau_dyn.compare import Change, CircumstanceDifference, Comparison, ErrorChange, FindingChange, InputChange
 from tau_dyn.render.presentation import flatten_rows, present_kind
-from tau_dyn.results import (
-    Bar,
-    Chapter,
-    Column,
-    Element,
-    Listing,
-    On,
-    Presentation,
-    Provenance,
-    ResultTable,
-    Row,
-    Text,
-    Verdict,
-    count,
-    format_expression,
-    format_list,
-    format_number,
-    format_unit,
-    format_with_uncertainty,
-)
 
 _MAX_ROWS = 40  # of a table on a terminal
 
 
 @present_kind.register
-def present_comparison(found: Comparison) -> Presentation:
+def present_comparison(found: Comparison) -> r.Presentation:
     """Return how a comparison is presented."""
     tested = len(found.compared)
     badge = "Changed" if found.changed else "Same" if tested else "Not testable"
@@ -40,74 +21,77 @@ def present_comparison(found: Comparison) -> Presentation:
     said = "A change is significant at a family-wise level of 5 % (Holm)."
     more = [*list_findings(found), *(line for line in _list_only(found)), *found.warnings]
     sections = [
-        *([Chapter("circumstances", "What was different", lambda: _build_circumstances(found), On.ALL)]
+        *([r.Chapter("circumstances", "What was different", lambda: _build_circumstances(found), r.On.ALL)]
           if list_circumstances(found) else []),
-        *([Chapter("quantities", "Quantities", lambda: _build_quantities(found), On.ALL)] if found.changes else []),
-        *([Chapter("errors", "Errors", lambda: _build_errors(found), On.PAGE | On.TERMINAL)] if found.errors else []),
-        *([Chapter("more", "Findings and the rest", lambda: _build_rest(found), On.ALL)] if more else []),
+        *([r.Chapter("quantities", "Quantities", lambda: _build_quantities(found), r.On.ALL)] if found.changes else []),
+        *([r.Chapter("errors", "Errors", lambda: _build_errors(found), r.On.PAGE | r.On.TERMINAL)] if found.errors else []),
+        *([r.Chapter("more", "Findings and the rest", lambda: _build_rest(found), r.On.ALL)] if more else []),
     ]  # fmt: skip
     logs = [("first", str(found.a.path), found.a.sha256), ("second", str(found.b.path), found.b.sha256)]
-    return Presentation(
+    return r.Presentation(
         "Comparison", f"{found.a.place} beside {found.b.place}", "comparison", describe_headline(found),
-        Verdict(level, said, badge), f"{found.a.kind} beside {found.b.kind}.", sections, found.warnings,
-        provenance=Provenance(logs=logs), data=lambda: flatten_rows([c.to_dict() for c in found.changes]), result=found,
+        r.Verdict(level, said, badge), f"{found.a.kind} beside {found.b.kind}.", sections, found.warnings,
+        provenance=r.Provenance(logs=logs), data=lambda: flatten_rows([c.to_dict() for c in found.changes]), result=found,
     )  # fmt: skip
 
 
-def _build_circumstances(found: Comparison) -> Iterator[Element]:
+def _build_circumstances(found: Comparison) -> Iterator[r.Element]:
     groups = list_circumstances(found)
-    yield ResultTable([Column(), Column()], [Row([title, "; ".join(lines)]) for title, lines in groups], style="plain")
-    yield Listing([f"{title}: {'; '.join(lines)}." for title, lines in groups], on=On.SCREENS)
+    yield r.ResultTable(
+        [r.Column(), r.Column()], [r.Row([title, "; ".join(lines)]) for title, lines in groups], style="plain"
+    )
+    yield r.Listing([f"{title}: {'; '.join(lines)}." for title, lines in groups], on=r.On.SCREENS)
 
 
-def _build_quantities(found: Comparison) -> Iterator[Element]:
+def _build_quantities(found: Comparison) -> Iterator[r.Element]:
     rows = [_build_change(change) for change in order_changes(found)]
     columns = [
-        Column(""), Column("first", "number"), Column("second", "number"), Column("difference ±\nstandard error", "number"),
-        Column("unit", "unit"), Column("in standard errors", "number", on=On.PAGE), Column("", "bar", "share", on=On.PAGE),
-        Column("", on=On.PAGE),
+        r.Column(""), r.Column("first", "number"), r.Column("second", "number"),
+        r.Column("difference ±\nstandard error", "number"),
+        r.Column("unit", "unit"), r.Column("in standard errors", "number", on=r.On.PAGE),
+        r.Column("", "bar", "share", on=r.On.PAGE),
+        r.Column("", on=r.On.PAGE),
     ]  # fmt: skip
     if rows:
-        yield ResultTable(columns, rows, most=_MAX_ROWS, on=On.ALL)
-        yield Text(
-            "± is one standard error (1 σ) of the difference; the two results are taken as independent. A sum is "
-            "a combination of "
-            "parameters that the data of both determine, whatever its members are.",
+        yield r.ResultTable(columns, rows, most=_MAX_ROWS, on=r.On.ALL)
+        yield r.Text(
+            "± is one standard error (1 σ) of the difference; the two results are taken as independent. A sum is a "
+            "combination of parameters that the data of both determine, whatever its members are.",
             "note",
         )
     for line in list_undetermined(found):
-        yield Text(line, "note", on=On.ALL)
+        yield r.Text(line, "note", on=r.On.ALL)
 
 
-def _build_change(change: Change) -> Row:
+def _build_change(change: Change) -> r.Row:
     z = abs(change.difference) / change.stderr if change.stderr else None
     judged = "changed" if change.changed else "same" if change.changed is False else ""
     state = judged or f"determined by the {change.determined_by} only"
     cells = [
         *list_cells(change),
-        "" if z is None else format_number(z, 2),
-        Bar(0.0 if z is None else min(1.0, z / 10)),
+        "" if z is None else r.format_number(z, 2),
+        r.Bar(0.0 if z is None else min(1.0, z / 10)),
         state,
     ]
-    return Row(cells, "changed" if change.changed else "quiet")
+    return r.Row(cells, "changed" if change.changed else "quiet")
 
 
-def _build_errors(found: Comparison) -> Iterator[Element]:
-    rows = [Row([error.name, *_error_cells(error), error.unit]) for error in found.errors]
-    columns = [Column(), Column("first", "number"), Column("second", "number"), Column("unit", "unit")]
-    yield ResultTable(columns, rows, on=On.PAGE | On.TERMINAL)
+def _build_errors(found: Comparison) -> Iterator[r.Element]:
+    rows = [r.Row([error.name, *_error_cells(error), error.unit]) for error in found.errors]
+    columns = [r.Column(), r.Column("first", "number"), r.Column("second", "number"), r.Column("unit", "unit")]
+    yield r.ResultTable(columns, rows, on=r.On.PAGE | r.On.TERMINAL)
 
 
-def _build_rest(found: Comparison) -> Iterator[Element]:
+def _build_rest(found: Comparison) -> Iterator[r.Element]:
     findings, only = list_findings(found), _list_only(found)
-    yield Listing([*findings, *only, *found.warnings])
+    yield r.Listing([*findings, *only, *found.warnings])
     if findings or only:
-        yield Listing([*findings, *only], on=On.SCREENS)
+        yield r.Listing([*findings, *only], on=r.On.SCREENS)
 
 
 def _list_only(found: Comparison) -> list[str]:
     return [
-        f"Only in the {where}: {format_list(map(format_expression, names), 40)}."
+        f"Only in the {where}: {r.format_list(map(r.format_expression, names), 40)}."
         for names, where in ((found.only_a, "first"), (found.only_b, "second"))
         if names
     ]
@@ -118,17 +102,19 @@ def describe_headline(found: Comparison) -> str:
     tested = len(found.compared)
     if not found.changes and found.findings:
         moved = [f for f in found.findings if f.what != "same"]
-        return f"Of {count(len(found.findings), 'finding')} {len(moved) or 'none'} changed."
+        return f"Of {r.count(len(found.findings), 'finding')} {len(moved) or 'none'} changed."
     if not tested:
         return "No value has a standard error in both results; changes cannot be tested."
     if not found.changed:
-        text = f"No significant change (Holm, 5 %) in {count(tested, 'value')} with a standard error"
+        text = f"No significant change (Holm, 5 %) in {r.count(tested, 'value')} with a standard error"
     else:
-        names = format_list(map(_name, found.changed), 4)
-        text = f"{len(found.changed)} of {count(tested, 'value')} with a standard error changed significantly: {names}"
+        names = r.format_list(map(_name, found.changed), 4)
+        text = (
+            f"{len(found.changed)} of {r.count(tested, 'value')} with a standard error changed significantly: {names}"
+        )
     n = len(found.neither)
     return (
-        f"{text}; {count(n, 'more value')} {'is' if n == 1 else 'are'} not determined in either result."
+        f"{text}; {r.count(n, 'more value')} {'is' if n == 1 else 'are'} not determined in either result."
         if n
         else f"{text}."
     )
@@ -148,28 +134,32 @@ def list_undetermined(found: Comparison) -> list[str]:
     """Return what neither determines, so that it is not compared, and where the values kept there differ all the same."""
     names = [_name(c) for c in found.neither]
     other = [c for c in found.neither if abs(c.difference) > 1e-9 * max(abs(c.a), abs(c.b))]
-    kept = [f"{_name(c)} {format_number(c.a)} → {format_number(c.b)} {format_unit(c.unit)}".rstrip() for c in other]
-    lines = [f"Not determined in either result, not compared: {format_list(names)}."] if names else []
-    return [*lines, f"Of these, the kept values differ: {format_list(kept, 4)}."] if kept else lines
+    kept = [
+        f"{_name(c)} {r.format_number(c.a)} → {r.format_number(c.b)} {r.format_unit(c.unit)}".rstrip() for c in other
+    ]
+    lines = [f"Not determined in either result, not compared: {r.format_list(names)}."] if names else []
+    return [*lines, f"Of these, the kept values differ: {r.format_list(kept, 4)}."] if kept else lines
 
 
 def _name(change: Change) -> str:
-    return format_expression(change.name) if change.combination else change.name
+    return r.format_expression(change.name) if change.combination else change.name
 
 
 def list_cells(change: Change) -> tuple[str, str, str, str, str]:
     """Return name, both values, their difference with its standard error, and the unit."""
     difference = (
-        format_with_uncertainty(change.difference, change.stderr) if change.stderr else format_number(change.difference)
+        r.format_with_uncertainty(change.difference, change.stderr)
+        if change.stderr
+        else r.format_number(change.difference)
     )
-    return _name(change), format_number(change.a), format_number(change.b), difference, format_unit(change.unit)
+    return _name(change), r.format_number(change.a), r.format_number(change.b), difference, r.format_unit(change.unit)
 
 
 def list_circumstances(found: Comparison) -> list[tuple[str, list[str]]]:
     """Return what was different besides the answer, by heading: inputs, options, versions, plain numbers."""
     inputs = [_input_line(i) for i in found.inputs if i.state != "same"]
     if found.inputs and not inputs:
-        inputs = [f"the same {count(len(found.inputs), 'file')}"]
+        inputs = [f"the same {r.count(len(found.inputs), 'file')}"]
     groups = [
         ("Inputs", inputs),
         ("Options", _difference_lines(found.configuration)),
@@ -191,9 +181,9 @@ def _difference_lines(rows: tuple[CircumstanceDifference, ...]) -> list[str]:
 
 def _value(value: Any) -> str:
     if isinstance(value, float):
-        return format_number(value)
+        return r.format_number(value)
     if isinstance(value, list):
-        return format_list(map(_value, value)) or "none"
+        return r.format_list(map(_value, value)) or "none"
     return "none" if value is None or value == "" else str(value)
 
 
@@ -201,7 +191,7 @@ def _error_cells(error: ErrorChange) -> tuple[str, str]:
     """Return both values, each with its interval where it has one."""
     pairs = ((error.a, error.ci95_a), (error.b, error.ci95_b))
     first, second = (
-        format_number(x) + (f" ({format_number(ci[0], 3)} … {format_number(ci[1], 3)})" if ci else "")
+        r.format_number(x) + (f" ({r.format_number(ci[0], 3)} … {r.format_number(ci[1], 3)})" if ci else "")
         for x, ci in pairs
     )
     return first, second
@@ -214,9 +204,9 @@ def list_findings(found: Comparison) -> list[str]:
 
 
 def _finding_line(f: FindingChange) -> str:
-    name = f"{f.cause} {format_list(f.joints)}".strip()
+    name = f"{f.cause} {r.format_list(f.joints)}".strip()
     gains = [
-        g and f"{format_number(g[0], 3)} % ({format_number(g[1], 3)} … {format_number(g[2], 3)})"
+        g and f"{r.format_number(g[0], 3)} % ({r.format_number(g[1], 3)} … {r.format_number(g[2], 3)})"
         for g in (f.gain_a, f.gain_b)
     ]
     if f.what == "same":

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from tau_dyn import results as r
 from tau_dyn.diagnose import Diagnosis, Finding, TimeTrace, Unexplained
 from tau_dyn.render.kinds import diagnosis_words as words
 from tau_dyn.render.kinds.parameter_rows import build_extended_rows, build_parameter_table
@@ -21,39 +22,6 @@ from tau_dyn.render.kinds.waterfall import (
     format_finding,
 )
 from tau_dyn.render.presentation import ZOOM, list_logs_used, pad_used, present_kind, warn
-from tau_dyn.results import (
-    Beside,
-    Chapter,
-    Column,
-    Curve,
-    Definitions,
-    Division,
-    Element,
-    Figures,
-    Folded,
-    Group,
-    Key,
-    Listing,
-    On,
-    Presentation,
-    Provenance,
-    ResultTable,
-    RobotPicture,
-    Row,
-    Strip,
-    Text,
-    TimeView,
-    Verdict,
-    View,
-    choose_unit,
-    end_sentence,
-    format_estimate,
-    format_estimate_interval,
-    format_list,
-    format_number,
-    format_percent,
-    replace_plus_minus,
-)
 
 PARTS = {1: "confirm", 2: "held"}
 """How the time view shades what each part of the data served; what was trained on stays plain."""
@@ -62,30 +30,30 @@ _MAX_PICTURED = 2
 
 
 @present_kind.register
-def present_diagnosis(found: Diagnosis) -> Presentation:
+def present_diagnosis(found: Diagnosis) -> r.Presentation:
     """Return how a diagnosis is presented."""
     robot, (level, badge) = found.model.robot, words.describe_badge(found)
     cards = [_build_card(found, finding, k) for k, finding in enumerate(found.findings)]
     sections = [
-        Chapter(
+        r.Chapter(
             "waterfall", f"Residual as a share of the {words.describe_error_reference(found)}, by model",
-            lambda: _build_waterfall(found), On.ALL,
+            lambda: _build_waterfall(found), r.On.ALL,
         ),
         *warn(found.warnings),
         *cards,
         *(_build_open_end(item, k) for k, item in enumerate(found.unexplained)),
-        *([Chapter("time", "Measured, before and after", lambda: _build_time(found))] if found.traces else []),
-        Chapter("limits", "Not detected; detection limit (95 % power)", lambda: _build_limits(found)),
-        Chapter("parameters", "Parameters of the extended model", lambda: _build_parameters(found)),
-        Chapter("trust", "Quality of fit", lambda: _build_quality(found)),
-        Chapter("uncertain", "", lambda: _list_uncertain(found), On.TERMINAL),
+        *([r.Chapter("time", "Measured, before and after", lambda: _build_time(found))] if found.traces else []),
+        r.Chapter("limits", "Not detected; detection limit (95 % power)", lambda: _build_limits(found)),
+        r.Chapter("parameters", "Parameters of the extended model", lambda: _build_parameters(found)),
+        r.Chapter("trust", "Quality of fit", lambda: _build_quality(found)),
+        r.Chapter("uncertain", "", lambda: _list_uncertain(found), r.On.TERMINAL),
     ]  # fmt: skip
-    return Presentation(
+    return r.Presentation(
         "Diagnosis", robot.name, f"{robot.name}: diagnosis", found.sentence,
-        Verdict(level, words.recommend_model(found).sentence, badge), words.describe_inputs(found), sections, found.warnings,
-        RobotPicture(robot, _list_joints(found)),
-        Provenance([("seed", str(found.seed))], list_logs_used(found.model.provenance), robot), lambda: _tabulate(found), found,
-        [f"{words.format_title(f)} ({f.status}): {replace_plus_minus(f.sentence)}" for f in found.findings],
+        r.Verdict(level, words.recommend_model(found).sentence, badge), words.describe_inputs(found), sections, found.warnings,
+        r.RobotPicture(robot, _list_joints(found)),
+        r.Provenance([("seed", str(found.seed))], list_logs_used(found.model.provenance), robot), lambda: _tabulate(found), found,
+        [f"{words.format_title(f)} ({f.status}): {r.replace_plus_minus(f.sentence)}" for f in found.findings],
     )  # fmt: skip
 
 
@@ -111,71 +79,72 @@ def _list_joints(found: Diagnosis) -> tuple[str, ...]:
     return tuple(dict.fromkeys(named or [u.joint for u in found.unexplained]))
 
 
-def _build_waterfall(found: Diagnosis) -> Iterator[Element]:
+def _build_waterfall(found: Diagnosis) -> Iterator[r.Element]:
     whole, parts = build_total_series(found), build_output_series(found)
     reference = words.describe_error_reference(found)
     yield build_total_table(whole)
     cut = " The first bar is cut." if whole.rungs and whole.rungs[0].left > whole.end else ""
     click = " Click a cause for its evidence." if found.findings else ""
-    yield Text(
-        "Solid: residual on the test data. Hatched: reduction of the residual by this step. Bracket: 95 % "
-        "interval, from blocks of "
-        f"the data. Dashed line: noise floor.{cut} Good: the last step ends at the dashed line.{click}",
+    yield r.Text(
+        "Solid: residual on the test data. Hatched: reduction of the residual by this step. Bracket: 95 % interval, "
+        f"from blocks of the data. Dashed line: noise floor.{cut} Good: the last step ends at the dashed line.{click}",
         "note",
     )
     every = words.describe_all_samples(found)
     if every:
-        yield Text(every, on=On.PAGE | On.TERMINAL)
+        yield r.Text(every, on=r.On.PAGE | r.On.TERMINAL)
     if parts:
         what = "axis" if found.channel == "tool" else "joint"
-        yield Text(f"Each {what}, in percent of its own {reference}", "heading")
-        yield Group(build_output_tables(parts), "multiples")
+        yield r.Text(f"Each {what}, in percent of its own {reference}", "heading")
+        yield r.Group(build_output_tables(parts), "multiples")
     simulated = words.list_simulation_rows(found.simulation)
     if simulated:
-        yield Text("Simulated with its controller, compared with the log", "heading")
-        columns = [Column(), Column("before", "number"), Column("after", "number", "strong")]
-        yield ResultTable(columns, [Row(row) for row in simulated], style="plain fitted")
+        yield r.Text("Simulated with its controller, compared with the log", "heading")
+        columns = [r.Column(), r.Column("before", "number"), r.Column("after", "number", "strong")]
+        yield r.ResultTable(columns, [r.Row(row) for row in simulated], style="plain fitted")
 
 
-def _build_card(found: Diagnosis, finding: Finding, k: int) -> Chapter:
+def _build_card(found: Diagnosis, finding: Finding, k: int) -> r.Chapter:
     pictured = (
-        On.PAGE | On.NOTEBOOK if sum(f.signature is not None for f in found.findings[:k]) < _MAX_PICTURED else On.PAGE
+        r.On.PAGE | r.On.NOTEBOOK
+        if sum(f.signature is not None for f in found.findings[:k]) < _MAX_PICTURED
+        else r.On.PAGE
     )
 
-    def build() -> Iterator[Element]:
-        yield Text(end_sentence(replace_plus_minus(finding.sentence)), "lead")
+    def build() -> Iterator[r.Element]:
+        yield r.Text(r.end_sentence(r.replace_plus_minus(finding.sentence)), "lead")
         if finding.equation:
-            yield Text(finding.equation, "law")
+            yield r.Text(finding.equation, "law")
         charts = [] if finding.signature is None else words.build_signature_figures(finding.signature)
         evidence = list(_list_evidence(found, finding))
         if not charts:
-            yield Group(evidence, "evidence solo")
+            yield r.Group(evidence, "evidence solo")
             return
-        yield Beside(evidence, [Figures(charts, "pair", on=pictured)], "evidence")
+        yield r.Beside(evidence, [r.Figures(charts, "pair", on=pictured)], "evidence")
         yield _build_key("residual with all other causes in the model", "the fitted effect.",
                          "Good: without the cause the means follow the line; with it they lie on zero.")  # fmt: skip
 
     said = "differs from the robot file" if finding.status == "parameter" else finding.status
-    badge = Verdict(words.STATUS_LEVEL[finding.status], "", said)
+    badge = r.Verdict(words.STATUS_LEVEL[finding.status], "", said)
     title = words.format_title(finding)
-    return Chapter(f"finding-{k + 1}", title, build, On.PAGE | On.NOTEBOOK, "card", badge, k + 1)
+    return r.Chapter(f"finding-{k + 1}", title, build, r.On.PAGE | r.On.NOTEBOOK, "card", badge, k + 1)
 
 
-def _build_key(cloud: str, fitted: str, reading: str) -> Element:
-    return Figures(
-        [], "none", [Key("cloud", cloud), Key("mean", "its mean"), Key("predicted", fitted), Key("", reading)]
+def _build_key(cloud: str, fitted: str, reading: str) -> r.Element:
+    return r.Figures(
+        [], "none", [r.Key("cloud", cloud), r.Key("mean", "its mean"), r.Key("predicted", fitted), r.Key("", reading)]
     )
 
 
-def _list_evidence(found: Diagnosis, finding: Finding) -> Iterator[Element]:
+def _list_evidence(found: Diagnosis, finding: Finding) -> Iterator[r.Element]:
     if finding.parameters:
         columns = [
-            Column(),
-            Column("estimate ± standard error (1 σ)", "number", "strong"),
-            Column("95 % interval", "number"),
+            r.Column(),
+            r.Column("estimate ± standard error (1 σ)", "number", "strong"),
+            r.Column("95 % interval", "number"),
         ]
-        rows = [Row([p.name, format_estimate(p), format_estimate_interval(p)]) for p in finding.parameters]
-        yield ResultTable(columns, rows, style="plain")
+        rows = [r.Row([p.name, r.format_estimate(p), r.format_estimate_interval(p)]) for p in finding.parameters]
+        yield r.ResultTable(columns, rows, style="plain")
     rows = [("Not confirmed", finding.why_not_confirmed)] if finding.why_not_confirmed else []
     rows.append(("Gain", words.describe_gain(finding.gain, _get_unit(found, finding))))
     if finding.confirmation:
@@ -183,9 +152,9 @@ def _list_evidence(found: Diagnosis, finding: Finding) -> Iterator[Element]:
     rows.append(("Significance", f"{words.format_p_value(finding.p_value)}, corrected for the number of tests"))
     alike = "no other known cause"
     if finding.indistinguishable_from:
-        alike = format_list(map(words.format_cause_name, finding.indistinguishable_from))
-        alike += f". To separate them: {end_sentence(finding.experiment)}" if finding.experiment else ""
-    yield Definitions([*rows, ("Indistinguishable from", alike)])
+        alike = r.format_list(map(words.format_cause_name, finding.indistinguishable_from))
+        alike += f". To separate them: {r.end_sentence(finding.experiment)}" if finding.experiment else ""
+    yield r.Definitions([*rows, ("Indistinguishable from", alike)])
 
 
 def _get_unit(found: Diagnosis, finding: Finding) -> str:
@@ -195,58 +164,57 @@ def _get_unit(found: Diagnosis, finding: Finding) -> str:
     return units.pop() if len(units) == 1 else ""
 
 
-def _build_open_end(item: Unexplained, k: int) -> Chapter:
-    def build() -> Iterator[Element]:
-        yield Text(words.describe_unexplained(item), "lead")
+def _build_open_end(item: Unexplained, k: int) -> r.Chapter:
+    def build() -> Iterator[r.Element]:
+        yield r.Text(words.describe_unexplained(item), "lead")
         rows = [
-            ("Depends on", format_list(item.depends_on)),
-            ("Share", f"{format_percent(100 * item.share_of_residual_variance)} of the residual's variance"),
+            ("Depends on", r.format_list(item.depends_on)),
+            ("Share", f"{r.format_percent(100 * item.share_of_residual_variance)} of the residual's variance"),
             *([("Suggested formula", item.suggested_formula)] if item.suggested_formula else []),
             ("Significance", words.format_p_value(item.p_value)),
         ]
         charts = [] if item.signature is None else words.build_signature_figures(item.signature, explained=False)
-        yield Beside([Definitions(rows)], [Figures(charts, "pair")] if charts else [], "evidence")
+        yield r.Beside([r.Definitions(rows)], [r.Figures(charts, "pair")] if charts else [], "evidence")
         if charts:
             yield _build_key("residual with all named causes in the model", "fitted formula.",
                              "Good: the means lie on zero everywhere.")  # fmt: skip
 
-    badge = Verdict(words.STATUS_LEVEL[item.status], "", item.status)
+    badge = r.Verdict(words.STATUS_LEVEL[item.status], "", item.status)
     title = f"Unexplained · {item.joint}"
-    return Chapter(f"unexplained-{k + 1}", title, build, On.PAGE, "card unexplained", badge)
+    return r.Chapter(f"unexplained-{k + 1}", title, build, r.On.PAGE, "card unexplained", badge)
 
 
-def _build_time(found: Diagnosis) -> Iterator[Element]:
-    key = [Key("measured", "measured"), Key("residual", "before (refitted)"), Key("predicted", "after (extended)"),
-           Key("confirm", "validation"), Key("held", "test"), Key("masked", "not used")]  # fmt: skip
+def _build_time(found: Diagnosis) -> Iterator[r.Element]:
+    key = [r.Key("measured", "measured"), r.Key("residual", "before (refitted)"), r.Key("predicted", "after (extended)"),
+           r.Key("confirm", "validation"), r.Key("held", "test"), r.Key("masked", "not used")]  # fmt: skip
     views = [_build_view(found, trace, k) for trace in found.traces for k in range(len(found.outputs))]
-    yield TimeView("measured and predicted over time, before and after, and the residuals", views, key)
-    yield Text(
-        f"{ZOOM}All curves are filtered by the same low-pass. Good: blue lies on grey, and the blue residual is a "
-        "thin band without "
-        "a pattern, in the shaded parts, too. Dark grey sections (reversals, ends of the log) are not used and "
-        "may leave the scale.",
+    yield r.TimeView("measured and predicted over time, before and after, and the residuals", views, key)
+    yield r.Text(
+        f"{ZOOM}All curves are filtered by the same low-pass. Good: blue lies on grey, and the blue residual is a thin "
+        "band without a pattern, in the shaded parts, too. Dark grey sections (reversals, ends of the log) are not "
+        "used and may leave the scale.",
         "note",
     )
 
 
-def _build_view(found: Diagnosis, trace: TimeTrace, k: int) -> View:
+def _build_view(found: Diagnosis, trace: TimeTrace, k: int) -> r.View:
     """Return one output's measurement, both models, and what each leaves, in a unit that reads well."""
     used = trace.usable[:, k]
     three = np.column_stack([trace.measured[:, k], trace.before[:, k], trace.after[:, k]])
-    factor, unit = choose_unit(found.units[k], float(np.max(np.abs(three[used]), initial=0.0)))
+    factor, unit = r.choose_unit(found.units[k], float(np.max(np.abs(three[used]), initial=0.0)))
     measured, before, after = factor * three.T
     curves = (
-        Curve("measured", "measured", measured),
-        Curve("before", "residual", before),
-        Curve("after", "predicted", after),
+        r.Curve("measured", "measured", measured),
+        r.Curve("before", "residual", before),
+        r.Curve("after", "predicted", after),
     )
     limits = pad_used(np.concatenate([x[used] for x in (measured, before, after)]))
-    above = Strip(f"{found.channel} [{unit}]", curves, limits, 270)
+    above = r.Strip(f"{found.channel} [{unit}]", curves, limits, 270)
     left = np.concatenate([(measured - before)[used], (measured - after)[used]])
-    rest = Curve("before", "residual", measured - before), Curve("after", "predicted", measured - after)
-    below = Strip(f"residual [{unit}]", rest, pad_used(np.concatenate([left, -left]), 0.1), 200, masked=True)
+    rest = r.Curve("before", "residual", measured - before), r.Curve("after", "predicted", measured - after)
+    below = r.Strip(f"residual [{unit}]", rest, pad_used(np.concatenate([left, -left]), 0.1), 200, masked=True)
     seen = set(np.unique(trace.part).tolist())
-    return View(trace.log, found.outputs[k], trace.t, (above, below), seen <= set(PARTS), _list_bands(trace), used)
+    return r.View(trace.log, found.outputs[k], trace.t, (above, below), seen <= set(PARTS), _list_bands(trace), used)
 
 
 def _list_bands(trace: TimeTrace) -> tuple[tuple[float, float, str], ...]:
@@ -258,53 +226,54 @@ def _list_bands(trace: TimeTrace) -> tuple[tuple[float, float, str], ...]:
     return tuple((float(start), float(stop), ink) for start, stop, ink in stretches if ink)
 
 
-def _build_limits(found: Diagnosis) -> Iterator[Element]:
+def _build_limits(found: Diagnosis) -> Iterator[r.Element]:
     if found.limits:
-        yield Listing(words.list_limits(found.limits), style="limits")
-        yield Text(
-            "The smallest effect that these logs would have shown in 95 of 100 cases. An effect below its limit "
-            "may exist.",
+        yield r.Listing(words.list_limits(found.limits), style="limits")
+        yield r.Text(
+            "The smallest effect that these logs would have shown in 95 of 100 cases. An effect below its limit may "
+            "exist.",
             "note",
         )
     else:
-        yield Text("No detection limits were computed.")
+        yield r.Text("No detection limits were computed.")
     if found.untestable:
-        yield Text("Not testable with these logs", "heading")
-        rows = [Row([words.format_cause_name(u.cause), u.why, u.experiment]) for u in found.untestable]
-        yield ResultTable([Column("cause"), Column("why"), Column("experiment")], rows, style="plain")
+        yield r.Text("Not testable with these logs", "heading")
+        rows = [r.Row([words.format_cause_name(u.cause), u.why, u.experiment]) for u in found.untestable]
+        yield r.ResultTable([r.Column("cause"), r.Column("why"), r.Column("experiment")], rows, style="plain")
 
 
-def _build_parameters(found: Diagnosis) -> list[Element]:
+def _build_parameters(found: Diagnosis) -> list[r.Element]:
     rows, scale = build_extended_rows(found.extended_model, found.model.parameters)
-    return build_parameter_table(rows, format_percent(100 * scale), before=True)
+    return build_parameter_table(rows, r.format_percent(100 * scale), before=True)
 
 
-def _build_quality(found: Diagnosis) -> Iterator[Element]:
+def _build_quality(found: Diagnosis) -> Iterator[r.Element]:
     whole, names = sum(found.n_parts) or 1.0, ("training", "validation", "test")
     parts = [
-        (ink, f"{name} {format_number(s, 3)} s", s / whole)
+        (ink, f"{name} {r.format_number(s, 3)} s", s / whole)
         for ink, name, s in zip(("train", "confirm", "held"), names, found.n_parts, strict=True)
     ]
     said = (
-        f"{end_sentence(found.how)} The search uses the training data alone. The validation data confirm each "
-        "cause. The test data "
-        "measure its gain."
+        f"{r.end_sentence(found.how)} The search uses the training data alone. The validation data confirm each cause. "
+        "The test data measure its gain."
     )
-    data: list[Element] = [Text("Training, validation and test data", "heading"), Division(parts), Text(said)]
-    settings = [Row(row) for row in words.list_settings(found.settings)]
-    right: list[Element] = (
-        [Text("Settings", "heading"), ResultTable([Column(), Column()], settings, style="plain")] if settings else []
+    data: list[r.Element] = [r.Text("Training, validation and test data", "heading"), r.Division(parts), r.Text(said)]
+    settings = [r.Row(row) for row in words.list_settings(found.settings)]
+    right: list[r.Element] = (
+        [r.Text("Settings", "heading"), r.ResultTable([r.Column(), r.Column()], settings, style="plain")]
+        if settings
+        else []
     )
-    yield Beside(data, right)
+    yield r.Beside(data, right)
     assumed = found.model.robot.assumed
     if assumed:
-        yield Folded("Assumed in the robot file", [Listing(list(assumed))])
+        yield r.Folded("Assumed in the robot file", [r.Listing(list(assumed))])
 
 
-def _list_uncertain(found: Diagnosis) -> Iterator[Element]:
+def _list_uncertain(found: Diagnosis) -> Iterator[r.Element]:
     """Give what a terminal says below the bars."""
     twins = [
-        f"{words.format_title(f)} from {format_list(map(words.format_cause_name, f.indistinguishable_from))}"
+        f"{words.format_title(f)} from {r.format_list(map(words.format_cause_name, f.indistinguishable_from))}"
         + (f"; to separate them: {f.experiment.rstrip('.')}" if f.experiment else "")
         for f in found.findings
         if f.indistinguishable_from
@@ -317,10 +286,10 @@ def _list_uncertain(found: Diagnosis) -> Iterator[Element]:
         ("Unexplained", [words.describe_unexplained(u) for u in found.unexplained]),
         ("These data cannot separate", twins),
         ("Not detected; detection limit (95 % power)", [f"{', '.join(limits)}."] if limits else []),
-        ("Not testable", [f"{format_list(causes, 9)}: {why}" for why, causes in reasons]),
+        ("Not testable", [f"{r.format_list(causes, 9)}: {why}" for why, causes in reasons]),
     ):
         if items:
-            yield Listing(items, title, on=On.TERMINAL)
+            yield r.Listing(items, title, on=r.On.TERMINAL)
 
 
 def _doubt(finding: Finding) -> str:

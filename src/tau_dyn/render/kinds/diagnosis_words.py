@@ -8,32 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from tau_dyn import results as r
 from tau_dyn.diagnose import Diagnosis, Finding, Gain, Limit, Signature, Status, Unexplained, Untestable
-from tau_dyn.results import (
-    Axis,
-    Dots,
-    Figure,
-    Level,
-    Line,
-    Verdict,
-    average_in_bins,
-    count,
-    end_sentence,
-    format_list,
-    format_number,
-    format_percent,
-    format_quantity,
-    format_unit,
-    pad_limits,
-)
 
-BADGE: dict[str, tuple[Level, str]] = {
+BADGE: dict[str, tuple[r.Level, str]] = {
     "named": ("good", "Cause named"),
     "nothing_found": ("good", "No model error detected"),
     "cannot_tell": ("care", "Inconclusive"),
     "unexplained": ("care", "Unexplained"),
 }
-STATUS_LEVEL: dict[Status, Level] = {"confirmed": "good", "suspected": "care", "parameter": "care"}
+STATUS_LEVEL: dict[Status, r.Level] = {"confirmed": "good", "suspected": "care", "parameter": "care"}
 MEASURED = {"force": "measured force", "tool": "measured tool position", "deflection": "measured deflection"}
 FULL_EFFECT_SHARE = 0.8
 """Share of the predicted effect from which held-out data are said to show it all."""
@@ -43,34 +27,34 @@ JUMP = 4.0
 """How many usual steps of the fitted curve make a jump at zero, where it is then broken."""
 
 
-def describe_badge(diagnosis: Diagnosis) -> tuple[Level, str]:
+def describe_badge(diagnosis: Diagnosis) -> tuple[r.Level, str]:
     """Return the verdict's level and its few words; several causes are counted."""
     level, text = BADGE[diagnosis.verdict]
     n = sum(f.status == "confirmed" for f in diagnosis.findings)
-    return (level, f"{count(n, 'cause')} named") if diagnosis.verdict == "named" and n > 1 else (level, text)
+    return (level, f"{r.count(n, 'cause')} named") if diagnosis.verdict == "named" and n > 1 else (level, text)
 
 
-def recommend_model(diagnosis: Diagnosis) -> Verdict:
+def recommend_model(diagnosis: Diagnosis) -> r.Verdict:
     """Return what to do with the answer, in a sentence."""
     level, _ = BADGE[diagnosis.verdict]
-    what, floor_ = describe_error_reference(diagnosis), format_percent(diagnosis.noise_floor.relative_error_percent)
-    before, after = (format_percent(e.relative_error_percent) for e in (diagnosis.baseline, diagnosis.extended))
+    what, floor_ = describe_error_reference(diagnosis), r.format_percent(diagnosis.noise_floor.relative_error_percent)
+    before, after = (r.format_percent(e.relative_error_percent) for e in (diagnosis.baseline, diagnosis.extended))
     if diagnosis.recommendation == "neither":
-        return Verdict("poor", f"Use neither model: {diagnosis.recommendation_why}.")
+        return r.Verdict("poor", f"Use neither model: {diagnosis.recommendation_why}.")
     if diagnosis.recommendation == "extended":
         text = f"Use the extended model: its error on held-out data is {after} of the {what} instead of {before}"
-        return Verdict(level, f"{text}; noise floor: {floor_}. No joint becomes worse.")
+        return r.Verdict(level, f"{text}; noise floor: {floor_}. No joint becomes worse.")
     if diagnosis.verdict == "named" and any(f.status == "confirmed" for f in diagnosis.findings):
-        return Verdict("care", f"Use the refitted model: {diagnosis.recommendation_why}.")
+        return r.Verdict("care", f"Use the refitted model: {diagnosis.recommendation_why}.")
     if diagnosis.verdict == "cannot_tell":
-        return Verdict(level, f"Experiment that would separate them: {end_sentence(diagnosis.experiment)}")
+        return r.Verdict(level, f"Experiment that would separate them: {r.end_sentence(diagnosis.experiment)}")
     if diagnosis.verdict == "unexplained":
-        joints = format_list(dict.fromkeys(u.joint for u in diagnosis.unexplained))
-        return Verdict(level, f"Significant unexplained structure at {joints}; see its plot.")
+        joints = r.format_list(dict.fromkeys(u.joint for u in diagnosis.unexplained))
+        return r.Verdict(level, f"Significant unexplained structure at {joints}; see its plot.")
     text = f"Use the refitted model: its residual is {before} of the {what}; noise floor: {floor_}."
     if diagnosis.verdict == "named":
-        return Verdict(level, text)
-    return Verdict(level, f"{text} Detection limits are listed below.")
+        return r.Verdict(level, text)
+    return r.Verdict(level, f"{text} Detection limits are listed below.")
 
 
 def describe_all_samples(diagnosis: Diagnosis) -> str:
@@ -79,28 +63,30 @@ def describe_all_samples(diagnosis: Diagnosis) -> str:
     if before is None or after is None:
         return ""
     more = (
-        f", of the extended model {format_percent(after.relative_error_percent)}"
+        f", of the extended model {r.format_percent(after.relative_error_percent)}"
         if diagnosis.verdict == "named"
         else ""
     )
     shares = diagnosis.baseline.used_shares
-    each = format_list([f"{o} {format_percent(100 * x)}" for o, x in zip(diagnosis.outputs, shares, strict=True)], 7)
+    each = r.format_list(
+        [f"{o} {r.format_percent(100 * x)}" for o, x in zip(diagnosis.outputs, shares, strict=True)], 7
+    )
     return (
-        f"These errors are over the used samples ({each}). Over all samples, reversals and rests included, the residual of the "
-        f"refitted model is {format_percent(before.relative_error_percent)}{more}."
+        f"These errors are over the used samples ({each}). Over all samples, reversals and rests included, the "
+        f"residual of the refitted model is {r.format_percent(before.relative_error_percent)}{more}."
     )
 
 
 def describe_inputs(diagnosis: Diagnosis) -> str:
     """Return what went in: logs, seconds, how they were divided."""
     logs = list(dict.fromkeys(trace.log for trace in diagnosis.traces))
-    named = f"{format_list(logs) if len(logs) <= 3 else count(len(logs), 'log')}; " if logs else ""
+    named = f"{r.format_list(logs) if len(logs) <= 3 else r.count(len(logs), 'log')}; " if logs else ""
     return f"{named}{describe_parts(diagnosis)}."
 
 
 def describe_parts(diagnosis: Diagnosis) -> str:
     """Return how many seconds served what."""
-    train, confirm, judge = (f"{format_number(s, 3)} s" for s in diagnosis.n_parts)
+    train, confirm, judge = (f"{r.format_number(s, 3)} s" for s in diagnosis.n_parts)
     return f"training {train}, validation {confirm}, test {judge}"
 
 
@@ -112,7 +98,7 @@ def describe_error_reference(diagnosis: Diagnosis) -> str:
 def format_title(finding: Finding) -> str:
     """Return a finding's heading, such as `Cyclic ripple · cart2`."""
     name = finding.cause.replace("_", " ")
-    return f"{name[:1].upper()}{name[1:]}{' · ' if finding.joints else ''}{format_list(finding.joints)}"
+    return f"{name[:1].upper()}{name[1:]}{' · ' if finding.joints else ''}{r.format_list(finding.joints)}"
 
 
 def format_cause_name(cause: str) -> str:
@@ -129,9 +115,10 @@ def describe_gain(gain: Gain | None, unit: str = "") -> str:
     """Return what a cause is worth on data used for nothing else, with its interval."""
     if gain is None:
         return "not applicable: the refit absorbs the effect, so the error does not change"
-    low, high = (format_number(x, 2) for x in gain.ci95)
-    before, after = format_quantity(gain.rms_before, unit), format_quantity(gain.rms_after, unit)
-    return f"{format_number(gain.reduction_percent, 2)} % less residual, 95 % interval [{low}, {high}] %; {before} → {after} rms"
+    low, high = (r.format_number(x, 2) for x in gain.ci95)
+    before, after = r.format_quantity(gain.rms_before, unit), r.format_quantity(gain.rms_after, unit)
+    less = f"{r.format_number(gain.reduction_percent, 2)} % less residual"
+    return f"{less}, 95 % interval [{low}, {high}] %; {before} → {after} rms"
 
 
 def describe_confirmation(confirmation: tuple[float, float] | None) -> str:
@@ -145,10 +132,10 @@ def describe_confirmation(confirmation: tuple[float, float] | None) -> str:
 
 def describe_unexplained(item: Unexplained) -> str:
     """Return what is left and what it depends on, in a sentence."""
-    share = format_percent(100 * item.share_of_residual_variance)
-    text, on = f"{share} of the residual variance at {item.joint}", format_list(item.depends_on)
+    share = r.format_percent(100 * item.share_of_residual_variance)
+    text, on = f"{share} of the residual variance at {item.joint}", r.format_list(item.depends_on)
     if item.indistinguishable_from:
-        on += f" (or equally on {'; or on '.join(format_list(others) for others in item.indistinguishable_from)})"
+        on += f" (or equally on {'; or on '.join(r.format_list(others) for others in item.indistinguishable_from)})"
     if item.status == "suspected":
         return f"{text} may depend on {on}; the validation data did not confirm it."
     return f"{text} depends on {on}; no known cause explains it."
@@ -157,8 +144,8 @@ def describe_unexplained(item: Unexplained) -> str:
 def list_limits(limits: Sequence[Limit]) -> list[str]:
     """Return the detection limit of each cause."""
     return [
-        format_unit(limit.phrase)
-        or f"{format_cause_name(limit.cause)} {format_quantity(limit.amplitude, limit.unit, 2)}"
+        r.format_unit(limit.phrase)
+        or f"{format_cause_name(limit.cause)} {r.format_quantity(limit.amplitude, limit.unit, 2)}"
         for limit in limits
     ]
 
@@ -199,13 +186,13 @@ def format_value(value: Any) -> str:
     if isinstance(value, int | np.integer):
         return str(value)
     if isinstance(value, float | np.floating):
-        return format_number(float(value), 4) if isfinite(value) else "none"
+        return r.format_number(float(value), 4) if isfinite(value) else "none"
     if isinstance(value, list | tuple | np.ndarray):
-        return format_list([format_value(item) for item in value], 12)
+        return r.format_list([format_value(item) for item in value], 12)
     return "none" if value is None else str(value)
 
 
-def build_signature_figures(signature: Signature, *, explained: bool = True) -> list[Figure]:
+def build_signature_figures(signature: Signature, *, explained: bool = True) -> list[r.Figure]:
     """Return the plot without the cause and, where one explains it, the plot of what is left with it, in equal frames.
 
     Args:
@@ -214,27 +201,27 @@ def build_signature_figures(signature: Signature, *, explained: bool = True) -> 
     """
     after = signature.y - signature.fitted
     cloud = np.quantile(np.concatenate([signature.y, after]), [0.01, 0.99])
-    _, means, _ = average_in_bins(signature.x, signature.y)
-    ylim = pad_limits(cloud, means, np.quantile(signature.fitted, [0.005, 0.995]))
-    x = Axis(format_unit(signature.x_label), pad_limits(signature.x, share=0.03))
-    y = Axis(format_unit(signature.y_label), ylim)
+    _, means, _ = r.average_in_bins(signature.x, signature.y)
+    ylim = r.pad_limits(cloud, means, np.quantile(signature.fitted, [0.005, 0.995]))
+    x = r.Axis(r.format_unit(signature.x_label), r.pad_limits(signature.x, share=0.03))
+    y = r.Axis(r.format_unit(signature.y_label), ylim)
     at, fitted = _trace_effect(signature)
-    before, line = _scatter(signature.x, signature.y, ylim), Line(at, np.clip(fitted, *ylim))
+    before, line = _scatter(signature.x, signature.y, ylim), r.Line(at, np.clip(fitted, *ylim))
     title = "without the cause" if explained else signature.output
-    charts = [Figure(x, y, (before[0], line, before[1]), title)]
-    return [*charts, Figure(x, y, _scatter(signature.x, after, ylim), "with it")] if explained else charts
+    charts = [r.Figure(x, y, (before[0], line, before[1]), title)]
+    return [*charts, r.Figure(x, y, _scatter(signature.x, after, ylim), "with it")] if explained else charts
 
 
-def _scatter(x: np.ndarray, y: np.ndarray, limits: tuple[float, float]) -> tuple[Dots, Dots]:
+def _scatter(x: np.ndarray, y: np.ndarray, limits: tuple[float, float]) -> tuple[r.Dots, r.Dots]:
     """Return the samples within limits, and their means."""
     inside = (y >= limits[0]) & (y <= limits[1])
-    at, mean, _ = average_in_bins(x, y)
-    return Dots(x[inside], y[inside], "cloud"), Dots(at, np.clip(mean, *limits))
+    at, mean, _ = r.average_in_bins(x, y)
+    return r.Dots(x[inside], y[inside], "cloud"), r.Dots(at, np.clip(mean, *limits))
 
 
 def _trace_effect(signature: Signature) -> tuple[np.ndarray, np.ndarray]:
     """Return the fitted effect over the horizontal axis (n,), its mean in fine steps, broken where it jumps at zero."""
-    at, mean, _ = average_in_bins(signature.x, signature.fitted, FINE)
+    at, mean, _ = r.average_in_bins(signature.x, signature.fitted, FINE)
     change = np.flatnonzero(np.diff(np.sign(at)))
     if change.size and len(at) > 4:
         steps, k = np.abs(np.diff(mean)), int(change[0])

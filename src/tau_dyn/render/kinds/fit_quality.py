@@ -13,33 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binom
 
+from tau_dyn import results as r
 from tau_dyn.effects import JointwiseEffect, Motion, TorqueOffset
 from tau_dyn.estimate import Regression
 from tau_dyn.identify import Identification
 from tau_dyn.render.kinds.parameter_rows import ParameterRow
 from tau_dyn.render.presentation import pad_used
-from tau_dyn.results import (
-    Z95,
-    Axis,
-    Curve,
-    Dots,
-    Figure,
-    Line,
-    Spans,
-    Strip,
-    Strokes,
-    View,
-    average_in_bins,
-    build_histogram,
-    count,
-    format_expression,
-    format_list,
-    format_number,
-    format_percent,
-    format_unit,
-    format_with_uncertainty,
-    pad_limits,
-)
 
 WELL, FAIR = 30.0, 200.0
 _BIASED_LEVEL = 0.01  # chance at which so few estimates of an unbiased fit lie within 2 standard errors
@@ -104,7 +83,7 @@ def _residual(regression: Regression, errors: list[np.ndarray], k: int, cutoff_h
     correlation = covariance / covariance[0] if covariance[0] > 0 else np.zeros(n_lags)
     lags = np.arange(n_lags) * step
     expected = filter_memory(lags, cutoff_hz)
-    bound = Z95 * float(np.sqrt(np.sum(expected**2) * 2 / max(1, len(values))))
+    bound = r.Z95 * float(np.sqrt(np.sum(expected**2) * 2 / max(1, len(values))))
     beyond = np.flatnonzero(np.abs(correlation - expected) > max(MAX_EXCESS_CORRELATION, bound))
     lasts = float(lags[beyond[-1]]) if beyond.size else 0.0
     return ResidualSummary(
@@ -168,7 +147,7 @@ def _friction(found: Identification, k: int, effects: list[JointwiseEffect]) -> 
     masks = [run.usable[:, k] for run in regression.runs]
     if not effects or not any(m.any() for m in masks):
         return None
-    v = np.concatenate([r.signals["v"][m, k] for r, m in zip(regression.runs, masks, strict=True)])
+    v = np.concatenate([row.signals["v"][m, k] for row, m in zip(regression.runs, masks, strict=True)])
     residual = np.concatenate([e[m, k] for e, m in zip(found.estimate.residuals(), masks, strict=True)])
     force, grid = _law(found, k, effects, v) + residual, _speeds(v)
     offset = found.parameters[f"{joint}.offset"].value if f"{joint}.offset" in found.parameters else 0.0
@@ -194,48 +173,53 @@ def _law(found: Identification, k: int, effects: list[JointwiseEffect], grid: np
     return np.sum([effect.force(motion, found.parameters)[:, k] for effect in effects], axis=0)
 
 
-def build_friction_figure(curve: Friction) -> Figure:
+def build_friction_figure(curve: Friction) -> r.Figure:
     """Return a friction curve: the cloud of samples, their mean in bins of speed, and the identified law."""
-    at, mean, deviation = average_in_bins(curve.v, curve.force)
-    ylim = pad_limits(np.quantile(curve.force, [0.003, 0.997]), curve.law, mean)
+    at, mean, deviation = r.average_in_bins(curve.v, curve.force)
+    ylim = r.pad_limits(np.quantile(curve.force, [0.003, 0.997]), curve.law, mean)
     step = max(1, len(curve.v) // DOTS)
     low, high = (np.clip(mean + side * deviation, *ylim) for side in (-1, 1))
     marks = (
-        Spans([(-curve.threshold, curve.threshold)], "masked"),
-        Dots(curve.v[::step], np.clip(curve.force[::step], *ylim), "cloud"),
-        Strokes(at, low, at, high, "whisker"),
-        Line(curve.grid, curve.law),
-        Dots(at, mean),
+        r.Spans([(-curve.threshold, curve.threshold)], "masked"),
+        r.Dots(curve.v[::step], np.clip(curve.force[::step], *ylim), "cloud"),
+        r.Strokes(at, low, at, high, "whisker"),
+        r.Line(curve.grid, curve.law),
+        r.Dots(at, mean),
     )
-    x = Axis(f"speed [{curve.speed_unit}]", pad_limits(curve.grid, share=0.03))
-    return Figure(x, Axis(f"friction [{curve.unit}]", ylim), marks, curve.joint)
+    x = r.Axis(f"speed [{curve.speed_unit}]", r.pad_limits(curve.grid, share=0.03))
+    return r.Figure(x, r.Axis(f"friction [{curve.unit}]", ylim), marks, curve.joint)
 
 
 def describe_offset(curve: Friction) -> str:
     """Return what constant force was taken off a friction curve, empty if none."""
-    return f"{curve.joint}: offset {format_number(curve.offset, 3)} {format_unit(curve.unit)}" if curve.offset else ""
+    return (
+        f"{curve.joint}: offset {r.format_number(curve.offset, 3)} {r.format_unit(curve.unit)}" if curve.offset else ""
+    )
 
 
-def build_residual_histogram(residual: ResidualSummary) -> Figure:
+def build_residual_histogram(residual: ResidualSummary) -> r.Figure:
     """Return how the residual is distributed, with the normal distribution of the same width."""
     sigma = float(np.std(residual.values)) or 1.0
     edges = np.linspace(-4, 4, 41) * sigma
     counts, _ = np.histogram(np.clip(residual.values, edges[0], edges[-1]), edges)
     density = counts / max(1, len(residual.values)) / (edges[1] - edges[0]) * sigma
     grid = np.linspace(-4, 4, 161)
-    normal = Line(grid * sigma, np.exp(-(grid**2) / 2) / np.sqrt(2 * np.pi), "expected")
-    x = Axis(f"residual [{format_unit(residual.unit)}]", (float(edges[0]), float(edges[-1])))
-    y = Axis("share [per σ]", (0, 1.15 * max(float(density.max()), 0.4)))
-    return Figure(x, y, (build_histogram(edges, density), normal), residual.joint)
+    normal = r.Line(grid * sigma, np.exp(-(grid**2) / 2) / np.sqrt(2 * np.pi), "expected")
+    x = r.Axis(f"residual [{r.format_unit(residual.unit)}]", (float(edges[0]), float(edges[-1])))
+    y = r.Axis("share [per σ]", (0, 1.15 * max(float(density.max()), 0.4)))
+    return r.Figure(x, y, (r.build_histogram(edges, density), normal), residual.joint)
 
 
-def build_correlation_figure(residual: ResidualSummary) -> Figure:
+def build_correlation_figure(residual: ResidualSummary) -> r.Figure:
     """Return the residual's autocorrelation with what the filter alone would leave."""
     ends = np.array([0, residual.lags[-1]])
-    bounds = [Line(ends, np.full(2, side * residual.bound), "bound") for side in (1, -1)]
-    curves = Line(residual.lags, residual.expected, "expected"), Line(residual.lags, residual.correlation, "residual")
-    y = Axis("autocorrelation", (min(-0.3, float(residual.correlation.min()) - 0.05), 1.05))
-    return Figure(Axis("time lag [s]", (0, float(residual.lags[-1]))), y, (*bounds, *curves), residual.joint)
+    bounds = [r.Line(ends, np.full(2, side * residual.bound), "bound") for side in (1, -1)]
+    curves = (
+        r.Line(residual.lags, residual.expected, "expected"),
+        r.Line(residual.lags, residual.correlation, "residual"),
+    )
+    y = r.Axis("autocorrelation", (min(-0.3, float(residual.correlation.min()) - 0.05), 1.05))
+    return r.Figure(r.Axis("time lag [s]", (0, float(residual.lags[-1]))), y, (*bounds, *curves), residual.joint)
 
 
 def describe_preparation(found: Identification) -> list[str]:
@@ -248,36 +232,36 @@ def describe_preparation(found: Identification) -> list[str]:
         for joint, v, unit in zip(regression.outputs, p.speed_threshold, robot.position_units, strict=True)
     ]
     sentences = [
-        f"Positions pass a zero-phase low-pass of {format_number(p.position_cutoff_hz, 3)} Hz before they are differentiated; "
-        f"forces and every column of the regression pass the same one of {format_number(p.force_cutoff_hz, 3)} Hz.",
-        f"Both are then decimated to {format_number(rate, 3)} Hz.",
-        f"Samples within {format_number(1000 * p.window_s, 2)} ms of a reversal and of speeds below {format_list(slowest)} "
-        f"are left out: the sign "
-        "of friction is uncertain there. The ends of each log and saturated forces are left out, too.",
+        f"Positions pass a zero-phase low-pass of {r.format_number(p.position_cutoff_hz, 3)} Hz before they are differentiated; "
+        f"forces and every column of the regression pass the same one of {r.format_number(p.force_cutoff_hz, 3)} Hz.",
+        f"Both are then decimated to {r.format_number(rate, 3)} Hz.",
+        f"Samples within {r.format_number(1000 * p.window_s, 2)} ms of a reversal and of speeds below "
+        f"{r.format_list(slowest)} are left out: the sign of friction is uncertain there. The ends of each log and "
+        "saturated forces are left out, too.",
     ]
     if p.exclude:
-        sentences.append(f"Samples flagged by {format_list(p.exclude)} are left out.")
+        sentences.append(f"Samples flagged by {r.format_list(p.exclude)} are left out.")
     return sentences
 
 
 def _speed(v: float, unit: str) -> str:
-    return f"{format_number(1000 * v, 2)} mm/s" if unit == "m" and v < 0.1 else f"{format_number(v, 2)} {unit}/s"
+    return f"{r.format_number(1000 * v, 2)} mm/s" if unit == "m" and v < 0.1 else f"{r.format_number(v, 2)} {unit}/s"
 
 
 def describe_used_data(found: Identification) -> str:
     """Return how much of the data the fit uses, and what the rest looks like."""
     train, n = found.train, found.estimate.regression.n_samples
-    text = f"The fit uses {format_percent(100 * train.used_share)} of the samples: {f'{n:,}'.replace(',', ' ')} force values."
+    text = f"The fit uses {r.format_percent(100 * train.used_share)} of the samples: {f'{n:,}'.replace(',', ' ')} force values."
     if train.all_samples is not None:
-        text += f" Training error: {format_percent(train.relative_error_percent)} of the used samples, "
-        text += f"{format_percent(train.all_samples.relative_error_percent)} of all."
+        text += f" Training error: {r.format_percent(train.relative_error_percent)} of the used samples, "
+        text += f"{r.format_percent(train.all_samples.relative_error_percent)} of all."
     return text
 
 
 def describe_conditioning(cond: float) -> str:
     """Return how well a motion separates the parameters, by its condition number."""
     judged = describe_separation(cond)
-    return f"Condition number {format_number(cond, 3)} (below {WELL:g} is good, above {FAIR:g} is poor): {judged}."
+    return f"Condition number {r.format_number(cond, 3)} (below {WELL:g} is good, above {FAIR:g} is poor): {judged}."
 
 
 def describe_separation(cond: float) -> str:
@@ -305,18 +289,18 @@ def list_combinations(found: Identification) -> list[str]:
     together = [row for row in found.base_rows() if row["expression"] != row["name"]]
     together.sort(key=lambda row: row["stderr"] / max(abs(row["value"]), 1e-300))
     return [
-        f"{format_expression(row['expression'])} = {format_with_uncertainty(row['value'], row['stderr'], row['unit'])}"
+        f"{r.format_expression(row['expression'])} = {r.format_with_uncertainty(row['value'], row['stderr'], row['unit'])}"
         for row in together
     ]
 
 
 def describe_truth_errors(rows: list[ParameterRow]) -> str:
     """Return how the estimates compare with the true values of a simulation, by a binomial test of their coverage."""
-    distances = [float(r.distance) for r in rows if r.distance]
+    distances = [float(row.distance) for row in rows if row.distance]
     if not distances:
         return ""
     near = sum(d <= 2 for d in distances)
-    text = f"{near} of {count(len(distances), 'estimate')} lie within 2 standard errors of the true value; "
+    text = f"{near} of {r.count(len(distances), 'estimate')} lie within 2 standard errors of the true value; "
     text += "95 % are expected."
     if binom.cdf(near, len(distances), 0.95) < _BIASED_LEVEL:
         text += " The model lacks a force that the simulated robot has; the estimates are biased."
@@ -325,20 +309,19 @@ def describe_truth_errors(rows: list[ParameterRow]) -> str:
 
 def describe_whiteness(residuals: list[ResidualSummary]) -> str:
     """Return what the autocorrelation says."""
-    left = [f"{r.joint} ({format_number(r.lasts_s, 2)} s)" for r in residuals if not r.white]
+    left = [f"{row.joint} ({r.format_number(row.lasts_s, 2)} s)" for row in residuals if not row.white]
     if not left:
         return "Residuals are white within the filter band."
     return (
-        f"The residual of {format_list(left)} is correlated for longer than the low-pass filter explains: the model "
-        f"lacks a force. "
-        "The standard errors include the coloured noise, but not a bias."
+        f"The residual of {r.format_list(left)} is correlated for longer than the low-pass filter explains: the model "
+        "lacks a force. The standard errors include the coloured noise, but not a bias."
     )
 
 
 def describe_fixed(found: Identification) -> list[str]:
     """Return what was kept at a given value."""
     return [
-        f"{p.name} = {format_number(p.value)} {format_unit(p.unit)} ({p.origin})"
+        f"{p.name} = {r.format_number(p.value)} {r.format_unit(p.unit)} ({p.origin})"
         for p in found.parameters
         if not p.free
     ]
@@ -349,11 +332,11 @@ def describe_inputs(found: Identification) -> str:
     runs = found.estimate.regression.runs
     logs = list(dict.fromkeys(run.name for run in runs))
     seconds = sum(float(run.t[-1] - run.t[0]) for run in runs)
-    named = format_list(logs, 3) if len(logs) <= 3 else count(len(logs), "log")
-    return f"{named}, {format_number(seconds, 3)} s; evaluated on {found.holdout_how}"
+    named = r.format_list(logs, 3) if len(logs) <= 3 else r.count(len(logs), "log")
+    return f"{named}, {r.format_number(seconds, 3)} s; evaluated on {found.holdout_how}"
 
 
-def list_views(found: Identification) -> Iterator[View]:
+def list_views(found: Identification) -> Iterator[r.View]:
     """Give every stretch and joint there is to look at: logs the fit never saw first."""
     own_logs, train = bool(found.model.provenance.get("held_out")), found.estimate.regression
     if own_logs and found.held is not None:
@@ -361,17 +344,19 @@ def list_views(found: Identification) -> Iterator[View]:
     yield from _list_stretches(found, train, False, None if own_logs else found.held)
 
 
-def _list_stretches(found: Identification, data: Regression, held_out: bool, part: Regression | None) -> Iterator[View]:
+def _list_stretches(
+    found: Identification, data: Regression, held_out: bool, part: Regression | None
+) -> Iterator[r.View]:
     for i, run in enumerate(data.runs):
         predicted = run.W @ found.estimate.theta
         ends = run if held_out else None if part is None else part.runs[i]
         bands = () if ends is None else ((float(ends.t[0]), float(ends.t[-1]), "held"),)
         for k, joint in enumerate(data.outputs):
-            used, unit = run.usable[:, k], format_unit(data.units[k])
+            used, unit = run.usable[:, k], r.format_unit(data.units[k])
             y, fitted = run.y[:, k], predicted[:, k]
             left = np.abs((y - fitted)[used])
-            both = Curve("measured", "measured", y), Curve("predicted", "predicted", fitted)
-            above = Strip(f"force [{unit}]", both, pad_used(np.concatenate([y[used], fitted[used]])), 290)
-            rest = (Curve("residual", "residual", y - fitted),)
-            below = Strip(f"residual [{unit}]", rest, pad_used(np.concatenate([left, -left]), 0.25), 180, masked=True)
-            yield View(run.name, joint, run.t, (above, below), held_out, bands, used)
+            both = r.Curve("measured", "measured", y), r.Curve("predicted", "predicted", fitted)
+            above = r.Strip(f"force [{unit}]", both, pad_used(np.concatenate([y[used], fitted[used]])), 290)
+            rest = (r.Curve("residual", "residual", y - fitted),)
+            below = r.Strip(f"residual [{unit}]", rest, pad_used(np.concatenate([left, -left]), 0.25), 180, masked=True)
+            yield r.View(run.name, joint, run.t, (above, below), held_out, bands, used)

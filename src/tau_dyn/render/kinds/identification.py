@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from tau_dyn import results as r
 from tau_dyn.identify import ForceErrors, Identification
 from tau_dyn.render.kinds import fit_quality
 from tau_dyn.render.kinds.parameter_rows import (
@@ -15,34 +16,6 @@ from tau_dyn.render.kinds.parameter_rows import (
     compute_bar_scale,
 )
 from tau_dyn.render.presentation import ZOOM, flatten_rows, list_logs_used, present_kind, warn
-from tau_dyn.results import (
-    Bar,
-    Beside,
-    Chapter,
-    Column,
-    Element,
-    Facts,
-    Figures,
-    Folded,
-    Key,
-    Level,
-    Listing,
-    On,
-    Presentation,
-    Provenance,
-    ResultTable,
-    RobotPicture,
-    Row,
-    Text,
-    TimeView,
-    Verdict,
-    count,
-    format_list,
-    format_number,
-    format_percent,
-    format_unit,
-    round_to_stderr,
-)
 
 BADGES = {"good": "Ready to use", "care": "Use with care", "poor": "Not usable"}
 """Verdicts in a word or three."""
@@ -60,7 +33,7 @@ OVERFIT = 1.5
 
 
 @present_kind.register
-def present_identification(found: Identification, *, truth: Mapping[str, float] | None = None) -> Presentation:
+def present_identification(found: Identification, *, truth: Mapping[str, float] | None = None) -> r.Presentation:
     """Return how an identification is presented.
 
     Args:
@@ -70,95 +43,96 @@ def present_identification(found: Identification, *, truth: Mapping[str, float] 
     robot, rows = found.model.robot, build_parameter_rows(found, truth)
     fits = [effect.equation for effect in found.model.effects]
     sections = [
-        Chapter("errors", "", lambda: _build_glance(found, rows), On.PAGE | On.TERMINAL),
+        r.Chapter("errors", "", lambda: _build_glance(found, rows), r.On.PAGE | r.On.TERMINAL),
         *warn(found.warnings),
-        Chapter("force", "Measured and predicted force", lambda: _build_forces(found)),
+        r.Chapter("force", "Measured and predicted force", lambda: _build_forces(found)),
         *_list_friction(found, list(dict.fromkeys(fits))),
-        Chapter("parameters", "Parameters", lambda: _build_parameters(found, rows, truth), On.ALL),
-        Chapter("uncertain", "", lambda: _list_uncertain(found), On.TERMINAL),
-        Chapter("trust", "Quality of fit", lambda: _build_quality(found)),
+        r.Chapter("parameters", "Parameters", lambda: _build_parameters(found, rows, truth), r.On.ALL),
+        r.Chapter("uncertain", "", lambda: _list_uncertain(found), r.On.TERMINAL),
+        r.Chapter("trust", "Quality of fit", lambda: _build_quality(found)),
     ]
     facts = [("friction model", found.friction or "as the model file says"), ("seed", str(found.seed))]
-    return Presentation(
+    return r.Presentation(
         "Identified dynamics", robot.name, f"{robot.name}: identified dynamics", describe_headline(found, truth),
-        describe_verdict(found, truth), f"{fit_quality.describe_inputs(found)}.", sections, found.warnings, RobotPicture(robot),
-        Provenance(facts, list_logs_used(found.model.provenance), robot), lambda: flatten_rows(found.rows()), found,
+        describe_verdict(found, truth), f"{fit_quality.describe_inputs(found)}.", sections, found.warnings, r.RobotPicture(robot),
+        r.Provenance(facts, list_logs_used(found.model.provenance), robot), lambda: flatten_rows(found.rows()), found,
     )  # fmt: skip
 
 
-def _build_glance(found: Identification, rows: Sequence[ParameterRow]) -> Iterator[Element]:
+def _build_glance(found: Identification, rows: Sequence[ParameterRow]) -> Iterator[r.Element]:
     judged = found.holdout or found.train
-    known = sum(r.state == "known" for r in rows)
+    known = sum(row.state == "known" for row in rows)
     title = "Held-out error" if found.holdout else "Error of the fit, no held-out data"
-    facts = [(title, format_percent(judged.relative_error_percent), "")]
+    facts = [(title, r.format_percent(judged.relative_error_percent), "")]
     if judged.all_samples is not None:
-        facts.append(("Error over all samples", format_percent(judged.all_samples.relative_error_percent), ""))
+        facts.append(("Error over all samples", r.format_percent(judged.all_samples.relative_error_percent), ""))
     facts += [
         ("Parameters determined", str(known), f"of {len(rows)}"),
-        ("Samples used", format_percent(100 * found.train.used_share), ""),
-        ("Condition number", format_number(found.estimate.cond, 3), ""),
+        ("Samples used", r.format_percent(100 * found.train.used_share), ""),
+        ("Condition number", r.format_number(found.estimate.cond, 3), ""),
     ]
-    left: list[Element] = [Text("Error by joint", "title"), _build_errors(found)]
+    left: list[r.Element] = [r.Text("Error by joint", "title"), _build_errors(found)]
     if found.holdout:
         left.append(
-            Text(
-                "Bar: held-out data. Tick: training data. Good: the bar ends at the tick. A bar far beyond the tick means poor "
-                "generalisation.",
+            r.Text(
+                "Bar: held-out data. Tick: training data. Good: the bar ends at the tick. A bar far beyond the tick "
+                "means poor generalisation.",
                 "note",
             )
         )
-    yield Beside(left, [Facts(facts)], "glance")
+    yield r.Beside(left, [r.Facts(facts)], "glance")
     together = fit_quality.list_combinations(found)
     if together:
         more = len(together) - _MAX_COMBINATIONS
         listed = together[:_MAX_COMBINATIONS] + ([f"{more} more in --json and --report"] if more > 0 else [])
         said = f"Identifiable only in combination (value ± standard error): {'; '.join(listed)}."
-        yield Text(said, on=On.TERMINAL)
+        yield r.Text(said, on=r.On.TERMINAL)
 
 
-def _build_errors(found: Identification) -> ResultTable:
+def _build_errors(found: Identification) -> r.ResultTable:
     """Return one line a joint: errors held out and in training, of all samples, and how many are used."""
     judged, train, units = found.holdout or found.train, found.train, found.model.robot.force_units
     held, every = found.holdout is not None, judged.all_samples
     worst = max([*judged.per_joint_percent, *train.per_joint_percent], default=1.0) or 1.0
     columns = [
-        Column("joint"),
-        Column("residual as a share of the force", "bar", "wide", on=On.PAGE),
-        Column("", "bar", on=On.TERMINAL),
-        Column("held out" if held else "fit", "number", "strong"),
-        Column("rms", "number"),
-        *([Column("training", "number", "quiet")] if held else []),
-        *([Column("all", "number"), Column("used", "number", "quiet")] if every is not None else []),
+        r.Column("joint"),
+        r.Column("residual as a share of the force", "bar", "wide", on=r.On.PAGE),
+        r.Column("", "bar", on=r.On.TERMINAL),
+        r.Column("held out" if held else "fit", "number", "strong"),
+        r.Column("rms", "number"),
+        *([r.Column("training", "number", "quiet")] if held else []),
+        *([r.Column("all", "number"), r.Column("used", "number", "quiet")] if every is not None else []),
     ]
     rows = []
     for k, joint in enumerate(judged.joints):
         share = float(judged.per_joint_percent[k])
-        bar = Bar(share / worst, tick=float(train.per_joint_percent[k]) / worst if held else None)
+        bar = r.Bar(share / worst, tick=float(train.per_joint_percent[k]) / worst if held else None)
         cells = [
             joint,
             bar,
             bar,
-            format_percent(share),
-            f"{format_number(float(judged.rms[k]), 3)} {format_unit(units[k])}",
+            r.format_percent(share),
+            f"{r.format_number(float(judged.rms[k]), 3)} {r.format_unit(units[k])}",
         ]
-        cells += [format_percent(float(train.per_joint_percent[k]))] if held else []
+        cells += [r.format_percent(float(train.per_joint_percent[k]))] if held else []
         if every is not None:
             used = judged.used_shares[k] if judged.used_shares else judged.used_share
-            cells += [format_percent(float(every.per_joint_percent[k])), format_percent(100 * used)]
-        rows.append(Row(cells))
-    return ResultTable(columns, rows, on=On.PAGE | On.TERMINAL)
+            cells += [r.format_percent(float(every.per_joint_percent[k])), r.format_percent(100 * used)]
+        rows.append(r.Row(cells))
+    return r.ResultTable(columns, rows, on=r.On.PAGE | r.On.TERMINAL)
 
 
-def _build_forces(found: Identification) -> Iterator[Element]:
-    key = [Key("measured", "measured"), Key("predicted", "predicted"), Key("residual", "residual"), Key("held", "held out"),
-           Key("masked", "not used")]  # fmt: skip
-    yield TimeView("measured and predicted force over time, and the residual", list(fit_quality.list_views(found)), key)
-    yield Text(
-        f"{ZOOM}Both curves are low-pass filtered like the fit. Good: the lines coincide and the residual is a "
-        "thin band without a "
-        "pattern. Grey sections (reversals, ends of the log) are not used and may leave the scale. Bumps that "
-        "repeat with position, "
-        "speed or load are a model error."
+def _build_forces(found: Identification) -> Iterator[r.Element]:
+    key = [r.Key("measured", "measured"), r.Key("predicted", "predicted"), r.Key("residual", "residual"), r.Key("held",
+    "held out"),
+           r.Key("masked", "not used")]  # fmt: skip
+    yield r.TimeView(
+        "measured and predicted force over time, and the residual", list(fit_quality.list_views(found)), key
+    )
+    yield r.Text(
+        f"{ZOOM}Both curves are low-pass filtered like the fit. Good: the lines coincide and the residual is a thin "
+        "band without a pattern. Grey sections (reversals, ends of the log) are not used and may leave the scale. "
+        "Bumps that repeat with position, speed or load are a model error."
         + (
             " The curve is of the final fit to the whole log; the held-out error comes from a fit to its first 70 % alone."
             if found.holdout and not found.model.provenance.get("held_out")
@@ -168,102 +142,98 @@ def _build_forces(found: Identification) -> Iterator[Element]:
     )
 
 
-def _list_friction(found: Identification, equations: Sequence[str]) -> list[Chapter]:
+def _list_friction(found: Identification, equations: Sequence[str]) -> list[r.Chapter]:
     curves = fit_quality.build_friction_curves(found)
     if not curves:
         return []
     offsets = [text for text in map(fit_quality.describe_offset, curves) if text]
 
-    def build() -> Iterator[Element]:
+    def build() -> Iterator[r.Element]:
         drawn = [fit_quality.build_friction_figure(curve) for curve in curves]
         means = "mean and standard deviation of the samples, by speed"
-        key = [Key("cloud", "samples"), Key("mean", means), Key("predicted", "identified law")]
-        yield Figures(drawn, key=key)
-        yield Figures(drawn[:_MAX_CURVES], on=On.NOTEBOOK)
+        key = [r.Key("cloud", "samples"), r.Key("mean", means), r.Key("predicted", "identified law")]
+        yield r.Figures(drawn, key=key)
+        yield r.Figures(drawn[:_MAX_CURVES], on=r.On.NOTEBOOK)
         subtracted = f" Subtracted: {'; '.join(offsets)}." if offsets else ""
-        yield Text(
-            f"Measured force minus the other identified forces{' and the offset' if offsets else ''}, corrected "
-            "for the low-pass "
-            f"filter at the step at zero speed. {'; '.join(equations)}. Good: the means lie on the line. A hook "
-            "near zero speed is "
-            "the Stribeck effect. A bend is drag. A wide or split cloud is friction that depends on load, "
-            "position or temperature."
-            f"{subtracted}",
+        yield r.Text(
+            f"Measured force minus the other identified forces{' and the offset' if offsets else ''}, corrected for "
+            f"the low-pass filter at the step at zero speed. {'; '.join(equations)}. Good: the means lie on the line. "
+            "A hook near zero speed is the Stribeck effect. A bend is drag. A wide or split cloud is friction that "
+            f"depends on load, position or temperature.{subtracted}",
             "note",
         )
 
-    return [Chapter("friction", "Friction", build, On.PAGE | On.NOTEBOOK, "beside" if len(curves) == 1 else "")]
+    return [r.Chapter("friction", "Friction", build, r.On.PAGE | r.On.NOTEBOOK, "beside" if len(curves) == 1 else "")]
 
 
 def _build_parameters(
     found: Identification, rows: Sequence[ParameterRow], truth: Mapping[str, float] | None
-) -> Iterator[Element]:
-    scale = format_percent(100 * compute_bar_scale(found.rows()))
-    yield from build_parameter_table(rows, scale, truth=truth is not None, on=On.ALL)
+) -> Iterator[r.Element]:
+    scale = r.format_percent(100 * compute_bar_scale(found.rows()))
+    yield from build_parameter_table(rows, scale, truth=truth is not None, on=r.On.ALL)
     said = fit_quality.describe_truth_errors(list(rows))
     if said:
-        yield Text(f"Comparison with the true values. {said}")
+        yield r.Text(f"Comparison with the true values. {said}")
     fixed = fit_quality.describe_fixed(found)
     if fixed:
-        yield Text(f"Fixed: {'; '.join(fixed)}.", "note")
+        yield r.Text(f"Fixed: {'; '.join(fixed)}.", "note")
 
 
-def _list_uncertain(found: Identification) -> Iterator[Element]:
+def _list_uncertain(found: Identification) -> Iterator[r.Element]:
     """Give what a terminal says below the table."""
     rows = found.rows()
-    weak = [r["name"] for r in rows if r["stderr"] is not None and not r["determined"]]
-    unseen = [r["name"] for r in rows if r["stderr"] is None and not r.get("depends_on")]
+    weak = [row["name"] for row in rows if row["stderr"] is not None and not row["determined"]]
+    unseen = [row["name"] for row in rows if row["stderr"] is None and not row.get("depends_on")]
     others = len(found.equivalent) - 1
     alike = [*found.equivalent[:1], *([f"likewise for {others} more"] if others > 0 else [])]
     for title, items in (
-        ("Poorly determined (standard error above 30 %)", [format_list(weak)] if weak else []),
-        ("Not excited, nominal value kept", [format_list(unseen)] if unseen else []),
+        ("Poorly determined (standard error above 30 %)", [r.format_list(weak)] if weak else []),
+        ("Not excited, nominal value kept", [r.format_list(unseen)] if unseen else []),
         ("Equivalent models", alike),
     ):
         if items:
-            yield Text(f"{title}: {'; '.join(items)}.", on=On.TERMINAL)
+            yield r.Text(f"{title}: {'; '.join(items)}.", on=r.On.TERMINAL)
 
 
-def _build_quality(found: Identification) -> Iterator[Element]:
-    used = [Text("Data used", "heading"), Text(fit_quality.describe_used_data(found)),
-            Listing(fit_quality.describe_preparation(found))]  # fmt: skip
-    separation: list[Element] = [
-        Text("Conditioning", "heading"),
-        Text(fit_quality.describe_conditioning(found.estimate.cond)),
+def _build_quality(found: Identification) -> Iterator[r.Element]:
+    used = [r.Text("Data used", "heading"), r.Text(fit_quality.describe_used_data(found)),
+            r.Listing(fit_quality.describe_preparation(found))]  # fmt: skip
+    separation: list[r.Element] = [
+        r.Text("Conditioning", "heading"),
+        r.Text(fit_quality.describe_conditioning(found.estimate.cond)),
     ]
     pairs = fit_quality.list_correlations(found)
     if pairs:
-        table = ResultTable(
-            [Column(kind="number"), Column(), Column()], [Row((c, a, b)) for a, b, c in pairs], style="plain"
+        table = r.ResultTable(
+            [r.Column(kind="number"), r.Column(), r.Column()], [r.Row((c, a, b)) for a, b, c in pairs], style="plain"
         )
-        title = f"{count(len(pairs), 'strong correlation')}; use only the combinations"
-        separation.append(Folded(title, [table], len(pairs) <= 3))
+        title = f"{r.count(len(pairs), 'strong correlation')}; use only the combinations"
+        separation.append(r.Folded(title, [table], len(pairs) <= 3))
     else:
-        separation.append(Text("No two parameters are correlated by more than 0.9."))
+        separation.append(r.Text("No two parameters are correlated by more than 0.9."))
     together = fit_quality.list_combinations(found)
     if together:
         said = "Only these sums are identifiable; the table lists nominal values of their members."
-        separation += [Text("Identifiable combinations", "heading"), Text(said), Listing(together, style="code")]
+        separation += [r.Text("Identifiable combinations", "heading"), r.Text(said), r.Listing(together, style="code")]
     if found.equivalent:
-        separation.append(Listing(found.equivalent, "Equivalent models"))
-    yield Beside(used, separation)
+        separation.append(r.Listing(found.equivalent, "Equivalent models"))
+    yield r.Beside(used, separation)
     residuals = fit_quality.compute_residuals(found)
     if residuals:
-        yield Text("Residuals", "heading")
-        yield Text(fit_quality.describe_whiteness(residuals))
-        correlations = [fit_quality.build_correlation_figure(r) for r in residuals]
-        yield Figures([*correlations, *(fit_quality.build_residual_histogram(r) for r in residuals)])
-        yield Text(
-            "Autocorrelation of the residual (line) and of white noise through the same low-pass filter (dashes), "
-            "with its 95 % "
-            "bound. Good: the line follows the dashes, then stays near zero. Below: distribution of the residual and a normal "
-            "distribution of the same width. Good: a bell. Two humps or long tails are friction or outliers that "
-            "the model lacks.",
+        yield r.Text("Residuals", "heading")
+        yield r.Text(fit_quality.describe_whiteness(residuals))
+        correlations = [fit_quality.build_correlation_figure(row) for row in residuals]
+        yield r.Figures([*correlations, *(fit_quality.build_residual_histogram(row) for row in residuals)])
+        yield r.Text(
+            "Autocorrelation of the residual (line) and of white noise through the same low-pass filter (dashes), with "
+            "its 95 % bound. Good: the line follows the dashes, then stays near zero. Below: distribution of the "
+            "residual and a normal distribution of the same width. Good: a bell. Two humps or long tails are friction "
+            "or outliers that the model lacks.",
             "note",
         )
     assumed = found.model.robot.assumed
     if assumed:
-        yield Folded("Assumed in the robot file", [Listing(list(assumed))])
+        yield r.Folded("Assumed in the robot file", [r.Listing(list(assumed))])
 
 
 def describe_headline(found: Identification, truth: Mapping[str, float] | None = None) -> str:
@@ -277,31 +247,31 @@ def describe_headline(found: Identification, truth: Mapping[str, float] | None =
 
 def describe_both_errors(errors: ForceErrors) -> str:
     """Return the error on the samples that a fit uses, and that on all samples beside it."""
-    used = format_percent(errors.relative_error_percent)
+    used = r.format_percent(errors.relative_error_percent)
     return (
         used
         if errors.all_samples is None
-        else f"{used} ({format_percent(errors.all_samples.relative_error_percent)} of all samples)"
+        else f"{used} ({r.format_percent(errors.all_samples.relative_error_percent)} of all samples)"
     )
 
 
-def describe_verdict(found: Identification, truth: Mapping[str, float] | None = None) -> Verdict:
+def describe_verdict(found: Identification, truth: Mapping[str, float] | None = None) -> r.Verdict:
     """Return how far the result may be used; estimates far from a known true value are named."""
     judged = found.holdout or found.train
-    error, weak = judged.relative_error_percent, [r for r in found.rows() if not r["determined"]]
+    error, weak = judged.relative_error_percent, [row for row in found.rows() if not row["determined"]]
     if error > POOR_PERCENT:
         look = _LOOK if error > _HOPELESS_PERCENT else ""
-        return _judge("poor", f"Do not use it: {format_percent(error)} of the force is unexplained.{look}")
+        return _judge("poor", f"Do not use it: {r.format_percent(error)} of the force is unexplained.{look}")
     rough = {j: p for j, p in zip(judged.joints, judged.per_joint_percent, strict=True) if p > POOR_PERCENT}
     if rough:
-        missed = format_list([f"{joint} ({format_percent(p)})" for joint, p in rough.items()], 3)
+        missed = r.format_list([f"{joint} ({r.format_percent(p)})" for joint, p in rough.items()], 3)
         return _judge("care", f"Too much of the force is unexplained at {missed}.")
     if judged.unjudged:
-        return _judge("care", f"The error at {format_list(judged.unjudged, 3)} is unknown: no sample could be used.")
+        return _judge("care", f"The error at {r.format_list(judged.unjudged, 3)} is unknown: no sample could be used.")
     if found.holdout is None:
         return _judge("care", "Evaluate it on another log before use: these are the errors of the fit itself.")
     if error > OVERFIT * found.train.relative_error_percent:
-        own = format_percent(found.train.relative_error_percent)
+        own = r.format_percent(found.train.relative_error_percent)
         return _judge(
             "care",
             f"The held-out error is much larger than the training error ({own}); record a richer motion before use.",
@@ -310,16 +280,16 @@ def describe_verdict(found: Identification, truth: Mapping[str, float] | None = 
     if off:
         return _judge(
             "care",
-            f"Usable for force prediction; more than 3 standard errors off the true value: {format_list(off, 3)}.",
+            f"Usable for force prediction; more than 3 standard errors off the true value: {r.format_list(off, 3)}.",
         )
     if weak:
         return _judge(
             "care",
-            f"Usable for force prediction on similar motion; {len(weak)} of {count(len(found.rows()), 'parameter')} "
+            f"Usable for force prediction on similar motion; {len(weak)} of {r.count(len(found.rows()), 'parameter')} "
             f"{'is' if len(weak) == 1 else 'are'} poorly determined.",
         )
     if found.warnings:
-        return _judge("care", f"Usable for force prediction; read {count(len(found.warnings), 'warning')} first.")
+        return _judge("care", f"Usable for force prediction; read {r.count(len(found.warnings), 'warning')} first.")
     if not all(residual.white for residual in fit_quality.compute_residuals(found)):
         return _judge(
             "good", "Use it for feedforward and simulation; residuals are not white, so estimates may be biased."
@@ -327,8 +297,8 @@ def describe_verdict(found: Identification, truth: Mapping[str, float] | None = 
     return _judge("good", "Use it for feedforward and simulation; every parameter is determined.")
 
 
-def _judge(level: Level, sentence: str) -> Verdict:
-    return Verdict(level, sentence, BADGES[level])
+def _judge(level: r.Level, sentence: str) -> r.Verdict:
+    return r.Verdict(level, sentence, BADGES[level])
 
 
 def name_mass_group(name: str) -> str:
@@ -339,52 +309,49 @@ def name_mass_group(name: str) -> str:
 
 def _missed(rows: Sequence[dict[str, Any]], truth: Mapping[str, float]) -> list[str]:
     """Return the names of estimates more than three standard errors away from the truth."""
-    compared = [r for r in rows if r["name"] in truth and r["stderr"]]
-    return [r["name"] for r in compared if abs(r["value"] - truth[r["name"]]) > 3 * r["stderr"]]
+    compared = [row for row in rows if row["name"] in truth and row["stderr"]]
+    return [row["name"] for row in compared if abs(row["value"] - truth[row["name"]]) > 3 * row["stderr"]]
 
 
 def _clauses(rows: Sequence[dict[str, Any]], truth: Mapping[str, float]) -> list[str]:
-    masses = [r for r in rows if r["name"].endswith(".mass")]
+    masses = [row for row in rows if row["name"].endswith(".mass")]
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in masses:
         groups.setdefault(name_mass_group(row["name"]), []).append(row)
     if len(groups) > 3 or not masses:
-        known = sum(r["determined"] for r in rows)
-        return [f"{known} of {count(len(rows), 'parameter')} have a standard error below 30 %"]
+        known = sum(row["determined"] for row in rows)
+        return [f"{known} of {r.count(len(rows), 'parameter')} have a standard error below 30 %"]
     clauses = [
-        _known(name, members, truth) for name, members in groups.items() if any(r["determined"] for r in members)
+        _known(name, members, truth) for name, members in groups.items() if any(row["determined"] for row in members)
     ]
-    weak = [n for n, g in groups.items() if not any(r["determined"] for r in g) and any(r["stderr"] for r in g)]
-    unseen = [n for n, g in groups.items() if all(r["stderr"] is None for r in g)]
+    weak = [n for n, g in groups.items() if not any(row["determined"] for row in g) and any(row["stderr"] for row in g)]
+    unseen = [n for n, g in groups.items() if all(row["stderr"] is None for row in g)]
     if weak:
         clauses.append(f"{_masses(weak, groups)} poorly determined")
     if unseen:
-        apart = all(not r["identifiable"] for n in unseen for r in groups[n])
+        apart = all(not row["identifiable"] for n in unseen for row in groups[n])
         clauses.append(f"{_masses(unseen, groups)} {'identifiable only in combination' if apart else 'not excited'}")
     return clauses
 
 
 def _known(name: str, members: Sequence[dict[str, Any]], truth: Mapping[str, float]) -> str:
-    known = [r for r in members if r["determined"]]
+    known = [row for row in members if row["determined"]]
     some = f"{len(known)} of {len(members)} " if len(known) < len(members) else ""
     what = f"{some}{name} {'mass' if len(members) == 1 else 'masses'}"
-    true = [truth.get(r["name"]) for r in known]
+    true = [truth.get(row["name"]) for row in known]
     if all(true):
-        off = max(100 * abs(r["value"] / x - 1) for r, x in zip(known, true, strict=True) if x)
+        off = max(100 * abs(row["value"] / x - 1) for row, x in zip(known, true, strict=True) if x)
         if _missed(known, truth):
-            return f"{what}: up to {format_percent(off)} from the true value, more than 3 standard errors"
-        return f"{what}: within {format_percent(off)} of the true value"
+            return f"{what}: up to {r.format_percent(off)} from the true value, more than 3 standard errors"
+        return f"{what}: within {r.format_percent(off)} of the true value"
     if len(members) == 1:
-        r = known[0]
-        low, high = (round_to_stderr(x, r["stderr"]) for x in r["ci95"])
-        return (
-            f"{what} {round_to_stderr(r['value'], r['stderr'])} {r['unit']}, 95 % interval [{low}, {high}] {r['unit']}"
-        )
-    return (
-        f"{what}: standard errors of {format_percent(max(100 * r['stderr'] / abs(r['value']) for r in known))} or less"
-    )
+        row = known[0]
+        low, high = (r.round_to_stderr(x, row["stderr"]) for x in row["ci95"])
+        value = f"{what} {r.round_to_stderr(row['value'], row['stderr'])} {row['unit']}"
+        return f"{value}, 95 % interval [{low}, {high}] {row['unit']}"
+    return f"{what}: standard errors of {r.format_percent(max(100 * row['stderr'] / abs(row['value']) for row in known))} or less"
 
 
 def _masses(names: Sequence[str], groups: dict[str, list[dict[str, Any]]]) -> str:
     several = len(names) > 1 or len(groups[names[0]]) > 1
-    return f"{format_list(names)} {'masses are' if several else 'mass is'}"
+    return f"{r.format_list(names)} {'masses are' if several else 'mass is'}"

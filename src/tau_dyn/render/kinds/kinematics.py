@@ -7,23 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from tau_dyn import results as r
 from tau_dyn.kinematics import PoseTable
 from tau_dyn.render.presentation import list_assumptions, present_kind, warn
-from tau_dyn.results import (
-    Chapter,
-    Column,
-    Element,
-    On,
-    Presentation,
-    Provenance,
-    ResultTable,
-    RobotPicture,
-    Row,
-    Text,
-    Verdict,
-    end_sentence,
-    format_number,
-)
 
 _MAX_ROWS = 200  # rows of a table on a page
 _MAX_PRINTED = 12  # rows of a table on a terminal
@@ -32,60 +18,70 @@ _KEPT = ("pose", "row", "signs", "mode")
 
 
 @present_kind.register
-def present_poses(table: PoseTable) -> Presentation:
+def present_poses(table: PoseTable) -> r.Presentation:
     """Return how positions and poses are presented."""
     answered, rows = int(table.ok.sum()), len(table.q)
     every = "Answered" if rows == 1 else "All rows answered"
     badge = every if answered == rows else f"{answered} of {rows} answered"
-    verdict = Verdict("good" if answered == rows else "care", "", badge)
+    verdict = r.Verdict("good" if answered == rows else "care", "", badge)
     sections = [
-        *warn([end_sentence(text) for text in table.warnings]),
-        Chapter("poses", "Positions and poses", lambda: _build_poses(table), On.ALL),
+        *warn([r.end_sentence(text) for text in table.warnings]),
+        r.Chapter("poses", "Positions and poses", lambda: _build_poses(table), r.On.ALL),
         *list_assumptions(table.robot.assumed),
     ]
-    return Presentation(
+    return r.Presentation(
         f"{_title(table)} of", table.robot.name, f"{table.robot.name}: {_title(table).lower()}", f"{_headline(table)}.", verdict,
-        _summary(table), sections, table.warnings, RobotPicture(table.robot), Provenance(robot=table.robot), table.columns, table,
+        _summary(table), sections, table.warnings, r.RobotPicture(table.robot), r.Provenance(robot=table.robot),
+        table.columns, table,
     )  # fmt: skip
 
 
-def _build_poses(table: PoseTable) -> Iterator[Element]:
+def _build_poses(table: PoseTable) -> Iterator[r.Element]:
     if len(table.q) == 1:
-        columns = [Column(), Column("value", "number"), Column("", "unit"), Column("joint limits", on=On.PAGE)]
-        yield ResultTable(
-            columns, [Row(row) for row in _list_single(table)], style="plain fitted", on=On.PAGE | On.TERMINAL
+        columns = [
+            r.Column(),
+            r.Column("value", "number"),
+            r.Column("", "unit"),
+            r.Column("joint limits", on=r.On.PAGE),
+        ]
+        yield r.ResultTable(
+            columns, [r.Row(row) for row in _list_single(table)], style="plain fitted", on=r.On.PAGE | r.On.TERMINAL
         )
     else:
-        yield _build_table(table, On.PAGE)
-        yield _build_table(table, On.TERMINAL)
+        yield _build_table(table, r.On.PAGE)
+        yield _build_table(table, r.On.TERMINAL)
         if len(table.q) > _MAX_ROWS:
-            yield Text(f"{len(table.q) - _MAX_ROWS} rows more are in the table that --out writes.", "note")
-    yield Text(
-        "The tool's place and orientation (quaternion) in the world. Joint limits are the robot file's. The "
-        "drawing shows the robot "
-        "at home.",
+            yield r.Text(f"{len(table.q) - _MAX_ROWS} rows more are in the table that --out writes.", "note")
+    yield r.Text(
+        "The tool's place and orientation (quaternion) in the world. Joint limits are the robot file's. The drawing "
+        "shows the robot at home.",
         "note",
     )
     frame = table.columns()
-    rows = [Row([_tell(x) for x in row], "" if row[-1] == "" else "poor") for row in zip(*frame.values(), strict=True)]
-    yield ResultTable([Column(name) for name in frame], rows, on=On.NOTEBOOK)
+    rows = [
+        r.Row([_tell(x) for x in row], "" if row[-1] == "" else "poor") for row in zip(*frame.values(), strict=True)
+    ]
+    yield r.ResultTable([r.Column(name) for name in frame], rows, on=r.On.NOTEBOOK)
 
 
 def _tell(x: Any) -> str:
-    return str(x) if isinstance(x, str) else format_number(float(x), 6) if np.isfinite(x) else ""
+    return str(x) if isinstance(x, str) else r.format_number(float(x), 6) if np.isfinite(x) else ""
 
 
-def _build_table(table: PoseTable, on: On) -> ResultTable:
+def _build_table(table: PoseTable, on: r.On) -> r.ResultTable:
     """Return the rows; what tells a row is repeated where a terminal splits the table."""
     heads = _heads(table)
     kept = [k for k, head in enumerate(heads) if head in _KEPT]
-    shown = [*kept, *(_choose_printed(table, heads, kept) if on is On.TERMINAL else _choose_paged(table, heads, kept))]
-    digits = "{:.4f}" if on is On.TERMINAL else "{:.5f}"
+    shown = [
+        *kept,
+        *(_choose_printed(table, heads, kept) if on is r.On.TERMINAL else _choose_paged(table, heads, kept)),
+    ]
+    digits = "{:.4f}" if on is r.On.TERMINAL else "{:.5f}"
     rows = [_cells(table, k, digits) for k in range(min(len(table.q), _MAX_ROWS))]
-    columns = [Column(heads[k], "text" if heads[k] == "why not" else "number", kept=k in kept) for k in shown]
+    columns = [r.Column(heads[k], "text" if heads[k] == "why not" else "number", kept=k in kept) for k in shown]
     rest = "rows more; --out FILE.csv writes them all"
-    return ResultTable(
-        columns, [Row([row[k] for k in shown]) for row in rows], style="poses", most=_MAX_PRINTED, rest=rest, on=on
+    return r.ResultTable(
+        columns, [r.Row([row[k] for k in shown]) for row in rows], style="poses", most=_MAX_PRINTED, rest=rest, on=on
     )
 
 

@@ -9,27 +9,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tau_dyn import results as r
 from tau_dyn.modes import CorrelationTest, Mode, Modes, OperationalModes, StabilityPoint
-from tau_dyn.results import (
-    HALF,
-    THIRD,
-    WHOLE,
-    Z95,
-    Axis,
-    Dots,
-    Figure,
-    Label,
-    Line,
-    Mark,
-    Ribbon,
-    Ring,
-    Rule,
-    Strokes,
-    pad_limits,
-)
 
 DOTS = 700  # frequencies drawn at most
-WIDTHS = {1: WHOLE, 2: HALF}
+WIDTHS = {1: r.WHOLE, 2: r.HALF}
 MAX_PAIRS = 9  # of output and input that are drawn
 FLOOR_DB = 70.0
 """Decibels below the highest peak at which a response is cut off."""
@@ -71,34 +55,34 @@ def count_chart_columns(found: Modes) -> int:
 
 
 def _size(found: Modes, height: int) -> tuple[int, int]:
-    width = WIDTHS.get(count_chart_columns(found), THIRD)
-    return width, height + (60 if width > THIRD else 0)
+    width = WIDTHS.get(count_chart_columns(found), r.THIRD)
+    return width, height + (60 if width > r.THIRD else 0)
 
 
-def _frequencies(limits: tuple[float, float]) -> Axis:
-    return Axis("frequency [Hz]", limits, log=True)
+def _frequencies(limits: tuple[float, float]) -> r.Axis:
+    return r.Axis("frequency [Hz]", limits, log=True)
 
 
-def build_bode_figure(found: Modes, i: int, j: int) -> Figure:
+def build_bode_figure(found: Modes, i: int, j: int) -> r.Figure:
     """Return magnitude over frequency: the data's own response as dots, the model's with its 95 % band over it."""
     f, g, sigma = found.response.frequency, np.abs(found.response.value[:, i, j]), found.response.deviation[:, i, j]
     seen = _select_excited(found)
     dots, at = np.abs(found.empirical.response[seen, i, j]), found.empirical.frequency[seen]
     (low, high), ends = _choose_decibels(g, dots), _get_ends(f)
-    spread = Z95 * sigma / np.sqrt(2)  # along the vector: half of the squared radius
+    spread = r.Z95 * sigma / np.sqrt(2)  # along the vector: half of the squared radius
     db = _to_decibels(dots)
     keep = np.isfinite(_within(db, low, high)) & (at >= ends[0]) & (at <= ends[1])
     marks = (
         *_build_mode_lines(found, ends),
-        Dots(*_thin(at[keep], db[keep]), "data"),
-        Ribbon(f, _to_decibels(np.maximum(g - spread, 1e-300)), _to_decibels(g + spread)),
-        Line(f, _within(_to_decibels(g), low, high)),
+        r.Dots(*_thin(at[keep], db[keep]), "data"),
+        r.Ribbon(f, _to_decibels(np.maximum(g - spread, 1e-300)), _to_decibels(g + spread)),
+        r.Line(f, _within(_to_decibels(g), low, high)),
     )
     title = f"{found.inputs[j]} → {found.outputs[i]}"
-    return Figure(_frequencies(ends), Axis("[dB]", (low, high)), marks, title, _size(found, 210))
+    return r.Figure(_frequencies(ends), r.Axis("[dB]", (low, high)), marks, title, _size(found, 210))
 
 
-def build_phase_figure(found: Modes, i: int, j: int) -> Figure:
+def build_phase_figure(found: Modes, i: int, j: int) -> r.Figure:
     """Return phase over frequency, data and model."""
     f, seen = found.response.frequency, _select_excited(found)
     ends = _get_ends(f)
@@ -106,19 +90,19 @@ def build_phase_figure(found: Modes, i: int, j: int) -> Figure:
     phase[1:][np.abs(np.diff(phase)) > 180] = np.nan  # a wrap is no line
     at, dots = found.empirical.frequency[seen], np.degrees(np.angle(found.empirical.response[seen, i, j]))
     keep = np.isfinite(dots) & (at >= ends[0]) & (at <= ends[1])
-    marks = Dots(*_thin(at[keep], dots[keep]), "data"), Line(f, phase)
-    return Figure(_frequencies(ends), Axis("phase [°]", (-190.0, 190.0)), marks, "", _size(found, 130))
+    marks = r.Dots(*_thin(at[keep], dots[keep]), "data"), r.Line(f, phase)
+    return r.Figure(_frequencies(ends), r.Axis("phase [°]", (-190.0, 190.0)), marks, "", _size(found, 130))
 
 
-def build_coherence_figure(found: Modes, i: int) -> Figure:
+def build_coherence_figure(found: Modes, i: int) -> r.Figure:
     """Return the share of an output's power that the inputs explain, over frequency."""
     at, value, ends = found.empirical.frequency, found.empirical.coherence[:, i], _get_ends(found.response.frequency)
     keep = (at >= ends[0]) & (at <= ends[1])
-    marks = *_build_mode_lines(found, ends), Line(at[keep], value[keep], "mean-line")
-    return Figure(_frequencies(ends), Axis("coherence", (0.0, 1.05)), marks, found.outputs[i], _size(found, 130))
+    marks = *_build_mode_lines(found, ends), r.Line(at[keep], value[keep], "mean-line")
+    return r.Figure(_frequencies(ends), r.Axis("coherence", (0.0, 1.05)), marks, found.outputs[i], _size(found, 130))
 
 
-def build_test_figure(found: Modes, test: CorrelationTest) -> Figure:
+def build_test_figure(found: Modes, test: CorrelationTest) -> r.Figure:
     """Return a correlation curve with its 99 % band."""
     size = max(1.5 * test.band, float(np.abs(test.values[test.lags != 0]).max(initial=0.0)) * 1.15)
     name = f"{test.input} → {test.output}" if test.input else test.output
@@ -126,59 +110,65 @@ def build_test_figure(found: Modes, test: CorrelationTest) -> Figure:
     drawn = test.lags != 0 if not test.input else np.ones(len(test.lags), bool)  # with itself it is 1 at lag 0
     lags, value, bound = test.lags[drawn], np.clip(test.values[drawn], -size, size), np.full(2, test.band)
     marks = (
-        Ribbon(np.array(limits), -bound, bound),
-        Strokes(lags, np.zeros_like(value), lags, value, "stem"),
-        Dots(lags, value, "steps" if not test.passed else "mean-small"),
+        r.Ribbon(np.array(limits), -bound, bound),
+        r.Strokes(lags, np.zeros_like(value), lags, value, "stem"),
+        r.Dots(lags, value, "steps" if not test.passed else "mean-small"),
     )
-    return Figure(Axis("lag [samples]", limits), Axis("correlation", (-size, size)), marks, name, _size(found, 150))
+    return r.Figure(
+        r.Axis("lag [samples]", limits), r.Axis("correlation", (-size, size)), marks, name, _size(found, 150)
+    )
 
 
-def build_impulse_figure(found: Modes, i: int, j: int) -> Figure | None:
+def build_impulse_figure(found: Modes, i: int, j: int) -> r.Figure | None:
     """Return the response to a unit pulse, measured and of the model; None where there is none."""
-    r = found.impulse
-    if r is None:
+    row = found.impulse
+    if row is None:
         return None
-    t, seen, model = r.t, r.measured[:, i, j], r.model[:, i, j]
+    t, seen, model = row.t, row.measured[:, i, j], row.model[:, i, j]
     step = max(1, len(t) // 900)
-    marks = Line(t[::step], seen[::step], "measured"), Line(t[::step], model[::step])
+    marks = r.Line(t[::step], seen[::step], "measured"), r.Line(t[::step], model[::step])
     title = f"{found.inputs[j]} → {found.outputs[i]}"
-    y = Axis("response", pad_limits(seen, model))
-    return Figure(Axis("time [s]", (0.0, float(t[-1]))), y, marks, title, _size(found, 190))
+    y = r.Axis("response", r.pad_limits(seen, model))
+    return r.Figure(r.Axis("time [s]", (0.0, float(t[-1]))), y, marks, title, _size(found, 190))
 
 
-def build_stabilisation_figure(found: Modes | OperationalModes) -> Figure:
+def build_stabilisation_figure(found: Modes | OperationalModes) -> r.Figure:
     """Return modes of all orders: filled where stable, rings where only the frequency agrees, small where new; 95 % bars."""
     if isinstance(found, OperationalModes):
         f = [q.frequency_hz for q in found.stabilisation]
         ends, top = (0.8 * min(f), min(1.25 * max(f), 0.5 / found.dt)), found.order + 1.5
-        lines: list[Mark] = [Rule("mode-line", x=m.frequency_hz) for m in found.modes]
-        chosen: list[Mark] = []
+        lines: list[r.Mark] = [r.Rule("mode-line", x=m.frequency_hz) for m in found.modes]
+        chosen: list[r.Mark] = []
     else:
         orders = [t.order for t in found.order_choice.trials] or [found.order]
         ends, top = _get_ends(found.response.frequency), max(orders) + 1.5
-        lines = [*_build_mode_lines(found, ends), *_build_skyline(found, ends, top), Rule("chosen-line", y=found.order)]
-        chosen = [Label(ends[1], found.order + 0.25, "chosen", "chosen-name", "end")]
+        lines = [
+            *_build_mode_lines(found, ends),
+            *_build_skyline(found, ends, top),
+            r.Rule("chosen-line", y=found.order),
+        ]
+        chosen = [r.Label(ends[1], found.order + 0.25, "chosen", "chosen-name", "end")]
     marks = (*lines, *_build_stability_marks(found.stabilisation, ends), *chosen)
-    return Figure(_frequencies(ends), Axis("order of the model", (0.0, top)), marks, "", (WHOLE, 470))
+    return r.Figure(_frequencies(ends), r.Axis("order of the model", (0.0, top)), marks, "", (r.WHOLE, 470))
 
 
-def _build_stability_marks(points: Sequence[StabilityPoint], ends: tuple[float, float]) -> list[Mark]:
+def _build_stability_marks(points: Sequence[StabilityPoint], ends: tuple[float, float]) -> list[r.Mark]:
     """Return the marks of modes by kind, with their 95 % bars."""
-    marks: list[Mark] = []
+    marks: list[r.Mark] = []
     inside = [q for q in points if ends[0] <= q.frequency_hz <= ends[1]]
     for kind in ("new", "frequency", "stable"):
         some = [q for q in inside if q.kind == kind]
         if not some:
             continue
         f, n = np.array([q.frequency_hz for q in some]), np.array([float(q.order) for q in some])
-        half = Z95 * np.nan_to_num([q.frequency_stderr for q in some])
+        half = r.Z95 * np.nan_to_num([q.frequency_stderr for q in some])
         if kind != "new":
-            marks.append(Strokes(np.clip(f - half, *ends), n, np.clip(f + half, *ends), n, f"bar-{kind}"))
-        marks.append(Dots(f, n, f"pole-{kind}", "ring" if kind == "frequency" else "dot", 3.5))
+            marks.append(r.Strokes(np.clip(f - half, *ends), n, np.clip(f + half, *ends), n, f"bar-{kind}"))
+        marks.append(r.Dots(f, n, f"pole-{kind}", "ring" if kind == "frequency" else "dot", 3.5))
     return marks
 
 
-def _build_skyline(found: Modes, ends: tuple[float, float], top: float) -> list[Mark]:
+def _build_skyline(found: Modes, ends: tuple[float, float], top: float) -> list[r.Mark]:
     """Return the data's own response, all pairs together, as a pale skyline behind the diagram."""
     seen = _select_excited(found)
     at, response = found.empirical.frequency[seen], found.empirical.response[seen]
@@ -190,59 +180,63 @@ def _build_skyline(found: Modes, ends: tuple[float, float], top: float) -> list[
         return []
     low, high = float(np.quantile(db[keep], 0.02)), float(db[keep].max())
     height = 0.96 * top * np.clip((db[keep] - low) / max(high - low, 1e-9), 0, 1)
-    return [Ribbon(at[keep], np.zeros(keep.sum()), height, "skyline")]
+    return [r.Ribbon(at[keep], np.zeros(keep.sum()), height, "skyline")]
 
 
-def build_choice_figures(found: Modes) -> list[Figure]:
+def build_choice_figures(found: Modes) -> list[r.Figure]:
     """Return how order and delay were chosen: fit on data that the models had not seen, criteria, the scan of delays."""
     trials, figures = found.order_choice.trials, []
     if len(trials) > 1:
         n, fit = np.array([float(t.order) for t in trials]), np.array([t.fit_percent for t in trials])
-        limits = pad_limits(np.array([max(float(fit.min()), float(fit.max()) - 40.0), float(fit.max())]), share=0.12)
+        limits = r.pad_limits(np.array([max(float(fit.min()), float(fit.max()) - 40.0), float(fit.max())]), share=0.12)
         fit, orders, chosen = (
             np.clip(fit, limits[0], None),
-            Axis("order", pad_limits(n, share=0.05)),
-            Rule("chosen-line", x=found.order),
+            r.Axis("order", r.pad_limits(n, share=0.05)),
+            r.Rule("chosen-line", x=found.order),
         )
-        figures.append(Figure(orders, Axis("fit [%]", limits), (chosen, Line(n, fit), Dots(n, fit)), "", (THIRD, 200)))
+        figures.append(
+            r.Figure(orders, r.Axis("fit [%]", limits), (chosen, r.Line(n, fit), r.Dots(n, fit)), "", (r.THIRD, 200))
+        )
         bic, aic = (np.array([getattr(t, name) for t in trials]) for name in ("bic", "aic"))
         above = [np.log10(1 + c - c.min()) for c in (bic, aic)]
-        y = Axis("log₁₀(1 + above best)", pad_limits(*above, share=0.1))
-        figures.append(Figure(orders, y, (chosen, Line(n, above[0]), Line(n, above[1], "residual")), "", (THIRD, 200)))
+        y = r.Axis("log₁₀(1 + above best)", r.pad_limits(*above, share=0.1))
+        figures.append(
+            r.Figure(orders, y, (chosen, r.Line(n, above[0]), r.Line(n, above[1], "residual")), "", (r.THIRD, 200))
+        )
     if len(found.delay_choice.scan) > 1:
         d, _, gap = (np.array(c, float) for c in zip(*found.delay_choice.scan, strict=True))
         height = np.log10(1 + gap)
-        y = Axis("log₁₀(1 + BIC above best)", pad_limits(height, share=0.1))
-        marks = Rule("chosen-line", x=found.delay), Line(d, height), Dots(d, height)
-        figures.append(Figure(Axis("delay [samples]", pad_limits(d, share=0.05)), y, marks, "", (THIRD, 200)))
+        y = r.Axis("log₁₀(1 + BIC above best)", r.pad_limits(height, share=0.1))
+        marks = r.Rule("chosen-line", x=found.delay), r.Line(d, height), r.Dots(d, height)
+        figures.append(r.Figure(r.Axis("delay [samples]", r.pad_limits(d, share=0.05)), y, marks, "", (r.THIRD, 200)))
     return figures
 
 
-def build_pole_figure(found: Modes) -> Figure | None:
+def build_pole_figure(found: Modes) -> r.Figure | None:
     """Return poles and zeros in the s plane, each pole with its 95 % ellipse; None without any that oscillates."""
     known = [q for q in found.poles if q.oscillates]
     if not known:
         return None
     re, im = np.array([q.s.real for q in known]), np.array([q.s.imag for q in known]) / (2 * np.pi)
     reach = [3.2 * np.sqrt(q.covariance[0, 0]) if q.covariance is not None else 0.0 for q in known]
-    xlim = pad_limits(np.concatenate([re - reach, re + reach, [0.0]]), share=0.08)
+    xlim = r.pad_limits(np.concatenate([re - reach, re + reach, [0.0]]), share=0.08)
     xlim = (max(xlim[0], 3 * float(re.min())), xlim[1])
-    ylim = pad_limits(np.concatenate([im, [0.0]]), share=0.08)
+    ylim = r.pad_limits(np.concatenate([im, [0.0]]), share=0.08)
     ylim = (min(0.0, ylim[0]), ylim[1])
     turn = np.diag([1.0, 1 / (2 * np.pi)])
-    marks: list[Mark] = [Rule("zero", x=0.0)]
+    marks: list[r.Mark] = [r.Rule("zero", x=0.0)]
     for pole, x, y in zip(known, re, im, strict=True):
         if pole.covariance is not None and x >= xlim[0]:
-            marks.append(Ring(_trace_ellipse((float(x), float(y)), turn @ pole.covariance @ turn), "sure ring"))
+            marks.append(r.Ring(_trace_ellipse((float(x), float(y)), turn @ pole.covariance @ turn), "sure ring"))
     zeros = found.zeros[(found.zeros.real >= xlim[0]) & (found.zeros.real <= xlim[1])]
     zeros = zeros[zeros.imag / (2 * np.pi) <= ylim[1]]
-    marks.append(Dots(zeros.real, zeros.imag / (2 * np.pi), "pole-frequency", "ring"))
+    marks.append(r.Dots(zeros.real, zeros.imag / (2 * np.pi), "pole-frequency", "ring"))
     inside = re >= xlim[0]
-    marks.append(Dots(re[inside], im[inside], "pole-cross", "cross", 4.5))
+    marks.append(r.Dots(re[inside], im[inside], "pole-cross", "cross", 4.5))
     for x, y in zip(re[inside], im[inside], strict=True):
         natural = float(np.hypot(x / (2 * np.pi), y))
-        marks.append(Label(float(x), float(y) + 0.02 * (ylim[1] - ylim[0]), f"  {natural:.4g} Hz", "pole-name"))
-    return Figure(Axis("decay, Re s [1/s]", xlim), Axis("Im s / 2π [Hz]", ylim), marks, "", (WHOLE, 420))
+        marks.append(r.Label(float(x), float(y) + 0.02 * (ylim[1] - ylim[0]), f"  {natural:.4g} Hz", "pole-name"))
+    return r.Figure(r.Axis("decay, Re s [1/s]", xlim), r.Axis("Im s / 2π [Hz]", ylim), marks, "", (r.WHOLE, 420))
 
 
 def _trace_ellipse(centre: tuple[float, float], covariance: np.ndarray) -> np.ndarray:
@@ -253,9 +247,9 @@ def _trace_ellipse(centre: tuple[float, float], covariance: np.ndarray) -> np.nd
     return np.array(centre) + (vectors @ ring).T
 
 
-def _build_mode_lines(found: Modes, ends: tuple[float, float]) -> list[Mark]:
+def _build_mode_lines(found: Modes, ends: tuple[float, float]) -> list[r.Mark]:
     known = [m.frequency_hz for m in select_known_resonances(found)]
-    return [Rule("mode-line", x=f) for f in known if ends[0] <= f <= ends[1]]
+    return [r.Rule("mode-line", x=f) for f in known if ends[0] <= f <= ends[1]]
 
 
 def _select_excited(found: Modes) -> np.ndarray:

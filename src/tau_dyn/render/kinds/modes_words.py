@@ -4,19 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from tau_dyn import results as r
 from tau_dyn.modes import Mode, Modes, OperationalModes
 from tau_dyn.render.kinds.modes_figures import select_known_resonances
-from tau_dyn.results import (
-    Z95,
-    Level,
-    Verdict,
-    choose_decimals,
-    count,
-    format_list,
-    format_number,
-    format_percent,
-    round_to_stderr,
-)
 
 GOOD_FIT, FAIR_FIT = 90.0, 70.0
 MAX_NAMED_MODES = 5
@@ -40,16 +30,16 @@ def format_mode_interval(value: float, stderr: float) -> str:
     """Return a 95 % interval; empty where it is not known."""
     if not np.isfinite(stderr) or stderr <= 0:
         return ""
-    digits = min(max(choose_decimals(stderr), 0), MAX_DECIMALS)
-    low, high = (f"{value + side * Z95 * stderr:.{digits}f}".replace("-", "−") for side in (-1, 1))
+    digits = min(max(r.choose_decimals(stderr), 0), MAX_DECIMALS)
+    low, high = (f"{value + side * r.Z95 * stderr:.{digits}f}".replace("-", "−") for side in (-1, 1))
     return f"{low} … {high}"
 
 
 def format_short_frequency(mode: Mode) -> str:
     """Return a frequency to the digits that are sure, three at most beyond the point."""
     if not np.isfinite(mode.frequency_stderr):
-        return format_number(mode.frequency_hz, 3)
-    return round_to_stderr(mode.frequency_hz, max(mode.frequency_stderr, 2e-3 * mode.frequency_hz))
+        return r.format_number(mode.frequency_hz, 3)
+    return r.round_to_stderr(mode.frequency_hz, max(mode.frequency_stderr, 2e-3 * mode.frequency_hz))
 
 
 def describe_headline(found: Modes | OperationalModes) -> str:
@@ -58,7 +48,7 @@ def describe_headline(found: Modes | OperationalModes) -> str:
     if not ringing:
         what = "No resonance found"
     else:
-        names = format_list([format_short_frequency(m) for m in ringing[:MAX_NAMED_MODES]], MAX_NAMED_MODES)
+        names = r.format_list([format_short_frequency(m) for m in ringing[:MAX_NAMED_MODES]], MAX_NAMED_MODES)
         more = f" and {len(ringing) - MAX_NAMED_MODES} frequencies more" if len(ringing) > MAX_NAMED_MODES else ""
         what = f"Resonances: {names} Hz{more}"
     if isinstance(found, OperationalModes):
@@ -76,7 +66,7 @@ def format_fit(fit: float) -> str:
     return f"{fit:.1f} %".replace("-", "−")
 
 
-def describe_verdict(found: Modes | OperationalModes) -> Verdict:
+def describe_verdict(found: Modes | OperationalModes) -> r.Verdict:
     """Return how far the model may be used."""
     if isinstance(found, OperationalModes):
         return _judge(
@@ -95,8 +85,8 @@ def describe_verdict(found: Modes | OperationalModes) -> Verdict:
     if failed:
         return _judge(
             "care" if fit < 99 else "good",
-            "Usable for the resonances below; the residual is correlated with the input in "
-            f"{len(failed)} of {count(len(found.independence), 'pair')} of input and output.",
+            f"Usable for the resonances below; the residual is correlated with the input in {len(failed)} of "
+            f"{r.count(len(found.independence), 'pair')} of input and output.",
         )
     if fit < GOOD_FIT:
         return _judge(
@@ -105,13 +95,13 @@ def describe_verdict(found: Modes | OperationalModes) -> Verdict:
     if vague:
         return _judge(
             "good",
-            f"Usable for simulation and design; the damping of {count(len(vague), 'mode')} is poorly determined.",
+            f"Usable for simulation and design; the damping of {r.count(len(vague), 'mode')} is poorly determined.",
         )
     return _judge("good", "Usable for simulation and design: the residual is not correlated with the inputs.")
 
 
-def _judge(level: Level, sentence: str) -> Verdict:
-    return Verdict(level, sentence, BADGES[level])
+def _judge(level: r.Level, sentence: str) -> r.Verdict:
+    return r.Verdict(level, sentence, BADGES[level])
 
 
 def describe_inputs(found: Modes | OperationalModes) -> str:
@@ -119,16 +109,16 @@ def describe_inputs(found: Modes | OperationalModes) -> str:
     if isinstance(found, OperationalModes):
         samples = f"{found.n_samples:,}".replace(",", " ")
         return (
-            f"{samples} samples at {format_number(1 / found.dt, 4)} Hz, no inputs, {count(len(found.outputs), 'output')} "
-            f"({format_list(found.outputs)}); models up to order {found.order}, ssi-cov."
+            f"{samples} samples at {r.format_number(1 / found.dt, 4)} Hz, no inputs, {r.count(len(found.outputs), 'output')} "
+            f"({r.format_list(found.outputs)}); models up to order {found.order}, ssi-cov."
         )
     n = found.train.n_samples + (0 if found.holdout is None else found.holdout.n_samples)
-    what = "impulse tests" if found.kind == "impulse" else f"{count(len(found.inputs), 'input')}"
+    what = "impulse tests" if found.kind == "impulse" else f"{r.count(len(found.inputs), 'input')}"
     samples = f"{n:,}".replace(",", " ")
     return (
-        f"{samples} samples at {format_number(1 / found.dt, 4)} Hz, {what} ({format_list(found.inputs)}), "
-        f"{count(len(found.outputs), 'output')} ({format_list(found.outputs)}); order {found.order}, delay {found.delay}, "
-        f"{found.method}; held out: {found.how_held}."
+        f"{samples} samples at {r.format_number(1 / found.dt, 4)} Hz, {what} ({r.format_list(found.inputs)}), "
+        f"{r.count(len(found.outputs), 'output')} ({r.format_list(found.outputs)}); order {found.order}, delay "
+        f"{found.delay}, {found.method}; held out: {found.how_held}."
     )
 
 
@@ -140,7 +130,7 @@ def describe_mechanical(found: Modes) -> str:
     if m.status == "identified":
         return f"Mass, damping and stiffness are identified: {m.why}."
     if m.status == "condensed" and m.valid_hz:
-        low, high = (format_number(v, 3) for v in m.valid_hz)
+        low, high = (r.format_number(v, 3) for v in m.valid_hz)
         return f"Mass, damping and stiffness are a condensed model, valid from {low} to {high} Hz: {m.why}."
     return f"Mass, damping and stiffness are not identifiable: {m.why}."
 
@@ -148,8 +138,8 @@ def describe_mechanical(found: Modes) -> str:
 def _plain(value: float, stderr: float) -> str:
     """Return a value and its standard error, both with as many decimals as two digits of the error take."""
     if not np.isfinite(stderr) or stderr <= 0:
-        return format_number(value, 4)
-    digits = min(max(choose_decimals(stderr), 0), MAX_DECIMALS)
+        return r.format_number(value, 4)
+    digits = min(max(r.choose_decimals(stderr), 0), MAX_DECIMALS)
     return f"{value:.{digits}f} ± {max(stderr, 10.0**-digits):.{digits}f}".replace("-", "−")
 
 
@@ -165,7 +155,7 @@ def describe_tests(found: Modes) -> str:
         "linear dynamics are missing, or the structure is nonlinear."
     )
     coloured = [t.output for t in found.whiteness if not t.passed]
-    share = format_percent(100 * max((t.outside for t in found.whiteness), default=0.0))
+    share = r.format_percent(100 * max((t.outside for t in found.whiteness), default=0.0))
     if coloured:
         return (
             f"{said} One-step errors of {', '.join(coloured)} keep some memory ({share} of the lags outside the band)."
@@ -180,7 +170,7 @@ def tabulate_modes(found: Modes | OperationalModes) -> list[dict[str, float]]:
         row = {n: getattr(m, n) for n in ("frequency_hz", "frequency_stderr", "damping_ratio", "damping_stderr")}
         for quantity, value in (("frequency", "frequency_hz"), ("damping", "damping_ratio")):
             for end, sign in (("low", -1), ("high", 1)):
-                row[f"{quantity}_{end}"] = row[value] + sign * Z95 * row[f"{quantity}_stderr"]
+                row[f"{quantity}_{end}"] = row[value] + sign * r.Z95 * row[f"{quantity}_stderr"]
         rows.append(row)
     return rows
 
@@ -189,5 +179,5 @@ def format_entry(values: np.ndarray, spread: np.ndarray | None, i: int, j: int) 
     """Return an entry of a matrix with its standard error, where that is known."""
     value, sigma = float(values[i, j]), 0.0 if spread is None else float(spread[i, j])
     if not np.isfinite(sigma) or sigma <= 0:
-        return format_number(value, 4)
-    return f"{round_to_stderr(value, sigma)} ± {round_to_stderr(sigma, sigma)}"
+        return r.format_number(value, 4)
+    return f"{r.round_to_stderr(value, sigma)} ± {r.round_to_stderr(sigma, sigma)}"

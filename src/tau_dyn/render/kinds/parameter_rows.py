@@ -8,27 +8,11 @@ from typing import Any, Literal
 
 import numpy as np
 
+from tau_dyn import results as r
 from tau_dyn.estimate import MAX_RELATIVE_STDERR
 from tau_dyn.identify import Identification
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.results import (
-    Z95,
-    Column,
-    Element,
-    IntervalBar,
-    On,
-    ResultTable,
-    Row,
-    Text,
-    format_interval,
-    format_list,
-    format_number,
-    format_percent,
-    format_unit,
-    format_with_uncertainty,
-    round_to_stderr,
-)
 from tau_dyn.robot import NOMINAL_MASS_STDERR, load_robot_from_urdf
 
 State = Literal["known", "weak", "unseen"]
@@ -61,7 +45,7 @@ class ParameterRow:
     unit: str
     nominal: str
     note: str
-    bar: IntervalBar | None
+    bar: r.IntervalBar | None
     true: str = ""
     distance: str = ""
     before: str = ""
@@ -71,10 +55,10 @@ def build_parameter_rows(found: Identification, truth: Mapping[str, float] | Non
     """Return the table's lines, in the order of `found.rows()`."""
     raw = found.rows()
     scale = compute_bar_scale(raw)
-    rows = [describe_row(r, scale, name_group(found.model, r["name"]), _note(found, r)) for r in raw]
+    rows = [describe_row(entry, scale, name_group(found.model, entry["name"]), _note(found, entry)) for entry in raw]
     return [
-        _compared(row, r, truth[row.name]) if truth and row.name in truth else row
-        for row, r in zip(rows, raw, strict=True)
+        _compared(row, entry, truth[row.name]) if truth and row.name in truth else row
+        for row, entry in zip(rows, raw, strict=True)
     ]
 
 
@@ -87,8 +71,8 @@ def group_rows(rows: Sequence[ParameterRow]) -> list[tuple[str, list[ParameterRo
 
 
 def build_parameter_table(
-    rows: Sequence[ParameterRow], scale: str, *, truth: bool = False, before: bool = False, on: On = On.PAGE
-) -> list[Element]:
+    rows: Sequence[ParameterRow], scale: str, *, truth: bool = False, before: bool = False, on: r.On = r.On.PAGE
+) -> list[r.Element]:
     """Return the table and how to read it.
 
     A terminal shows only what the data tell alone: of the others no value is an estimate.
@@ -100,43 +84,43 @@ def build_parameter_table(
         before: Whether the values of the model without the causes stand beside those of the extended model.
         on: Where the table stands.
     """
-    page, both = On.PAGE, On.PAGE | On.NOTEBOOK
-    nominal = both if truth or not any(r.nominal for r in rows) else On.ALL
+    page, both = r.On.PAGE, r.On.PAGE | r.On.NOTEBOOK
+    nominal = both if truth or not any(entry.nominal for entry in rows) else r.On.ALL
     columns = [
-        Column("parameter", on=both),
-        Column("identifiable alone", on=On.TERMINAL),
-        Column("nominal", "number", on=nominal),
-        *([Column("without the causes", "number", "quiet", on=page)] if before else []),
-        Column("extended model ± standard error" if before else "estimate ±\nstandard error", "number", "strong"),
-        Column("unit", "unit"),
-        *([] if before else [Column("95 % interval", "number", on=both)]),
-        Column("", "interval", on=both, scale=scale),
-        *([Column("true", "number"), Column("error / standard error", "number", "far", on=page)] if truth else []),
-        Column("remark", style="remark", on=both),
+        r.Column("parameter", on=both),
+        r.Column("identifiable alone", on=r.On.TERMINAL),
+        r.Column("nominal", "number", on=nominal),
+        *([r.Column("without the causes", "number", "quiet", on=page)] if before else []),
+        r.Column("extended model ± standard error" if before else "estimate ±\nstandard error", "number", "strong"),
+        r.Column("unit", "unit"),
+        *([] if before else [r.Column("95 % interval", "number", on=both)]),
+        r.Column("", "interval", on=both, scale=scale),
+        *([r.Column("true", "number"), r.Column("error / standard error", "number", "far", on=page)] if truth else []),
+        r.Column("remark", style="remark", on=both),
     ]
-    groups = [(title, [_build_row(r, truth, before) for r in members]) for title, members in group_rows(rows)]
+    groups = [(title, [_build_row(entry, truth, before) for entry in members]) for title, members in group_rows(rows)]
     reading = (
-        "± is one standard error (1 σ). Dot: estimate. Line: 95 % interval, relative to the nominal value (tick). Friction has "
-        "no trusted nominal value; its line shows the relative interval alone. Pale band: 95 % interval of the nominal value. "
-        "An arrow leaves the scale. Grey rows are poorly determined or not identifiable."
+        "± is one standard error (1 σ). Dot: estimate. Line: 95 % interval, relative to the nominal value (tick). "
+        "Friction has no trusted nominal value; its line shows the relative interval alone. Pale band: 95 % interval "
+        "of the nominal value. An arrow leaves the scale. Grey rows are poorly determined or not identifiable."
     )
-    return [ResultTable(columns, groups=groups, style="parameters", on=on), Text(reading, "note")]
+    return [r.ResultTable(columns, groups=groups, style="parameters", on=on), r.Text(reading, "note")]
 
 
-def _build_row(r: ParameterRow, truth: bool, before: bool) -> Row:
-    cells = [r.name, r.name, r.nominal, *([r.before] if before else []), r.estimate, r.unit]
-    cells += [] if before else [r.interval]
-    cells += [r.bar, *([r.true, r.distance] if truth else []), r.note]
-    return Row(cells, r.state, on=On.ALL if r.interval else On.PAGE | On.NOTEBOOK)
+def _build_row(entry: ParameterRow, truth: bool, before: bool) -> r.Row:
+    cells = [entry.name, entry.name, entry.nominal, *([entry.before] if before else []), entry.estimate, entry.unit]
+    cells += [] if before else [entry.interval]
+    cells += [entry.bar, *([entry.true, entry.distance] if truth else []), entry.note]
+    return r.Row(cells, entry.state, on=r.On.ALL if entry.interval else r.On.PAGE | r.On.NOTEBOOK)
 
 
 def compute_bar_scale(rows: list[dict[str, Any]]) -> float:
     """Return the bars' common half-width as a share of the reference value, wide enough for what is determined."""
     extents = [0.05]
-    for r in rows:
-        reference = r["nominal"] or r["value"]
-        if r["determined"] and reference:
-            extents.append(max(abs(x - reference) for x in r["ci95"]) / abs(reference))
+    for entry in rows:
+        reference = entry["nominal"] or entry["value"]
+        if entry["determined"] and reference:
+            extents.append(max(abs(x - reference) for x in entry["ci95"]) / abs(reference))
     return float(min(1.0, _round_up(1.05 * float(np.quantile(extents, 0.95)))))
 
 
@@ -145,26 +129,26 @@ def _round_up(x: float) -> float:
     return float(steps[min(np.searchsorted(steps, x), len(steps) - 1)])
 
 
-def describe_row(r: dict[str, Any], scale: float, group: str, note: str) -> ParameterRow:
+def describe_row(entry: dict[str, Any], scale: float, group: str, note: str) -> ParameterRow:
     """Return a parameter of the contract's form in words."""
-    seen, sigma = r["stderr"] is not None, r["stderr"]
+    seen, sigma = entry["stderr"] is not None, entry["stderr"]
     return ParameterRow(
-        name=r["name"],
+        name=entry["name"],
         group=group,
-        state="known" if r["determined"] else "weak" if seen else "unseen",
-        estimate=format_with_uncertainty(r["value"], sigma) if seen else format_number(r["value"]),
-        interval=format_interval(r["ci95"], sigma) if seen else "",
-        unit=format_unit(r["unit"]),
-        nominal="" if r["nominal"] is None else format_number(r["nominal"]),
+        state="known" if entry["determined"] else "weak" if seen else "unseen",
+        estimate=r.format_with_uncertainty(entry["value"], sigma) if seen else r.format_number(entry["value"]),
+        interval=r.format_interval(entry["ci95"], sigma) if seen else "",
+        unit=r.format_unit(entry["unit"]),
+        nominal="" if entry["nominal"] is None else r.format_number(entry["nominal"]),
         note=note,
-        bar=_bar(r, scale) if seen else None,
+        bar=_bar(entry, scale) if seen else None,
     )
 
 
-def _compared(row: ParameterRow, r: dict[str, Any], true: float) -> ParameterRow:
-    sigma = r["stderr"]
-    text = format_number(true) if sigma is None else round_to_stderr(true, sigma)
-    return replace(row, true=text, distance=f"{abs(r['value'] - true) / sigma:.1f}" if sigma else "")
+def _compared(row: ParameterRow, entry: dict[str, Any], true: float) -> ParameterRow:
+    sigma = entry["stderr"]
+    text = r.format_number(true) if sigma is None else r.round_to_stderr(true, sigma)
+    return replace(row, true=text, distance=f"{abs(entry['value'] - true) / sigma:.1f}" if sigma else "")
 
 
 def name_group(model: Model, name: str) -> str:
@@ -173,54 +157,54 @@ def name_group(model: Model, name: str) -> str:
     return "Rigid body" if name in model.robot.parameters and owner not in model.robot.actuated else owner
 
 
-def _note(found: Identification, r: dict[str, Any]) -> str:
-    if r["stderr"] is None:
-        return _unseen(r)
-    plain = found.estimate.moved.get(r["name"])
+def _note(found: Identification, entry: dict[str, Any]) -> str:
+    if entry["stderr"] is None:
+        return _unseen(entry)
+    plain = found.estimate.moved.get(entry["name"])
     if plain is not None:
-        return f"constrained to be physically consistent; the unconstrained estimate is {format_number(plain, 3)}"
-    return explain_unreliable(r) or compare_with_nominal(r)
+        return f"constrained to be physically consistent; the unconstrained estimate is {r.format_number(plain, 3)}"
+    return explain_unreliable(entry) or compare_with_nominal(entry)
 
 
-def explain_unreliable(r: dict[str, Any]) -> str:
+def explain_unreliable(entry: dict[str, Any]) -> str:
     """Return why an estimate is not reliable; empty where it is."""
-    if r["at_bound"]:
+    if entry["at_bound"]:
         return "at its bound"
-    if r["determined"]:
+    if entry["determined"]:
         return ""
-    if r["ci95"][0] <= 0 <= r["ci95"][1]:
+    if entry["ci95"][0] <= 0 <= entry["ci95"][1]:
         return "not significantly different from zero"
-    return f"poorly determined: standard error {format_percent(100 * r['stderr'] / abs(r['value']))}"
+    return f"poorly determined: standard error {r.format_percent(100 * entry['stderr'] / abs(entry['value']))}"
 
 
-def _unseen(r: dict[str, Any]) -> str:
-    shares = r.get("depends_on") or []
+def _unseen(entry: dict[str, Any]) -> str:
+    shares = entry.get("depends_on") or []
     if not shares:
-        return "not excited, nominal value kept" if r["identifiable"] else "not identifiable, nominal value kept"
-    return f"nominal value; identifiable only in combination with {format_list(shares, 3)}"
+        return "not excited, nominal value kept" if entry["identifiable"] else "not identifiable, nominal value kept"
+    return f"nominal value; identifiable only in combination with {r.format_list(shares, 3)}"
 
 
-def compare_with_nominal(r: dict[str, Any]) -> str:
+def compare_with_nominal(entry: dict[str, Any]) -> str:
     """Return how far an estimate is off its nominal value, where that is beyond both uncertainties."""
-    nominal, trust = r["nominal"], r["nominal_stderr"]
+    nominal, trust = entry["nominal"], entry["nominal_stderr"]
     if not nominal:
         return ""
-    change = (r["value"] - nominal) / abs(nominal)
-    if trust is None or abs(r["value"] - nominal) < Z95 * np.hypot(r["stderr"], trust):
+    change = (entry["value"] - nominal) / abs(nominal)
+    if trust is None or abs(entry["value"] - nominal) < r.Z95 * np.hypot(entry["stderr"], trust):
         return ""
-    return f"{format_percent(100 * abs(change))} {'above' if change > 0 else 'below'} nominal, significant (95 %)"
+    return f"{r.format_percent(100 * abs(change))} {'above' if change > 0 else 'below'} nominal, significant (95 %)"
 
 
-def _bar(r: dict[str, Any], scale: float) -> IntervalBar | None:
-    reference = r["nominal"] or r["value"]
-    if not reference or abs(reference) < 1e-3 * r["stderr"]:
+def _bar(entry: dict[str, Any], scale: float) -> r.IntervalBar | None:
+    reference = entry["nominal"] or entry["value"]
+    if not reference or abs(reference) < 1e-3 * entry["stderr"]:
         return None
-    low, high, at = ((x - reference) / abs(reference) / scale for x in (*r["ci95"], r["value"]))
-    trust = Z95 * r["nominal_stderr"] / abs(reference) / scale if r["nominal_stderr"] else 0.0
+    low, high, at = ((x - reference) / abs(reference) / scale for x in (*entry["ci95"], entry["value"]))
+    trust = r.Z95 * entry["nominal_stderr"] / abs(reference) / scale if entry["nominal_stderr"] else 0.0
     cut = [float(np.clip(x, -1, 1)) for x in (low, high)]
-    state = "known" if r["determined"] else "weak"
-    return IntervalBar(
-        cut[0], cut[1], float(at) if abs(at) <= 1 else None, min(1.0, trust), state, r["nominal"] is not None
+    state = "known" if entry["determined"] else "weak"
+    return r.IntervalBar(
+        cut[0], cut[1], float(at) if abs(at) <= 1 else None, min(1.0, trust), state, entry["nominal"] is not None
     )
 
 
@@ -232,8 +216,10 @@ def build_extended_rows(model: Model, before: Parameters) -> tuple[list[Paramete
     ).parameters  # of the file it carries
     raw = [_raw(p, nominal) for p in model.parameters if p.free]
     scale = compute_bar_scale(raw)
-    rows = [describe_row(r, scale, name_group(model, r["name"]), _note_extended(r, before)) for r in raw]
-    known = {p.name: format_with_uncertainty(p.value, p.stderr) for p in before}
+    rows = [
+        describe_row(entry, scale, name_group(model, entry["name"]), _note_extended(entry, before)) for entry in raw
+    ]
+    known = {p.name: r.format_with_uncertainty(p.value, p.stderr) for p in before}
     return [replace(row, before=known.get(row.name, "")) for row in rows], scale
 
 
@@ -249,7 +235,9 @@ def _raw(p: Parameter, nominal: Parameters) -> dict[str, Any]:
         "value": p.value,
         "unit": p.unit,
         "stderr": sigma,
-        "ci95": None if sigma is None else [max(p.lower, p.value - Z95 * sigma), min(p.upper, p.value + Z95 * sigma)],
+        "ci95": None
+        if sigma is None
+        else [max(p.lower, p.value - r.Z95 * sigma), min(p.upper, p.value + r.Z95 * sigma)],
         "determined": sigma is not None and bool(sigma < MAX_RELATIVE_STDERR * abs(p.value)),
         "nominal": None if known is None else known.value,
         "nominal_stderr": trust,
@@ -257,7 +245,7 @@ def _raw(p: Parameter, nominal: Parameters) -> dict[str, Any]:
     }
 
 
-def _note_extended(r: dict[str, Any], before: Parameters) -> str:
-    if r["stderr"] is None:
+def _note_extended(entry: dict[str, Any], before: Parameters) -> str:
+    if entry["stderr"] is None:
         return "identifiable only in combination; the value is one of many with the same forces"
-    return explain_unreliable(r) or ("new" if r["name"] not in before else compare_with_nominal(r))
+    return explain_unreliable(entry) or ("new" if entry["name"] not in before else compare_with_nominal(entry))

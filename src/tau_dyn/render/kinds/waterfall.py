@@ -13,19 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tau_dyn import results as r
 from tau_dyn.diagnose import Diagnosis, Finding, OutputErrors
-from tau_dyn.results import (
-    Column,
-    Element,
-    On,
-    ResultTable,
-    Row,
-    StepBar,
-    format_estimate,
-    format_list,
-    format_percent,
-    format_quantity,
-)
 
 TEST_PART = 2
 """Which part of a trace the errors are of."""
@@ -78,11 +67,11 @@ class WaterfallSeries:
     floor: float
     end: float
 
-    def draw(self, step: WaterfallStep) -> StepBar:
+    def draw(self, step: WaterfallStep) -> r.StepBar:
         """Return a step's bar on this axis."""
         unit = self.end if self.end > 0 else float("nan")
         ends = step.low / unit, step.high / unit
-        return StepBar(step.left / unit, *ends, step.previous / unit, self.floor / unit, step.kind)
+        return r.StepBar(step.left / unit, *ends, step.previous / unit, self.floor / unit, step.kind)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +139,7 @@ def _rungs(diagnosis: Diagnosis, share, k: int | None) -> tuple[WaterfallStep, .
         label, about, kind = _said(step.step, finding, diagnosis.findings)
         left, low, high = share(step.errors)
         previous = rungs[-1].left if rungs and kind != "floor" else float("nan")
-        rms = "" if k is None else format_quantity(float(step.errors.rms[k]), diagnosis.units[k], steadily=True)
+        rms = "" if k is None else r.format_quantity(float(step.errors.rms[k]), diagnosis.units[k], steadily=True)
         place = 0 if finding is None else 1 + diagnosis.findings.index(finding)
         joints = () if finding is None else finding.joints
         rungs.append(WaterfallStep(label, about, kind, place, joints, left, low, high, previous, rms))
@@ -159,7 +148,7 @@ def _rungs(diagnosis: Diagnosis, share, k: int | None) -> tuple[WaterfallStep, .
 
 def _end(rungs: tuple[WaterfallStep, ...]) -> float:
     """Return where the axis ends: at the longest bar, or well before it where it dwarfs all others."""
-    ends = [r.high for r in rungs if np.isfinite(r.high)]
+    ends = [row.high for row in rungs if np.isfinite(row.high)]
     others = max(ends[1:], default=0.0)
     first = ends[0] if ends else 1.0
     return 1.45 * others if others > 0 and first > CUT * others else 1.04 * max([first, others, 1e-9])
@@ -183,7 +172,11 @@ def _said(step: str, finding: Finding | None, findings: tuple[Finding, ...]) -> 
     if finding is None:
         return f"+ {step}", (), "cause"
     several = sum(f.cause == finding.cause for f in findings) > 1
-    return f"+ {finding.cause}{f' {format_list(finding.joints)}' if several else ''}", format_finding(finding), "cause"
+    return (
+        f"+ {finding.cause}{f' {r.format_list(finding.joints)}' if several else ''}",
+        format_finding(finding),
+        "cause",
+    )
 
 
 def format_finding(finding: Finding, most: int = 3) -> tuple[str, ...]:
@@ -193,52 +186,59 @@ def format_finding(finding: Finding, most: int = 3) -> tuple[str, ...]:
     parts = []
     for k, p in enumerate(finding.parameters[:most]):
         name = p.name if len(owners) > 1 else p.name.rsplit(".", 1)[-1]
-        parts.append(format_estimate(p) if not k and not several else f"{name} {format_estimate(p)}")
+        parts.append(r.format_estimate(p) if not k and not several else f"{name} {r.format_estimate(p)}")
     more = len(finding.parameters) - most
-    joints = [format_list(finding.joints, 4)] if finding.joints else []
+    joints = [r.format_list(finding.joints, 4)] if finding.joints else []
     return (*joints, *parts, *([f"{more} more"] if more > 0 else []))
 
 
-def build_total_table(series: WaterfallSeries) -> ResultTable:
+def build_total_table(series: WaterfallSeries) -> r.ResultTable:
     """Return the steps over all outputs as a table."""
-    both, page = On.PAGE | On.TERMINAL, On.PAGE
+    both, page = r.On.PAGE | r.On.TERMINAL, r.On.PAGE
     columns = [
-        Column(kind="text"),
-        Column(kind="step"),
-        Column(kind="number", style="strong"),
-        Column("", "number", "quiet spread", on=page),
-        Column(style="about quiet", on=both),
-        Column(on=On.NOTEBOOK),
+        r.Column(kind="text"),
+        r.Column(kind="step"),
+        r.Column(kind="number", style="strong"),
+        r.Column("", "number", "quiet spread", on=page),
+        r.Column(style="about quiet", on=both),
+        r.Column(on=r.On.NOTEBOOK),
     ]
     rows = [
-        Row(
-            [r.label, series.draw(r), format_share(r.left), format_spread(r), r.about, format_list(r.joints)],
-            r.kind,
-            f"finding-{r.finding}" if r.finding else "",
+        r.Row(
+            [
+                row.label,
+                series.draw(row),
+                format_share(row.left),
+                format_spread(row),
+                row.about,
+                r.format_list(row.joints),
+            ],
+            row.kind,
+            f"finding-{row.finding}" if row.finding else "",
         )
-        for r in series.rungs
+        for row in series.rungs
     ]
-    return ResultTable(columns, rows, style="waterfall", on=On.ALL)
+    return r.ResultTable(columns, rows, style="waterfall", on=r.On.ALL)
 
 
-def build_output_tables(parts: list[WaterfallSeries]) -> list[Element]:
+def build_output_tables(parts: list[WaterfallSeries]) -> list[r.Element]:
     """Return the steps of every output as small tables; the steps of an output's own causes stand out."""
     columns = [
-        Column(),
-        Column(kind="step"),
-        Column(kind="number", style="strong"),
-        Column(kind="number", style="quiet"),
+        r.Column(),
+        r.Column(kind="step"),
+        r.Column(kind="number", style="strong"),
+        r.Column(kind="number", style="quiet"),
     ]
     return [
-        ResultTable(
+        r.ResultTable(
             columns,
             [
-                Row(
-                    [r.label.replace(" parameters", ""), part.draw(r), format_share(r.left), r.rms],
-                    f"{r.kind} acts" if part.output in r.joints else r.kind,
-                    f"finding-{r.finding}" if r.finding else "",
+                r.Row(
+                    [row.label.replace(" parameters", ""), part.draw(row), format_share(row.left), row.rms],
+                    f"{row.kind} acts" if part.output in row.joints else row.kind,
+                    f"finding-{row.finding}" if row.finding else "",
                 )
-                for r in part.rungs
+                for row in part.rungs
             ],
             style="waterfall",
             caption=part.output,
@@ -249,12 +249,12 @@ def build_output_tables(parts: list[WaterfallSeries]) -> list[Element]:
 
 def format_share(share: float) -> str:
     """Return what a step leaves; empty where nothing tells how large the output is."""
-    return format_percent(share) if np.isfinite(share) else ""
+    return r.format_percent(share) if np.isfinite(share) else ""
 
 
 def format_spread(step: WaterfallStep) -> str:
     """Return a step's 95 % interval."""
     if not np.isfinite(step.low):
         return ""
-    low, high = format_percent(step.low), format_percent(step.high)
+    low, high = r.format_percent(step.low), r.format_percent(step.high)
     return f"{low.removesuffix(' %')} … {high}"

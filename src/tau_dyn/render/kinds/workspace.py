@@ -6,38 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from tau_dyn import results as r
 from tau_dyn.kinematics.workspace import QUANTITIES, Study, build_points_table
 from tau_dyn.render.kinds import workspace_figures as figures
 from tau_dyn.render.kinds.workspace_figures import SHOWN_UNITS
 from tau_dyn.render.presentation import present_kind, warn
-from tau_dyn.results import (
-    Bar,
-    Beside,
-    Chapter,
-    Column,
-    Element,
-    Facts,
-    Figures,
-    Key,
-    Level,
-    On,
-    PolarPicture,
-    Presentation,
-    Provenance,
-    ResultTable,
-    RobotPicture,
-    Row,
-    SpacePicture,
-    Text,
-    Verdict,
-    capitalise,
-    count,
-    end_sentence,
-    format_list,
-    format_number,
-    format_percent,
-    replace_minus_signs,
-)
 
 _MAX_SECTIONS = 4
 """Sections that a notebook shows."""
@@ -54,25 +27,27 @@ SIZE_UNITS = {"m3": "m³", "m2": "m²", "m": "m", "1": "points"}
 
 
 @present_kind.register
-def present_workspace(found: Study) -> Presentation:
+def present_workspace(found: Study) -> r.Presentation:
     """Return how a workspace is presented."""
     robot = found.workspace.machine.robot
     sections = [
-        *warn([end_sentence(capitalise(text)) for text in (*robot.warnings, *found.warnings)]),
-        Chapter("glance", "", lambda: [Facts(_list_facts(found), "three")]),
-        *([Chapter("space", "In space", lambda: _build_space(found))] if found.workspace.dimension == 3 else []),
+        *warn([r.end_sentence(r.capitalise(text)) for text in (*robot.warnings, *found.warnings)]),
+        r.Chapter("glance", "", lambda: [r.Facts(_list_facts(found), "three")]),
+        *([r.Chapter("space", "In space", lambda: _build_space(found))] if found.workspace.dimension == 3 else []),
         *(
-            [Chapter("sections", "Cross-sections", lambda: _build_sections(found), On.PAGE | On.NOTEBOOK)]
+            [r.Chapter("sections", "Cross-sections", lambda: _build_sections(found), r.On.PAGE | r.On.NOTEBOOK)]
             if found.sections
             else []
         ),
-        Chapter("reasons", "Why not elsewhere", lambda: [_build_reasons(found)], On.ALL),
-        Chapter("catalogue", "As a catalogue would say it", lambda: _build_catalogue(found), On.PAGE | On.TERMINAL),
-        *([Chapter("maps", "Maps", lambda: _build_maps(found))] if found.sections and found.maps else []),
+        r.Chapter("reasons", "Why not elsewhere", lambda: [_build_reasons(found)], r.On.ALL),
+        r.Chapter(
+            "catalogue", "As a catalogue would say it", lambda: _build_catalogue(found), r.On.PAGE | r.On.TERMINAL
+        ),
+        *([r.Chapter("maps", "Maps", lambda: _build_maps(found))] if found.sections and found.maps else []),
     ]
-    return Presentation(
+    return r.Presentation(
         "Workspace of", robot.name, f"{robot.name}: workspace", describe_headline(found), describe_verdict(found),
-        describe_inputs(found), sections, found.warnings, RobotPicture(robot), Provenance(robot=robot),
+        describe_inputs(found), sections, found.warnings, r.RobotPicture(robot), r.Provenance(robot=robot),
         lambda: build_points_table(found), found,
     )  # fmt: skip
 
@@ -81,12 +56,12 @@ def _list_facts(found: Study) -> list[tuple[str, str, str]]:
     """Return what stands in large numbers: words, number, unit."""
     space, frame = found.workspace, found.workspace.footprint
     name, unit = space.measure
-    rows = [(name, format_number(space.size.value, 3), SIZE_UNITS[unit])]
+    rows = [(name, r.format_number(space.size.value, 3), SIZE_UNITS[unit])]
     if space.dimension == 3 and frame.area > 0:
-        rows.append(("workspace per footprint", format_number(space.size.value / frame.area, 2), "m³/m²"))
+        rows.append(("workspace per footprint", r.format_number(space.size.value / frame.area, 2), "m³/m²"))
         if frame.height > 0:
             rows.append(
-                ("workspace per installation", format_number(space.size.value / frame.area / frame.height, 2), "")
+                ("workspace per installation", r.format_number(space.size.value / frame.area / frame.height, 2), "")
             )
     for quantity, which, words in (("stiffness", 0, "least"), ("speed", 0, "least"), ("condition", 1, "median")):
         if quantity in found.catalogue.rows:
@@ -95,102 +70,101 @@ def _list_facts(found: Study) -> list[tuple[str, str, str]]:
     return rows[:6]
 
 
-def _build_space(found: Study) -> Iterator[Element]:
-    yield Figures([SpacePicture(found)], "whole")
+def _build_space(found: Study) -> Iterator[r.Element]:
+    yield r.Figures([r.SpacePicture(found)], "whole")
     walls = [o.name for o in found.workspace.judge.demands.surroundings.obstacles]
     named = f" Outlined in colour: {', '.join(walls)} (walls without end are not drawn)." if walls else ""
-    yield Text(f"The border of the workspace with the robot at home in it; dashed: the box around it.{named}", "note")
+    yield r.Text(f"The border of the workspace with the robot at home in it; dashed: the box around it.{named}", "note")
 
 
-def _build_sections(found: Study) -> Iterator[Element]:
+def _build_sections(found: Study) -> Iterator[r.Element]:
     drawn = [figures.build_section_figure(found, s) for s in found.sections]
     cart = "rods' joints on carts, at home" if found.workspace.machine.rods is not None else "base"
-    reasons = [Key(figures.get_reason_ink(kind), kind) for kind in figures.list_reasons(found)]
-    yield Figures(drawn, "row", [Key("in", "workspace"), *reasons, Key("cart", cart)])
-    yield Figures(drawn[:_MAX_SECTIONS], on=On.NOTEBOOK)
-    areas = [f"{replace_minus_signs(s.name)}: {format_number(s.area, 3)} m²" for s in found.sections]
-    yield Text(
-        "Coloured: inverse kinematics has a solution there; the colour is the first demand that is not met. "
-        "Cross: the tool at home. "
-        f"{', '.join(areas)}.",
+    reasons = [r.Key(figures.get_reason_ink(kind), kind) for kind in figures.list_reasons(found)]
+    yield r.Figures(drawn, "row", [r.Key("in", "workspace"), *reasons, r.Key("cart", cart)])
+    yield r.Figures(drawn[:_MAX_SECTIONS], on=r.On.NOTEBOOK)
+    areas = [f"{r.replace_minus_signs(s.name)}: {r.format_number(s.area, 3)} m²" for s in found.sections]
+    yield r.Text(
+        "Coloured: inverse kinematics has a solution there; the colour is the first demand that is not met. Cross: the "
+        f"tool at home. {', '.join(areas)}.",
         "note",
     )
 
 
-def _build_reasons(found: Study) -> ResultTable:
+def _build_reasons(found: Study) -> r.ResultTable:
     """Return the demands that are first not met, over the box that was looked at."""
     columns = [
-        Column("first demand not met"), Column("", "bar"),
-        Column("share of the box searched", "number", on=On.PAGE | On.NOTEBOOK),
-        Column("share of box", "number", on=On.TERMINAL), Column("by", style="quiet"),
+        r.Column("first demand not met"), r.Column("", "bar"),
+        r.Column("share of the box searched", "number", on=r.On.PAGE | r.On.NOTEBOOK),
+        r.Column("share of box", "number", on=r.On.TERMINAL), r.Column("by", style="quiet"),
     ]  # fmt: skip
     rows = []
-    for r in found.workspace.counts():
-        share = format_percent(100 * r["share"])
-        by = [f"{name} ({format_percent(100 * n / r['points'])})" for name, n in list(r["culprits"].items())[:4]]
-        bar = Bar(r["share"], ink=figures.get_reason_ink(r["reason"]))
-        rows.append(Row([r["reason"], bar, share, share, ", ".join(by)]))
-    return ResultTable(columns, rows, style="reasons", on=On.ALL)
+    for row in found.workspace.counts():
+        share = r.format_percent(100 * row["share"])
+        by = [f"{name} ({r.format_percent(100 * n / row['points'])})" for name, n in list(row["culprits"].items())[:4]]
+        bar = r.Bar(row["share"], ink=figures.get_reason_ink(row["reason"]))
+        rows.append(r.Row([row["reason"], bar, share, share, ", ".join(by)]))
+    return r.ResultTable(columns, rows, style="reasons", on=r.On.ALL)
 
 
-def _build_catalogue(found: Study) -> Iterator[Element]:
+def _build_catalogue(found: Study) -> Iterator[r.Element]:
     catalogue = found.catalogue
     titles = (("least", ""), ("median", "strong"), ("largest", ""), ("at home", ""))
-    columns = [Column("over the workspace"), *(Column(title, "number", style) for title, style in titles)]
+    columns = [r.Column("over the workspace"), *(r.Column(title, "number", style) for title, style in titles)]
     rows = [
-        Row([QUANTITIES[name].words, *(format_shown_value(name, v) for v in (*spread, home))])
+        r.Row([QUANTITIES[name].words, *(format_shown_value(name, v) for v in (*spread, home))])
         for name, (spread, home) in catalogue.rows.items()
     ]
     length = f" Turns count as lengths at {catalogue.length:.3g} m." if catalogue.length else ""
-    left: list[Element] = [
-        ResultTable(columns, rows, on=On.PAGE | On.TERMINAL),
-        Text(f"Stiffness: {catalogue.elasticity}.{length}", "note", on=On.PAGE | On.TERMINAL),
+    left: list[r.Element] = [
+        r.ResultTable(columns, rows, on=r.On.PAGE | r.On.TERMINAL),
+        r.Text(f"Stiffness: {catalogue.elasticity}.{length}", "note", on=r.On.PAGE | r.On.TERMINAL),
     ]
     if catalogue.stiffness_at_home is not None:
         values, axes = catalogue.stiffness_at_home
         main = [
-            Row([name, format_shown_value("stiffness", float(value)), f"along ({_format_axis(axis)})"])
+            r.Row([name, format_shown_value("stiffness", float(value)), f"along ({_format_axis(axis)})"])
             for name, value, axis in zip(("softest", "between", "stiffest"), values, axes.T, strict=True)
         ]
-        left.append(Text("Stiffness at home, by direction", "heading"))
-        left.append(ResultTable([Column(), Column(kind="number", style="strong"), Column(kind="number")], main))
-    right: list[Element] = []
+        left.append(r.Text("Stiffness at home, by direction", "heading"))
+        left.append(r.ResultTable([r.Column(), r.Column(kind="number", style="strong"), r.Column(kind="number")], main))
+    right: list[r.Element] = []
     if found.tilt is not None:
-        picture = PolarPicture(
+        picture = r.PolarPicture(
             found.tilt.towards, np.rad2deg(found.tilt.angle), "how far the tool leans towards each side"
         )
-        right = [Text("How far the tool leans", "heading"), Figures([picture], "whole"),
-                 Text(_describe_tilt(found), "note", on=On.PAGE | On.TERMINAL)]  # fmt: skip
-    demands = ResultTable([Column(), Column()], [Row(row) for row in _list_demands(found)], style="plain")
-    areas = [f"{replace_minus_signs(s.name)}: {format_number(s.area, 3)} m²" for s in found.sections]
+        right = [r.Text("How far the tool leans", "heading"), r.Figures([picture], "whole"),
+                 r.Text(_describe_tilt(found), "note", on=r.On.PAGE | r.On.TERMINAL)]  # fmt: skip
+    demands = r.ResultTable([r.Column(), r.Column()], [r.Row(row) for row in _list_demands(found)], style="plain")
+    areas = [f"{r.replace_minus_signs(s.name)}: {r.format_number(s.area, 3)} m²" for s in found.sections]
     if areas:
-        left.append(Text(f"Cross-sections {format_list(areas)}.", on=On.TERMINAL))
-    yield Beside(left, [*right, Text("What a pose must satisfy", "heading"), demands], "two")
+        left.append(r.Text(f"Cross-sections {r.format_list(areas)}.", on=r.On.TERMINAL))
+    yield r.Beside(left, [*right, r.Text("What a pose must satisfy", "heading"), demands], "two")
 
 
 def _format_axis(axis: np.ndarray) -> str:
-    return ", ".join(replace_minus_signs(f"{c:+.2f}") for c in axis)
+    return ", ".join(r.replace_minus_signs(f"{c:+.2f}") for c in axis)
 
 
-def _build_maps(found: Study) -> Iterator[Element]:
+def _build_maps(found: Study) -> Iterator[r.Element]:
     for name in found.maps:
         quantity = QUANTITIES[name]
         unit = SHOWN_UNITS[quantity.unit][1]
-        yield Text(capitalise(quantity.words) + (f" [{unit}]" if unit else ""), "heading")
-        yield Figures([figures.build_scale(found, name)], "whole")
-        yield Figures([figures.build_map_figure(found, s, name) for s in found.sections], "row")
-        yield Text(MAP_WORDS[name], "note")
+        yield r.Text(r.capitalise(quantity.words) + (f" [{unit}]" if unit else ""), "heading")
+        yield r.Figures([figures.build_scale(found, name)], "whole")
+        yield r.Figures([figures.build_map_figure(found, s, name) for s in found.sections], "row")
+        yield r.Text(MAP_WORDS[name], "note")
 
 
 def _describe_tilt(found: Study) -> str:
     assert found.tilt is not None
     rows = found.tilt.to_dict()
     place = ", ".join(f"{x:.3g}" for x in found.tilt.place)
-    by = format_list(sorted({r for r in found.tilt.reason if r}), 4)
+    by = r.format_list(sorted({row for row in found.tilt.reason if row}), 4)
     limited = f" Stopped by {by}." if by else ""
     return (
-        f"At ({place}) m the tool leans {rows['every_way_deg']:.0f}° towards every side and {rows['best_way_deg']:.0f}° "
-        f"towards the best.{limited}"
+        f"At ({place}) m the tool leans {rows['every_way_deg']:.0f}° towards every side and "
+        f"{rows['best_way_deg']:.0f}° towards the best.{limited}"
     )
 
 
@@ -201,7 +175,9 @@ def _list_demands(found: Study) -> list[tuple[str, str]]:
     if space.judge.balls is not None:
         limits = np.rad2deg(np.unique(space.judge.balls.limits[np.isfinite(space.judge.balls.limits)]))
         axes = "given by the robot file" if space.judge.balls.given.all() else "the rods' directions at home"
-        rows.append(("ball joints", f"{format_list([f'{x:.4g}°' for x in limits])} from their axes, which are {axes}"))
+        rows.append(
+            ("ball joints", f"{r.format_list([f'{x:.4g}°' for x in limits])} from their axes, which are {axes}")
+        )
     apart = f"come closer than {1e3 * demands.clearance:.4g} mm" if demands.clearance else "touch"
     pairs = (
         f"none of {len(space.judge.pairs)} pairs of solids may {apart}" if space.judge.pairs else "no solids to test"
@@ -211,8 +187,8 @@ def _list_demands(found: Study) -> list[tuple[str, str]]:
     around = demands.surroundings
     ends = [f"{a} {lo:.4g} to {hi:.4g} m" for a, lo, hi in zip("xyz", around.lower, around.upper, strict=True)
             if np.isfinite([lo, hi]).any()]  # fmt: skip
-    rows += [("tool", format_list(ends))] if ends else []
-    rows += [("obstacles", format_list([o.name for o in around.obstacles], 12))] if around.obstacles else []
+    rows += [("tool", r.format_list(ends))] if ends else []
+    rows += [("obstacles", r.format_list([o.name for o in around.obstacles], 12))] if around.obstacles else []
     rows += [("border", f"{demands.border:g} m kept")] if demands.border else []
     size = frame.upper - frame.lower
     if frame.area > 0:
@@ -230,7 +206,7 @@ def format_shown_value(name: str, value: float, digits: int = 3) -> str:
     if not np.isfinite(value):
         return "–" if np.isnan(value) else "∞"
     factor, unit = SHOWN_UNITS[QUANTITIES[name].unit]
-    return f"{format_number(factor * value, digits)} {unit}".strip()
+    return f"{r.format_number(factor * value, digits)} {unit}".strip()
 
 
 def describe_size(found: Study) -> str:
@@ -249,15 +225,15 @@ def describe_headline(found: Study) -> str:
     return f"The tool reaches {describe_size(found)} within {sides} m, connected to home."
 
 
-def describe_verdict(found: Study) -> Verdict:
+def describe_verdict(found: Study) -> r.Verdict:
     """Return how far the numbers may be relied on."""
     space = found.workspace
     half = (space.size.high - space.size.low) / 2 / max(space.size.value, 1e-12)
-    level: Level = "good" if half < 0.1 else "care" if half < 0.25 else "poor"
-    words = f"Bounds of its size: {format_percent(100 * half)} to either side"
-    advice = "" if level == "good" else f"; half the step of {format_number(space.lattice.step, 2)} m halves them"
+    level: r.Level = "good" if half < 0.1 else "care" if half < 0.25 else "poor"
+    words = f"Bounds of its size: {r.format_percent(100 * half)} to either side"
+    advice = "" if level == "good" else f"; half the step of {r.format_number(space.lattice.step, 2)} m halves them"
     badge = {"good": "Sharp", "care": "Rough", "poor": "Too rough"}[level]
-    return Verdict(level, f"{words}{advice}. {describe_limits(found)}", badge)
+    return r.Verdict(level, f"{words}{advice}. {describe_limits(found)}", badge)
 
 
 def describe_limits(found: Study) -> str:
@@ -266,8 +242,8 @@ def describe_limits(found: Study) -> str:
     rows.sort(key=lambda row: -row["points"])
     if not rows:
         return "Only the robot's reach limits it."
-    named = [f"{row['reason']} ({format_percent(100 * row['share'])})" for row in rows[:3]]
-    return f"Besides reach it is limited by {format_list(named)} of the box searched."
+    named = [f"{row['reason']} ({r.format_percent(100 * row['share'])})" for row in rows[:3]]
+    return f"Besides reach it is limited by {r.format_list(named)} of the box searched."
 
 
 def describe_inputs(found: Study) -> str:
@@ -275,6 +251,6 @@ def describe_inputs(found: Study) -> str:
     space = found.workspace
     size = " × ".join(str(n) for n in space.lattice.shape)
     return (
-        f"{size} points every {format_number(space.lattice.step, 3)} m, {count(space.judge.n_judged, 'pose')} evaluated; "
-        "the rest follows from neighbours and a random check"
+        f"{size} points every {r.format_number(space.lattice.step, 3)} m, {r.count(space.judge.n_judged, 'pose')} "
+        "evaluated; the rest follows from neighbours and a random check"
     )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from tau_dyn import results as r
 from tau_dyn.kinematics.workspace import KINDS, QUANTITIES, Section, Study
-from tau_dyn.results import THIRD, Axis, Cells, ColourScale, Dots, Figure, Mark, format_number, replace_minus_signs
 
 TALLEST = 420
 """Height of a section's plot at most [px]."""
@@ -35,24 +35,24 @@ def choose_window(found: Study, s: Section) -> tuple[tuple[float, float], tuple[
     return limits[0], limits[1]
 
 
-def _build_figure(found: Study, s: Section, marks: list[Mark], style: str = "") -> Figure:
+def _build_figure(found: Study, s: Section, marks: list[r.Mark], style: str = "") -> r.Figure:
     """Return marks on a section, both axes to one scale, with the carts and the tool at home."""
     xlim, ylim = choose_window(found, s)
-    wide = THIRD - 56
+    wide = r.THIRD - 56
     tall = wide * (ylim[1] - ylim[0]) / (xlim[1] - xlim[0])
     if tall > TALLEST:  # keep the scale of both axes equal: widen
         air = (tall / TALLEST - 1) * (xlim[1] - xlim[0]) / 2
         xlim, tall = (xlim[0] - air, xlim[1] + air), TALLEST
     spots = _find_marks(found)[:, [s.across, s.up]]
     at_home = (
-        Dots(spots[:-1, 0], spots[:-1, 1], "w-cart", "square", 3.5),
-        Dots(spots[-1:, 0], spots[-1:, 1], "w-home", "plus", 4.0),
+        r.Dots(spots[:-1, 0], spots[:-1, 1], "w-cart", "square", 3.5),
+        r.Dots(spots[-1:, 0], spots[-1:, 1], "w-home", "plus", 4.0),
     )
-    x, y = Axis(f"{_AXES[s.across]} [m]", xlim), Axis(f"{_AXES[s.up]} [m]", ylim)
-    return Figure(x, y, (*marks, *at_home), replace_minus_signs(s.name), (THIRD, round(tall) + 54), style=style)
+    x, y = r.Axis(f"{_AXES[s.across]} [m]", xlim), r.Axis(f"{_AXES[s.up]} [m]", ylim)
+    return r.Figure(x, y, (*marks, *at_home), r.replace_minus_signs(s.name), (r.THIRD, round(tall) + 54), style=style)
 
 
-def build_section_figure(found: Study, s: Section) -> Figure:
+def build_section_figure(found: Study, s: Section) -> r.Figure:
     """Return a section: the workspace, what excludes the rest, the rods' joints on their guideways as squares."""
     kinds = [kind for kind in KINDS if kind != "out of reach"]
     of = np.full(s.code.shape, -1)
@@ -60,7 +60,7 @@ def build_section_figure(found: Study, s: Section) -> Figure:
         if kind in kinds:
             of[s.code == code] = kinds.index(kind)
     of[s.inside] = len(kinds)
-    cells = Cells(s.u, s.v, of, (*map(get_reason_ink, kinds), "w-in"))
+    cells = r.Cells(s.u, s.v, of, (*map(get_reason_ink, kinds), "w-in"))
     return _build_figure(found, s, [cells])
 
 
@@ -81,24 +81,24 @@ def choose_map_scale(found: Study, name: str) -> tuple[float, float, bool]:
     return low, high if high > low else low + max(abs(low), 1e-9) * 1e-3, logarithmic
 
 
-def build_map_figure(found: Study, s: Section, name: str) -> Figure:
+def build_map_figure(found: Study, s: Section, name: str) -> r.Figure:
     """Return a map of one quantity in a section."""
     low, high, logarithmic = choose_map_scale(found, name)
     values = s.maps[name]
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (np.log(values / low) / np.log(high / low)) if logarithmic else (values - low) / (high - low)
     level = np.clip(np.floor(np.nan_to_num(share, nan=-1.0, posinf=1.0) * LEVELS), 0, LEVELS - 1).astype(int)
-    cells = Cells(s.u, s.v, np.where(np.isnan(values), -1, level), [f"m{k}" for k in range(LEVELS)])
+    cells = r.Cells(s.u, s.v, np.where(np.isnan(values), -1, level), [f"m{k}" for k in range(LEVELS)])
     return _build_figure(found, s, [cells], "over-map")
 
 
-def build_scale(found: Study, name: str) -> ColourScale:
+def build_scale(found: Study, name: str) -> r.ColourScale:
     """Return a map's scale: its colours from low to high with numbers."""
     low, high, logarithmic = choose_map_scale(found, name)
     factor, _ = SHOWN_UNITS[QUANTITIES[name].unit]
     shares = (0.0, 0.25, 0.5, 0.75, 1.0)
     values = [low * (high / low) ** x if logarithmic else low + x * (high - low) for x in shares]
-    return ColourScale([f"m{k}" for k in range(LEVELS)], [format_number(factor * x, 3) for x in values])
+    return r.ColourScale([f"m{k}" for k in range(LEVELS)], [r.format_number(factor * x, 3) for x in values])
 
 
 def _find_marks(found: Study) -> np.ndarray:
