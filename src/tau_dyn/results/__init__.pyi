@@ -84,5 +84,6 @@ from .presentation import (
     Text as Text,
     TimeView as TimeView,
     Verdict as Verdict,
+    explain as explain,
 )
 from .shown import Shown as Shown

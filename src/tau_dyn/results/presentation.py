@@ -187,6 +187,11 @@ class Text(Element):
     style: str = ""
 
 
+def explain(text: str, *, on: On = On.PAGE) -> Text:
+    """Return the note that says how to read what stands above it."""
+    return Text(text, "note", on=on)
+
+
 @dataclass(frozen=True)
 class Listing(Element):
     """Sentences under a title; a terminal writes a single one behind it. `code` if they are formulas."""

@@ -79,11 +79,10 @@ def _build_maps(found: AccuracyResult) -> Iterator[r.Element]:
     maps += [figures.build_usual_map(found)] if a.usual.size and np.isfinite(a.usual).any() else []
     yield r.Figures([*maps, *([figures.build_turn_map(found)] if a.turned else [])], "maps")
     lost = ", or no largest error" if found.lost.any() else ""
-    yield r.Text(
+    yield r.explain(
         "Largest: the worst that errors within their bounds can do at that pose. Squares: guideways. White: not "
         f"reached{lost}. The orientation is home's. Values above the scale's top, two in a hundred, share its last "
-        "colour.",
-        "note",
+        "colour."
     )
 
 
@@ -100,17 +99,16 @@ def _build_methods(found: AccuracyResult) -> Iterator[r.Element]:
     ]  # fmt: skip
     yield r.ResultTable(columns, [_build_method(found, m) for m in a.largest], style="methods", on=r.On.ALL)
     for method, why in a.left_out.items():
-        yield r.Text(f"{method} is left out: {why}.", "note", on=r.On.PAGE | r.On.TERMINAL)
+        yield r.explain(f"{method} is left out: {why}.", on=r.On.PAGE | r.On.TERMINAL)
     drawn = (
         f"Monte Carlo: {a.samples} draws a pose, uniform within the bounds; it approaches the worst case from below "
         "and shows what is usual. "
         if a.samples
         else ""
     )
-    yield r.Text(
+    yield r.explain(
         f"Negative: the method promises too much accuracy. {drawn}Proved: no errors within the bounds exceed it, shown "
-        "by a contraction argument.",
-        "note",
+        "by a contraction argument."
     )
     if a.turned:
         yield r.Text("Change of orientation", "heading")
@@ -174,11 +172,10 @@ def _build_failures(found: AccuracyResult) -> Iterator[r.Element]:
         known = [m for m in linear if np.isfinite(a.off(m)).any() and np.nanmax(np.abs(a.off(m))) > SHOWN_OFF]
         if known:
             yield r.Figures([figures.build_departure_map(found, m) for m in known], "maps")
-            yield r.Text(
+            yield r.explain(
                 "Difference from the exact worst case. The linear bound knows the actuators' motion alone and leaves "
                 "out what goes across the guideways; the ellipsoids of Appendix A.2 are thinner than the sets that "
-                "they stand for.",
-                "note",
+                "they stand for."
             )
     figure = figures.build_growth_figure(found)
     if figure is None or g is None:
@@ -198,7 +195,7 @@ def _build_failures(found: AccuracyResult) -> Iterator[r.Element]:
     )
     yield r.Beside(
         [r.Figures([figure], "wide-chart", key)],
-        [r.ResultTable(columns, rows, style="fitted"), r.Text(said, "note")],
+        [r.ResultTable(columns, rows, style="fitted"), r.explain(said)],
         "pairs",
     )
 
@@ -217,10 +214,9 @@ def _build_bodies(found: AccuracyResult) -> Iterator[r.Element]:
         size = format_size(float(np.linalg.norm(body.worst)))
         yield r.Text(f"{title}: {size} at {describe_place(a.position[body.pose])}", "heading")
         yield r.Figures(figures.build_body_figures(body), "bodies", () if k else key)
-    yield r.Text(
+    yield r.explain(
         "Displacement from the intended position, seen along z, y and x. The longest diagonal is the direction in "
-        "which the tool errs most.",
-        "note",
+        "which the tool errs most."
     )
 
 
@@ -254,20 +250,18 @@ def _build_measured(found: AccuracyResult) -> Iterator[r.Element]:
             for g in seen.guideways
             if g.cycle is not None and g.cycle.p_value <= MAX_P_VALUE and g.cycle.aliases
         ]
-        yield r.Text(
+        yield r.explain(
             "Distance of each measured point from the best straight line: along the motion, where the drive errs, and "
-            f"across it, where the guideway does. ± is one standard error (1 σ).{''.join(alike)}",
-            "note",
+            f"across it, where the guideway does. ± is one standard error (1 σ).{''.join(alike)}"
         )
     if seen.orientation is not None:
         yield r.Text("Orientation of the plate", "heading")
         key = [r.Key("predicted", "α"), r.Key("residual", "β"), r.Key("expected", "γ")]
         yield r.Figures([figures.build_orientation_figure(seen.orientation)], "wide-chart", key)
         pole = "β is near 0° or 180°, where α and γ trade against each other; only their sum or difference means something. "
-        yield r.Text(
+        yield r.explain(
             f"{pole if seen.orientation.near_pole else ''}A pattern that repeats from layer to layer comes from the "
-            "rods; a drift along the guideways from carts that turn.",
-            "note",
+            "rods; a drift along the guideways from carts that turn."
         )
 
 

@@ -69,7 +69,7 @@ def _build_errors(found: Calibration) -> Iterator[r.Element]:
         if found.holdout is not None
         else "each pose predicted by a fit without it"
     )
-    yield r.Text(f"Distance between measured and predicted tool, pose by pose, {held}, on a logarithmic scale.", "note")
+    yield r.explain(f"Distance between measured and predicted tool, pose by pose, {held}, on a logarithmic scale.")
 
 
 def _draw_errors(before: np.ndarray, after: np.ndarray, title: str, unit: str) -> r.Figure:
@@ -100,10 +100,9 @@ def _build_gain(found: Calibration) -> Iterator[r.Element]:
         [r.Row([row.label, series.draw(row), row.rms, row.about[0]], row.kind) for row in series.rungs],
         style="waterfall",
     )
-    yield r.Text(
+    yield r.explain(
         "RMS position error at held-out poses with its 95 % interval. Dashed: error expected from noise and the "
-        "parameters' standard errors.",
-        "note",
+        "parameters' standard errors."
     )
     yield r.Text("Numbers", "heading")
     yield _build_sizes(found)
@@ -120,7 +119,7 @@ def _build_gain(found: Calibration) -> Iterator[r.Element]:
             "Cross-validation within the fitted poses. A larger model is selected if a paired test shows a smaller "
             "held-out error."
         )
-        yield r.Folded("All models tested", [r.ResultTable(columns, rows), r.Text(said, "note")])
+        yield r.Folded("All models tested", [r.ResultTable(columns, rows), r.explain(said)])
 
 
 def _build_sizes(found: Calibration) -> r.ResultTable:
@@ -190,7 +189,7 @@ def _list_findings(found: Calibration) -> Iterator[r.Element]:
     ]
     columns = [r.Column(), r.Column(on=r.On.PAGE), r.Column(), r.Column(on=r.On.PAGE)]
     yield r.ResultTable(columns, rows, style="findings", on=r.On.PAGE | r.On.TERMINAL)
-    yield r.Text("Each cause is removed from the model alone, and the rest is refitted.", "note")
+    yield r.explain("Each cause is removed from the model alone, and the rest is refitted.")
 
 
 def _build_space(found: Calibration) -> Iterator[r.Element]:
@@ -200,10 +199,9 @@ def _build_space(found: Calibration) -> Iterator[r.Element]:
     drawings: list[r.Drawing] = [picture for _, picture in pictures]
     captions = [(title, f"errors drawn {picture.times:g} times their size") for title, picture in pictures]
     yield r.Figures(drawings, "spaces", captions=captions)
-    yield r.Text(
+    yield r.explain(
         "Lines run from each measured pose along its error, measured minus predicted, in the robot's base frame, seen "
-        "from the front right and above. Good: short lines in random directions.",
-        "note",
+        "from the front right and above. Good: short lines in random directions."
     )
 
 
@@ -239,10 +237,9 @@ def _build_residuals(found: Calibration) -> Iterator[r.Element]:
             r.Figure(r.Axis(f"q [{unit}]", r.pad_limits(x)), left, (r.Dots(x, y[ok], "pose"),), joint, (340, 200))
         )
     yield r.Figures(figures)
-    yield r.Text(
+    yield r.explain(
         "The component with the largest residual. A wave over a joint's position is a cyclic error, a bow a "
-        "straightness error.",
-        "note",
+        "straightness error."
     )
 
 
@@ -258,10 +255,9 @@ def _build_geometry(found: Calibration) -> Iterator[r.Element]:
             groups.setdefault(owner, []).append(row)
     shown = [(owner, [_build_dimension(row, rows) for row in rows]) for owner, rows in groups.items()]
     yield r.ResultTable(columns, groups=shown, style="geometry")
-    yield r.Text(
+    yield r.explain(
         "± is one standard error (1 σ). The bar shows the change from nominal with its 95 % interval, each group on "
-        "its own scale. Grey: determined by the robot file more than by these poses.",
-        "note",
+        "its own scale. Grey: determined by the robot file more than by these poses."
     )
     yield r.Text("Device and target", "heading")
     yield r.ResultTable(
@@ -326,7 +322,7 @@ def _build_blind(found: Calibration) -> Iterator[r.Element]:
         ]  # fmt: skip
         yield r.ResultTable([r.Column(), r.Column()], rows, style="plain")
         said = "These keep their nominal value. Another value, with the named parameters adjusted, describes the same robot."
-        yield r.Text(said, "note")
+        yield r.explain(said)
     else:
         yield r.Text("Every free parameter is identifiable from these poses.")
     pairs: Any = list_correlated_pairs(found.fit)[:_MAX_CORRELATED]
@@ -353,7 +349,7 @@ def _build_sensitivity(found: Calibration) -> Iterator[r.Element]:
     head = f"parameter error of {1e6 * CHANGE:.0f} µm, µrad or 10⁻⁶"
     columns = [r.Column(head), r.Column("moves the tool by", "number", "strong"), r.Column("turns it by", "number")]
     yield r.ResultTable(columns, rows)
-    yield r.Text("On average over the fitted poses, with all loops closed.", "note")
+    yield r.explain("On average over the fitted poses, with all loops closed.")
 
 
 @present_kind.register

@@ -54,13 +54,12 @@ def _build_quantities(found: Comparison) -> Iterator[r.Element]:
     ]  # fmt: skip
     if rows:
         yield r.ResultTable(columns, rows, most=_MAX_ROWS, on=r.On.ALL)
-        yield r.Text(
+        yield r.explain(
             "± is one standard error (1 σ) of the difference; the two results are taken as independent. A sum is a "
-            "combination of parameters that the data of both determine, whatever its members are.",
-            "note",
+            "combination of parameters that the data of both determine, whatever its members are."
         )
     for line in list_undetermined(found):
-        yield r.Text(line, "note", on=r.On.ALL)
+        yield r.explain(line, on=r.On.ALL)
 
 
 def _build_change(change: Change) -> r.Row:

@@ -85,10 +85,9 @@ def _build_waterfall(found: Diagnosis) -> Iterator[r.Element]:
     yield build_total_table(whole)
     cut = " The first bar is cut." if whole.rungs and whole.rungs[0].left > whole.end else ""
     click = " Click a cause for its evidence." if found.findings else ""
-    yield r.Text(
+    yield r.explain(
         "Solid: residual on the test data. Hatched: reduction of the residual by this step. Bracket: 95 % interval, "
-        f"from blocks of the data. Dashed line: noise floor.{cut} Good: the last step ends at the dashed line.{click}",
-        "note",
+        f"from blocks of the data. Dashed line: noise floor.{cut} Good: the last step ends at the dashed line.{click}"
     )
     every = words.describe_all_samples(found)
     if every:
@@ -189,11 +188,10 @@ def _build_time(found: Diagnosis) -> Iterator[r.Element]:
            r.Key("confirm", "validation"), r.Key("held", "test"), r.Key("masked", "not used")]  # fmt: skip
     views = [_build_view(found, trace, k) for trace in found.traces for k in range(len(found.outputs))]
     yield r.TimeView("measured and predicted over time, before and after, and the residuals", views, key)
-    yield r.Text(
+    yield r.explain(
         f"{ZOOM}All curves are filtered by the same low-pass. Good: blue lies on grey, and the blue residual is a thin "
         "band without a pattern, in the shaded parts, too. Dark grey sections (reversals, ends of the log) are not "
-        "used and may leave the scale.",
-        "note",
+        "used and may leave the scale."
     )
 
 
@@ -229,10 +227,9 @@ def _list_bands(trace: TimeTrace) -> tuple[tuple[float, float, str], ...]:
 def _build_limits(found: Diagnosis) -> Iterator[r.Element]:
     if found.limits:
         yield r.Listing(words.list_limits(found.limits), style="limits")
-        yield r.Text(
+        yield r.explain(
             "The smallest effect that these logs would have shown in 95 of 100 cases. An effect below its limit may "
-            "exist.",
-            "note",
+            "exist."
         )
     else:
         yield r.Text("No detection limits were computed.")

@@ -74,10 +74,9 @@ def _build_glance(found: Identification, rows: Sequence[ParameterRow]) -> Iterat
     left: list[r.Element] = [r.Text("Error by joint", "title"), _build_errors(found)]
     if found.holdout:
         left.append(
-            r.Text(
+            r.explain(
                 "Bar: held-out data. Tick: training data. Good: the bar ends at the tick. A bar far beyond the tick "
-                "means poor generalisation.",
-                "note",
+                "means poor generalisation."
             )
         )
     yield r.Beside(left, [r.Facts(facts)], "glance")
@@ -129,7 +128,7 @@ def _build_forces(found: Identification) -> Iterator[r.Element]:
     yield r.TimeView(
         "measured and predicted force over time, and the residual", list(fit_quality.list_views(found)), key
     )
-    yield r.Text(
+    yield r.explain(
         f"{ZOOM}Both curves are low-pass filtered like the fit. Good: the lines coincide and the residual is a thin "
         "band without a pattern. Grey sections (reversals, ends of the log) are not used and may leave the scale. "
         "Bumps that repeat with position, speed or load are a model error."
@@ -137,8 +136,7 @@ def _build_forces(found: Identification) -> Iterator[r.Element]:
             " The curve is of the final fit to the whole log; the held-out error comes from a fit to its first 70 % alone."
             if found.holdout and not found.model.provenance.get("held_out")
             else ""
-        ),
-        "note",
+        )
     )
 
 
@@ -155,12 +153,11 @@ def _list_friction(found: Identification, equations: Sequence[str]) -> list[r.Ch
         yield r.Figures(drawn, key=key)
         yield r.Figures(drawn[:_MAX_CURVES], on=r.On.NOTEBOOK)
         subtracted = f" Subtracted: {'; '.join(offsets)}." if offsets else ""
-        yield r.Text(
+        yield r.explain(
             f"Measured force minus the other identified forces{' and the offset' if offsets else ''}, corrected for "
             f"the low-pass filter at the step at zero speed. {'; '.join(equations)}. Good: the means lie on the line. "
             "A hook near zero speed is the Stribeck effect. A bend is drag. A wide or split cloud is friction that "
-            f"depends on load, position or temperature.{subtracted}",
-            "note",
+            f"depends on load, position or temperature.{subtracted}"
         )
 
     return [r.Chapter("friction", "Friction", build, r.On.PAGE | r.On.NOTEBOOK, "beside" if len(curves) == 1 else "")]
@@ -176,7 +173,7 @@ def _build_parameters(
         yield r.Text(f"Comparison with the true values. {said}")
     fixed = fit_quality.describe_fixed(found)
     if fixed:
-        yield r.Text(f"Fixed: {'; '.join(fixed)}.", "note")
+        yield r.explain(f"Fixed: {'; '.join(fixed)}.")
 
 
 def _list_uncertain(found: Identification) -> Iterator[r.Element]:
@@ -224,12 +221,11 @@ def _build_quality(found: Identification) -> Iterator[r.Element]:
         yield r.Text(fit_quality.describe_whiteness(residuals))
         correlations = [fit_quality.build_correlation_figure(row) for row in residuals]
         yield r.Figures([*correlations, *(fit_quality.build_residual_histogram(row) for row in residuals)])
-        yield r.Text(
+        yield r.explain(
             "Autocorrelation of the residual (line) and of white noise through the same low-pass filter (dashes), with "
             "its 95 % bound. Good: the line follows the dashes, then stays near zero. Below: distribution of the "
             "residual and a normal distribution of the same width. Good: a bell. Two humps or long tails are friction "
-            "or outliers that the model lacks.",
-            "note",
+            "or outliers that the model lacks."
         )
     assumed = found.model.robot.assumed
     if assumed:

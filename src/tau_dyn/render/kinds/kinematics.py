@@ -51,11 +51,10 @@ def _build_poses(table: PoseTable) -> Iterator[r.Element]:
         yield _build_table(table, r.On.PAGE)
         yield _build_table(table, r.On.TERMINAL)
         if len(table.q) > _MAX_ROWS:
-            yield r.Text(f"{len(table.q) - _MAX_ROWS} rows more are in the table that --out writes.", "note")
-    yield r.Text(
+            yield r.explain(f"{len(table.q) - _MAX_ROWS} rows more are in the table that --out writes.")
+    yield r.explain(
         "The tool's place and orientation (quaternion) in the world. Joint limits are the robot file's. The drawing "
-        "shows the robot at home.",
-        "note",
+        "shows the robot at home."
     )
     frame = table.columns()
     rows = [

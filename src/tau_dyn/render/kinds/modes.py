@@ -139,10 +139,9 @@ def _build_modes(
     yield r.ResultTable(
         columns, [_build_mode(found, m, orders, several) for m in found.modes], style="modes", on=r.On.ALL
     )
-    yield r.Text(
+    yield r.explain(
         "Undamped natural frequency and damping as a share of critical damping, ± is one standard error (1 σ). Rings "
-        "for: until a swing has fallen to 37 %. Seen in: models of this order and higher that show it too.",
-        "note",
+        "for: until a swing has fallen to 37 %. Seen in: models of this order and higher that show it too."
     )
     drawn = [m for m in found.modes if isinstance(found, OperationalModes) or figures.is_resonance(m)]
     if on_robot is not None:
@@ -153,12 +152,11 @@ def _build_modes(
         yield r.Figures(
             [r.ShapePicture(m.shape, tuple(found.outputs)) for m in drawn[:SHAPES]], "shapes", captions=captions
         )
-        yield r.Text(
+        yield r.explain(
             "The measured point's path through one swing, sizes of the axes to each other true, slowed down."
             if find_space_axes(found.outputs)
             else "How far each output swings, in its own unit, at the moment of the largest; dashed, half a period later, and an "
-            "orange line what comes a quarter of a period later.",
-            "note",
+            "orange line what comes a quarter of a period later."
         )
 
 
@@ -204,11 +202,10 @@ def draw_on_robot(shapes: ShapesOnRobot, chosen: Sequence[bool]) -> Iterator[r.E
             couples.append(r.Text("no mode of the robot file is near", "quiet"))
     yield r.Group(couples, "swings")
     mac = " MAC: likeness of the two shapes over the outputs, 1 for the same, 0 for unlike." if compared else ""
-    yield r.Text(
+    yield r.explain(
         f"{shapes.robot.name} at home, in grey; slowed down, and each mode as large as its drawing takes. Measured: "
         "where sensors are, arrows to scale; the body that carries the tool is drawn without turning, because "
-        f"displacements alone do not show it.{mac}",
-        "note",
+        f"displacements alone do not show it.{mac}"
     )
 
 
@@ -234,10 +231,9 @@ def _build_response(found: Modes) -> Iterator[r.Element]:
         yield r.Figures([figures.build_coherence_figure(found, i) for i in range(len(found.outputs))], layout)
     hidden = len(found.inputs) * len(found.outputs) - len(pairs)
     left = f"{hidden} weaker pairs are left out. " if hidden else ""
-    yield r.Text(
+    yield r.explain(
         f"Data alone: {found.empirical.how}. {left}Good: the dots scatter around the line, and coherence is near one "
-        "except where an output hardly moves.",
-        "note",
+        "except where an output hardly moves."
     )
 
 
@@ -264,10 +260,9 @@ def _build_time(found: Modes) -> Iterator[r.Element]:
         ahead = [format_fit(float(judged.ahead[n][k])) for n in (1, 10)]
         rows.append(r.Row([*cells, *ahead, r.format_number(float(judged.rms[k]), 3)]))
     yield r.ResultTable(columns, rows, on=r.On.PAGE | r.On.TERMINAL)
-    yield r.Text(
+    yield r.explain(
         "Fit: 100 % is all of the movement, 0 a straight line. A simulation sees the inputs only, and the state at the start; "
-        "predictions also see outputs up to so many samples before. Drag across to zoom, double-click for the whole record.",
-        "note",
+        "predictions also see outputs up to so many samples before. Drag across to zoom, double-click for the whole record."
     )
 
 
@@ -283,7 +278,7 @@ def _build_impulse(found: Modes) -> Iterator[r.Element]:
     held = ", held out" if found.impulse and found.impulse.held_out else ""
     key = [r.Key("measured", f"measured{held}"), r.Key("predicted", "model")]
     yield r.Figures([figure for figure in drawn if figure is not None], _lay_out(found), key)
-    yield r.Text(_tidy(found.impulse.how) if found.impulse else "", "note")
+    yield r.explain(_tidy(found.impulse.how) if found.impulse else "")
 
 
 def _key_of_modes(last: str) -> list[r.Key]:
@@ -295,21 +290,19 @@ def _build_order(found: Modes) -> Iterator[r.Element]:
     choices = figures.build_choice_figures(found)
     if choices:
         yield r.Figures(choices, "charts")
-    yield r.Text(
+    yield r.explain(
         "Above: the modes of models of every order, with 95 % bars; a resonance of the structure stays where it is, "
         "what noise makes wanders. Behind it the data's own response. Below: fit on a quarter of the training data "
-        f"that these models had not seen; criteria (BIC blue, AIC orange); the delay. {_tidy(found.order_choice.why)}",
-        "note",
+        f"that these models had not seen; criteria (BIC blue, AIC orange); the delay. {_tidy(found.order_choice.why)}"
     )
 
 
 def _build_stabilisation(found: OperationalModes) -> Iterator[r.Element]:
     figure, key = figures.build_stabilisation_figure(found), _key_of_modes("mode of the structure")
     yield r.Figures([figure], "wide-chart", key, on=r.On.PAGE | r.On.NOTEBOOK)
-    yield r.Text(
+    yield r.explain(
         "Modes of models of every order, with 95 % bars. A mode of the structure stays where it is; what noise makes "
-        "wanders.",
-        "note",
+        "wanders."
     )
 
 
@@ -318,10 +311,9 @@ def _build_poles(found: Modes) -> Iterator[r.Element]:
     yield r.Figures([] if figure is None else [figure], "wide-chart")
     together = " of all transfer functions together" if len(found.inputs) > 1 else ""
     unlike = " (none for unlike numbers of inputs and outputs)" if len(found.inputs) != len(found.outputs) else ""
-    yield r.Text(
+    yield r.explain(
         f"Crosses: poles, with their 95 % ellipses. Rings: zeros{together}{unlike}. Farther left: faster decay; poles "
-        "with a very fast decay are left out.",
-        "note",
+        "with a very fast decay are left out."
     )
 
 
@@ -334,9 +326,7 @@ def _build_tests(found: Modes) -> Iterator[r.Element]:
         if tests:
             yield r.Text(title, "heading")
             yield r.Figures([figures.build_test_figure(found, t) for t in tests], _lay_out(found))
-    yield r.Text(
-        "99 % bands. Orange dots: the test is significant. Negative lags show feedback and are not tested.", "note"
-    )
+    yield r.explain("99 % bands. Orange dots: the test is significant. Negative lags show feedback and are not tested.")
 
 
 def _select_worst(tests: Sequence[CorrelationTest]) -> list[CorrelationTest]:
@@ -359,11 +349,10 @@ def _build_mechanical(found: Modes) -> Iterator[r.Element]:
         columns = [r.Column(kind="number") for _ in values]
         matrices.append(r.ResultTable(columns, rows, style="matrix", caption=f"{letter}, {meaning}"))
     yield r.Group(matrices, "matrices")
-    yield r.Text(
+    yield r.explain(
         "In the units of the inputs per those of the outputs (times s² and s), ± is one standard error (1 σ); order as "
         f"the inputs: {', '.join(found.inputs)}. All three are symmetric, mass and stiffness positive definite, "
-        "damping takes energy only.",
-        "note",
+        "damping takes energy only."
     )
 
 

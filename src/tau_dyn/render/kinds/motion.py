@@ -102,10 +102,9 @@ def _build_signals(log: Log, robot: Robot) -> Iterator[r.Element]:
     ]
     views = [_log_view(log, robot, k) for k in range(robot.na)]
     yield r.TimeView("position, how far it is behind its reference, and force, over time", views, key)
-    yield r.Text(
+    yield r.explain(
         f"{ZOOM}As the sensors read it. A limit is drawn where the motion comes near it. Good: the position stays on "
-        "its reference, and no force sits at its limit.",
-        "note",
+        "its reference, and no force sits at its limit."
     )
 
 
@@ -147,13 +146,13 @@ def _build_truth(found: SimulatedLog) -> Iterator[r.Element]:
     left: list[r.Element] = [
         r.Text("True values", "heading"),
         r.ResultTable([r.Column(), r.Column(kind="number"), r.Column(kind="unit")], rows, style="plain"),
-        r.Text("Parameters not listed are zero.", "note"),
+        r.explain("Parameters not listed are zero."),
     ]
     right: list[r.Element] = []
     if found.sensors is not None:
         sensors = [r.Row(row) for row in _list_sensors(found.sensors)]
         right += [r.Text("Sensors", "heading"), r.ResultTable([r.Column(), r.Column()], sensors, style="plain"),
-                  r.Text("SI units; a noise is a standard deviation.", "note")]  # fmt: skip
+                  r.explain("SI units; a noise is a standard deviation.")]  # fmt: skip
     equations = list(dict.fromkeys(effect.equation for effect in model.effects))
     right += [r.Listing(equations, "Forces beyond the rigid body", "code")] if equations else []
     right += [r.Listing(list(robot.assumed), "Assumed in the robot file")] if robot.assumed else []
@@ -227,27 +226,25 @@ def _build_prediction(found: ExcitingMotion) -> Iterator[r.Element]:
     r.Column("unit", "unit", "quiet"),
                r.Column("of the value", "number")]  # fmt: skip
     yield r.ResultTable(columns, rows, on=r.On.ALL)
-    yield r.Text("Predicted from the assumed noise. Friction of another law and tracking errors add to them.", "note")
+    yield r.explain("Predicted from the assumed noise. Friction of another law and tracking errors add to them.")
 
 
 def _build_motion(motion: Trajectory, robot: Robot) -> Iterator[r.Element]:
     key = [r.Key("predicted", "position, speed"), r.Key("residual", "acceleration"), r.Key("limit", "limit")]
     views = [_motion_view(motion, robot, k) for k in range(robot.na)]
     yield r.TimeView("position, speed and acceleration over time", views, key)
-    yield r.Text(
+    yield r.explain(
         f"{ZOOM}A limit is drawn where the motion comes near it. The robot file's limits are the only limits "
-        "considered; check cables, tools and people before you run it.",
-        "note",
+        "considered; check cables, tools and people before you run it."
     )
 
 
 def _build_phases(motion: Trajectory, robot: Robot) -> Iterator[r.Element]:
     yield r.Figures([_draw_phase(motion, robot, k) for k in range(robot.na)])
-    yield r.Text(
+    yield r.explain(
         "The dashed frame is the limits. Good: the curve fills the frame, with both signs of speed at every position. "
         "Friction and gravity are identified only where the motion goes. Singularities of the loops and limits of "
-        "force keep it from the corners.",
-        "note",
+        "force keep it from the corners."
     )
 
 

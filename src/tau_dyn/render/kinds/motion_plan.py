@@ -34,10 +34,9 @@ def present_motion_plan(plan: MotionPlan) -> r.Presentation:
 
 def _build_forces(plan: MotionPlan) -> Iterator[r.Element]:
     yield r.Figures([_draw_force(plan, k) for k in range(len(plan.joints))], on=r.On.PAGE | r.On.NOTEBOOK)
-    yield r.Text(
+    yield r.explain(
         "What the model needs for the motion, friction included. Dashed: the limit. In the shortest time at least one "
-        "drive is at its limit nearly always.",
-        "note",
+        "drive is at its limit nearly always."
     )
     reached = [
         f"{b.quantity} of {b.joint}, {r.format_percent(100 * b.share)} of {plan.duration:.3f} s" for b in plan.binding
@@ -101,9 +100,8 @@ def _list_facts(plan: MotionPlan) -> list[tuple[str, str]]:
 
 def _build_way(plan: MotionPlan) -> Iterator[r.Element]:
     yield r.Figures([_draw_way(plan, *plane) for plane in _PLANES])
-    yield r.Text(
-        "Dashed: the straight line between both ends. What stands in the room is not known here: look before you run it.",
-        "note",
+    yield r.explain(
+        "Dashed: the straight line between both ends. What stands in the room is not known here: look before you run it."
     )
     speed, step = plan.tool_speed, max(1, len(plan.t) // _POINTS)
     if speed is not None:
@@ -138,7 +136,7 @@ def _build_motion(plan: MotionPlan) -> Iterator[r.Element]:
     key = [r.Key("predicted", "position, speed"), r.Key("residual", "force"), r.Key("limit", "limit")]
     views = [_build_view(plan, k) for k in range(len(plan.joints))]
     yield r.TimeView("position, speed and force over time", views, key)
-    yield r.Text(f"{ZOOM}A limit is drawn where the motion comes near it.", "note")
+    yield r.explain(f"{ZOOM}A limit is drawn where the motion comes near it.")
 
 
 def _build_view(plan: MotionPlan, k: int) -> r.View:

@@ -104,7 +104,7 @@ def build_parameter_table(
         "Friction has no trusted nominal value; its line shows the relative interval alone. Pale band: 95 % interval "
         "of the nominal value. An arrow leaves the scale. Grey rows are poorly determined or not identifiable."
     )
-    return [r.ResultTable(columns, groups=groups, style="parameters", on=on), r.Text(reading, "note")]
+    return [r.ResultTable(columns, groups=groups, style="parameters", on=on), r.explain(reading)]
 
 
 def _build_row(entry: ParameterRow, truth: bool, before: bool) -> r.Row:

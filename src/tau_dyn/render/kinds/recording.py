@@ -164,12 +164,11 @@ def _list_signals(log: Log, joints: Sequence[str], robot: Robot | None) -> list[
     def build() -> Iterator[r.Element]:
         yield r.TimeView("position and force over time", views, key if joints else [])
         if not joints:
-            yield r.Text(f"{ZOOM}As recorded, unfiltered{resampled}.", "note")
+            yield r.explain(f"{ZOOM}As recorded, unfiltered{resampled}.")
             return
-        yield r.Text(
+        yield r.explain(
             f"{ZOOM}As recorded, unfiltered{resampled}. Good: motion in both directions at several speeds. The force "
-            "steps by twice the friction at every reversal and is not clipped.",
-            "note",
+            "steps by twice the friction at every reversal and is not clipped."
         )
 
     return [r.Chapter("signals", "Recorded signals", build)]
@@ -219,10 +218,9 @@ def _build_joints(log: Log, checked: LogCheck, robot: Robot | None) -> Iterator[
               "lag", "top force", "force rms")  # fmt: skip
     columns = [r.Column("joint"), r.Column("unit", style="quiet"), *(r.Column(title, "number") for title in titles)]
     yield r.ResultTable(columns, [_build_joint(log, checked, j, ", ".join(units[j])) for j in joints], style="plainly")
-    yield r.Text(
+    yield r.explain(
         "SI units: positions, encoder noise and step in the joint's unit, speed in that unit a second. Good: at least "
-        "four reversals, motion forwards for about half the time, acceleration ten times its noise or more.",
-        "note",
+        "four reversals, motion forwards for about half the time, acceleration ten times its noise or more."
     )
 
 
@@ -254,10 +252,9 @@ def _build_clock(log: Log) -> Iterator[r.Element]:
     if clock.even and not clock.rounded:
         return
     yield r.Figures(_draw_steps(log, clock.dt), "charts steps")
-    yield r.Text(
+    yield r.explain(
         "Left: histogram of the sampling steps, on a logarithmic scale. Right: the steps over time; unusual ones are "
-        "all drawn, the others are thinned. Steps above five usual ones are drawn at the top.",
-        "note",
+        "all drawn, the others are thinned. Steps above five usual ones are drawn at the top."
     )
 
 

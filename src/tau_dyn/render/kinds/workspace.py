@@ -74,7 +74,7 @@ def _build_space(found: Study) -> Iterator[r.Element]:
     yield r.Figures([r.SpacePicture(found)], "whole")
     walls = [o.name for o in found.workspace.judge.demands.surroundings.obstacles]
     named = f" Outlined in colour: {', '.join(walls)} (walls without end are not drawn)." if walls else ""
-    yield r.Text(f"The border of the workspace with the robot at home in it; dashed: the box around it.{named}", "note")
+    yield r.explain(f"The border of the workspace with the robot at home in it; dashed: the box around it.{named}")
 
 
 def _build_sections(found: Study) -> Iterator[r.Element]:
@@ -84,10 +84,9 @@ def _build_sections(found: Study) -> Iterator[r.Element]:
     yield r.Figures(drawn, "row", [r.Key("in", "workspace"), *reasons, r.Key("cart", cart)])
     yield r.Figures(drawn[:_MAX_SECTIONS], on=r.On.NOTEBOOK)
     areas = [f"{r.replace_minus_signs(s.name)}: {r.format_number(s.area, 3)} m²" for s in found.sections]
-    yield r.Text(
+    yield r.explain(
         "Coloured: inverse kinematics has a solution there; the colour is the first demand that is not met. Cross: the "
-        f"tool at home. {', '.join(areas)}.",
-        "note",
+        f"tool at home. {', '.join(areas)}."
     )
 
 
@@ -118,7 +117,7 @@ def _build_catalogue(found: Study) -> Iterator[r.Element]:
     length = f" Turns count as lengths at {catalogue.length:.3g} m." if catalogue.length else ""
     left: list[r.Element] = [
         r.ResultTable(columns, rows, on=r.On.PAGE | r.On.TERMINAL),
-        r.Text(f"Stiffness: {catalogue.elasticity}.{length}", "note", on=r.On.PAGE | r.On.TERMINAL),
+        r.explain(f"Stiffness: {catalogue.elasticity}.{length}", on=r.On.PAGE | r.On.TERMINAL),
     ]
     if catalogue.stiffness_at_home is not None:
         values, axes = catalogue.stiffness_at_home
@@ -134,7 +133,7 @@ def _build_catalogue(found: Study) -> Iterator[r.Element]:
             found.tilt.towards, np.rad2deg(found.tilt.angle), "how far the tool leans towards each side"
         )
         right = [r.Text("How far the tool leans", "heading"), r.Figures([picture], "whole"),
-                 r.Text(_describe_tilt(found), "note", on=r.On.PAGE | r.On.TERMINAL)]  # fmt: skip
+                 r.explain(_describe_tilt(found), on=r.On.PAGE | r.On.TERMINAL)]  # fmt: skip
     demands = r.ResultTable([r.Column(), r.Column()], [r.Row(row) for row in _list_demands(found)], style="plain")
     areas = [f"{r.replace_minus_signs(s.name)}: {r.format_number(s.area, 3)} m²" for s in found.sections]
     if areas:
@@ -153,7 +152,7 @@ def _build_maps(found: Study) -> Iterator[r.Element]:
         yield r.Text(r.capitalise(quantity.words) + (f" [{unit}]" if unit else ""), "heading")
         yield r.Figures([figures.build_scale(found, name)], "whole")
         yield r.Figures([figures.build_map_figure(found, s, name) for s in found.sections], "row")
-        yield r.Text(MAP_WORDS[name], "note")
+        yield r.explain(MAP_WORDS[name])
 
 
 def _describe_tilt(found: Study) -> str:
