@@ -23,6 +23,8 @@ class On(Flag):
     TERMINAL = auto()
     NOTEBOOK = auto()
     SCREENS = TERMINAL | NOTEBOOK
+    DRAWN = PAGE | NOTEBOOK
+    PRINTED = PAGE | TERMINAL
     ALL = PAGE | TERMINAL | NOTEBOOK
 
 
@@ -295,6 +297,7 @@ class Chapter:
         number: A number before it, such as a finding's.
         folded: Whether it is folded away.
         open: Whether it is shown all the same, to be folded by hand.
+        when: Whether there is anything to show; without, it is left out.
     """
 
     name: str
@@ -306,10 +309,11 @@ class Chapter:
     number: int = 0
     folded: bool = False
     open: bool = False
+    when: bool = True
 
     def list_blocks(self, on: On) -> list[Element]:
         """Return the blocks that stand there."""
-        return [block for block in _spread(self.make(), on) if block.on & on] if self.on & on else []
+        return [block for block in _spread(self.make(), on) if block.on & on] if self.when and self.on & on else []
 
 
 def _spread(blocks: Iterable[Element], on: On) -> Iterable[Element]:

@@ -39,21 +39,15 @@ def present_accuracy(found: AccuracyResult, *, files: Sequence[tuple[str, str]] 
         files: Name and hash of every measured file.
     """
     a, grid, robot = found.accuracy, found.grid, found.robot
-    sections: list[r.Chapter] = []
-    if a is not None and grid is not None:
-        where = r.replace_minus_signs(grid.section.words)
-        sections.append(
-            r.Chapter("map", f"Over the section {where}", lambda: _build_maps(found), r.On.PAGE | r.On.NOTEBOOK)
-        )
-    if a is not None:
-        sections.append(
-            r.Chapter("methods", "Every method on the same errors", lambda: _build_methods(found), r.On.ALL)
-        )
-        sections.append(r.Chapter("linear", "Where the simple bounds fail", lambda: _build_failures(found)))
-    if found.bodies:
-        sections.append(r.Chapter("bodies", "Where the tool may be", lambda: _build_bodies(found)))
-    if found.measured.sentences:
-        sections.append(r.Chapter("measured", "What the measured points say", lambda: _build_measured(found), r.On.ALL))
+    over = "" if grid is None else f"Over the section {r.replace_minus_signs(grid.section.words)}"
+    known, measured = a is not None, bool(found.measured.sentences)
+    sections = [
+        r.Chapter("map", over, lambda: _build_maps(found), r.On.DRAWN, when=known and grid is not None),
+        r.Chapter("methods", "Every method on the same errors", lambda: _build_methods(found), r.On.ALL, when=known),
+        r.Chapter("linear", "Where the simple bounds fail", lambda: _build_failures(found), when=known),
+        r.Chapter("bodies", "Where the tool may be", lambda: _build_bodies(found), when=bool(found.bodies)),
+        r.Chapter("measured", "What the measured points say", lambda: _build_measured(found), r.On.ALL, when=measured),
+    ]
     return r.Presentation(
         "Accuracy of", robot.name, f"{robot.name}: accuracy", r.end_sentence(describe_headline(found)), describe_verdict(found),
         describe_inputs(found), sections, (), r.RobotPicture(robot),
@@ -95,11 +89,11 @@ def _build_methods(found: AccuracyResult) -> Iterator[r.Element]:
         r.Column("largest", "number", "strong"), r.Column("off from exact, from", "number", on=r.On.PAGE),
         r.Column("to", "number", on=r.On.PAGE),
         r.Column("off from exact", "number", on=r.On.TERMINAL), r.Column("poses without", "number", on=r.On.PAGE),
-        r.Column("largest at", "unit", "quiet", on=r.On.PAGE | r.On.TERMINAL, spare=True),
+        r.Column("largest at", "unit", "quiet", on=r.On.PRINTED, spare=True),
     ]  # fmt: skip
     yield r.ResultTable(columns, [_build_method(found, m) for m in a.largest], style="methods", on=r.On.ALL)
     for method, why in a.left_out.items():
-        yield r.explain(f"{method} is left out: {why}.", on=r.On.PAGE | r.On.TERMINAL)
+        yield r.explain(f"{method} is left out: {why}.", on=r.On.PRINTED)
     drawn = (
         f"Monte Carlo: {a.samples} draws a pose, uniform within the bounds; it approaches the worst case from below "
         "and shows what is usual. "

@@ -37,16 +37,16 @@ def present_calibration(found: Calibration, *, poses: Sequence[tuple[str, str]] 
         ("held-out poses" if k else "poses", name, sha256 or "not a file") for k, (name, sha256) in enumerate(poses)
     ]
     facts = [("model", found.chosen.name), ("seed", str(found.seed)), ("residual", found.fit.kind)]
-    both = r.On.PAGE | r.On.TERMINAL
+    both = r.On.PRINTED
     findings = [r.Chapter("findings", "Errors of the robot file", lambda: _list_findings(found), both)]
     sections = [
         *warn([r.end_sentence(r.capitalise(text)) for text in found.warnings]),
-        r.Chapter("error", "Error before and after", lambda: _build_errors(found), r.On.PAGE | r.On.NOTEBOOK),
+        r.Chapter("error", "Error before and after", lambda: _build_errors(found), r.On.DRAWN),
         r.Chapter("gain", "Error by model", lambda: _build_gain(found), both),
         *(findings if found.findings else []),
         r.Chapter("space", "Errors in space", lambda: _build_space(found)),
         r.Chapter("left", "Residuals by joint", lambda: _build_residuals(found)),
-        r.Chapter("geometry", "Geometry", lambda: _build_geometry(found), r.On.PAGE | r.On.NOTEBOOK),
+        r.Chapter("geometry", "Geometry", lambda: _build_geometry(found), r.On.DRAWN),
         r.Chapter("blind", "Not identifiable", lambda: _build_blind(found), both),
         r.Chapter("sensitivity", "Sensitivity", lambda: _build_sensitivity(found)),
     ]
@@ -61,7 +61,7 @@ def _build_errors(found: Calibration) -> Iterator[r.Element]:
     before, after = (found.errors(m) for m in (found.models[0], found.chosen))
     key = [r.Key("measured", "robot file, device and target placed"), r.Key("predicted", "calibrated")]
     position = _draw_errors(before.distance, after.distance, "position error", "mm")
-    yield r.Figures([position], "wide-chart", key, on=r.On.PAGE | r.On.NOTEBOOK)
+    yield r.Figures([position], "wide-chart", key, on=r.On.DRAWN)
     if before.angle is not None and after.angle is not None:
         yield r.Figures([_draw_errors(before.angle, after.angle, "orientation error", "mrad")], "wide-chart")
     held = (
@@ -152,7 +152,7 @@ def _build_sizes(found: Calibration) -> r.ResultTable:
         ]
         cells += ([format_angle(turn.mean), format_angle(turn.max)] if turn is not None else ["", ""]) if turned else []
         rows.append(r.Row([*cells, r.Bar(size.mean / worst)]))
-    return r.ResultTable(columns, rows, on=r.On.PAGE | r.On.TERMINAL)
+    return r.ResultTable(columns, rows, on=r.On.PRINTED)
 
 
 def _build_steps(found: Calibration) -> WaterfallSeries:
@@ -188,7 +188,7 @@ def _list_findings(found: Calibration) -> Iterator[r.Element]:
         for f in found.findings
     ]
     columns = [r.Column(), r.Column(on=r.On.PAGE), r.Column(), r.Column(on=r.On.PAGE)]
-    yield r.ResultTable(columns, rows, style="findings", on=r.On.PAGE | r.On.TERMINAL)
+    yield r.ResultTable(columns, rows, style="findings", on=r.On.PRINTED)
     yield r.explain("Each cause is removed from the model alone, and the rest is refitted.")
 
 

@@ -21,11 +21,10 @@ def present_comparison(found: Comparison) -> r.Presentation:
     said = "A change is significant at a family-wise level of 5 % (Holm)."
     more = [*list_findings(found), *(line for line in _list_only(found)), *found.warnings]
     sections = [
-        *([r.Chapter("circumstances", "What was different", lambda: _build_circumstances(found), r.On.ALL)]
-          if list_circumstances(found) else []),
-        *([r.Chapter("quantities", "Quantities", lambda: _build_quantities(found), r.On.ALL)] if found.changes else []),
-        *([r.Chapter("errors", "Errors", lambda: _build_errors(found), r.On.PAGE | r.On.TERMINAL)] if found.errors else []),
-        *([r.Chapter("more", "Findings and the rest", lambda: _build_rest(found), r.On.ALL)] if more else []),
+        r.Chapter("circumstances", "What was different", lambda: _build_circumstances(found), r.On.ALL, when=bool(list_circumstances(found))),
+        r.Chapter("quantities", "Quantities", lambda: _build_quantities(found), r.On.ALL, when=bool(found.changes)),
+        r.Chapter("errors", "Errors", lambda: _build_errors(found), r.On.PRINTED, when=bool(found.errors)),
+        r.Chapter("more", "Findings and the rest", lambda: _build_rest(found), r.On.ALL, when=bool(more)),
     ]  # fmt: skip
     logs = [("first", str(found.a.path), found.a.sha256), ("second", str(found.b.path), found.b.sha256)]
     return r.Presentation(
@@ -78,7 +77,7 @@ def _build_change(change: Change) -> r.Row:
 def _build_errors(found: Comparison) -> Iterator[r.Element]:
     rows = [r.Row([error.name, *_error_cells(error), error.unit]) for error in found.errors]
     columns = [r.Column(), r.Column("first", "number"), r.Column("second", "number"), r.Column("unit", "unit")]
-    yield r.ResultTable(columns, rows, on=r.On.PAGE | r.On.TERMINAL)
+    yield r.ResultTable(columns, rows, on=r.On.PRINTED)
 
 
 def _build_rest(found: Comparison) -> Iterator[r.Element]:

@@ -42,7 +42,7 @@ def present_diagnosis(found: Diagnosis) -> r.Presentation:
         *warn(found.warnings),
         *cards,
         *(_build_open_end(item, k) for k, item in enumerate(found.unexplained)),
-        *([r.Chapter("time", "Measured, before and after", lambda: _build_time(found))] if found.traces else []),
+        r.Chapter("time", "Measured, before and after", lambda: _build_time(found), when=bool(found.traces)),
         r.Chapter("limits", "Not detected; detection limit (95 % power)", lambda: _build_limits(found)),
         r.Chapter("parameters", "Parameters of the extended model", lambda: _build_parameters(found)),
         r.Chapter("trust", "Quality of fit", lambda: _build_quality(found)),
@@ -91,7 +91,7 @@ def _build_waterfall(found: Diagnosis) -> Iterator[r.Element]:
     )
     every = words.describe_all_samples(found)
     if every:
-        yield r.Text(every, on=r.On.PAGE | r.On.TERMINAL)
+        yield r.Text(every, on=r.On.PRINTED)
     if parts:
         what = "axis" if found.channel == "tool" else "joint"
         yield r.Text(f"Each {what}, in percent of its own {reference}", "heading")
@@ -104,11 +104,7 @@ def _build_waterfall(found: Diagnosis) -> Iterator[r.Element]:
 
 
 def _build_card(found: Diagnosis, finding: Finding, k: int) -> r.Chapter:
-    pictured = (
-        r.On.PAGE | r.On.NOTEBOOK
-        if sum(f.signature is not None for f in found.findings[:k]) < _MAX_PICTURED
-        else r.On.PAGE
-    )
+    pictured = r.On.DRAWN if sum(f.signature is not None for f in found.findings[:k]) < _MAX_PICTURED else r.On.PAGE
 
     def build() -> Iterator[r.Element]:
         yield r.Text(r.end_sentence(r.replace_plus_minus(finding.sentence)), "lead")
@@ -126,7 +122,7 @@ def _build_card(found: Diagnosis, finding: Finding, k: int) -> r.Chapter:
     said = "differs from the robot file" if finding.status == "parameter" else finding.status
     badge = r.Verdict(words.STATUS_LEVEL[finding.status], "", said)
     title = words.format_title(finding)
-    return r.Chapter(f"finding-{k + 1}", title, build, r.On.PAGE | r.On.NOTEBOOK, "card", badge, k + 1)
+    return r.Chapter(f"finding-{k + 1}", title, build, r.On.DRAWN, "card", badge, k + 1)
 
 
 def _build_key(cloud: str, fitted: str, reading: str) -> r.Element:

@@ -43,7 +43,7 @@ def present_identification(found: Identification, *, truth: Mapping[str, float] 
     robot, rows = found.model.robot, build_parameter_rows(found, truth)
     fits = [effect.equation for effect in found.model.effects]
     sections = [
-        r.Chapter("errors", "", lambda: _build_glance(found, rows), r.On.PAGE | r.On.TERMINAL),
+        r.Chapter("errors", "", lambda: _build_glance(found, rows), r.On.PRINTED),
         *warn(found.warnings),
         r.Chapter("force", "Measured and predicted force", lambda: _build_forces(found)),
         *_list_friction(found, list(dict.fromkeys(fits))),
@@ -118,7 +118,7 @@ def _build_errors(found: Identification) -> r.ResultTable:
             used = judged.used_shares[k] if judged.used_shares else judged.used_share
             cells += [r.format_percent(float(every.per_joint_percent[k])), r.format_percent(100 * used)]
         rows.append(r.Row(cells))
-    return r.ResultTable(columns, rows, on=r.On.PAGE | r.On.TERMINAL)
+    return r.ResultTable(columns, rows, on=r.On.PRINTED)
 
 
 def _build_forces(found: Identification) -> Iterator[r.Element]:
@@ -160,7 +160,7 @@ def _list_friction(found: Identification, equations: Sequence[str]) -> list[r.Ch
             f"depends on load, position or temperature.{subtracted}"
         )
 
-    return [r.Chapter("friction", "Friction", build, r.On.PAGE | r.On.NOTEBOOK, "beside" if len(curves) == 1 else "")]
+    return [r.Chapter("friction", "Friction", build, r.On.DRAWN, "beside" if len(curves) == 1 else "")]
 
 
 def _build_parameters(

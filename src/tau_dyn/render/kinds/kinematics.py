@@ -44,9 +44,7 @@ def _build_poses(table: PoseTable) -> Iterator[r.Element]:
             r.Column("", "unit"),
             r.Column("joint limits", on=r.On.PAGE),
         ]
-        yield r.ResultTable(
-            columns, [r.Row(row) for row in _list_single(table)], style="plain fitted", on=r.On.PAGE | r.On.TERMINAL
-        )
+        yield r.ResultTable(columns, [r.Row(row) for row in _list_single(table)], style="plain fitted", on=r.On.PRINTED)
     else:
         yield _build_table(table, r.On.PAGE)
         yield _build_table(table, r.On.TERMINAL)

@@ -54,29 +54,14 @@ def present_modes(
         *_list_modes(
             found, on_robot, [t.order for t in found.order_choice.trials if t.order >= found.order] or [found.order]
         ),
-        r.Chapter(
-            "response",
-            "The response, with and without a model",
-            lambda: _build_response(found),
-            r.On.PAGE | r.On.NOTEBOOK,
-        ),
-        r.Chapter("time", "Measured and simulated", lambda: _build_time(found), r.On.PAGE | r.On.TERMINAL),
-        *([r.Chapter("impulse", "Response to a pulse", lambda: _build_impulse(found))] if found.impulse else []),
-        *([r.Chapter("order", "How many states", lambda: _build_order(found))] if found.stabilisation else []),
-        *(
-            [r.Chapter("poles", "Poles and zeros", lambda: _build_poles(found))]
-            if any(q.oscillates for q in found.poles)
-            else []
-        ),
-        *(
-            [r.Chapter("tests", "Residuals", lambda: _build_tests(found))]
-            if found.whiteness or found.independence
-            else []
-        ),
-        r.Chapter(
-            "mechanical", "Mass, damping, stiffness", lambda: _build_mechanical(found), r.On.PAGE | r.On.TERMINAL
-        ),
-        r.Chapter("why", "What was decided, and why", lambda: _build_reasons(found), r.On.PAGE | r.On.TERMINAL),
+        r.Chapter("response", "The response, with and without a model", lambda: _build_response(found), r.On.DRAWN),
+        r.Chapter("time", "Measured and simulated", lambda: _build_time(found), r.On.PRINTED),
+        r.Chapter("impulse", "Response to a pulse", lambda: _build_impulse(found), when=bool(found.impulse)),
+        r.Chapter("order", "How many states", lambda: _build_order(found), when=bool(found.stabilisation)),
+        r.Chapter("poles", "Poles and zeros", lambda: _build_poles(found), when=any(q.oscillates for q in found.poles)),
+        r.Chapter("tests", "Residuals", lambda: _build_tests(found), when=bool(found.whiteness or found.independence)),
+        r.Chapter("mechanical", "Mass, damping, stiffness", lambda: _build_mechanical(found), r.On.PRINTED),
+        r.Chapter("why", "What was decided, and why", lambda: _build_reasons(found), r.On.PRINTED),
     ]
     return r.Presentation(
         "Resonances of", ", ".join(names) or "log", f"{names[0] if names else 'log'}: resonances", describe_headline(found),
@@ -94,7 +79,7 @@ def present_operational_modes(
     sections = [
         *warn(list(map(_tidy, found.warnings))),
         *_list_modes(found, on_robot, sorted({q.order for q in found.stabilisation})),
-        r.Chapter("order", "Stabilisation", lambda: _build_stabilisation(found), r.On.PAGE | r.On.NOTEBOOK),
+        r.Chapter("order", "Stabilisation", lambda: _build_stabilisation(found), r.On.DRAWN),
         r.Chapter(
             "mechanical", "Mass, damping, stiffness", lambda: [r.Text(f"Not identifiable: {REASON_WITHOUT_SCALE}.")]
         ),
@@ -133,7 +118,7 @@ def _build_modes(
         r.Column("95 % interval", "number", spare=True),
         r.Column("", "interval", on=r.On.PAGE, scale="50 %"),
         r.Column("rings for", "number", on=r.On.PAGE),
-        *([r.Column("moves most", on=r.On.PAGE | r.On.TERMINAL)] if several else []),
+        *([r.Column("moves most", on=r.On.PRINTED)] if several else []),
         r.Column("seen in", "number", on=r.On.PAGE),
     ]
     yield r.ResultTable(
@@ -259,7 +244,7 @@ def _build_time(found: Modes) -> Iterator[r.Element]:
         cells += [format_fit(float(found.train.percent[k]))] if held else []
         ahead = [format_fit(float(judged.ahead[n][k])) for n in (1, 10)]
         rows.append(r.Row([*cells, *ahead, r.format_number(float(judged.rms[k]), 3)]))
-    yield r.ResultTable(columns, rows, on=r.On.PAGE | r.On.TERMINAL)
+    yield r.ResultTable(columns, rows, on=r.On.PRINTED)
     yield r.explain(
         "Fit: 100 % is all of the movement, 0 a straight line. A simulation sees the inputs only, and the state at the start; "
         "predictions also see outputs up to so many samples before. Drag across to zoom, double-click for the whole record."
@@ -299,7 +284,7 @@ def _build_order(found: Modes) -> Iterator[r.Element]:
 
 def _build_stabilisation(found: OperationalModes) -> Iterator[r.Element]:
     figure, key = figures.build_stabilisation_figure(found), _key_of_modes("mode of the structure")
-    yield r.Figures([figure], "wide-chart", key, on=r.On.PAGE | r.On.NOTEBOOK)
+    yield r.Figures([figure], "wide-chart", key, on=r.On.DRAWN)
     yield r.explain(
         "Modes of models of every order, with 95 % bars. A mode of the structure stays where it is; what noise makes "
         "wanders."
@@ -336,7 +321,7 @@ def _select_worst(tests: Sequence[CorrelationTest]) -> list[CorrelationTest]:
 
 
 def _build_mechanical(found: Modes) -> Iterator[r.Element]:
-    yield r.Text(describe_mechanical(found), on=r.On.PAGE | r.On.TERMINAL)
+    yield r.Text(describe_mechanical(found), on=r.On.PRINTED)
     m = found.mechanical
     if m is None or m.M is None or m.D is None or m.K is None:
         return

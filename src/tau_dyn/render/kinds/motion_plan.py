@@ -19,9 +19,9 @@ def present_motion_plan(plan: MotionPlan) -> r.Presentation:
     """Return how a planned motion is presented."""
     robot = plan.model.robot
     sections = [
-        r.Chapter("forces", "Forces and their limits", lambda: _build_forces(plan), r.On.PAGE | r.On.NOTEBOOK),
+        r.Chapter("forces", "Forces and their limits", lambda: _build_forces(plan), r.On.DRAWN),
         r.Chapter("joints", "Joint by joint", lambda: _build_joints(plan), r.On.ALL),
-        *([r.Chapter("way", "The tool's way", lambda: _build_way(plan))] if plan.tool is not None else []),
+        r.Chapter("way", "The tool's way", lambda: _build_way(plan), when=plan.tool is not None),
         r.Chapter("motion", "The motion", lambda: _build_motion(plan)),
         *list_assumptions(robot.assumed),
     ]
@@ -33,7 +33,7 @@ def present_motion_plan(plan: MotionPlan) -> r.Presentation:
 
 
 def _build_forces(plan: MotionPlan) -> Iterator[r.Element]:
-    yield r.Figures([_draw_force(plan, k) for k in range(len(plan.joints))], on=r.On.PAGE | r.On.NOTEBOOK)
+    yield r.Figures([_draw_force(plan, k) for k in range(len(plan.joints))], on=r.On.DRAWN)
     yield r.explain(
         "What the model needs for the motion, friction included. Dashed: the limit. In the shortest time at least one "
         "drive is at its limit nearly always."
@@ -58,7 +58,7 @@ def _draw_force(plan: MotionPlan, k: int) -> r.Figure:
 
 
 def _build_joints(plan: MotionPlan) -> Iterator[r.Element]:
-    page = r.On.PAGE | r.On.NOTEBOOK
+    page = r.On.DRAWN
     columns = [
         r.Column("joint"), r.Column("travel", "number", on=page), r.Column("top speed", "number", on=page),
         r.Column("limit", "number", "quiet", on=page), r.Column("top acceleration", "number", on=page),

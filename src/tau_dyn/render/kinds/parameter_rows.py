@@ -84,7 +84,7 @@ def build_parameter_table(
         before: Whether the values of the model without the causes stand beside those of the extended model.
         on: Where the table stands.
     """
-    page, both = r.On.PAGE, r.On.PAGE | r.On.NOTEBOOK
+    page, both = r.On.PAGE, r.On.DRAWN
     nominal = both if truth or not any(entry.nominal for entry in rows) else r.On.ALL
     columns = [
         r.Column("parameter", on=both),
@@ -111,7 +111,7 @@ def _build_row(entry: ParameterRow, truth: bool, before: bool) -> r.Row:
     cells = [entry.name, entry.name, entry.nominal, *([entry.before] if before else []), entry.estimate, entry.unit]
     cells += [] if before else [entry.interval]
     cells += [entry.bar, *([entry.true, entry.distance] if truth else []), entry.note]
-    return r.Row(cells, entry.state, on=r.On.ALL if entry.interval else r.On.PAGE | r.On.NOTEBOOK)
+    return r.Row(cells, entry.state, on=r.On.ALL if entry.interval else r.On.DRAWN)
 
 
 def compute_bar_scale(rows: list[dict[str, Any]]) -> float:

@@ -64,15 +64,12 @@ def present_check(checked: LogCheck, *, log: Log | None = None, robot: Robot | N
     badge = {"good": "Usable", "care": "Usable with warnings", "poor": "Not usable"}[level]
     topics = r.format_list(dict.fromkeys(f.topic for f in bad))
     said = f"Problems: {topics}." if topics else "Clock, channels, units and motion meet the needs of identification."
-    sections = (
-        [r.Chapter("findings", "Problems and fixes", lambda: [_build_findings(checked)], r.On.ALL)] if bad else []
-    )
-    if not bad:
-        sections.append(r.Chapter("findings", "", lambda: [_build_findings(checked)], r.On.SCREENS))
+    title, on = ("Problems and fixes", r.On.ALL) if bad else ("", r.On.SCREENS)
+    sections = [r.Chapter("findings", title, lambda: [_build_findings(checked)], on)]
     if log is not None:
         joints = _list_joints(log)
         sections += _list_signals(log, joints, robot)
-        sections += [r.Chapter("joints", "Joints", lambda: _build_joints(log, checked, robot))] if joints else []
+        sections.append(r.Chapter("joints", "Joints", lambda: _build_joints(log, checked, robot), when=bool(joints)))
         sections.append(r.Chapter("clock", "Clock", lambda: _build_clock(log)))
     fine = _join_alike([f for f in checked.findings if f.severity == "ok"], checked.name)
     if fine:
@@ -126,17 +123,12 @@ def _draw_trace(log: Log, name: str) -> r.Figure:
 def _build_findings(checked: LogCheck) -> r.ResultTable:
     """Return what was found, worst first; of what is fine, a terminal shows each topic once."""
     fine = Counter(f.topic for f in checked.findings if f.severity == "ok")
-    columns = [
-        r.Column(),
-        r.Column("topic", style="quiet"),
-        r.Column("problem"),
-        r.Column("fix", on=r.On.PAGE | r.On.NOTEBOOK),
-    ]
+    columns = [r.Column(), r.Column("topic", style="quiet"), r.Column("problem"), r.Column("fix", on=r.On.DRAWN)]
     rows, seen = [], set()
     for f in order_worst_first(checked):
         badge, text = r.Verdict(_LEVELS[f.severity], "", f.severity), describe_check(f, checked.name)
         if f.severity != "ok":
-            rows.append(r.Row([badge, f.topic, _capital(f, checked.name), f.remedy], on=r.On.PAGE | r.On.NOTEBOOK))
+            rows.append(r.Row([badge, f.topic, _capital(f, checked.name), f.remedy], on=r.On.DRAWN))
             rows.append(r.Row([badge, f.topic, text + (f"\n→ {f.remedy}" if f.remedy else ""), ""], on=r.On.TERMINAL))
             continue
         rows.append(r.Row([badge, f.topic, text, f.remedy], on=r.On.NOTEBOOK))

@@ -194,7 +194,7 @@ def format_finding(finding: Finding, most: int = 3) -> tuple[str, ...]:
 
 def build_total_table(series: WaterfallSeries) -> r.ResultTable:
     """Return the steps over all outputs as a table."""
-    both, page = r.On.PAGE | r.On.TERMINAL, r.On.PAGE
+    both, page = r.On.PRINTED, r.On.PAGE
     columns = [
         r.Column(kind="text"),
         r.Column(kind="step"),

@@ -33,17 +33,11 @@ def present_workspace(found: Study) -> r.Presentation:
     sections = [
         *warn([r.end_sentence(r.capitalise(text)) for text in (*robot.warnings, *found.warnings)]),
         r.Chapter("glance", "", lambda: [r.Facts(_list_facts(found), "three")]),
-        *([r.Chapter("space", "In space", lambda: _build_space(found))] if found.workspace.dimension == 3 else []),
-        *(
-            [r.Chapter("sections", "Cross-sections", lambda: _build_sections(found), r.On.PAGE | r.On.NOTEBOOK)]
-            if found.sections
-            else []
-        ),
+        r.Chapter("space", "In space", lambda: _build_space(found), when=found.workspace.dimension == 3),
+        r.Chapter("sections", "Cross-sections", lambda: _build_sections(found), r.On.DRAWN, when=bool(found.sections)),
         r.Chapter("reasons", "Why not elsewhere", lambda: [_build_reasons(found)], r.On.ALL),
-        r.Chapter(
-            "catalogue", "As a catalogue would say it", lambda: _build_catalogue(found), r.On.PAGE | r.On.TERMINAL
-        ),
-        *([r.Chapter("maps", "Maps", lambda: _build_maps(found))] if found.sections and found.maps else []),
+        r.Chapter("catalogue", "As a catalogue would say it", lambda: _build_catalogue(found), r.On.PRINTED),
+        r.Chapter("maps", "Maps", lambda: _build_maps(found), when=bool(found.sections and found.maps)),
     ]
     return r.Presentation(
         "Workspace of", robot.name, f"{robot.name}: workspace", describe_headline(found), describe_verdict(found),
@@ -94,7 +88,7 @@ def _build_reasons(found: Study) -> r.ResultTable:
     """Return the demands that are first not met, over the box that was looked at."""
     columns = [
         r.Column("first demand not met"), r.Column("", "bar"),
-        r.Column("share of the box searched", "number", on=r.On.PAGE | r.On.NOTEBOOK),
+        r.Column("share of the box searched", "number", on=r.On.DRAWN),
         r.Column("share of box", "number", on=r.On.TERMINAL), r.Column("by", style="quiet"),
     ]  # fmt: skip
     rows = []
@@ -116,8 +110,8 @@ def _build_catalogue(found: Study) -> Iterator[r.Element]:
     ]
     length = f" Turns count as lengths at {catalogue.length:.3g} m." if catalogue.length else ""
     left: list[r.Element] = [
-        r.ResultTable(columns, rows, on=r.On.PAGE | r.On.TERMINAL),
-        r.explain(f"Stiffness: {catalogue.elasticity}.{length}", on=r.On.PAGE | r.On.TERMINAL),
+        r.ResultTable(columns, rows, on=r.On.PRINTED),
+        r.explain(f"Stiffness: {catalogue.elasticity}.{length}", on=r.On.PRINTED),
     ]
     if catalogue.stiffness_at_home is not None:
         values, axes = catalogue.stiffness_at_home
@@ -133,7 +127,7 @@ def _build_catalogue(found: Study) -> Iterator[r.Element]:
             found.tilt.towards, np.rad2deg(found.tilt.angle), "how far the tool leans towards each side"
         )
         right = [r.Text("How far the tool leans", "heading"), r.Figures([picture], "whole"),
-                 r.explain(_describe_tilt(found), on=r.On.PAGE | r.On.TERMINAL)]  # fmt: skip
+                 r.explain(_describe_tilt(found), on=r.On.PRINTED)]  # fmt: skip
     demands = r.ResultTable([r.Column(), r.Column()], [r.Row(row) for row in _list_demands(found)], style="plain")
     areas = [f"{r.replace_minus_signs(s.name)}: {r.format_number(s.area, 3)} m²" for s in found.sections]
     if areas:
