@@ -85,5 +85,8 @@ from .presentation import (
     TimeView as TimeView,
     Verdict as Verdict,
     explain as explain,
+    list_numbers as list_numbers,
+    tabulate_plainly as tabulate_plainly,
+    tabulate_things as tabulate_things,
 )
 from .shown import Shown as Shown

@@ -118,6 +118,7 @@ class Column:
         spare: Whether a terminal that is too narrow leaves it out, rather than breaking it.
         kept: Whether it is repeated where a terminal splits a table that is too wide; without any, none is split.
         scale: What the ends of an interval's bar stand for, such as `20 %`.
+        cell: Gives its cell of a thing; see `tabulate_things`.
     """
 
     title: str = ""
@@ -127,6 +128,7 @@ class Column:
     spare: bool = False
     kept: bool = False
     scale: str = ""
+    cell: Callable[[Any], Cell] = str
 
 
 @dataclass(frozen=True)
@@ -179,6 +181,37 @@ class ResultTable(Element):
     def all_rows(self) -> list[Row]:
         """Every row, headings left out."""
         return [*self.rows, *(row for _, rows in self.groups for row in rows)]
+
+
+def tabulate_things(
+    things: Iterable[Any],
+    *columns: Column,
+    state: Callable[[Any], str] = lambda thing: "",
+    link: Callable[[Any], str] = lambda thing: "",
+    **about: Any,
+) -> ResultTable:
+    """Return a table of one row a thing.
+
+    Args:
+        things: What it is of.
+        columns: Its columns; each one's `cell` gives its cell of a thing.
+        state: Gives the style of a thing's row.
+        link: Gives the section that a thing's first cell leads to.
+        about: What else a `ResultTable` takes.
+    """
+    rows = [Row([column.cell(thing) for column in columns], state(thing), link(thing)) for thing in things]
+    return ResultTable(columns, rows, **about)
+
+
+def tabulate_plainly(rows: Iterable[Sequence[Cell]], *, style: str = "plain", on: On = On.PAGE) -> ResultTable:
+    """Return rows of equal length without heads."""
+    rows = list(rows)
+    return ResultTable([Column() for _ in rows[0]] if rows else [], [Row(cells) for cells in rows], style=style, on=on)
+
+
+def list_numbers(*titles: str, on: On = On.ALL) -> list[Column]:
+    """Return columns of numbers with these heads."""
+    return [Column(title, "number", on=on) for title in titles]
 
 
 @dataclass(frozen=True)

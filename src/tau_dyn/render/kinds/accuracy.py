@@ -114,7 +114,7 @@ def _build_methods(found: AccuracyResult) -> Iterator[r.Element]:
         )
     measured = ", from the measured points (95 % of them)" if found.from_measured else ""
     yield r.Text(f"Assumed errors{measured}", "heading")
-    yield r.ResultTable([r.Column(), r.Column()], [r.Row(row) for row in _list_assumed(found)], style="plain")
+    yield r.tabulate_plainly(_list_assumed(found))
 
 
 def _build_method(found: AccuracyResult, method: str) -> r.Row:

@@ -89,15 +89,13 @@ def _name(found: Calibration, k: int) -> tuple[str, str]:
 
 def _build_gain(found: Calibration) -> Iterator[r.Element]:
     series = _build_steps(found)
-    columns = [
-        r.Column(),
-        r.Column(kind="step"),
-        r.Column(kind="number", style="strong"),
-        r.Column(style="about quiet"),
-    ]
-    yield r.ResultTable(
-        columns,
-        [r.Row([row.label, series.draw(row), row.rms, row.about[0]], row.kind) for row in series.rungs],
+    yield r.tabulate_things(
+        series.rungs,
+        r.Column(cell=lambda step: step.label),
+        r.Column(kind="step", cell=series.draw),
+        r.Column(kind="number", style="strong", cell=lambda step: step.rms),
+        r.Column(style="about quiet", cell=lambda step: step.about[0]),
+        state=lambda step: step.kind,
         style="waterfall",
     )
     yield r.explain(
@@ -107,19 +105,17 @@ def _build_gain(found: Calibration) -> Iterator[r.Element]:
     yield r.Text("Numbers", "heading")
     yield _build_sizes(found)
     if found.steps:
-        columns = [r.Column("model"), r.Column("compared with", style="quiet"), r.Column("rms before", "number"),
-                   r.Column("after", "number"), r.Column("p-value", "number"), r.Column(style="quiet")]  # fmt: skip
-        rows = [
-            r.Row([s.name, s.over, format_length(s.gain.before), format_length(s.gain.after),
-                 "< 0.001" if s.gain.p_value < 1e-3 else r.format_number(s.gain.p_value, 2),
-                 "taken" if s.taken else "not better"])
-            for s in found.steps
-        ]  # fmt: skip
-        said = (
-            "Cross-validation within the fitted poses. A larger model is selected if a paired test shows a smaller "
-            "held-out error."
+        tested = r.tabulate_things(
+            found.steps,
+            r.Column("model", cell=lambda s: s.name),
+            r.Column("compared with", style="quiet", cell=lambda s: s.over),
+            r.Column("rms before", "number", cell=lambda s: format_length(s.gain.before)),
+            r.Column("after", "number", cell=lambda s: format_length(s.gain.after)),
+            r.Column("p-value", "number", cell=lambda s: words.format_p_value(s.gain.p_value)),
+            r.Column(style="quiet", cell=lambda s: "taken" if s.taken else "not better"),
         )
-        yield r.Folded("All models tested", [r.ResultTable(columns, rows), r.explain(said)])
+        said = "Cross-validation within the fitted poses. A larger model is selected if a paired test shows a smaller "
+        yield r.Folded("All models tested", [tested, r.explain(f"{said}held-out error.")])
 
 
 def _build_sizes(found: Calibration) -> r.ResultTable:
@@ -176,19 +172,15 @@ def _build_steps(found: Calibration) -> WaterfallSeries:
 
 
 def _list_findings(found: Calibration) -> Iterator[r.Element]:
-    rows = [
-        r.Row(
-            [
-                r.Verdict("good" if f.status == "confirmed" else "care", "", f.status),
-                f.cause,
-                words.describe_finding(f),
-                f.equation,
-            ]
-        )
-        for f in found.findings
-    ]
-    columns = [r.Column(), r.Column(on=r.On.PAGE), r.Column(), r.Column(on=r.On.PAGE)]
-    yield r.ResultTable(columns, rows, style="findings", on=r.On.PRINTED)
+    yield r.tabulate_things(
+        found.findings,
+        r.Column(cell=lambda f: r.Verdict("good" if f.status == "confirmed" else "care", "", f.status)),
+        r.Column(on=r.On.PAGE, cell=lambda f: f.cause),
+        r.Column(cell=words.describe_finding),
+        r.Column(on=r.On.PAGE, cell=lambda f: f.equation),
+        style="findings",
+        on=r.On.PRINTED,
+    )
     yield r.explain("Each cause is removed from the model alone, and the rest is refitted.")
 
 
@@ -260,12 +252,19 @@ def _build_geometry(found: Calibration) -> Iterator[r.Element]:
         "its own scale. Grey: determined by the robot file more than by these poses."
     )
     yield r.Text("Device and target", "heading")
-    yield r.ResultTable(
-        [r.Column(), r.Column(), r.Column()], [_build_frame(row) for row in build_frame_rows(found.fit)], style="plain"
+    yield r.tabulate_plainly(map(_list_frame, build_frame_rows(found.fit)))
+    yield r.tabulate_things(
+        found.parameter_rows(),
+        r.Column("dimension", cell=lambda row: row["name"]),
+        r.Column("value", "number", cell=lambda row: r.format_with_uncertainty(row["value"], row["stderr"])),
+        r.Column("unit", cell=lambda row: r.format_unit(row["unit"])),
+        r.Column("95 % interval", "number", cell=_format_interval),
+        r.Column(
+            "nominal", "number", cell=lambda row: "" if row["nominal"] is None else r.format_number(row["nominal"], 6)
+        ),
+        state=lambda row: "" if row["determined"] else "care",
+        on=r.On.NOTEBOOK,
     )
-    heads = [r.Column("dimension"), r.Column("value", "number"), r.Column("unit"), r.Column("95 % interval", "number"),
-             r.Column("nominal", "number")]  # fmt: skip
-    yield r.ResultTable(heads, [_build_estimate(row) for row in found.parameter_rows()], on=r.On.NOTEBOOK)
 
 
 def _build_dimension(row: dict[str, Any], group: list[dict[str, Any]]) -> r.Row:
@@ -294,33 +293,26 @@ def _choose_unit(unit: str, size: float) -> tuple[float, str]:
     return {"1": (1e6, "10⁻⁶"), "m/N": (1e9, "nm/N")}.get(unit) or r.choose_unit(unit, size)
 
 
-def _build_estimate(row: dict[str, Any]) -> r.Row:
-    stderr, ends = row["stderr"], row["ci95"]
-    between = r.format_interval(ends, stderr) if stderr and ends else ""
-    nominal = "" if row["nominal"] is None else r.format_number(row["nominal"], 6)
-    value = r.format_with_uncertainty(row["value"], stderr)
-    return r.Row(
-        [row["name"], value, r.format_unit(row["unit"]), between, nominal], "" if row["determined"] else "care"
-    )
+def _format_interval(row: dict[str, Any]) -> str:
+    return r.format_interval(row["ci95"], row["stderr"]) if row["stderr"] and row["ci95"] else ""
 
 
-def _build_frame(row: dict[str, Any]) -> r.Row:
+def _list_frame(row: dict[str, Any]) -> list[str]:
     name = f"{'device' if row['frame'] == 'device' else 'target'}, campaign {row['campaign']}"
     name = f"target {row['target']}" if row["target"] else name
     place, turn = ", ".join(f"{x:.5f}" for x in row["translation"]), ", ".join(f"{x:.6f}" for x in row["quaternion"])
-    return r.Row([name, f"{r.replace_minus_signs(place)} m", f"quaternion {r.replace_minus_signs(turn)}"])
+    return [name, f"{r.replace_minus_signs(place)} m", f"quaternion {r.replace_minus_signs(turn)}"]
 
 
 def _build_blind(found: Calibration) -> Iterator[r.Element]:
     identified = found.fit.identifiability
     blind: Any = identified.to_dict()["not_identifiable"]
     if blind:
-        rows = [
-            r.Row([row["parameter"], f"equivalent to a change of {', '.join(row['depends_on'])}" if row["depends_on"]
-                 else "no effect on the tool"])
-            for row in blind
-        ]  # fmt: skip
-        yield r.ResultTable([r.Column(), r.Column()], rows, style="plain")
+        alike = {row["parameter"]: ", ".join(row["depends_on"]) for row in blind}
+        yield r.tabulate_plainly(
+            (name, f"equivalent to a change of {others}" if others else "no effect on the tool")
+            for name, others in alike.items()
+        )
         said = "These keep their nominal value. Another value, with the named parameters adjusted, describes the same robot."
         yield r.explain(said)
     else:
@@ -328,8 +320,9 @@ def _build_blind(found: Calibration) -> Iterator[r.Element]:
     pairs: Any = list_correlated_pairs(found.fit)[:_MAX_CORRELATED]
     if pairs:
         yield r.Text("Strongly correlated", "heading")
-        rows = [r.Row([*c["parameters"], f"correlation {r.format_number(float(c['correlation']), 3)}"]) for c in pairs]
-        yield r.ResultTable([r.Column(), r.Column(), r.Column()], rows, style="plain")
+        yield r.tabulate_plainly(
+            [*c["parameters"], f"correlation {r.format_number(float(c['correlation']), 3)}"] for c in pairs
+        )
     if len(identified.dropped):
         yield _list_blind([identified.names[k] for k in identified.dropped])
 
@@ -341,14 +334,12 @@ def _list_blind(names: Sequence[str]) -> r.Text:
 def _build_sensitivity(found: Calibration) -> Iterator[r.Element]:
     each = 2 * max(int(found.fit.state.ok.sum()), 1)
     largest = sorted(compute_sensitivities(found.fit), key=lambda s: -s.position)[:_MAX_SENSITIVE]
-    rows = [
-        r.Row([s.name, format_length(s.position / each), format_angle(s.rotation / each) if s.rotation > 0 else "–"])
-        for s in largest
-        if s.position > 0
-    ]
-    head = f"parameter error of {1e6 * CHANGE:.0f} µm, µrad or 10⁻⁶"
-    columns = [r.Column(head), r.Column("moves the tool by", "number", "strong"), r.Column("turns it by", "number")]
-    yield r.ResultTable(columns, rows)
+    yield r.tabulate_things(
+        [s for s in largest if s.position > 0],
+        r.Column(f"parameter error of {1e6 * CHANGE:.0f} µm, µrad or 10⁻⁶", cell=lambda s: s.name),
+        r.Column("moves the tool by", "number", "strong", cell=lambda s: format_length(s.position / each)),
+        r.Column("turns it by", "number", cell=lambda s: format_angle(s.rotation / each) if s.rotation > 0 else "–"),
+    )
     yield r.explain("On average over the fitted poses, with all loops closed.")
 
 
@@ -366,12 +357,12 @@ def _build_curve(plan: CalibrationCampaign) -> Iterator[r.Element]:
     yield r.Text(words.describe_rehearsal(plan), on=r.On.ALL)
     curve = plan.choice.curve
     step = max(1, -(-len(curve) // _MAX_PLANS))
-    rows = [
-        r.Row([str(row.poses), format_length(row.rms), format_length(row.held_out)])
-        for row in [*curve[:-1:step], curve[-1]]
-    ]
-    yield r.ResultTable(
-        [r.Column("poses", "number"), r.Column("tool", "number"), r.Column("held out", "number")], rows, on=r.On.ALL
+    yield r.tabulate_things(
+        [*curve[:-1:step], curve[-1]],
+        r.Column("poses", "number", cell=lambda row: str(row.poses)),
+        r.Column("tool", "number", cell=lambda row: format_length(row.rms)),
+        r.Column("held out", "number", cell=lambda row: format_length(row.held_out)),
+        on=r.On.ALL,
     )
     blind = list(plan.choice.not_identifiable)
     if blind:

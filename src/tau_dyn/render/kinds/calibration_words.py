@@ -8,7 +8,7 @@ import numpy as np
 
 from tau_dyn.calibrate import Calibration, CalibrationFinding, CandidateModel
 from tau_dyn.calibrate.poses import CalibrationCampaign, compute_doubling_gain, compute_min_poses
-from tau_dyn.results import Level, Verdict, count, format_list, format_percent, format_quantity
+from tau_dyn.results import Level, Verdict, count, format_list, format_number, format_percent, format_quantity
 
 BADGES = {"good": "Ready to use", "care": "Use with care", "poor": "Not usable"}
 """Verdicts in a word or three."""
@@ -68,6 +68,11 @@ def format_length(value: float) -> str:
 def format_angle(value: float) -> str:
     """Return a small angle in mrad or µrad."""
     return format_quantity(value, "rad")
+
+
+def format_p_value(p: float) -> str:
+    """Return a p-value with two digits."""
+    return "< 0.001" if p < 1e-3 else format_number(p, 2)
 
 
 def describe_headline(found: Calibration) -> str:

@@ -20,12 +20,13 @@ def present_comparison(found: Comparison) -> r.Presentation:
     level = "care" if found.changed or not tested else "good"
     said = "A change is significant at a family-wise level of 5 % (Holm)."
     more = [*list_findings(found), *(line for line in _list_only(found)), *found.warnings]
+    different = bool(list_circumstances(found))
     sections = [
-        r.Chapter("circumstances", "What was different", lambda: _build_circumstances(found), r.On.ALL, when=bool(list_circumstances(found))),
+        r.Chapter("circumstances", "What was different", lambda: _build_circumstances(found), r.On.ALL, when=different),
         r.Chapter("quantities", "Quantities", lambda: _build_quantities(found), r.On.ALL, when=bool(found.changes)),
         r.Chapter("errors", "Errors", lambda: _build_errors(found), r.On.PRINTED, when=bool(found.errors)),
         r.Chapter("more", "Findings and the rest", lambda: _build_rest(found), r.On.ALL, when=bool(more)),
-    ]  # fmt: skip
+    ]
     logs = [("first", str(found.a.path), found.a.sha256), ("second", str(found.b.path), found.b.sha256)]
     return r.Presentation(
         "Comparison", f"{found.a.place} beside {found.b.place}", "comparison", describe_headline(found),
@@ -36,9 +37,7 @@ def present_comparison(found: Comparison) -> r.Presentation:
 
 def _build_circumstances(found: Comparison) -> Iterator[r.Element]:
     groups = list_circumstances(found)
-    yield r.ResultTable(
-        [r.Column(), r.Column()], [r.Row([title, "; ".join(lines)]) for title, lines in groups], style="plain"
-    )
+    yield r.tabulate_plainly((title, "; ".join(lines)) for title, lines in groups)
     yield r.Listing([f"{title}: {'; '.join(lines)}." for title, lines in groups], on=r.On.SCREENS)
 
 

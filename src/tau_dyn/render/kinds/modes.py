@@ -111,18 +111,30 @@ def _build_modes(
     found: Modes | OperationalModes, on_robot: ShapesOnRobot | None, orders: Sequence[int]
 ) -> Iterator[r.Element]:
     several = len(found.outputs) > 1
-    columns = [
-        r.Column("frequency [Hz]", "number", "big"),
-        r.Column("95 % interval", "number", spare=True),
-        r.Column("damping [%]", "number", "strong"),
-        r.Column("95 % interval", "number", spare=True),
-        r.Column("", "interval", on=r.On.PAGE, scale="50 %"),
-        r.Column("rings for", "number", on=r.On.PAGE),
-        *([r.Column("moves most", on=r.On.PRINTED)] if several else []),
-        r.Column("seen in", "number", on=r.On.PAGE),
-    ]
-    yield r.ResultTable(
-        columns, [_build_mode(found, m, orders, several) for m in found.modes], style="modes", on=r.On.ALL
+    most = r.Column("moves most", on=r.On.PRINTED, cell=lambda m: found.outputs[int(np.argmax(np.abs(m.shape)))])
+    yield r.tabulate_things(
+        found.modes,
+        r.Column("frequency [Hz]", "number", "big", cell=format_frequency),
+        r.Column(
+            "95 % interval",
+            "number",
+            spare=True,
+            cell=lambda m: format_mode_interval(m.frequency_hz, m.frequency_stderr),
+        ),
+        r.Column("damping [%]", "number", "strong", cell=format_damping),
+        r.Column(
+            "95 % interval",
+            "number",
+            spare=True,
+            cell=lambda m: format_mode_interval(100 * m.damping_ratio, 100 * m.damping_stderr),
+        ),
+        r.Column("", "interval", on=r.On.PAGE, scale="50 %", cell=_build_damping_bar),
+        r.Column("rings for", "number", on=r.On.PAGE, cell=_format_decay),
+        *([most] if several else []),
+        r.Column("seen in", "number", on=r.On.PAGE, cell=lambda m: _count_orders(found, m, orders)),
+        state=lambda m: "" if figures.is_resonance(m) else "weak",
+        style="modes",
+        on=r.On.ALL,
     )
     yield r.explain(
         "Undamped natural frequency and damping as a share of critical damping, ± is one standard error (1 σ). Rings "
@@ -145,25 +157,21 @@ def _build_modes(
         )
 
 
-def _build_mode(found: Modes | OperationalModes, m: Mode, orders: Sequence[int], several: bool) -> r.Row:
-    known = np.isfinite(m.damping_stderr) and m.damping_ratio > 0
-    spread = r.Z95 * m.damping_stderr / m.damping_ratio / BAR_SPAN if known else 0.0
+def _build_damping_bar(m: Mode) -> r.IntervalBar | None:
+    if not np.isfinite(m.damping_stderr) or m.damping_ratio <= 0:
+        return None
+    spread = r.Z95 * m.damping_stderr / m.damping_ratio / BAR_SPAN
+    return r.IntervalBar(max(-spread, -1), min(spread, 1), 0.0)
+
+
+def _format_decay(m: Mode) -> str:
     decay = 2 * np.pi * m.frequency_hz * m.damping_ratio
-    seen = sum(
-        any(q.order == n and abs(q.frequency_hz / m.frequency_hz - 1) < 0.02 for q in found.stabilisation)
-        for n in orders
-    )
-    cells: list[r.Cell] = [
-        format_frequency(m),
-        format_mode_interval(m.frequency_hz, m.frequency_stderr),
-        format_damping(m),
-        format_mode_interval(100 * m.damping_ratio, 100 * m.damping_stderr),
-        r.IntervalBar(max(-spread, -1), min(spread, 1), 0.0) if known else None,
-        f"{r.format_number(1 / decay, 2)} s" if decay > 0 else "–",
-        *([found.outputs[int(np.argmax(np.abs(m.shape)))]] if several else []),
-        f"{seen} of {len(orders)}",
-    ]
-    return r.Row(cells, "" if figures.is_resonance(m) else "weak")
+    return f"{r.format_number(1 / decay, 2)} s" if decay > 0 else "–"
+
+
+def _count_orders(found: Modes | OperationalModes, m: Mode, orders: Sequence[int]) -> str:
+    alike = {q.order for q in found.stabilisation if abs(q.frequency_hz / m.frequency_hz - 1) < 0.02}
+    return f"{len(alike.intersection(orders))} of {len(orders)}"
 
 
 def draw_on_robot(shapes: ShapesOnRobot, chosen: Sequence[bool]) -> Iterator[r.Element]:
@@ -342,7 +350,5 @@ def _build_mechanical(found: Modes) -> Iterator[r.Element]:
 
 
 def _build_reasons(found: Modes) -> Iterator[r.Element]:
-    yield r.ResultTable(
-        [r.Column(), r.Column()], [r.Row([topic, _tidy(text)]) for topic, text in found.why.items()], style="plain"
-    )
+    yield r.tabulate_plainly((topic, _tidy(text)) for topic, text in found.why.items())
     yield r.Text(" ".join(_tidy(text) for text in found.why.values()), "dim", on=r.On.TERMINAL)

@@ -109,8 +109,8 @@ def _build_signals(log: Log, robot: Robot) -> Iterator[r.Element]:
 
 
 def _build_followed(rows: list[dict[str, Any]]) -> r.ResultTable:
-    titles = ("covers", "behind, rms", "at most", "force rms")
-    columns = [r.Column("joint"), r.Column("unit", style="quiet"), *(r.Column(title, "number") for title in titles),
+    columns = [r.Column("joint"), r.Column("unit", style="quiet"),
+               *r.list_numbers("covers", "behind, rms", "at most", "force rms"),
                r.Column("top force", "number", "strong"), r.Column("limit", "number"),
                r.Column("share of the limit", "bar", "share")]  # fmt: skip
     return r.ResultTable(columns, [r.Row([row["joint"], row["unit"], *row["cells"]]) for row in rows], on=r.On.ALL)
@@ -150,9 +150,8 @@ def _build_truth(found: SimulatedLog) -> Iterator[r.Element]:
     ]
     right: list[r.Element] = []
     if found.sensors is not None:
-        sensors = [r.Row(row) for row in _list_sensors(found.sensors)]
-        right += [r.Text("Sensors", "heading"), r.ResultTable([r.Column(), r.Column()], sensors, style="plain"),
-                  r.explain("SI units; a noise is a standard deviation.")]  # fmt: skip
+        right += [r.Text("Sensors", "heading"), r.tabulate_plainly(_list_sensors(found.sensors))]
+        right += [r.explain("SI units; a noise is a standard deviation.")]
     equations = list(dict.fromkeys(effect.equation for effect in model.effects))
     right += [r.Listing(equations, "Forces beyond the rigid body", "code")] if equations else []
     right += [r.Listing(list(robot.assumed), "Assumed in the robot file")] if robot.assumed else []
@@ -166,10 +165,10 @@ def present_excitation(found: ExcitingMotion) -> r.Presentation:
     robot, free = model.robot, int(np.sum(model.parameters.free))
     level: r.Level = "good" if condition < WELL else "care" if condition < FAIR else "poor"
     badge = {"good": "Tells them apart", "care": "Usable", "poor": "Too poor"}[level]
-    predicted = r.Chapter("predicted", "Predicted standard errors", lambda: _build_prediction(found), r.On.ALL)
+    said, known = "Predicted standard errors", found.prediction is not None
     sections = [
         r.Chapter("joints", "Joints", lambda: _build_driven(found), r.On.ALL),
-        *([predicted] if found.prediction is not None else []),
+        r.Chapter("predicted", said, lambda: _build_prediction(found), r.On.ALL, when=known),
         r.Chapter("motion", "The motion", lambda: _build_motion(motion, robot)),
         r.Chapter("phase", "Speed over position", lambda: _build_phases(motion, robot)),
     ]
@@ -217,15 +216,19 @@ def _build_joint(motion: Trajectory, robot: Robot, k: int) -> r.Row:
 def _build_prediction(found: ExcitingMotion) -> Iterator[r.Element]:
     """Give name, value, error and unit of each base parameter, and the error as a share of the value."""
     prediction = found.prediction
-    rows = [] if prediction is None else [
-        r.Row([row["expression"], r.format_number(row["value"], 4), r.format_number(row["stderr"], 2), r.format_unit(row["unit"]),
-             r.format_percent(100 * row["stderr"] / abs(row["value"])) if row["value"] else ""])
-        for row in prediction.rows()
-    ]  # fmt: skip
-    columns = [r.Column("parameter"), r.Column("assumed", "number"), r.Column("standard error", "number"),
-    r.Column("unit", "unit", "quiet"),
-               r.Column("of the value", "number")]  # fmt: skip
-    yield r.ResultTable(columns, rows, on=r.On.ALL)
+
+    def share(row: dict[str, Any]) -> str:
+        return r.format_percent(100 * row["stderr"] / abs(row["value"])) if row["value"] else ""
+
+    yield r.tabulate_things(
+        [] if prediction is None else prediction.rows(),
+        r.Column("parameter", cell=lambda row: row["expression"]),
+        r.Column("assumed", "number", cell=lambda row: r.format_number(row["value"], 4)),
+        r.Column("standard error", "number", cell=lambda row: r.format_number(row["stderr"], 2)),
+        r.Column("unit", "unit", "quiet", cell=lambda row: r.format_unit(row["unit"])),
+        r.Column("of the value", "number", cell=share),
+        on=r.On.ALL,
+    )
     yield r.explain("Predicted from the assumed noise. Friction of another law and tracking errors add to them.")
 
 

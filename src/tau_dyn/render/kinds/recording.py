@@ -73,9 +73,7 @@ def present_check(checked: LogCheck, *, log: Log | None = None, robot: Robot | N
         sections.append(r.Chapter("clock", "Clock", lambda: _build_clock(log)))
     fine = _join_alike([f for f in checked.findings if f.severity == "ok"], checked.name)
     if fine:
-        table = r.ResultTable(
-            [r.Column(), r.Column()], [r.Row([topic, " ".join(texts)]) for topic, texts in fine], style="plain"
-        )
+        table = r.tabulate_plainly((topic, " ".join(texts)) for topic, texts in fine)
         sections.append(r.Chapter("fine", "No fault found", lambda: [table], folded=True, open=not bad))
     names = ("severity", "topic", "sentence", "remedy")
     return r.Presentation(
@@ -100,7 +98,7 @@ def _summarise(log: Log, joints: Sequence[str]) -> str:
 
 
 def _build_channels(log: Log) -> r.ResultTable:
-    columns = [r.Column("channel"), *(r.Column(title, "number") for title in ("least", "mean", "most", "missing"))]
+    columns = [r.Column("channel"), *r.list_numbers("least", "mean", "most", "missing")]
     rows = []
     for name, x in log.channels.items():
         there = x[np.isfinite(x)]

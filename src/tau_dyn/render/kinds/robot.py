@@ -48,13 +48,15 @@ def _tabulate_joints(robot: Robot) -> list[dict[str, Any]]:
 
 
 def _build_joints(robot: Robot) -> r.ResultTable:
-    columns = [r.Column("actuated joint"), r.Column(), r.Column("travel"), r.Column("speed"), r.Column("force")]
-    rows = [
-        r.Row([row["joint"], row["kind"], f"{_limit(row['lower'])} … {_limit(row['upper'])} {row['position_unit']}",
-             _up_to(row["velocity_limit"], f"{row['position_unit']}/s"), _up_to(row["effort_limit"], row["force_unit"])])
-        for row in _tabulate_joints(robot)
-    ]  # fmt: skip
-    return r.ResultTable(columns, rows, on=r.On.ALL)
+    return r.tabulate_things(
+        _tabulate_joints(robot),
+        r.Column("actuated joint", cell=lambda row: row["joint"]),
+        r.Column(cell=lambda row: row["kind"]),
+        r.Column("travel", cell=lambda row: f"{_limit(row['lower'])} … {_limit(row['upper'])} {row['position_unit']}"),
+        r.Column("speed", cell=lambda row: _up_to(row["velocity_limit"], f"{row['position_unit']}/s")),
+        r.Column("force", cell=lambda row: _up_to(row["effort_limit"], row["force_unit"])),
+        on=r.On.ALL,
+    )
 
 
 def _limit(x: float) -> str:
@@ -112,14 +114,13 @@ def _tabulate(parameters: Parameters) -> Any:
 def _build_table(parameters: Parameters, on: r.On) -> r.ResultTable:
     """Return one row a parameter; intervals only where there are some."""
     estimated = any(p.stderr for p in parameters)
-    between = [r.Column("95 % interval", "number", spare=True)] if estimated else []
-    rows = [
-        r.Row(
-            [p.name, r.format_estimate(p), *([r.format_estimate_interval(p)] if estimated else []), p.origin],
-            "" if p.free else "quiet",
-        )
-        for p in parameters
-    ]
-    return r.ResultTable(
-        [r.Column("parameter"), r.Column("value", "number", "strong"), *between, r.Column("from")], rows, on=on
+    between = r.Column("95 % interval", "number", spare=True, cell=r.format_estimate_interval)
+    return r.tabulate_things(
+        parameters,
+        r.Column("parameter", cell=lambda p: p.name),
+        r.Column("value", "number", "strong", cell=r.format_estimate),
+        *([between] if estimated else []),
+        r.Column("from", cell=lambda p: p.origin),
+        state=lambda p: "" if p.free else "quiet",
+        on=on,
     )

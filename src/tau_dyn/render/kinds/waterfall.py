@@ -194,57 +194,41 @@ def format_finding(finding: Finding, most: int = 3) -> tuple[str, ...]:
 
 def build_total_table(series: WaterfallSeries) -> r.ResultTable:
     """Return the steps over all outputs as a table."""
-    both, page = r.On.PRINTED, r.On.PAGE
-    columns = [
-        r.Column(kind="text"),
-        r.Column(kind="step"),
-        r.Column(kind="number", style="strong"),
-        r.Column("", "number", "quiet spread", on=page),
-        r.Column(style="about quiet", on=both),
-        r.Column(on=r.On.NOTEBOOK),
-    ]
-    rows = [
-        r.Row(
-            [
-                row.label,
-                series.draw(row),
-                format_share(row.left),
-                format_spread(row),
-                row.about,
-                r.format_list(row.joints),
-            ],
-            row.kind,
-            f"finding-{row.finding}" if row.finding else "",
-        )
-        for row in series.rungs
-    ]
-    return r.ResultTable(columns, rows, style="waterfall", on=r.On.ALL)
+    return r.tabulate_things(
+        series.rungs,
+        r.Column(cell=lambda step: step.label),
+        r.Column(kind="step", cell=series.draw),
+        r.Column(kind="number", style="strong", cell=lambda step: format_share(step.left)),
+        r.Column(kind="number", style="quiet spread", on=r.On.PAGE, cell=format_spread),
+        r.Column(style="about quiet", on=r.On.PRINTED, cell=lambda step: step.about),
+        r.Column(on=r.On.NOTEBOOK, cell=lambda step: r.format_list(step.joints)),
+        state=lambda step: step.kind,
+        link=_link_finding,
+        style="waterfall",
+        on=r.On.ALL,
+    )
 
 
 def build_output_tables(parts: list[WaterfallSeries]) -> list[r.Element]:
     """Return the steps of every output as small tables; the steps of an output's own causes stand out."""
-    columns = [
-        r.Column(),
-        r.Column(kind="step"),
-        r.Column(kind="number", style="strong"),
-        r.Column(kind="number", style="quiet"),
-    ]
     return [
-        r.ResultTable(
-            columns,
-            [
-                r.Row(
-                    [row.label.replace(" parameters", ""), part.draw(row), format_share(row.left), row.rms],
-                    f"{row.kind} acts" if part.output in row.joints else row.kind,
-                    f"finding-{row.finding}" if row.finding else "",
-                )
-                for row in part.rungs
-            ],
+        r.tabulate_things(
+            part.rungs,
+            r.Column(cell=lambda step: step.label.replace(" parameters", "")),
+            r.Column(kind="step", cell=part.draw),
+            r.Column(kind="number", style="strong", cell=lambda step: format_share(step.left)),
+            r.Column(kind="number", style="quiet", cell=lambda step: step.rms),
+            state=lambda step, output=part.output: f"{step.kind} acts" if output in step.joints else step.kind,
+            link=_link_finding,
             style="waterfall",
             caption=part.output,
         )
         for part in parts
     ]
+
+
+def _link_finding(step: WaterfallStep) -> str:
+    return f"finding-{step.finding}" if step.finding else ""
 
 
 def format_share(share: float) -> str:

@@ -128,7 +128,7 @@ def _build_catalogue(found: Study) -> Iterator[r.Element]:
         )
         right = [r.Text("How far the tool leans", "heading"), r.Figures([picture], "whole"),
                  r.explain(_describe_tilt(found), on=r.On.PRINTED)]  # fmt: skip
-    demands = r.ResultTable([r.Column(), r.Column()], [r.Row(row) for row in _list_demands(found)], style="plain")
+    demands = r.tabulate_plainly(_list_demands(found))
     areas = [f"{r.replace_minus_signs(s.name)}: {r.format_number(s.area, 3)} m²" for s in found.sections]
     if areas:
         left.append(r.Text(f"Cross-sections {r.format_list(areas)}.", on=r.On.TERMINAL))
