@@ -18,6 +18,7 @@ from tau_dyn.cli.arguments import (
     build_destination,
     describe_destination,
     is_model_file,
+    is_saved_model,
 )
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
@@ -89,7 +90,7 @@ class _Request:
         """Return the model; of a robot its nominal rigid body without effects."""
         from tau_dyn.model import Model
 
-        if is_model_file(self.source):
+        if is_saved_model(self.source):
             return Model.load(self.source)
         return Model.of(self.robot_options.load(self.source), [])
 
@@ -152,7 +153,7 @@ def _make_exchanged(request: _Request) -> Made:
     from tau_dyn.exchange import build_mjcf, build_urdf
     from tau_dyn.model import Model
 
-    if not is_model_file(request.source):
+    if not is_saved_model(request.source):
         learned = f"tau-dyn identify {request.source} LOG --out model.yaml"
         raise InputError(
             "unsupported",

@@ -20,7 +20,7 @@ from tau_dyn.cli.arguments import (
     build_destination,
     describe_destination,
     describe_robot_or_model,
-    is_model_file,
+    is_saved_model,
 )
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
@@ -197,7 +197,7 @@ def _build_true_model(robot: str, options: RobotOptions, effects: Path | None, m
     from tau_dyn.model import Model
     from tau_dyn.simulate import read_effects_file
 
-    if is_model_file(robot):
+    if is_saved_model(robot):
         named = {"--set": options.set, "--actuated": options.actuated, "--effects": effects, "--model": model}
         given = [name for name, value in named.items() if value]
         if given:

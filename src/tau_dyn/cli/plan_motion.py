@@ -21,7 +21,7 @@ from tau_dyn.cli.arguments import (
     build_destination,
     describe_destination,
     describe_robot_or_model,
-    is_model_file,
+    is_saved_model,
     read_columns,
 )
 from tau_dyn.cli.execute import Outcome, show_progress
@@ -162,7 +162,7 @@ def _load_model(robot: str, options: RobotOptions):
     """Return the model that ROBOT names: a file of ours with its effects, or a rigid robot."""
     from tau_dyn.model import Model
 
-    if not is_model_file(robot):
+    if not is_saved_model(robot):
         return Model.of(options.load(robot))
     if options.set or options.actuated:
         raise InputError(
