@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.calibrate.tree_geometry import build_tree_geometry, format_corrected_urdf
+from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 URDF = Path(__file__).resolve().parents[2] / "urdf"
@@ -16,10 +16,15 @@ URDF = Path(__file__).resolve().parents[2] / "urdf"
 
 @pytest.mark.parametrize("name", ["delta", "parallelogram", "gantry_tau"])
 def test_the_file_is_the_calibrated_robot(name: str) -> None:
-    """The tool of the written file's nominal robot is the calibrated tool of the original, offsets and rod lengths included."""
+    """The tool of the written file's nominal robot is the calibrated one, offsets, rod lengths and scales of slides included."""
     robot = load_robot(URDF / f"{name}.urdf.xacro")
     geometry = build_tree_geometry(robot)
-    changed = np.array([p.free or p.name.startswith("tool.") for p in geometry.parameters])
+    changed = np.array(
+        [
+            p.free or p.name.startswith("tool.") or (p.name.endswith(".gain") and name == "gantry_tau")
+            for p in geometry.parameters
+        ]
+    )
     theta = geometry.parameters.values + np.random.default_rng(1).normal(0, 1e-3, len(changed)) * changed
     if (
         name == "parallelogram"
@@ -29,7 +34,7 @@ def test_the_file_is_the_calibrated_robot(name: str) -> None:
             {n: v for n, v in zip(geometry.parameters.names, theta, strict=True) if n not in flat}
         ).values
     again = build_tree_geometry(
-        load_robot_from_urdf(format_corrected_urdf(geometry, theta), "calibrated", actuated=robot.actuated)
+        load_robot_from_urdf(geometry.format_urdf(theta), "calibrated", actuated=robot.actuated)
     )
     q = robot.home + np.random.default_rng(2).uniform(-0.1, 0.1, (3, robot.na))
     a, b = geometry.forward(theta, q).poses, again.forward(again.parameters.values, q).poses
@@ -38,7 +43,7 @@ def test_the_file_is_the_calibrated_robot(name: str) -> None:
 
 
 def test_gear_ratios_are_refused() -> None:
-    """A robot file has no gear ratios; leaving one out silently would be wrong by centimetres."""
+    """A robot file has no gear ratios of turning joints; leaving one out silently would be wrong by centimetres."""
     geometry = build_tree_geometry(load_robot(URDF / "delta.urdf.xacro"))
     with raises_code("unsupported", "arm2.gain"):
-        format_corrected_urdf(geometry, geometry.parameters.with_values({"arm2.gain": 1.01}).values)
+        geometry.format_urdf(geometry.parameters.with_values({"arm2.gain": 1.01}).values)

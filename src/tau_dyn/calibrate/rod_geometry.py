@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.geometry import Closure, GeometryDefaults, Predicted
 from tau_dyn.calibrate.joint_laws import GuideLaw, JointLaw, move_joints
+from tau_dyn.calibrate.robot_file import format_corrected_rods
 from tau_dyn.mechanism import (
     AXES,
     Carried,
@@ -280,7 +281,14 @@ class RodGeometry(GeometryDefaults):
         values = dict(zip(self.parameters.names, np.asarray(theta, float).tolist(), strict=True))
         return compute_dimensions_at(self.rods.numbers, values)
 
-    beyond_file = "rods between carts and a plate"
+    @property
+    def beyond_file(self) -> str:  # type: ignore[override]
+        """Laws of drives and guideways."""
+        return GeometryDefaults.beyond_file if self.drives or self.guides else ""
+
+    def format_urdf(self, theta: np.ndarray) -> str:
+        """Return the robot file with these dimensions."""
+        return format_corrected_rods(self.rods, self.numbers(theta))
 
     @property
     def description(self) -> dict[str, Any] | None:

@@ -32,9 +32,10 @@ from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml, write_whole
-from tau_dyn.mechanism import Poses, Rods, build_rods
+from tau_dyn.mechanism import Poses, Rods, build_rods, forward_kinematics
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
+_MAX_MISFIT = 1e-9  # [m] between the written file's tool and the calibrated one: rounding
 _FORMAT = 1  # version of both file formats
 
 
@@ -67,10 +68,10 @@ class CalibratedRobot:
         return self.frames.measured(self.forward(q).poses, np.zeros(len(q), int))
 
     def build_robot(self, source: str = "") -> Robot:
-        """Return a robot whose file has the calibrated placements; `source` is how messages call it.
+        """Return a robot whose file has the calibrated dimensions; `source` is how messages call it.
 
         Raises:
-            InputError: A robot of rods between carts and a plate, or what a robot file cannot say: laws of joints, gear ratios.
+            InputError: What a robot file cannot say: laws of joints, gear ratios of turns, sides of a triangle of rods.
         """
         source = source or self.robot.source
         geometry, (theta,) = expand_constraints(self.geometry, self.theta)
@@ -81,7 +82,16 @@ class CalibratedRobot:
                 "positions by calibrate --correct, or use load_calibration in Python",
             )
         urdf = geometry.format_urdf(theta)
-        return load_robot_from_urdf(urdf, source, actuated=self.robot.actuated, tool=self.robot.tool)
+        found = load_robot_from_urdf(urdf, source, actuated=self.robot.actuated, tool=self.robot.tool or None)
+        q = found.home[None]
+        if geometry.rods_at(theta) is not None:
+            off = np.abs(forward_kinematics(found, q).poses.position - geometry.forward(theta, q).poses.position).max()
+            if not off < _MAX_MISFIT:
+                raise InputError(
+                    "unsupported",
+                    f"{source}: the rods share joints in the robot file, which cannot hold each one's dimensions",
+                )
+        return found
 
     @property
     def rods(self) -> Rods:

@@ -244,6 +244,14 @@ def is_model_file(path: str | Path) -> bool:
     return Path(path).suffix.lower() in (".yaml", ".yml")
 
 
+def is_saved_model(path: str | Path) -> bool:
+    """Tell whether a path names a model file rather than a robot or a calibrated one."""
+    if not is_model_file(path) or not Path(path).is_file():
+        return is_model_file(path)
+    with Path(path).open("rb") as file:
+        return not file.readline().startswith(b"tau_dyn_calibration")
+
+
 ColumnMapFile = Annotated[Path | None, Parameter(metavar="MAP.yaml", help="How to read foreign column names and units")]
 _CHOICES = Group("Parameters, by name or pattern")
 

@@ -81,7 +81,7 @@ class _Request:
         """Return the model; of a robot its nominal rigid body without effects."""
         from tau_dyn.model import Model
 
-        if args.is_model_file(self.source):
+        if args.is_saved_model(self.source):
             return Model.load(self.source)
         return Model.of(self.robot_options.load(self.source), [])
 
@@ -131,7 +131,7 @@ def name_export(values: dict[str, Any]) -> str:
 
 
 def _name_beside(model: Path, motion: Path | None, ending: str) -> Path:
-    if args.is_model_file(model):
+    if args.is_saved_model(model):
         return model.with_suffix(ending)
     stem = motion.stem if motion is not None else model.name.split(".")[0]
     return Path(f"{stem}_reference{ending}" if ending == ".csv" else f"{stem}{ending}")
@@ -142,7 +142,7 @@ def _make_exchanged(request: _Request) -> Made:
     from tau_dyn.exchange import build_mjcf, build_urdf
     from tau_dyn.model import Model
 
-    if not args.is_model_file(request.source):
+    if not args.is_saved_model(request.source):
         learned = f"tau-dyn identify {request.source} LOG --out model.yaml"
         raise InputError(
             "unsupported",

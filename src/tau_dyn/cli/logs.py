@@ -181,7 +181,7 @@ def _build_true_model(robot: str, options: args.RobotOptions, effects: Path | No
     from tau_dyn.model import Model
     from tau_dyn.simulate import read_effects_file
 
-    if args.is_model_file(robot):
+    if args.is_saved_model(robot):
         named = {"--set": options.set, "--actuated": options.actuated, "--effects": effects, "--model": model}
         given = [name for name, value in named.items() if value]
         if given:

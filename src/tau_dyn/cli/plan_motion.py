@@ -146,7 +146,7 @@ def _load_model(robot: str, options: args.RobotOptions):
     """Return the model that ROBOT names: a file of ours with its effects, or a rigid robot."""
     from tau_dyn.model import Model
 
-    if not args.is_model_file(robot):
+    if not args.is_saved_model(robot):
         return Model.of(options.load(robot))
     if options.set or options.actuated:
         raise InputError(

@@ -77,8 +77,9 @@ class Tree:
             value: Gives a parameter's value by its name; by default the robot's number.
 
         Raises:
-            InputError: A joint neither turns about nor slides along one axis.
+            InputError: A joint neither turns about nor slides along one axis, or a drive has a scale.
         """
+        robot.require_unscaled_drives("generated code of a tree's equations")
         model, data = robot.model, robot.model.createData()
         pin.computeJointJacobians(model, data, pin.neutral(model))
         value = value or (lambda name: robot.parameters[name].value)

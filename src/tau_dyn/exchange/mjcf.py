@@ -36,9 +36,10 @@ def build_mjcf(model: Model) -> Exported:
     """Return the model's robot as MJCF text.
 
     Raises:
-        InputError: A joint has more than one degree of freedom.
+        InputError: A joint has more than one degree of freedom, or a drive has a scale.
     """
     robot = model.robot
+    robot.require_unscaled_drives("a MuJoCo file")
     joints = list_joints(robot.model)
     if joints is None:
         raise InputError(

@@ -288,7 +288,7 @@ class BatchedTree:
             carried = add_vectors(parent.linear, compute_cross_product(parent.angular, arm[:, None]))
             z = closed.at.axis[joint.index][:, None]
             if joint.v in driven:
-                own, rate = np.array([driven[joint.v]]), z
+                own, rate = np.array([driven[joint.v]]), z * self.solver.scale[driven[joint.v]]
             else:
                 own = np.arange(self.robot.na) if self.robot.loops else np.zeros(0, int)
                 rate = z * closed.G[joint.v, own]

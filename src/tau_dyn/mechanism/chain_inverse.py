@@ -83,7 +83,7 @@ class RootChain:
     def _leg(self, B: np.ndarray, clipped: bool) -> np.ndarray:
         square = np.sum((B - self.point[:, None]) ** 2, axis=0) - self.offset**2
         reach = np.sqrt(np.maximum(square, 0.0) if clipped else square)
-        return self.gain * (reach - np.sqrt(self.length**2 - self.offset**2))
+        return (reach - np.sqrt(self.length**2 - self.offset**2)) / self.gain
 
 
 class NewtonChain:

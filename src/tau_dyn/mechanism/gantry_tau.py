@@ -6,7 +6,8 @@ The rows `d_i` of `D` are the rods, so `D^-1 = [d_2 x d_3, d_3 x d_1, d_1 x d_2]
 
 The simplified Gantry-Tau in closed form, vectorised over samples.
 
-Arm i: a cart at `A_i = O_i + q_i e_i` on its guideway and one rod of length `L_i` to the tool `T`, which only translates.
+Arm i: a cart at `A_i = O_i + q_i e_i` on its guideway and one rod of length `L_i` to the tool `T`, which only translates;
+`e_i` is as long as the cart travels per reading of its drive.
 With `d_i = T - A_i`, `D` the matrix of rows `d_i` and `b_i = d_i . e_i`,
 
     |d_i| = L_i,   D T' = b * v,   D T'' = b * a - |T' - e_i v_i|^2.
@@ -139,7 +140,9 @@ class GantryTauMechanism(Mechanism):
             )
         self.origin = np.array([data.oMi[j].translation for j in joints])
         axes = [pin.computeJointJacobian(model, data, pin.neutral(model), j)[:3, model.joints[j].idx_v] for j in joints]
+        self.scale = robot.drive_scale
         self.direction = np.array([data.oMi[j].rotation @ axis for j, axis in zip(joints, axes, strict=True)])
+        self.direction *= self.scale[:, None]
         self.gravity = np.array(model.gravity.linear)
         links = {link.link: link for link in robot.links}
         self.length = np.array([self._rod_length(arm.rod_link) for arm in robot.arms])
@@ -181,7 +184,7 @@ class GantryTauMechanism(Mechanism):
         weight = np.stack([compute_weighted_sum(g, at.J[j]) for j in range(3)])  # J' g
         for i, arm in enumerate(self.robot.arms):
             alpha, beta, gamma, c = self.ends[i]
-            Y[i, n.index(f"{arm.cart_link}.mass")] = a[i] - e[i] @ g
+            Y[i, n.index(f"{arm.cart_link}.mass")] = self.scale[i] ** 2 * a[i] - e[i] @ g
             Y[i, n.index(f"{arm.cart_joint}.armature")] = a[i]
             rod = n.index(f"{arm.rod_link}.mass")
             for j in range(3):
@@ -210,9 +213,12 @@ class GantryTauMechanism(Mechanism):
         e, g = self.direction, self.gravity
         coupling = e.T * (self.m_rod * beta)  # (3 axes, 3 carts)
         m_tool = self.m_plate + self.m_rod @ gamma
-        M = np.diag(self.m_cart + self.m_rod * alpha) + J.T @ (m_tool * J + coupling) + coupling.T @ J
-        at_tool = m_tool * bias - (self.m_plate + self.m_gravity + self.m_rod @ c) * g
         moving = self.m_cart - self._armature()
+        along_rail = self.m_cart + self.m_rod * alpha
+        if np.any(self.scale != 1.0):
+            along_rail = along_rail + (self.scale**2 - 1) * (moving + self.m_rod * alpha)
+        M = np.diag(along_rail) + J.T @ (m_tool * J + coupling) + coupling.T @ J
+        at_tool = m_tool * bias - (self.m_plate + self.m_gravity + self.m_rod @ c) * g
         h = J.T @ at_tool + coupling.T @ bias - (e @ g) * (moving + self.m_rod * (1 - c))
         return M, h
 
@@ -254,7 +260,8 @@ class GantryTauMechanism(Mechanism):
         along = (at_tool[:, None, :] @ k.inverse)[:, 0]
         held = (self.m_rod * alpha)[:, None] * a[:, :, None] * e - np.outer(self.m_rod * (1 - c), g)
         held = held + (self.m_rod * beta)[:, None] * tool[:, None, :] + along[:, :, None] * k.rods
-        return np.sum(held * e, axis=2, keepdims=True) * e - held
+        rail = e / self.scale[:, None]
+        return np.sum(held * rail, axis=2, keepdims=True) * rail - held
 
     def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the size (N, 3) [N] of what each rod puts across its guideway."""

@@ -92,7 +92,7 @@ class LoopArrays:
         """Prepare for the robot and model of a one-by-one solver."""
         self.solver, self.joints = solver, joints
         robot, model = solver.robot, solver.model
-        self.active, self.passive = solver.active_v, solver.passive_v
+        self.active, self.passive, self.scale = solver.active_v, solver.passive_v, solver.scale
         self._by_index = {joint.index: joint for joint in joints}
         self._ends = [(_end(model, loop.frame_a), _end(model, loop.frame_b)) for loop in robot.loops]
         self._cells: dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]] = {}
@@ -124,9 +124,9 @@ class LoopArrays:
 
     def _without_loops(self, q: np.ndarray) -> ClosedLoops:
         x = np.zeros((self.solver.model.nv, len(q)))
-        x[self.active] = q.T
+        x[self.active] = (self.scale * q).T
         G = np.zeros((*x.shape[:1], len(self.active), 1))
-        G[self.active, range(len(self.active))] = 1.0
+        G[self.active, range(len(self.active)), 0] = self.scale
         G = np.broadcast_to(G, (*G.shape[:2], len(q)))
         return ClosedLoops(x, compute_frames(self.joints, x), Dense(np.zeros((len(q), 0, 0))), G)
 
@@ -142,7 +142,7 @@ class LoopArrays:
         which = which.ravel()
         x = np.stack([start for start, _ in known], axis=1)[:, which]
         G = np.stack([slope for _, slope in known], axis=2)[:, :, which]
-        return x + np.einsum("van,an->vn", G, self._reduced(q - x[self.active].T).T)
+        return x + np.einsum("van,an->vn", G, self._reduced(q - x[self.active].T / self.scale).T)
 
     def _reduced(self, away: np.ndarray) -> np.ndarray:
         """Return distances (N, na), without whole turns of joints that turn forever."""
@@ -191,10 +191,10 @@ class LoopArrays:
         for k, v in enumerate(self.active):
             for (r, c), value in entries.items():
                 if c == v:
-                    J_a[r, k] = value
+                    J_a[r, k] = value * self.scale[k]
         inverse, sure = self._inverse(entries, J_a)
         G = np.zeros((x.shape[0], len(self.active), x.shape[1]))
-        G[self.active, range(len(self.active))] = 1.0
+        G[self.active, range(len(self.active))] = self.scale[:, None]
         G[self.passive] = -(inverse.solve(J_a) if sure is None else sure)
         return ClosedLoops(x, at, inverse, G)
 

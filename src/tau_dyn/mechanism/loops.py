@@ -10,9 +10,10 @@ The closed loops solved: from actuated positions, speeds and accelerations to th
 A loop k says that two points of the tree coincide, `c_k(q) = p_A(q) - p_B(q) = 0`. With `J_c = dc/dv_tree`, split into
 actuated and passive columns,
 
-    v_tree = G v_a,   G = [1; -J_p^+ J_a],   a_tree = G a_a + g_0,   g_0 = [0; -J_p^+ gamma],
+    v_tree = G v_a,   G = [1; -J_p^+ J_a] S,   a_tree = G a_a + g_0,   g_0 = [0; -J_p^+ gamma],
 
-where `gamma` is the constraint's acceleration at zero joint acceleration. Closure is by Newton on the passive joints, started
+where `gamma` is the constraint's acceleration at zero joint acceleration and `S` holds the travel of the joints per reading of
+their drives (`Robot.drive_scale`). Closure is by Newton on the passive joints, started
 where `G` points from the last configuration; the inverse of `J_p` is kept while it converges well. The first configuration is
 reached by continuation from the robot's home, which selects the assembly mode. `loops.py` has `c`, `J_c` and `gamma`;
 `loop_arrays.py` closes many samples at once.
@@ -115,14 +116,14 @@ class LoopSolver:
 
     def __init__(self, robot: Robot, model: pin.Model | None = None) -> None:
         """Prepare for a robot; `model` may carry other masses, its kinematics must be the robot's."""
-        self.robot = robot
+        self.robot, self.scale = robot, robot.drive_scale
         self.model = model if model is not None else robot.model
         self.data = self.model.createData()
         self.active_v, self._active_q = robot.active_v, robot.active_q
         self.passive_v = np.setdiff1d(np.arange(self.model.nv), self.active_v)
         self._turning = np.array([self.model.joints[self.model.getJointId(j)].nq == 2 for j in robot.actuated])
         self._identity = np.zeros((self.model.nv, robot.na))
-        self._identity[self.active_v, range(robot.na)] = 1.0
+        self._identity[self.active_v, range(robot.na)] = self.scale
         self._start = self._with_passive_home(pin.neutral(self.model))
         self._constraints = Constraints(self.model, self.data, robot.loops)
         self._inverse, self._G = np.zeros((0, 0)), self._identity
@@ -189,7 +190,7 @@ class LoopSolver:
 
     def _with_active(self, q: np.ndarray, q_a: np.ndarray) -> np.ndarray:
         q, index = q.copy(), self._active_q
-        q[index] = q_a
+        q[index] = self.scale * q_a
         if self._turning.any():  # a continuous joint's configuration is a cosine and a sine
             index, angle = index[self._turning], q_a[self._turning]
             q[index], q[index + 1] = np.cos(angle), np.sin(angle)
@@ -257,7 +258,7 @@ class LoopSolver:
         jacobian = self._constraints.jacobian(q)
         self._inverse = invert_matrix(jacobian[:, self.passive_v])
         self._G = self._identity.copy()
-        self._G[self.passive_v] = -self._inverse @ jacobian[:, self.active_v]
+        self._G[self.passive_v] = -self._inverse @ (jacobian[:, self.active_v] * self.scale)
 
     def _listed(self, q_a: np.ndarray) -> str:
         pairs = zip(self.robot.actuated, q_a, self.robot.position_units, strict=True)

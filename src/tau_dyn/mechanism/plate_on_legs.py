@@ -52,7 +52,7 @@ def read_dimensions(robot: Robot, found: Found) -> RodDimensions:
         on_plate=np.array([rod.plate for rod in rods]),
         slides=np.array([actuator.get(rod.slide, -1) for rod in rods]),
         offsets=np.array([rod.offset for rod in rods]),
-        gains=np.array([rod.gain for rod in rods]),
+        gains=np.array([rod.gain * robot.drive_scales.get(robot.model.names[rod.slide], 1.0) for rod in rods]),
     )
     return _as_arms(robot, found, numbers) if robot.arms else numbers
 
@@ -74,7 +74,8 @@ def _chain_joints(robot: Robot, found: Found) -> tuple[list[ChainJoint], dict[in
                 actuator=robot.actuated.index(model.names[j]),
                 slides=slides,
                 origin=placement.translation.copy(),
-                direction=_clean(placement.rotation @ (motion[:3] if slides else motion[3:])),
+                direction=_clean(placement.rotation @ (motion[:3] if slides else motion[3:]))
+                * robot.drive_scales.get(model.names[j], 1.0),
                 rotation=_clean(placement.rotation),
             )
         )
@@ -249,7 +250,7 @@ class PlateOnLegs(Legs, Kinematics):
         d = places.transpose(2, 0, 1) - self.plate_points(plate)
         right = np.sum(rate**2, axis=2) + np.sum(d * pushed, axis=2)
         for k in np.flatnonzero(self.numbers.slides >= 0):
-            right[:, k] -= v[:, self.numbers.slides[k]] ** 2
+            right[:, k] -= (self.numbers.gains[k] * v[:, self.numbers.slides[k]]) ** 2
         total = solve_with_lapack(-by_pose, (right / np.linalg.norm(d, axis=2)).T).T
         if self.translates:
             return total

@@ -166,7 +166,7 @@ class RodDimensions:
         on_plate: Points B in the plate's frame (n, 3) [m].
         slides: Actuator of the slide in each rod (n,), -1 for none.
         offsets: How far the slide's line misses A (n,) [m].
-        gains: Whether the slide lengthens (1) or shortens (-1) the rod (n,).
+        gains: How much the slide lengthens the rod per reading of its drive (n,): 1, or -1 where it shortens it, times its scale.
         arms: Names of the arms of a simplified Gantry-Tau, in the rods' order, else empty.
     """
 

@@ -172,7 +172,7 @@ class TreeNewton:
         model = self.robot.model
         ends = [(model.frames[loop.frame_a], model.frames[loop.frame_b]) for loop in self.robot.loops]
         self._ends = [[(int(f.parentJoint), f.placement.translation.copy()) for f in pair] for pair in ends]
-        self._active = self.robot.active_v
+        self._active, self._scale = self.robot.active_v, self.robot.drive_scale
         self.home = self.close_loops(self.robot.home[None])
         # home may be singular (a straight wrist), which idles nothing elsewhere: the smallest null space near by counts
         near = np.random.default_rng(0).uniform(-_NEARBY, _NEARBY, (6, self.robot.na))
@@ -204,7 +204,7 @@ class TreeNewton:
         for first in range(0, n, _NEWTON_BLOCK):
             part = np.arange(first, min(first + _NEWTON_BLOCK, n))
             found, error[part] = self._found(poses.take(part), x[:, part], toward[part])
-            q[part] = found[self._active].T
+            q[part] = found[self._active].T / self._scale
             rotation[part] = self.engine.pose_at(found).rotation
         code = np.where(np.isfinite(q).all(axis=1), OK, OUT_OF_REACH).astype(np.int8)
         code[~sound] = NOT_A_NUMBER
@@ -275,7 +275,7 @@ class TreeNewton:
         pull = np.zeros((x.shape[1], x.shape[0]))
         if self.idle and toward is not None:
             vt = np.linalg.svd(np.concatenate([C, T], axis=1))[2][:, -self.idle :]
-            pull[:, self._active] = toward - x[self._active].T
+            pull[:, self._active] = toward * self._scale - x[self._active].T
             pull = np.einsum("nki,nkj,nj->ni", vt, vt, pull)
         left = np.sum(turn**2, axis=1, keepdims=True)
         dx = solve_least_motion_step(C, gap, T, turn, np.clip(left, _LEAST, _DAMPING), pull, _SOFT)

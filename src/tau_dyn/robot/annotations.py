@@ -2,12 +2,13 @@
 
 Read from the expanded URDF. `<drake:ball_constraint>` closes loops (the same element Drake reads). `<tau_dyn:...>`
 elements are hints no other program needs: which parameters a link has, a home position, a known closed form, mass that
-only gravity feels, springs on joints that yield, and what in the file is assumed rather than measured.
+only gravity feels, springs on joints that yield, what a drive's reading is to its slide's travel, and what in the file is
+assumed rather than measured.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from xml.etree.ElementTree import Element, ParseError
 
@@ -96,6 +97,7 @@ class Annotations:
     assumed: tuple[str, ...]
     mimics: dict[str, Mimic]
     shared_drives: tuple[tuple[str, str], ...] = ()  # pairs of joints in one <transmission>
+    drive_scales: dict[str, float] = field(default_factory=dict)  # joint -> travel per reading
 
 
 def read_annotations(urdf: str, where: str) -> Annotations:
@@ -132,6 +134,7 @@ def read_annotations(urdf: str, where: str) -> Annotations:
         assumed=tuple(e.get("what", "") for e in reader.ours("assumed")),
         mimics=reader.mimics(),
         shared_drives=reader.shared_drives(),
+        drive_scales=reader.drive_scales(),
     )
 
 
@@ -234,6 +237,18 @@ class _Reader:
             names = [joint.get("name", "") for joint in element.findall("joint")]
             found += [pair for pair in combinations(dict.fromkeys(names), 2)]
         return tuple(found)
+
+    def drive_scales(self) -> dict[str, float]:
+        """Return the travel [m] of slides per metre that their drives read: `<tau_dyn:drive joint="" scale=""/>`."""
+        sliding = {e.get("name") for e in self.root.findall("joint") if e.get("type") == "prismatic"}
+        found: dict[str, float] = {}
+        for element in self.ours("drive"):
+            name, scale = self.joint_of(element, "joint"), self.number(element, "scale")
+            if name in found or name not in sliding or scale <= 0:
+                why = "is no prismatic joint" if name not in sliding else "needs one scale above zero"
+                raise InputError("robot_structure", f"{self.where}: <drive> of '{name}': it {why}")
+            found[name] = scale
+        return found
 
     def springs(self) -> tuple[Spring, ...]:
         driven, found = {t.joint for t in self.transmissions()}, {}

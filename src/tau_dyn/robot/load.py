@@ -119,7 +119,15 @@ def load_robot_from_urdf(
         shared_drives=notes.shared_drives,
         tool=_find_tool(model, notes, tool, source),
         passive_home={joint: value for joint, value in notes.home.items() if joint in passive},
+        drive_scales=_drive_scales(names, notes, source),
     )
+
+
+def _drive_scales(actuated: tuple[str, ...], notes: Annotations, where: str) -> dict[str, float]:
+    passive = next((joint for joint in notes.drive_scales if joint not in actuated), None)
+    if passive is not None:
+        raise InputError("robot_structure", f"{where}: <drive> of '{passive}': the joint is not actuated")
+    return notes.drive_scales
 
 
 def _build_model(urdf: str, where: str) -> pin.Model:

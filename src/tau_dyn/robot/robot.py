@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.exceptions import UnknownName
+from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Shown
 from tau_dyn.robot.annotations import ArmNames, Spring
@@ -91,6 +91,7 @@ class Robot(Shown):
         springs: Joints that yield; `model` holds them locked at zero, `dynamics.FlexibleModel` frees them.
         shared_drives: Pairs of joints that the file gives one transmission.
         tool: Name of the tool frame; empty where the file has none.
+        drive_scales: Travel [m] of actuated slides per metre that their drives read, 1 for those not named; see `drive_scale`.
         passive_home: Positions of passive joints [m or rad] from which the loops are closed at home, zero for those not named;
             they choose the assembly mode.
     """
@@ -114,6 +115,7 @@ class Robot(Shown):
     shared_drives: tuple[tuple[str, str], ...] = ()
     tool: str = ""
     passive_home: Mapping[str, float] = field(default_factory=dict)
+    drive_scales: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def coupled_pairs(self) -> tuple[tuple[str, str], ...]:
@@ -143,6 +145,16 @@ class Robot(Shown):
     def active_q(self) -> np.ndarray:
         """Indices of the actuated joints in the tree's configuration (na,)."""
         return np.array([self.model.joints[self.model.getJointId(j)].idx_q for j in self.actuated])
+
+    @property
+    def drive_scale(self) -> np.ndarray:
+        """Travel of the tree's joints per reading of their drives `s` (na,): `x = s q`, hence `tau = s F`.
+
+        Actuated coordinates are the readings: `q`, `v`, `a`, limits and home. Work is the same in both, `tau dq = F dx`, so a
+        drive that travels `s` times its reading shows `s` times the force on its slide. Friction and drive inertia are the
+        drive's own and count by its readings.
+        """
+        return np.array([self.drive_scales.get(joint, 1.0) for joint in self.actuated])
 
     @property
     def joint_kinds(self) -> tuple[str, ...]:
@@ -185,6 +197,19 @@ class Robot(Shown):
         """Index of the tool frame, or None."""
         return self.model.getFrameId(self.tool) if self.tool else None
 
+    def require_unscaled_drives(self, what: str) -> None:
+        """Refuse a robot with a drive's scale where something cannot carry one.
+
+        Raises:
+            InputError: A drive has a scale; `what` says what cannot hold it.
+        """
+        scaled = next((joint for joint, scale in self.drive_scales.items() if scale != 1.0), None)
+        if scaled is not None:
+            raise InputError(
+                "unsupported",
+                f"{self.source}: {what} has no place for a drive's scale, which '{scaled}' has (<tau_dyn:drive>)",
+            )
+
     def with_parameters(self, parameters: Parameters) -> Robot:
         """Return the robot with other values, bounds or freedoms for its parameters; names must be the same."""
         if parameters.names != self.parameters.names:
@@ -216,8 +241,10 @@ class Robot(Shown):
         for link in self.links:
             model.inertias[link.joint_id] = _inertia(link.map @ parameters.select(link.names).values)
         armature = np.zeros(model.nv)
-        for joint, index in zip(self.actuated, self.active_v, strict=True):
-            armature[index] = parameters[f"{joint}.armature"].value
+        for joint, index, scale in zip(self.actuated, self.active_v, self.drive_scale, strict=True):
+            armature[index] = (
+                parameters[f"{joint}.armature"].value / scale**2
+            )  # by the joint's travel, as the tree counts
         model.armature = armature
         return model
 

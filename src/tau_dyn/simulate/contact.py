@@ -147,9 +147,12 @@ class ServoArm:
     def _look(self) -> None:
         at = self._placement()
         self.pose = ContactPose(at.translation.copy(), at.rotation.copy())
-        jacobian = pin.computeFrameJacobian(
-            self._model, self._data, self._all, self._frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        )[:, self._columns]
+        jacobian = (
+            pin.computeFrameJacobian(
+                self._model, self._data, self._all, self._frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+            )[:, self._columns]
+            * self.robot.drive_scale
+        )
         base = self._data.oMf[self._frame]
         self._jacobian = jacobian
         arm = at.translation - base.translation
@@ -157,7 +160,7 @@ class ServoArm:
             self._jacobian[:3] -= pin.skew(arm) @ jacobian[3:]
 
     def _placement(self) -> pin.SE3:
-        self._all[self._columns] = self.q
+        self._all[self._columns] = self.robot.drive_scale * self.q
         pin.forwardKinematics(self._model, self._data, self._all)
         return pin.updateFramePlacement(self._model, self._data, self._frame) * self._tool
 

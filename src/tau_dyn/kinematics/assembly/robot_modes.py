@@ -81,7 +81,7 @@ def search_tree_modes(engine: TreePose, q: np.ndarray, *, seed: int = 0) -> Tree
     n_starts = 0
     while n_starts < _MAX_STARTS and len(signs) < _MAX_MODES:
         x = np.empty((engine.robot.model.nv, _BATCH))
-        x[engine.loops.active] = q[:, None]
+        x[engine.loops.active] = (engine.loops.scale * q)[:, None]
         x[passive] = _draw_starts(engine, rng)
         x = _close(engine, x)
         n_starts += _BATCH

@@ -350,7 +350,7 @@ class LegsWorkspaceModel(WorkspaceModel):
         legs, plate = self._legs, self._legs.plate_poses(poses)
         start, end = legs.base_points(q), legs.plate_points(plate)
         x = np.zeros((self.robot.model.nv, len(q)))  # only what actuated joints alone carry is placed by the tree
-        x[self.robot.active_v] = q.T
+        x[self.robot.active_v] = (self.robot.drive_scale * q).T
         at = compute_frames(self._joints, x) if self._joints else None
         out = []
         for body in self.bodies:

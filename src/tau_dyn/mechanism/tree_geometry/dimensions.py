@@ -186,7 +186,7 @@ def compute_dimensions_at(
     vectors = np.zeros((len(joints), 3))
     points = np.array([end.local for end in shape.ends]).reshape(-1, 3)
     tool = shape.tool.local.copy()
-    gain, offset = np.ones(len(shape.active)), np.zeros(len(shape.active))
+    gain, offset = shape.robot.drive_scale, np.zeros(len(shape.active))
     for knob, value, before in zip(knobs, theta, nominal, strict=True):
         if knob.kind == "gain":
             gain[knob.at] = value
@@ -276,7 +276,8 @@ def _joint_rows(shape: TreeShape, k: int) -> list[TreeParameter]:
         rows.append(TreeParameter(parameter, Knob("rotation", k, np.eye(3)[i])))
     if actuated:
         a = int(np.flatnonzero(shape.active == joint.v)[0])
-        rows.append(TreeParameter(Parameter(f"{name}.gain", 1.0, "1", free=False), Knob("gain", a, joint.axis)))
+        gain = Parameter(f"{name}.gain", float(shape.robot.drive_scale[a]), "1", free=False)
+        rows.append(TreeParameter(gain, Knob("gain", a, joint.axis)))
     return rows
 
 
