@@ -20,7 +20,7 @@ rotation vector after home's orientation, in world axes (Chirikjian 2012).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, NoReturn, Self
@@ -41,7 +41,6 @@ from tau_dyn.mechanism.poses import (
     require_poses,
     require_positions,
 )
-from tau_dyn.mechanism.small_systems import solve_with_lapack
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 
@@ -306,6 +305,7 @@ class Kinematics(ABC):
     def closure_by_geometry(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return `G_p` (N, n, p), columns as `geometry`."""
 
+    @abstractmethod
     def jacobian(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return `J`: the tool's twist per actuated velocity.
 
@@ -316,17 +316,10 @@ class Kinematics(ABC):
         Returns:
             (N, 6, na), linear first; (N, 3, na) for a plate that only translates. nan where there is no pose.
         """
-        return self._twist_by(self.closure_by_q, q, poses)
 
+    @abstractmethod
     def pose_by_geometry(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return the tool's twist per geometric parameter (N, 6 or 3, p), the mechanism kept closed."""
-        return self._twist_by(self.closure_by_geometry, q, poses)
-
-    def _twist_by(self, by: Callable[..., np.ndarray], q: np.ndarray, poses: Poses | None) -> np.ndarray:
-        q = require_positions(self.robot, q)
-        poses = self.poses_at(q, poses)
-        right = by(q, poses)
-        return -solve_with_lapack(self.closure_by_pose(q, poses), np.moveaxis(right, 0, 2)).transpose(2, 0, 1)
 
     @abstractmethod
     def acceleration_bias(self, q: np.ndarray, v: np.ndarray, poses: Poses | None = None) -> np.ndarray:
