@@ -36,7 +36,7 @@ from tau_dyn.mechanism.poses import (
     InverseSolutions,
     Poses,
     check_limits,
-    log_of,
+    measure_turns,
     refuse_beyond_limits,
     require_poses,
     require_positions,
@@ -78,12 +78,12 @@ class CommandedCoordinates:
 
     def of(self, poses: Poses) -> np.ndarray:
         """Return the commanded coordinates (N, k) [m or rad] of tool poses."""
-        turn = log_of(np.moveaxis(poses.rotation @ self.home.rotation[0].T, 0, 2)).T
+        turn = measure_turns(poses.rotation, self.home.rotation)
         return np.concatenate([poses.position, turn], axis=1)[:, list(self.index)]
 
     def by_twist(self, poses: Poses) -> np.ndarray:
         """Return the commanded coordinates' rates per twist (N, k, 6): of a rotation vector the inverse left Jacobian."""
-        turn = log_of(np.moveaxis(poses.rotation @ self.home.rotation[0].T, 0, 2)).T
+        turn = measure_turns(poses.rotation, self.home.rotation)
         half = np.linalg.norm(turn, axis=1) / 2
         K = np.cross(np.eye(3), turn[:, None, :]).transpose(0, 2, 1)
         with np.errstate(invalid="ignore", divide="ignore"):
