@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -27,27 +27,11 @@ from tau_dyn.robot import Robot
 _SEED = 1  # any; of the reference state
 
 
-class _Kinematics(NamedTuple):
-    rods: np.ndarray
-    inverse: np.ndarray
-    J: np.ndarray
-    tool_acceleration: np.ndarray
-
-
 class ClosedForm(GantryTauMechanism):
     """The simplified Gantry-Tau on expressions."""
 
     def _checked(self, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
         return arrays
-
-    def _kinematics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> Any:
-        """Return the same as the arrays' code, whose buffers of floats hold no expressions: `D T'' = b a - |T' - e v|^2`."""
-        D = as_expression_array(self._rods(q, self._trilaterate(q)))
-        along, inverse = np.einsum("nij,ij->ni", D, self.direction), np.linalg.inv(D)
-        J = inverse * along[:, None, :]
-        relative = (J @ v[0])[:, None, :] - v[:, :, None] * self.direction
-        gained = along * a - np.sum(relative**2, axis=2)
-        return _Kinematics(D, inverse, J, np.einsum("nij,nj->ni", inverse, gained))
 
     def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the forces (1, na) of one sample from mass matrix and bias."""

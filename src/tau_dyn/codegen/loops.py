@@ -16,9 +16,9 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg import qr
 
-from tau_dyn.codegen.tracing import TracedFunction, compute_cross_product, trace_function
+from tau_dyn.codegen.tracing import TracedFunction, trace_function
 from tau_dyn.codegen.tree import LinkMotion, Tree, remove_rounding
-from tau_dyn.mechanism import LoopSolver
+from tau_dyn.mechanism import LoopSolver, compute_cross_product
 from tau_dyn.robot import Robot
 
 _RANK = 1e-8  # pivots relative to the largest; less counts as zero

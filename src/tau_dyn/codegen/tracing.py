@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.codegen.graph import MEANING, Graph, Node, evaluate_graph
+from tau_dyn.mechanism import compute_cross_product
 
 
 def _op(name: str) -> Callable[..., Any]:
@@ -147,11 +148,6 @@ def _inverse_of(A: np.ndarray, n: int) -> np.ndarray:
         raise TypeError("the inverse of a matrix larger than 3 by 3")
     rows = [compute_cross_product(A[1], A[2]), compute_cross_product(A[2], A[0]), compute_cross_product(A[0], A[1])]
     return np.array(rows, dtype=object).T * _op("div")(1.0, A[0] @ rows[0])
-
-
-def compute_cross_product(a: Any, b: Any) -> np.ndarray:
-    """Return the vector product of two vectors (3,) of numbers and nodes."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]], dtype=object)
 
 
 def _like(value: float) -> Callable[..., Any]:

@@ -22,8 +22,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.codegen.tracing import as_expression_array, compute_cross_product
+from tau_dyn.codegen.tracing import as_expression_array
 from tau_dyn.exceptions import InputError
+from tau_dyn.mechanism import compute_cross_product
 from tau_dyn.robot import Robot
 
 _EXACT = 1e-15  # rounding of the robot file's angles, not a direction

@@ -79,12 +79,16 @@ from .poses import (
 from .recognise import NotRods as NotRods
 from .rod_dimensions import (
     AXES as AXES,
+    Plate as Plate,
     RodDimensions as RodDimensions,
+    compute_closure_by_q as compute_closure_by_q,
+    compute_equation_rows as compute_equation_rows,
     compute_gap_columns as compute_gap_columns,
     compute_leg_lengths as compute_leg_lengths,
     compute_leg_rates as compute_leg_rates,
+    compute_squared_lengths as compute_squared_lengths,
 )
-from .sliding_plate import SlidingPlate as SlidingPlate
+from .sliding_plate import SlidingPlate as SlidingPlate, intersect_spheres as intersect_spheres
 from .small_systems import measure_column_lengths as measure_column_lengths
 from .tree import TreeMechanism as TreeMechanism, build_mechanism as build_mechanism
 from .tree_geometry import (

@@ -75,10 +75,10 @@ class RootChain:
         along = n * (n @ self.point)
         a, b = (self.point - along) @ e, np.cross(n, self.point) @ e
         c = 0.5 * (np.sum(e**2, axis=0) + self.point @ self.point - self.length**2) - along @ e
-        ratio = c / np.hypot(a, b)
-        angle = np.arctan2(b, a) + sign * np.arccos(np.clip(ratio, -1.0, 1.0) if clipped else ratio)
-        near = self.home * gain
-        return (near + (angle - near + np.pi) % (2 * np.pi) - np.pi) / gain
+        rest = a**2 + b**2 - c**2
+        turned = np.arctan2(b, a) + sign * np.arctan2(np.sqrt(np.maximum(rest, 0.0) if clipped else rest), c)
+        away = turned - self.home * gain
+        return (self.home * gain + np.arctan2(np.sin(away), np.cos(away))) / gain
 
     def _leg(self, B: np.ndarray, clipped: bool) -> np.ndarray:
         square = np.sum((B - self.point[:, None]) ** 2, axis=0) - self.offset**2
@@ -154,18 +154,10 @@ class NewtonChain:
     def _equations(self, B: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `f` (m, N) and `df/dq` (m, m, N)."""
         joints, carried = self.numbers.joints, self.numbers.carried
-        at = frames.compute_joint_frames(joints, q)
         places = frames.compute_points(joints, carried, q)
         d = places - B
-        lengths = rod_dimensions.compute_leg_lengths(self.numbers, q)
-        f = 0.5 * (np.sum(d * d, axis=1) - lengths**2)
-        J = np.zeros((len(f), len(self.actuators), q.shape[1]))
-        for (k, actuator), column in frames.compute_velocities(joints, carried, at, places).items():
-            J[k, actuator] += np.sum(column * d[k], axis=0)
-        slides, rates = np.flatnonzero(self.numbers.slides >= 0), rod_dimensions.compute_leg_rates(self.numbers, q)
-        for k in slides:
-            J[k, self.numbers.slides[k]] -= lengths[k] * rates[k]
-        return f, J
+        f = 0.5 * (np.sum(d * d, axis=1) - rod_dimensions.compute_squared_lengths(self.numbers, q))
+        return f, rod_dimensions.compute_closure_by_q(self.numbers, q, places, d)
 
     def _starts(self, B: np.ndarray) -> list[np.ndarray]:
         """Return starts (m, N): turns on a grid, slides either way of the nearest point."""

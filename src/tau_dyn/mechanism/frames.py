@@ -163,13 +163,13 @@ def compute_cross_product(a: np.ndarray, b: np.ndarray) -> np.ndarray: ...
 @overload
 def compute_cross_product(a: Vector, b: Vector) -> Vector: ...
 def compute_cross_product(a: Vector, b: Vector) -> Vector:
-    """Return `a x b` of components (3, ..., N), which must have as many axes; None where one is zero."""
+    """Return `a x b` of components (3, ..., N), which must have as many axes, or (3,); None where one is zero."""
     if a is None or b is None:
         return None
-    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    out = np.empty_like(a if a.dtype == object else b, shape=np.broadcast_shapes(a.shape, b.shape))
     for k in range(3):
-        np.multiply(a[_AHEAD[k]], b[_BEHIND[k]], out=out[k])
-        out[k] -= a[_BEHIND[k]] * b[_AHEAD[k]]
+        np.multiply(a[_AHEAD[k]], b[_BEHIND[k]], out=out[k, ...])
+        out[k, ...] -= a[_BEHIND[k]] * b[_AHEAD[k]]
     return out
 
 
@@ -308,11 +308,11 @@ def _rotated(parent: np.ndarray, joint: ChainJoint, angle: np.ndarray) -> np.nda
     """Return `R_parent Exp(q d) R_0` (3, 3, N), as `c M1 + s M2 + M3` with constant matrices where the parent is constant."""
     gain = float(np.linalg.norm(joint.direction))
     n = joint.direction / gain
-    along = np.outer(n, n) @ joint.rotation
-    around, across = skew(n) @ joint.rotation, joint.rotation - along
+    along = remove_rounding(np.outer(n, n) @ joint.rotation)
+    around, across = remove_rounding(skew(n) @ joint.rotation), remove_rounding(joint.rotation - along)
     c, s = np.cos(gain * angle), np.sin(gain * angle)
     own = across[:, :, None] * c + around[:, :, None] * s + along[:, :, None]
-    if parent.shape[2] == 1 and np.array_equal(parent[:, :, 0], np.eye(3)):
+    if parent.dtype != object and parent.shape[2] == 1 and np.array_equal(parent[:, :, 0], np.eye(3)):
         return own
     return np.einsum("ijn,jkn->ikn", np.broadcast_to(parent, (3, 3, own.shape[2])), own)
 
@@ -332,7 +332,7 @@ class Carried(NamedTuple):
 def compute_points(joints: Sequence[ChainJoint], carried: Carried, q: np.ndarray) -> np.ndarray:
     """Return the points (n, 3, N) [m] at `q` (na, N)."""
     at = compute_joint_frames(joints, q)
-    out = np.empty((len(carried.carrier), 3, q.shape[1]))
+    out = np.empty_like(q, shape=(len(carried.carrier), 3, q.shape[1]))
     for k, carrier in enumerate(carried.carrier):
         here = at[carrier] if carrier >= 0 else WORLD
         out[k] = here.origin + rotate_vectors(here.rotation, carried.local[k])

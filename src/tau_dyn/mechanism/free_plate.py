@@ -168,7 +168,7 @@ class FreePlate:
 
     def _given(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         points = frames.compute_points(self.numbers.joints, self.numbers.carried, q)
-        return points, rod_dimensions.compute_leg_lengths(self.numbers, q) ** 2
+        return points, rod_dimensions.compute_squared_lengths(self.numbers, q)
 
     def _started(self, q: np.ndarray) -> Plate:
         """Return a first guess: the cell's middle, moved along its slope."""

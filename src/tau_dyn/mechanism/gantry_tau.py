@@ -1,16 +1,10 @@
-"""The simplified Gantry-Tau in closed form, vectorised over samples.
-
-The simplified Gantry-Tau's kinematics for many samples at once; arrays have components first and samples last.
-
-The rows `d_i` of `D` are the rods, so `D^-1 = [d_2 x d_3, d_3 x d_1, d_1 x d_2] / det D` in rows of N; see `gantry_tau.py`.
-
-The simplified Gantry-Tau in closed form, vectorised over samples.
+"""The simplified Gantry-Tau in closed form, vectorised over samples: arrays with components first have samples last.
 
 Arm i: a cart at `A_i = O_i + q_i e_i` on its guideway and one rod of length `L_i` to the tool `T`, which only translates;
 `e_i` is as long as the cart travels per reading of its drive.
 With `d_i = T - A_i`, `D` the matrix of rows `d_i` and `b_i = d_i . e_i`,
 
-    |d_i| = L_i,   D T' = b * v,   D T'' = b * a - |T' - e_i v_i|^2.
+    |d_i| = L_i,   D T' = b * v,   D T'' = b * a - |T' - e_i v_i|^2,   D^-1 = [d_2 x d_3, d_3 x d_1, d_1 x d_2] / det D.
 
 A straight rod's motion follows from its two ends, so its mass acts as the constant matrix
 `[[alpha, beta], [beta, gamma]]` between them: 1/4, 1/4, 1/4 for a point at mid-rod, 1/3, 1/6, 1/3 for a uniform rod. Virtual work
@@ -29,6 +23,7 @@ import pinocchio as pin
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.mechanism.frames import compute_cross_product
 from tau_dyn.mechanism.mechanism import Mechanism
+from tau_dyn.mechanism.sliding_plate import compute_dot_products, intersect_spheres
 from tau_dyn.robot import Robot, compute_inertia_matrix
 
 BLOCK = 2048
@@ -58,25 +53,6 @@ def compute_cart_positions(origin: np.ndarray, direction: np.ndarray, q: np.ndar
     return origin[:, :, None] + direction[:, :, None] * q[:, None]
 
 
-def intersect(A: np.ndarray, lengths: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
-    """Intersect spheres around three carts `A` (3, 3, N).
-
-    Returns:
-        The tool (3, N) [m] on one side of the carts' plane, and its squared height over it relative to the plane's normal
-        (N,), which is negative where the spheres do not meet.
-    """
-    u: np.ndarray = A[1] - A[0]
-    w: np.ndarray = A[2] - A[0]
-    normal = compute_cross_product(u, w)
-    n2, L2 = compute_dot_products(normal, normal), lengths**2
-    p = (0.5 / n2) * (compute_dot_products(u, u) + (L2[0] - L2[1]))
-    r = (0.5 / n2) * (compute_dot_products(w, w) + (L2[0] - L2[2]))
-    foot = p * compute_cross_product(w, normal) + r * compute_cross_product(normal, u)
-    height2 = (L2[0] - compute_dot_products(foot, foot)) / n2
-    with np.errstate(invalid="ignore"):
-        return A[0] + foot + side * np.sqrt(height2) * normal, height2
-
-
 def solve_pose(A: np.ndarray, tool: np.ndarray, direction: np.ndarray) -> Pose:
     """Return rods and Jacobian with the tool (3, N) at this place."""
     d: list[np.ndarray] = list(tool - A)
@@ -98,14 +74,9 @@ def compute_tool_acceleration(at: Pose, direction: np.ndarray, v: np.ndarray, a:
     return total
 
 
-def compute_dot_products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the scalar products (N,) of vectors (3, N)."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
 def compute_weighted_sum(constant: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return the scalar products (N,) of a constant (3,) and vectors (3, N), without multiplying by zeros."""
-    out = np.zeros(x.shape[1])
+    out = np.zeros_like(x[0])
     for c, row in zip(constant, x, strict=True):
         if c != 0.0:
             out += row if c == 1.0 else c * row
@@ -299,13 +270,10 @@ class GantryTauMechanism(Mechanism):
         if len(q) <= _FEW:
             A = self.origin + q[:, :, None] * self.direction
             return np.array([self._tool_of(*one) for one in zip(A, q, strict=True)]).reshape(-1, 3)
-        tool, height2 = intersect(
-            compute_cart_positions(self.origin, self.direction, np.ascontiguousarray(q.T)),
-            self.length,
-            float(self._side),
-        )
-        if not np.all(height2 > 0):
-            self._out_of_reach(q[int(np.argmin(np.where(np.isfinite(height2), height2, -np.inf)))])
+        A = compute_cart_positions(self.origin, self.direction, np.ascontiguousarray(q.T))
+        tool, height = intersect_spheres(A, self.length[:, None] ** 2, float(self._side))
+        if not np.all(height > 0):
+            self._out_of_reach(q[int(np.argmin(np.where(np.isfinite(height), height, -np.inf)))])
         return tool.T
 
     def _tool_of(self, A: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ rotation vector after home's orientation, in world axes (Chirikjian 2012).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, NoReturn, Self
@@ -36,12 +36,11 @@ from tau_dyn.mechanism.poses import (
     InverseSolutions,
     Poses,
     check_limits,
-    log_of,
+    measure_turns,
     refuse_beyond_limits,
     require_poses,
     require_positions,
 )
-from tau_dyn.mechanism.small_systems import solve_with_lapack
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 
@@ -79,12 +78,12 @@ class CommandedCoordinates:
 
     def of(self, poses: Poses) -> np.ndarray:
         """Return the commanded coordinates (N, k) [m or rad] of tool poses."""
-        turn = log_of(np.moveaxis(poses.rotation @ self.home.rotation[0].T, 0, 2)).T
+        turn = measure_turns(poses.rotation, self.home.rotation)
         return np.concatenate([poses.position, turn], axis=1)[:, list(self.index)]
 
     def by_twist(self, poses: Poses) -> np.ndarray:
         """Return the commanded coordinates' rates per twist (N, k, 6): of a rotation vector the inverse left Jacobian."""
-        turn = log_of(np.moveaxis(poses.rotation @ self.home.rotation[0].T, 0, 2)).T
+        turn = measure_turns(poses.rotation, self.home.rotation)
         half = np.linalg.norm(turn, axis=1) / 2
         K = np.cross(np.eye(3), turn[:, None, :]).transpose(0, 2, 1)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -306,6 +305,7 @@ class Kinematics(ABC):
     def closure_by_geometry(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return `G_p` (N, n, p), columns as `geometry`."""
 
+    @abstractmethod
     def jacobian(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return `J`: the tool's twist per actuated velocity.
 
@@ -316,17 +316,10 @@ class Kinematics(ABC):
         Returns:
             (N, 6, na), linear first; (N, 3, na) for a plate that only translates. nan where there is no pose.
         """
-        return self._twist_by(self.closure_by_q, q, poses)
 
+    @abstractmethod
     def pose_by_geometry(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return the tool's twist per geometric parameter (N, 6 or 3, p), the mechanism kept closed."""
-        return self._twist_by(self.closure_by_geometry, q, poses)
-
-    def _twist_by(self, by: Callable[..., np.ndarray], q: np.ndarray, poses: Poses | None) -> np.ndarray:
-        q = require_positions(self.robot, q)
-        poses = self.poses_at(q, poses)
-        right = by(q, poses)
-        return -solve_with_lapack(self.closure_by_pose(q, poses), np.moveaxis(right, 0, 2)).transpose(2, 0, 1)
 
     @abstractmethod
     def acceleration_bias(self, q: np.ndarray, v: np.ndarray, poses: Poses | None = None) -> np.ndarray:

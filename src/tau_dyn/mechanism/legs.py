@@ -28,7 +28,7 @@ from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError, LoopClosureError, UnknownName
 from tau_dyn.mechanism import frames, rod_dimensions
-from tau_dyn.mechanism.poses import Poses, require_positions, rotate_by_vector
+from tau_dyn.mechanism.poses import Poses, require_positions, turn_rotations
 from tau_dyn.mechanism.rod_dimensions import RodDimensions
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
@@ -155,10 +155,7 @@ class Legs:
         rotation = np.moveaxis(np.broadcast_to(at.rotation, (3, 3, len(q))), 2, 0)
         arm = np.einsum("nji,nj->ni", rotation, tool.position - at.origin.T) - foot
         angle = np.arctan2(np.cross(start, arm) @ axis, arm @ start - (arm @ axis) * (start @ axis))
-        turned = np.moveaxis(
-            rotate_by_vector(np.outer(axis, angle), np.repeat(self.ride.rotation[:, :, None], len(q), axis=2)), 2, 0
-        )
-        return Poses(tool.position, rotation @ turned)
+        return Poses(tool.position, rotation @ turn_rotations(np.outer(angle, axis), self.ride.rotation[None]))
 
     def gap(self, q: np.ndarray, plate: Poses) -> np.ndarray:
         """Return `|A - B| - L` (N, n) [m]."""
@@ -244,12 +241,11 @@ class Legs:
                 return pose
             before = size
             columns = 3 if self.translates else 6
-            twist = np.zeros((6, 1))
-            twist[:columns, 0] = np.linalg.lstsq(self.gap_by_pose(home, pose)[0, :, :columns], -gap, rcond=1e-12)[0]
-            large = max(float(np.abs(twist[:3]).max()) / scale, float(np.abs(twist[3:]).max()))
+            twist = np.zeros((1, 6))
+            twist[0, :columns] = np.linalg.lstsq(self.gap_by_pose(home, pose)[0, :, :columns], -gap, rcond=1e-12)[0]
+            large = max(float(np.abs(twist[:, :3]).max()) / scale, float(np.abs(twist[:, 3:]).max()))
             twist *= min(1.0, _STEP / max(large, 1e-300))
-            turned = rotate_by_vector(twist[3:], np.moveaxis(pose.rotation, 0, 2))
-            pose = Poses(pose.position + twist[:3].T, np.moveaxis(turned, 2, 0))
+            pose = Poses(pose.position + twist[:, :3], turn_rotations(twist[:, 3:], pose.rotation))
         raise LoopClosureError(f"{self.robot.source}: with this geometry the rods cannot be closed at home")
 
     def __getstate__(self) -> dict[str, object]:

@@ -25,21 +25,20 @@ from tau_dyn.mechanism import frames as chain_points, rod_dimensions
 from tau_dyn.mechanism.chain_inverse import NewtonChain, RootChain
 from tau_dyn.mechanism.kinematics import CommandedCoordinates
 from tau_dyn.mechanism.legs import Legs
-from tau_dyn.mechanism.poses import Poses, log_of, rotate_by_vector
+from tau_dyn.mechanism.poses import Poses, StraightWay, measure_turns, turn_rotations
 from tau_dyn.mechanism.rod_dimensions import Plate, compute_equation_rows
 from tau_dyn.mechanism.small_systems import (
-    Progress,
+    Move,
+    NewtonRules,
+    iterate_newton,
     solve_least_motion_step,
     solve_with_lapack,
     solve_with_pseudo_inverse,
 )
 
-_MAX_ITERATIONS = 60  # Newton steps, damped far from the solution
-_PATIENCE = 5  # rounds without progress after which a sample is given up
-_DONE, _NEAR = 1e-13, 1e-8
 _CLOSED = 1e-11  # [m]
 _MISSED = 1e-7  # [m] by how much a position that is asked for may be missed
-_STEP = 0.3  # largest step, of the rods' length or rad
+_RULES = NewtonRules(60, 5, 0.3, _CLOSED, 1e-7)  # steps of the rods' length or rad, damped far from the solution
 _WAY = 0.15  # steps on the way from home, of the rods' length or rad
 _STEPS = 40  # at most on that way
 _ROUGH = 1e-3  # of the rods' length: what may stay open on the way
@@ -119,29 +118,28 @@ class ManifoldInverse:
         return q
 
     def newton(
-        self, tool: Poses, q: np.ndarray, rotation: np.ndarray, toward: np.ndarray, rounds: int = _MAX_ITERATIONS
+        self, tool: Poses, q: np.ndarray, rotation: np.ndarray, toward: np.ndarray, rules: NewtonRules = _RULES
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return closed positions and rotations from a start; nan where Newton does not come to rest.
-
-        With few `rounds`, on a way, what is nearly closed is good enough.
-        """
+        """Return closed positions and rotations from a start; nan where Newton does not come to rest."""
         q, rotation = q.copy(), np.array(rotation)
-        left = np.flatnonzero(np.isfinite(q).all(axis=1) & np.isfinite(tool.position).all(axis=1))
-        closed, progress = np.zeros(len(q), bool), Progress(len(q), _PATIENCE)
-        for _ in range(rounds):
-            if not left.size:
-                break
+
+        def advance(left: np.ndarray) -> tuple[np.ndarray, np.ndarray, Move]:
             gap, w, dq = self._step(tool.take(left), q[left], rotation[left], toward[left])
-            size = np.maximum(np.abs(w).max(axis=1), np.abs(dq).max(axis=1) / max(self.scale, 1.0))
-            share = np.minimum(1.0, _STEP / np.maximum(size, 1e-300))[:, None]
-            q[left] += share * dq
-            rotation[left] = np.moveaxis(rotate_by_vector((share * w).T, np.moveaxis(rotation[left], 0, 2)), 2, 0)
-            tight = gap < _CLOSED
-            closed[left] = (tight & (size < 1e-7)) if rounds == _MAX_ITERATIONS else gap < _ROUGH * self.scale
-            over = (tight & progress.rests(left, size, _DONE, _NEAR)) | (progress.stalled(left, gap) & ~tight)
-            left = left[~over & np.isfinite(size)]
+
+            def move(share: np.ndarray) -> None:
+                q[left] += share[:, None] * dq
+                rotation[left] = turn_rotations(share[:, None] * w, rotation[left])
+
+            return gap, self._size(w, dq), move
+
+        sound = np.isfinite(q).all(axis=1) & np.isfinite(tool.position).all(axis=1)
+        closed = iterate_newton(sound, advance, rules)
         q[~closed], rotation[~closed] = np.nan, np.nan
         return q, rotation
+
+    def _size(self, twist: np.ndarray, dq: np.ndarray) -> np.ndarray:
+        """Return how large steps are (N,): turns, shifts [m], and actuated steps by the rods' length."""
+        return np.maximum(np.abs(twist).max(axis=1), np.abs(dq).max(axis=1) / max(self.scale, 1.0))
 
     def keeps(self, q: np.ndarray, position: np.ndarray, rotation: np.ndarray, signs: tuple[int, ...]) -> np.ndarray:
         """Return where the positions are still of the configuration that they were started in (N,)."""
@@ -157,20 +155,15 @@ class ManifoldInverse:
 
     def _from_home(self, tool: Poses, signs: tuple[int, ...], near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Walk the tool's position and wanted rotation straight from home; each sample in steps of its own."""
-        n, home = len(tool.position), self._home_tool
-        turn = log_of(np.moveaxis(tool.rotation @ home.rotation[0].T, 0, 2)) * bool(self._turns)
-        away = np.linalg.norm(tool.position - home.position, axis=1) / self.scale
-        steps = np.clip(np.ceil(np.maximum(away, np.abs(turn).max(axis=0)) / _WAY), 1, _STEPS)
-        q, rotation = np.repeat(self.rods.robot.home[None], n, axis=0), np.repeat(home.rotation, n, axis=0)
+        n, way = len(tool.position), StraightWay(self._home_tool, tool, turns=bool(self._turns))
+        steps = np.clip(np.ceil(way.measure(self.scale) / _WAY), 1, _STEPS)
+        rules = _RULES.roughly(3, _ROUGH * self.scale)
+        q, rotation = np.repeat(self.rods.robot.home[None], n, axis=0), np.repeat(way.home.rotation, n, axis=0)
         for step in range(1, int(steps.max(initial=1.0))):
             on = np.flatnonzero((step < steps) & np.isfinite(q[:, 0]))
             if not on.size:
                 break
-            share = step / steps[on]
-            wanted = rotate_by_vector(share * turn[:, on], np.repeat(np.moveaxis(home.rotation, 0, 2), len(on), axis=2))
-            place = home.position + share[:, None] * (tool.position[on] - home.position)
-            here = Poses(place, np.moveaxis(wanted, 2, 0))
-            q[on], rotation[on] = self.newton(here, q[on], rotation[on], near[on], rounds=3)
+            q[on], rotation[on] = self.newton(way.at(step / steps[on], on), q[on], rotation[on], near[on], rules)
         return q, rotation
 
     def _step(
@@ -207,7 +200,7 @@ class ManifoldInverse:
         """Return the step that closes, turns towards the rotation wanted, and idles towards the start."""
         turning = np.zeros((len(C), self._turns, C.shape[2]))
         turning[:, :, : self._turns] = np.eye(self._turns)
-        wish = log_of(np.moveaxis(wanted @ np.swapaxes(rotation, 1, 2), 0, 2)).T[:, : self._turns]
+        wish = measure_turns(wanted, rotation)[:, : self._turns]
         pull = np.zeros((len(C), C.shape[2]))
         if self.idle:
             vt = np.linalg.svd(C[:, :, self._turns :] * self._unit)[2][:, -self.idle :]
@@ -252,29 +245,25 @@ class CommandedInverse(ManifoldInverse):
     def _closed(self, wanted: np.ndarray, tool: Poses, q: np.ndarray) -> tuple[np.ndarray, Poses]:
         """Return closed positions and poses with these commanded coordinates (N, k), from starts; nan where there are none."""
         q, position, rotation = q.copy(), tool.position.copy(), np.array(tool.rotation)
-        index = list(self._commanded.index)
-        left = np.flatnonzero(np.isfinite(q).all(axis=1) & np.isfinite(wanted).all(axis=1))
-        closed, progress = np.zeros(len(q), bool), Progress(len(q), _PATIENCE)
-        for _ in range(_MAX_ITERATIONS):
-            if not left.size:
-                break
+
+        def advance(left: np.ndarray) -> tuple[np.ndarray, np.ndarray, Move]:
             here = Poses(position[left], rotation[left])
             f, moments, ways, by_q = self._rows(here, q[left])
-            miss = self._commanded.of(here) - wanted[left]
-            C = np.zeros((len(left), f.shape[1] + len(index), 6 + q.shape[1]))
-            C[:, : f.shape[1], :3], C[:, : f.shape[1], 3:6], C[:, : f.shape[1], 6:] = -ways, -moments, by_q
-            C[:, f.shape[1] :, :6] = self._commanded.by_twist(here)
-            gap = np.concatenate([f, miss], axis=1)
+            n, gap = f.shape[1], np.concatenate([f, self._commanded.of(here) - wanted[left]], axis=1)
+            C = np.zeros((*gap.shape, 6 + q.shape[1]))
+            C[:, :n, :3], C[:, :n, 3:6], C[:, :n, 6:] = -ways, -moments, by_q
+            C[:, n:, :6] = self._commanded.by_twist(here)
             y = solve_with_lapack(C, -gap.T).T
-            size = np.maximum(np.abs(y[:, :6]).max(axis=1), np.abs(y[:, 6:]).max(axis=1) / max(self.scale, 1.0))
-            y *= np.minimum(1.0, _STEP / np.maximum(size, 1e-300))[:, None]
-            position[left] += y[:, :3]
-            rotation[left] = np.moveaxis(rotate_by_vector(y[:, 3:6].T, np.moveaxis(rotation[left], 0, 2)), 2, 0)
-            q[left] += y[:, 6:]
-            open_ = np.abs(gap).max(axis=1)
-            closed[left] = (open_ < _CLOSED) & (size < 1e-7)
-            over = ((open_ < _CLOSED) & progress.rests(left, size, _DONE, _NEAR)) | progress.stalled(left, open_)
-            left = left[~over & np.isfinite(size)]
+
+            def move(share: np.ndarray) -> None:
+                step = share[:, None] * y
+                position[left] += step[:, :3]
+                rotation[left] = turn_rotations(step[:, 3:6], rotation[left])
+                q[left] += step[:, 6:]
+
+            return np.abs(gap).max(axis=1), self._size(y[:, :6], y[:, 6:]), move
+
+        closed = iterate_newton(np.isfinite(q).all(axis=1) & np.isfinite(wanted).all(axis=1), advance, _RULES)
         for x in (q, position, rotation):
             x[~closed] = np.nan
         return q, Poses(position, rotation)

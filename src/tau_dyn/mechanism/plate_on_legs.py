@@ -7,7 +7,7 @@ Kinematics of a plate on legs: forward by spheres or Newton on SE(3), inverse le
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -17,7 +17,14 @@ import pinocchio as pin
 
 from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.mechanism import frames, rod_dimensions
-from tau_dyn.mechanism.frames import Carried, ChainJoint, compute_subspace, remove_rounding
+from tau_dyn.mechanism.frames import (
+    Carried,
+    ChainJoint,
+    combine_rotated,
+    compute_cross_product,
+    compute_subspace,
+    remove_rounding,
+)
 from tau_dyn.mechanism.free_plate import FreePlate
 from tau_dyn.mechanism.kinematics import Kinematics, Singularity
 from tau_dyn.mechanism.legs import Legs
@@ -31,7 +38,7 @@ from tau_dyn.mechanism.poses import (
     require_positions,
 )
 from tau_dyn.mechanism.recognise import Found, NotRods, recognise
-from tau_dyn.mechanism.rod_dimensions import RodDimensions
+from tau_dyn.mechanism.rod_dimensions import Plate, RodDimensions
 from tau_dyn.mechanism.rod_inverse import RodInverse
 from tau_dyn.mechanism.sliding_plate import SlidingPlate
 from tau_dyn.mechanism.small_systems import measure_rank_distance, solve_with_lapack
@@ -200,8 +207,10 @@ class PlateOnLegs(Legs, Kinematics):
 
     def closure_by_pose(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return how fast each gap opens per tool twist (N, n, 6), or (N, n, 3) for a translating plate."""
-        q = require_positions(self.robot, q)
-        plate = self.plate_poses(self.poses_at(q, poses))
+        return self._by_tool(*self._plate_at(q, poses))
+
+    def _by_tool(self, q: np.ndarray, plate: Poses) -> np.ndarray:
+        """Return how fast each gap opens per tool twist, at poses of the plate."""
         columns = self.gap_by_pose(q, plate)
         if self.translates:
             return columns[:, :, :3]
@@ -211,16 +220,39 @@ class PlateOnLegs(Legs, Kinematics):
 
     def closure_by_q(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return the gaps' derivative by the actuated positions (N, n, na)."""
-        return self.gap_by_q(q, self.plate_poses(self.poses_at(q, poses)))
+        return self.gap_by_q(*self._plate_at(q, poses))
 
     def closure_by_geometry(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return the gaps' derivative by the geometric parameters (N, n, p)."""
-        return self.gap_by_geometry(q, self.plate_poses(self.poses_at(q, poses)))
+        return self.gap_by_geometry(*self._plate_at(q, poses))
+
+    def jacobian(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
+        """Return the tool's twist per actuated velocity; see `Kinematics.jacobian`."""
+        q, plate = self._plate_at(q, poses)
+        if self.translates:
+            return self._twist_by(self.gap_by_q, q, plate)
+        at = Plate(plate.position.T, np.moveaxis(np.asarray(plate.rotation), 0, 2))
+        slope = self.engine.slope(q.T, at)  # type: ignore[union-attr]
+        if self.tool.translation.any():
+            arm = np.broadcast_to(combine_rotated(at.rotation, self.tool.translation)[:, None], slope[3:].shape)
+            slope[:3] += compute_cross_product(slope[3:], arm)
+        return slope.transpose(2, 0, 1)
+
+    def pose_by_geometry(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
+        """Return the tool's twist per geometric parameter (N, 6 or 3, p), the rods kept closed."""
+        return self._twist_by(self.gap_by_geometry, *self._plate_at(q, poses))
+
+    def _twist_by(self, by: Callable[..., np.ndarray], q: np.ndarray, plate: Poses) -> np.ndarray:
+        return -solve_with_lapack(self._by_tool(q, plate), np.moveaxis(by(q, plate), 0, 2)).transpose(2, 0, 1)
+
+    def _plate_at(self, q: np.ndarray, poses: Poses | None) -> tuple[np.ndarray, Poses]:
+        """Return positions, checked, and the plate's poses there."""
+        q = require_positions(self.robot, q)
+        return q, self.plate_poses(self.poses_at(q, poses))
 
     def singularity(self, q: np.ndarray, poses: Poses | None = None) -> Singularity:
         """Return how near the robot is to singularities of both kinds."""
-        q = require_positions(self.robot, q)
-        plate = self.plate_poses(self.poses_at(q, poses))
+        q, plate = self._plate_at(q, poses)
         radius = float(np.sqrt(np.mean(np.sum(self.on_plate**2, axis=1)))) or 1.0
         by_pose, by_q = self.gap_by_pose(q, plate), self.gap_by_q(q, plate)
         by_pose = by_pose[:, :, :3] if self.translates else by_pose / np.array([1, 1, 1, radius, radius, radius])

@@ -306,6 +306,42 @@ def _sine_and_cosine(square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return s, c
 
 
+def turn_rotations(w: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """Return `Exp(w) R` (N, 3, 3) for rotation vectors (N, 3) and rotations (N or 1, 3, 3)."""
+    rotation = np.broadcast_to(rotation, (len(w), 3, 3))
+    return np.moveaxis(rotate_by_vector(w.T, np.moveaxis(rotation, 0, 2)), 2, 0)
+
+
+def measure_turns(rotation: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Return the rotation vectors (N, 3) [rad], in world axes, that turn references (N or 1, 3, 3) into rotations (N, 3, 3)."""
+    return log_of(np.moveaxis(rotation @ np.swapaxes(reference, 1, 2), 0, 2)).T
+
+
+class StraightWay:
+    """The straight ways from one pose to others: positions on lines, rotations about fixed axes.
+
+    Attributes:
+        home: Where they begin (1 sample).
+        away: Displacements (N, 3) [m].
+        turn: Rotation vectors (N, 3) [rad].
+    """
+
+    def __init__(self, home: Poses, goal: Poses, *, turns: bool = True) -> None:
+        """Measure the ways to goals (N); without `turns` the rotation stays home's."""
+        self.home, self.away = home, goal.position - home.position
+        self.turn = np.nan_to_num(measure_turns(goal.rotation, home.rotation)) * turns
+
+    def measure(self, unit: float) -> np.ndarray:
+        """Return how long the ways are (N,), in a unit [m] or rad."""
+        return np.maximum(np.linalg.norm(self.away, axis=1) / unit, np.abs(self.turn).max(axis=1))
+
+    def at(self, share: float | np.ndarray, index: np.ndarray | slice = slice(None)) -> Poses:
+        """Return the poses at a share of the ways, or one each (N,), of those at an index."""
+        share = np.reshape(share, (-1, 1))
+        turned = turn_rotations(share * self.turn[index], self.home.rotation)
+        return Poses(self.home.position + share * self.away[index], turned)
+
+
 def log_of(rotation: np.ndarray) -> np.ndarray:
     """Return rotation vectors (3, N) of rotations (3, 3, N)."""
     out = np.full((3, rotation.shape[2]), np.nan)

@@ -281,8 +281,19 @@ def compute_leg_lengths(numbers: RodDimensions, q: np.ndarray) -> np.ndarray:
         return numbers.lengths[:, None]
     out = np.repeat(numbers.lengths[:, None], q.shape[1], axis=1)
     for k in np.flatnonzero(numbers.slides >= 0).tolist():
-        reach = _along(numbers, k) + numbers.gains[k] * q[numbers.slides[k]]
+        reach = _reach(numbers, k, q)
         out[k] = np.hypot(reach, numbers.offsets[k]) if numbers.offsets[k] else reach
+    return out
+
+
+def compute_squared_lengths(numbers: RodDimensions, q: np.ndarray) -> np.ndarray:
+    """Return the rods' squared lengths (n, N or 1) [m^2] at `q` (na, N)."""
+    if not np.any(numbers.slides >= 0):
+        return numbers.lengths[:, None] ** 2
+    out = np.zeros_like(q, shape=(len(numbers.names), q.shape[1]))
+    out += numbers.lengths[:, None] ** 2
+    for k in np.flatnonzero(numbers.slides >= 0).tolist():
+        out[k] = _reach(numbers, k, q) ** 2 + numbers.offsets[k] ** 2
     return out
 
 
@@ -292,7 +303,7 @@ def compute_leg_rates(numbers: RodDimensions, q: np.ndarray) -> np.ndarray:
     for k in np.flatnonzero(numbers.slides >= 0).tolist():
         out[k] = numbers.gains[k]
         if numbers.offsets[k]:
-            reach = _along(numbers, k) + numbers.gains[k] * q[numbers.slides[k]]
+            reach = _reach(numbers, k, q)
             out[k] = numbers.gains[k] * reach / np.hypot(reach, numbers.offsets[k])
     return out
 
@@ -308,15 +319,12 @@ def compute_closure_by_q(
         points: Points A (n, 3, N) [m].
         d: From B to A, n times (3, N) [m].
     """
-    out = np.zeros((len(numbers.names), *q.shape))
+    out = np.zeros_like(q, shape=(len(numbers.names), *q.shape))
     at = compute_joint_frames(numbers.joints, q)
     for (k, actuator), column in compute_velocities(numbers.joints, numbers.carried, at, points).items():
         out[k, actuator] += column[0] * d[k][0] + column[1] * d[k][1] + column[2] * d[k][2]
-    slides = np.flatnonzero(numbers.slides >= 0)
-    if slides.size:
-        lengths, rates = compute_leg_lengths(numbers, q), compute_leg_rates(numbers, q)
-        for k in slides:
-            out[k, numbers.slides[k]] -= lengths[k] * rates[k]
+    for k in np.flatnonzero(numbers.slides >= 0).tolist():
+        out[k, numbers.slides[k]] -= numbers.gains[k] * _reach(numbers, k, q)
     return out
 
 
@@ -351,11 +359,16 @@ def _along(numbers: RodDimensions, k: int) -> float:
     return float(np.sqrt(numbers.lengths[k] ** 2 - numbers.offsets[k] ** 2))
 
 
+def _reach(numbers: RodDimensions, k: int, q: np.ndarray) -> np.ndarray:
+    """Return how far a rod with a slide in it goes along the slide (N,) [m]."""
+    return _along(numbers, k) + numbers.gains[k] * q[numbers.slides[k]]
+
+
 def _stretch(numbers: RodDimensions, k: int, q: np.ndarray) -> np.ndarray:
     """Return the derivative (N,) of a rod's length by its length with the slide at zero."""
     if numbers.slides[k] < 0 or not numbers.offsets[k]:
         return np.ones(q.shape[1])
-    reach = _along(numbers, k) + numbers.gains[k] * q[numbers.slides[k]]
+    reach = _reach(numbers, k, q)
     return reach / np.hypot(reach, numbers.offsets[k]) * numbers.lengths[k] / _along(numbers, k)
 
 

@@ -19,8 +19,8 @@ from tau_dyn.mechanism.poses import (
     OUT_OF_REACH,
     InverseResult,
     Poses,
-    log_of,
-    rotate_by_vector,
+    StraightWay,
+    measure_turns,
 )
 
 _AGREE = 1e-9  # [m] what a rod may lack when its chain was solved by another one
@@ -127,20 +127,11 @@ class RodInverse:
 
     def _ways(self, tool: Poses) -> np.ndarray:
         """Return the plate's points (steps, n, 3, N) on the straight way from home to poses, those included left out."""
-        home = self.rods.tool_poses(self.rods.home)
-        sound = np.isfinite(tool.position).all(axis=1)
-        turn = np.nan_to_num(log_of(np.moveaxis(tool.rotation @ home.rotation[0].T, 0, 2)))
-        away = tool.position - home.position
-        far = np.linalg.norm(away[sound], axis=1).max(initial=0.0) / float(np.mean(self.rods.lengths))
-        steps = int(np.ceil(min(max(far, np.abs(turn).max(initial=0.0)) / _WAY, 100.0)))
-        start = np.repeat(np.moveaxis(home.rotation, 0, 2), len(away), axis=2)
-        shares = np.linspace(0, 1, steps + 1)[1:-1]
-        poses = [Poses(home.position + s * away, np.moveaxis(rotate_by_vector(s * turn, start), 2, 0)) for s in shares]
-        return (
-            np.stack([self._plate_points(pose) for pose in poses])
-            if poses
-            else np.zeros((0, self.rods.n, 3, len(away)))
-        )
+        way = StraightWay(self.rods.tool_poses(self.rods.home), tool)
+        far = np.nan_to_num(way.measure(float(np.mean(self.rods.lengths)))).max(initial=0.0)
+        shares = np.linspace(0, 1, int(np.ceil(min(far / _WAY, 100.0))) + 1)[1:-1]
+        places = [self._plate_points(way.at(share)) for share in shares]
+        return np.array(places).reshape(-1, self.rods.n, 3, len(tool.position))
 
     def _plate_points(self, tool: Poses) -> np.ndarray:
         return self.rods.plate_points(self.rods.plate_poses(tool)).transpose(1, 2, 0)
@@ -173,7 +164,7 @@ class RodInverse:
         code[~numbers] = NOT_A_NUMBER
         reached = self.rods.ridden(q, reached)
         away = np.linalg.norm(asked.position - reached.position, axis=1)
-        turn = np.linalg.norm(log_of(np.moveaxis(asked.rotation @ np.swapaxes(reached.rotation, 1, 2), 0, 2)), axis=0)
+        turn = np.linalg.norm(measure_turns(asked.rotation, reached.rotation), axis=1)
         good = code == OK
         found = np.where(good[:, None], q, np.nan)
         blame[good | ~numbers] = ""

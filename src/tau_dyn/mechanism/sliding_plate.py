@@ -55,22 +55,21 @@ class SphereIntersection(NamedTuple):
     height: np.ndarray
 
 
-def intersect_spheres(centres: np.ndarray, lengths: np.ndarray, side: float | np.ndarray) -> SphereIntersection:
-    """Intersect spheres around three centres (3, 3, N) [m] with radii (3, N or 1) [m], on one side of their plane."""
+def intersect_spheres(centres: np.ndarray, square: np.ndarray, side: float | np.ndarray) -> SphereIntersection:
+    """Intersect spheres around centres (3, 3, N) [m] with squared radii (3, N or 1) [m^2], on one side of their plane."""
     u: np.ndarray = centres[1] - centres[0]
     w: np.ndarray = centres[2] - centres[0]
     normal = compute_cross_product(u, w)
-    square = lengths * lengths
     with np.errstate(all="ignore"):
-        inverse = 1.0 / _dot(normal, normal)
-        p = (0.5 * inverse) * (_dot(u, u) + (square[0] - square[1]))
-        r = (0.5 * inverse) * (_dot(w, w) + (square[0] - square[2]))
+        inverse = 1.0 / compute_dot_products(normal, normal)
+        p = (0.5 * inverse) * (compute_dot_products(u, u) + (square[0] - square[1]))
+        r = (0.5 * inverse) * (compute_dot_products(w, w) + (square[0] - square[2]))
         foot = compute_cross_product(w, normal)
         foot *= p
         other = compute_cross_product(normal, u)
         other *= r
         foot += other
-        height = square[0] - _dot(foot, foot)
+        height = square[0] - compute_dot_products(foot, foot)
         normal *= side * np.sqrt(height * inverse)
     foot += normal
     foot += centres[0]
@@ -82,10 +81,11 @@ def find_side(centres: np.ndarray, position: np.ndarray) -> np.ndarray:
     u: np.ndarray = centres[1] - centres[0]
     w: np.ndarray = centres[2] - centres[0]
     normal = compute_cross_product(u, w)
-    return np.sign(_dot(normal, position - centres[0]))
+    return np.sign(compute_dot_products(normal, position - centres[0]))
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def compute_dot_products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the scalar products (N,) of vectors (3, N)."""
     out = a[0] * b[0]
     out += a[1] * b[1]
     out += a[2] * b[2]
@@ -115,22 +115,24 @@ class SlidingPlate:
         code = np.zeros(len(q), np.int8)
         for first in range(0, len(q), BLOCK):
             part = slice(first, first + BLOCK)
-            position[part], code[part] = self._block(np.ascontiguousarray(q[part].T), _part(start, part))
+            found, code[part] = self.solve(np.ascontiguousarray(q[part].T), _part(start, part))
+            position[part] = found.T
         return Poses(position, np.broadcast_to(self.rods.rotation, (len(q), 3, 3))), code
 
     def both(self, q: np.ndarray) -> np.ndarray:
         """Return both solutions (N, 2, 3) [m], home's side first; nan where the spheres do not meet."""
         centres = self._centres(np.ascontiguousarray(q.T))[self.three]
-        lengths = self._lengths(q.T)[self.three]
+        squares = rod_dimensions.compute_squared_lengths(self.numbers, q.T)[self.three]
         return np.stack(
-            [intersect_spheres(centres, lengths, side).position.T for side in (self.side, -self.side)], axis=1
+            [intersect_spheres(centres, squares, side).position.T for side in (self.side, -self.side)], axis=1
         )
 
-    def _block(self, q: np.ndarray, start: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        centres, lengths = self._centres(q), self._lengths(q)
-        chosen, radii = (centres, lengths) if self.rods.n == 3 else (centres[self.three], lengths[self.three])
+    def solve(self, q: np.ndarray, start: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the plate's positions (3, N) [m] and codes at `q` (na, N), on the side of a start (3, N), or home's."""
+        centres, squares = self._centres(q), rod_dimensions.compute_squared_lengths(self.numbers, q)
+        chosen, three = (centres, squares) if self.rods.n == 3 else (centres[self.three], squares[self.three])
         side = self.side if start is None else find_side(chosen, start)
-        found = intersect_spheres(chosen, radii, side)
+        found = intersect_spheres(chosen, three, side)
         position, height = found.position, found.height
         code = np.zeros(q.shape[1], np.int8)
         if not np.all(height > _FLAT):
@@ -140,16 +142,16 @@ class SlidingPlate:
                 code = np.where(np.isfinite(q).all(axis=0), code, NOT_A_NUMBER)
             position[:, code != OK] = np.nan
         if self.rods.n > 3:
-            position = self._refined(centres, lengths, position)
-            gap = np.linalg.norm(centres - position, axis=1) - lengths
+            position = self._refined(centres, squares, position)
+            gap = np.linalg.norm(centres - position, axis=1) - np.sqrt(squares)
             code = np.where((code == OK) & ~(np.abs(gap).max(axis=0) < _AGREE), OUT_OF_REACH, code)
-        return position.T, code
+        return position, code
 
-    def _refined(self, centres: np.ndarray, lengths: np.ndarray, position: np.ndarray) -> np.ndarray:
+    def _refined(self, centres: np.ndarray, squares: np.ndarray, position: np.ndarray) -> np.ndarray:
         """Return the positions (3, N) that suit all rods best."""
         for _ in range(3):
             d = centres - position
-            f = 0.5 * (np.einsum("kin,kin->kn", d, d) - lengths**2)
+            f = 0.5 * (np.einsum("kin,kin->kn", d, d) - squares)
             position = position + solve_with_lapack(d.transpose(2, 0, 1), f)
         return position
 
@@ -157,9 +159,6 @@ class SlidingPlate:
         """Return the spheres' centres `A - R b` (n, 3, N) [m]."""
         points = frames.compute_points(self.numbers.joints, self.numbers.carried, q)
         return points - self._shift[:, :, None] if self._shift.any() else points
-
-    def _lengths(self, q: np.ndarray) -> np.ndarray:
-        return rod_dimensions.compute_leg_lengths(self.numbers, q)
 
     def _best_three(self, centres: np.ndarray, position: np.ndarray) -> list[int]:
         d = (centres - position)[:, :, 0]
@@ -205,7 +204,7 @@ def solve_implicit_forward(rods: Legs, q: np.ndarray) -> Implicit:
     centres = (A[:, first] - rods.on_plate[first] @ np.swapaxes(rotation, 1, 2)).transpose(1, 2, 0)
     home = rods.base_points(rods.robot.home[None])[:, first] - rods.on_plate[first] @ rods.rotation.T
     side = float(find_side(home.transpose(1, 2, 0), rods.home.position.T)[0])
-    position = intersect_spheres(centres, rods.lengths[first][:, None], side).position.T
+    position = intersect_spheres(centres, rods.lengths[first][:, None] ** 2, side).position.T
     return Implicit(rods.tool_poses(Poses(position, rotation)), defect)
 
 

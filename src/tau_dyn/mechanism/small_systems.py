@@ -16,6 +16,7 @@ by its Karush-Kuhn-Tucker equations (Nocedal & Wright 2006, ch. 16); a small dia
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -274,23 +275,61 @@ def solve_with_pseudo_inverse(K: np.ndarray, right: np.ndarray) -> np.ndarray:
     return out
 
 
-class Progress:
-    """Which samples still close: one whose gap has not shrunk for some rounds is given up, one at rest is done."""
+_DONE, _NEAR = 1e-13, 1e-8  # [m or rad] steps that end a search: at once, and where they stopped shrinking
 
-    def __init__(self, n: int, patience: int) -> None:
-        """Watch `n` samples."""
-        self._reference, self._since = np.full(n, np.inf), np.zeros(n, int)
-        self._patience, self._size = patience, np.full(n, np.inf)
 
-    def stalled(self, index: np.ndarray, gap: np.ndarray) -> np.ndarray:
-        """Return which of the samples at `index` have a gap (k,) that stopped shrinking (k,)."""
-        better = gap < 0.6 * self._reference[index]
-        self._reference[index] = np.where(better, gap, self._reference[index])
-        self._since[index] = np.where(better, 0, self._since[index] + 1)
-        return self._since[index] > self._patience
+class NewtonRules(NamedTuple):
+    """When damped Newton steps end.
 
-    def rests(self, index: np.ndarray, size: np.ndarray, done: float, near: float) -> np.ndarray:
-        """Return whose step (k,) is below `done`, or below `near` and no longer shrinking: rounding (k,)."""
-        floor = (size < near) & (size > 0.5 * self._size[index])
-        self._size[index] = size
-        return (size < done) | floor
+    Attributes:
+        rounds: Most steps.
+        patience: Rounds without a smaller gap after which a sample is given up.
+        step: Largest step, in the steps' own measure.
+        closed: Gap [m] of what is closed.
+        still: Size of the step from what counts as closed.
+    """
+
+    rounds: int
+    patience: int
+    step: float
+    closed: float
+    still: float
+
+    def roughly(self, rounds: int, closed: float) -> NewtonRules:
+        """Return the rules on a way: few rounds, and what is nearly closed is good enough."""
+        return self._replace(rounds=rounds, closed=closed, still=np.inf)
+
+
+Move = Callable[[np.ndarray], None]
+"""Moves samples by a share (k,) of their steps."""
+
+
+def iterate_newton(
+    sound: np.ndarray, advance: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, Move]], rules: NewtonRules
+) -> np.ndarray:
+    """Take damped Newton steps on many samples, each until it closes and rests, or its gap stops shrinking.
+
+    Args:
+        sound: Which samples have numbers (N,).
+        advance: From samples' indices (k,) to their gaps (k,), the sizes of their next steps (k,), and what takes them.
+        rules: When a sample is done.
+
+    Returns:
+        Which samples are closed (N,).
+    """
+    n, left = len(sound), np.flatnonzero(sound)
+    closed, smallest, since, last = np.zeros(n, bool), np.full(n, np.inf), np.zeros(n, int), np.full(n, np.inf)
+    for _ in range(rules.rounds):
+        if not left.size:
+            break
+        gap, size, move = advance(left)
+        move(np.minimum(1.0, rules.step / np.maximum(size, 1e-300)))
+        tight, better = gap < rules.closed, gap < 0.6 * smallest[left]
+        closed[left] = tight & (size < rules.still)
+        smallest[left] = np.where(better, gap, smallest[left])
+        since[left] = np.where(better, 0, since[left] + 1)
+        rests = (size < _DONE) | ((size < _NEAR) & (size > 0.5 * last[left]))
+        last[left] = size
+        over = np.where(tight, rests, since[left] > rules.patience)
+        left = left[~over & np.isfinite(size)]
+    return closed

@@ -15,7 +15,7 @@ from tau_dyn.mechanism.poses import (
     InverseResult,
     InverseSolutions,
     Poses,
-    log_of,
+    measure_turns,
 )
 from tau_dyn.mechanism.six_revolute import MAX_SOLUTIONS, eliminate
 from tau_dyn.mechanism.tree_pose import TreeNewton
@@ -197,10 +197,10 @@ def _solved(engine: TreeNewton, poses: Poses, x: np.ndarray, toward: np.ndarray)
 def _elsewhere(engine: TreeNewton, q: np.ndarray, poses: Poses, error: np.ndarray) -> np.ndarray:
     """Return where the loops, closed in home's assembly mode, put the tool elsewhere (N,)."""
     back, _ = engine.engine.forward(q)
-    turn = log_of(np.moveaxis(poses.rotation @ np.swapaxes(back.rotation, 1, 2), 0, 2))
+    turn = measure_turns(poses.rotation, back.rotation)
     with np.errstate(invalid="ignore"):
         near = np.linalg.norm(back.position - poses.position, axis=1) < _MODE
-        return ~(near & (np.abs(np.linalg.norm(turn, axis=0) - error[:, 1]) < _MODE))
+        return ~(near & (np.abs(np.linalg.norm(turn, axis=1) - error[:, 1]) < _MODE))
 
 
 def _random(k: int) -> Maker:

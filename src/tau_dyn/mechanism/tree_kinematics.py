@@ -24,7 +24,7 @@ from tau_dyn.mechanism.poses import (
     InverseResult,
     InverseSolutions,
     Poses,
-    log_of,
+    measure_turns,
     require_positions,
 )
 from tau_dyn.mechanism.small_systems import measure_rank_distance
@@ -207,7 +207,7 @@ class TreeKinematics(Kinematics):
         """Return the tool's place [m] and rotation vector [rad] beside these poses (N, 6), as the joints put it."""
         q = require_positions(self.robot, q)
         here, poses = self.forward(q).poses, self.poses_at(q, poses)
-        turn = log_of(np.moveaxis(here.rotation @ np.swapaxes(poses.rotation, 1, 2), 0, 2)).T
+        turn = measure_turns(here.rotation, poses.rotation)
         return np.concatenate([here.position - poses.position, turn], axis=1)
 
     def closure_by_pose(self, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:

@@ -32,8 +32,8 @@ from tau_dyn.mechanism.frames import (
 )
 from tau_dyn.mechanism.loop_arrays import ClosedLoops, LoopArrays
 from tau_dyn.mechanism.loops import LoopSolver
-from tau_dyn.mechanism.poses import NOT_A_NUMBER, OK, OUT_OF_REACH, Poses, log_of, rotate_by_vector
-from tau_dyn.mechanism.small_systems import Progress, solve_least_motion_step
+from tau_dyn.mechanism.poses import NOT_A_NUMBER, OK, OUT_OF_REACH, Poses, StraightWay, measure_turns
+from tau_dyn.mechanism.small_systems import Move, NewtonRules, iterate_newton, solve_least_motion_step
 from tau_dyn.robot import Robot
 
 _BLOCK = 1024  # samples at a time; arrays stay in the processor's cache
@@ -149,11 +149,7 @@ class TreePose:
 
 
 _NEWTON_BLOCK = 512  # samples at a time; arrays stay in the processor's cache
-_MAX_ITERATIONS = 60  # Newton steps, damped far from the solution
-_PATIENCE = 6  # rounds without progress after which a sample is given up
-_STEP = 0.4  # [m or rad] largest step of a joint
-_DONE, _NEAR = 1e-13, 1e-8  # [m or rad]
-_CLOSED = 1e-10  # [m]
+_RULES = NewtonRules(60, 6, 0.4, 1e-10, 1e-6)  # steps of a joint [m or rad], damped far from the solution
 _ROUGH = 1e-2  # [m] what may stay open on a way
 _STEPS = 12  # on the way from home
 _DAMPING = 1e-4  # most that a joint's motion costs beside a turn of the tool
@@ -224,40 +220,34 @@ class TreeNewton:
 
     def way(self, poses: Poses) -> np.ndarray:
         """Return where the straight way from home leads (nv, N); nan where it is barred."""
-        home = self.engine.pose_at(self.home)
-        n = len(poses.position)
-        turn = np.nan_to_num(log_of(np.moveaxis(poses.rotation @ home.rotation[0].T, 0, 2)))
-        base = np.repeat(np.moveaxis(home.rotation, 0, 2), n, axis=2)
+        n, way = len(poses.position), StraightWay(self.engine.pose_at(self.home), poses)
         x, toward = np.repeat(self.home, n, axis=1), np.repeat(self.robot.home[None], n, axis=0)
         for share in np.linspace(0, 1, _STEPS + 1)[1:-1]:
-            wanted = np.moveaxis(rotate_by_vector(share * turn, base), 2, 0)
-            here = Poses(home.position + share * (poses.position - home.position), wanted)
+            here = way.at(share)
             for first in range(0, n, _NEWTON_BLOCK):
                 part = slice(first, first + _NEWTON_BLOCK)
-                x[:, part] = self.newton(here.take(part), x[:, part], toward[part], rounds=4)[0]
+                x[:, part] = self.newton(here.take(part), x[:, part], toward[part], _RULES.roughly(4, _ROUGH))[0]
         return x
 
     def newton(
-        self, poses: Poses, x: np.ndarray, toward: np.ndarray | None, rounds: int = _MAX_ITERATIONS
+        self, poses: Poses, x: np.ndarray, toward: np.ndarray | None, rules: NewtonRules = _RULES
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return closed positions (nv, N), nan where there are none, and the tool's errors (N, 2).
 
-        With few `rounds`, on a way, what is nearly closed is good enough; without `toward` nothing idles.
+        Without `toward` nothing idles.
         """
         x, error = x.copy(), np.full((x.shape[1], 2), np.nan)
-        sound = np.isfinite(poses.position).all(axis=1) & np.isfinite(poses.rotation).all(axis=(1, 2))
-        left = np.flatnonzero(sound & np.isfinite(x).all(axis=0))
-        closed, progress = np.zeros(x.shape[1], bool), Progress(x.shape[1], _PATIENCE)
-        for _ in range(rounds):
-            if not left.size:
-                break
+
+        def advance(left: np.ndarray) -> tuple[np.ndarray, np.ndarray, Move]:
             dx, gap, error[left] = self._step(poses.take(left), x[:, left], None if toward is None else toward[left])
-            size = np.abs(dx).max(axis=1)
-            x[:, left] += (dx * np.minimum(1.0, _STEP / np.maximum(size, 1e-300))[:, None]).T
-            tight = gap < _CLOSED
-            closed[left] = (tight & (size < 1e-6)) if rounds == _MAX_ITERATIONS else gap < _ROUGH
-            over = (tight & progress.rests(left, size, _DONE, _NEAR)) | (progress.stalled(left, gap) & ~tight)
-            left = left[~over & np.isfinite(size)]
+
+            def move(share: np.ndarray) -> None:
+                x[:, left] += (dx * share[:, None]).T
+
+            return gap, np.abs(dx).max(axis=1), move
+
+        sound = np.isfinite(poses.position).all(axis=1) & np.isfinite(poses.rotation).all(axis=(1, 2))
+        closed = iterate_newton(sound & np.isfinite(x).all(axis=0), advance, rules)
         x[:, ~closed], error[~closed] = np.nan, np.nan
         return x, error
 
@@ -271,7 +261,7 @@ class TreeNewton:
         gap = np.concatenate(
             [*[(transform_point(at, *a) - transform_point(at, *b)).T for a, b in self._ends], away], axis=1
         )
-        turn = log_of(np.moveaxis(poses.rotation @ np.swapaxes(here.rotation, 1, 2), 0, 2)).T
+        turn = measure_turns(poses.rotation, here.rotation)
         pull = np.zeros((x.shape[1], x.shape[0]))
         if self.idle and toward is not None:
             vt = np.linalg.svd(np.concatenate([C, T], axis=1))[2][:, -self.idle :]

@@ -2,7 +2,7 @@ int @NAME@_ik(const double p[3], const double R[9], double q[NA])
 {
     double x[NA];
     if (!sound(3, p)@ROTATION@) return 1;
-    if (drives(p, R, x)) return 1;
+    if (drives(p, R, x) || !sound(NA, x)) return 1;
 @IF PLATE@
     double z[NZ], a[3], gap[NT], G[NT * NX], A[NT * NT];
     int rows[NT];

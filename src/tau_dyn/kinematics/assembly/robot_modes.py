@@ -32,6 +32,7 @@ from tau_dyn.mechanism import (
     get_cached,
     get_robot,
     get_rods,
+    intersect_spheres,
     require_positions,
 )
 from tau_dyn.robot import Robot
@@ -294,22 +295,18 @@ def find_translating_modes(
     """
     centres = base - plate @ rotation.T
     u, w = centres[1] - centres[0], centres[2] - centres[0]
-    normal = np.cross(u, w)
-    area = normal @ normal
+    area = np.sum(np.cross(u, w) ** 2)
     if area <= 1e-24 * (u @ u) * (w @ w) or area == 0:
         raise InputError(
             "unsupported",
             "the spheres' centres stand in one line, so the plate is free to go round it: infinitely many modes",
         )
     square = lengths**2
-    p, r = 0.5 * (u @ u + square[0] - square[1]), 0.5 * (w @ w + square[0] - square[2])
-    foot = (p * np.cross(w, normal) + r * np.cross(normal, u)) / area
-    height = square[0] - foot @ foot
-    offset = np.sqrt(complex(height) / area) * normal
-    position = np.array([centres[0] + foot + offset, centres[0] + foot - offset])
+    points = [intersect_spheres(centres[:, :, None].astype(complex), square[:, None], side) for side in (1.0, -1.0)]
+    position, height = np.stack([x.position[:, 0] for x in points]), float(points[0].height[0].real)
     gaps = position[:, None] - centres
     residual = np.abs(np.sqrt((gaps * gaps).sum(axis=2)) - lengths).max(axis=1)
-    flat = abs(height) <= _FLAT * square.max()
+    flat = abs(height) <= _FLAT
     why = "three spheres meet in two points" + ("; here the two are closer than rounding can tell" if flat else "")
     quaternion = convert_to_quaternions(Poses(np.zeros((1, 3)), rotation[None]))
     return AssemblyModes(
@@ -318,7 +315,7 @@ def find_translating_modes(
         rotation=np.tile(rotation, (2, 1, 1)).astype(complex),
         real=np.full(2, height >= 0 and not flat),
         residual=residual,
-        radius=np.full(2, np.finfo(float).eps * square.max() / max(abs(height), 1e-300)),
+        radius=np.full(2, np.finfo(float).eps / max(abs(height), 1e-300)),
         n_no_pose=0,
         n_singular=2 if flat else 0,
         certified=not flat,
