@@ -46,6 +46,13 @@ def test_a_part_of_a_sample_is_found_and_taken_out(rng, offset: float):
     assert mass.stderr is not None and abs(mass.value - MASS) < 4 * mass.stderr < 1.0
 
 
+def test_the_last_part_is_judged_at_the_corrected_times(rng):
+    """A fit of the first part at full rate reads the shifted forces, as all of it does: it predicts the rest as well."""
+    found = identify(load_robot("linear_axis"), recording(-0.5, rng), model="symmetric", estimator="ml")
+    assert found.force_offset is not None and found.force_offset.corrected and found.estimate.estimator == "ml"
+    assert found.holdout is not None and found.holdout.rms[0] < 1.1 * found.train.rms[0]
+
+
 def test_forces_on_time_are_left_alone(rng):
     """Without an offset nothing is shifted, and its uncertainty is a part of every interval."""
     found = identify(load_robot("linear_axis"), recording(0.0, rng), model="symmetric")

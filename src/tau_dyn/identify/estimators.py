@@ -10,7 +10,7 @@ shows that the model, not noise, makes it: then exact weights are exactly wrong.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -81,11 +81,13 @@ class Estimator:
         """Number of base parameters that any motion could show."""
         return 0 if self.structural is None else self.structural.rank
 
-    def solve(self, regression: Regression) -> Estimate:
-        """Return the estimate that answers, on a regression of the pieces or of parts of them."""
+    def solve(self, built: BuiltData, part: Regression | None = None) -> Estimate:
+        """Return the estimate that answers, of data or of a part of their regression; full rate reads the data's own pieces."""
         sigmas = {joint: sigma for joint, (_, sigma) in self.gains.items()}
         physics = build_physical_constraints(self.model)
-        return self(solve_least_squares(regression, physics=physics, structural=self.structural, gains=sigmas))
+        regression = built.regression if part is None else part
+        first = solve_least_squares(regression, physics=physics, structural=self.structural, gains=sigmas)
+        return replace(self, pieces=built.data.pieces)(first)
 
     def __call__(self, first: Estimate) -> Estimate:
         """Return the estimate that answers, given weighted least squares on a regression of the pieces or of parts of them."""
@@ -207,7 +209,7 @@ class Settled(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def iterate_to_fixed_point(built: BuiltData, solve: Callable[[Regression], Estimate]) -> Settled:
+def iterate_to_fixed_point(built: BuiltData, solver: Estimator) -> Settled:
     """Return the fit, repeated where effects feel what the fitted values make of forces and loads.
 
     Friction in proportion to a load, or a gain of the model's own force, has columns that depend on what the fit finds: they are
@@ -216,16 +218,16 @@ def iterate_to_fixed_point(built: BuiltData, solve: Callable[[Regression], Estim
 
     Args:
         built: The data, with signals at the values to start from.
-        solve: The estimation.
+        solver: The estimation.
     """
-    model, estimate = built.data.model, solve(built.regression)
+    model, estimate = built.data.model, solver.solve(built)
     feeling = [effect.name for effect in model.effects if PARAMETER_DEPENDENT_SIGNALS & set(effect.needs)]
     if not feeling:
         return Settled(built, estimate, estimate.warnings)
     for _ in range(MAX_ITERATIONS):
         before, theta = built.regression, estimate.theta
         built = built.data.build(model.with_parameters(estimate.parameters))
-        estimate = solve(built.regression)
+        estimate = solver.solve(built)
         moved, left = _changed(before, theta, built.regression, estimate.theta)
         if moved <= RELATIVE_CHANGE_TOL * left:
             return Settled(built, estimate, estimate.warnings)

@@ -150,7 +150,7 @@ def identify(
 def _settled_or_scarce(built: BuiltData, solver: Estimator) -> Settled:
     """Return the estimate; where it fails on less information than it has unknowns, say that this is the reason."""
     try:
-        return iterate_to_fixed_point(built, solver.solve)
+        return iterate_to_fixed_point(built, solver)
     except InputError as fault:
         held, rank = count_information(built.regression), solver.structural_rank
         if built.regression.everything is not None or held >= rank:
@@ -173,7 +173,7 @@ def _account_for_timing(settled: Settled, solver: Estimator) -> tuple[Settled, F
     offset = estimate_offset(built.regression, columns, period, build_physical_constraints(model))
     if offset.is_shown:
         late = built.data.shifted(offset.seconds)
-        settled = iterate_to_fixed_point(late.build(model), replace(solver, pieces=late.pieces).solve)
+        settled = iterate_to_fixed_point(late.build(model), solver)
         offset = replace(offset, corrected=True)
     return settled._replace(estimate=widen_by_offset(settled.estimate, columns, offset)), offset
 
@@ -204,7 +204,7 @@ def _judge_last_part(built: BuiltData, solver: Estimator) -> _Judged:
     """Return the errors on the last part of each log, by a fit of its first part."""
     first, last = built.parts()
     try:
-        estimate = solver.solve(first)
+        estimate = solver.solve(built, first)
     except CannotAnswer:
         said = "the first 70 % of the logs alone determine nothing, so there are no held-out errors; give --holdout"
         return _Judged(None, None, "the logs are too short to hold a part out", (said,))
