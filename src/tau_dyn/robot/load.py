@@ -147,7 +147,7 @@ def load_robot_from_urdf(
 
 def _build_model(urdf: str, where: str) -> pin.Model:
     text = re.sub(r"<\?xml[^>]*\?>", "", urdf, count=1)
-    text = re.sub(r"<robot(?![^>]*\bname=)", '<robot name="robot"', text, count=1)
+    text = re.sub(r"<robot(?=[\s>])(?![^>]*\bname=)", '<robot name="robot"', text, count=1)
     with _said_on_stderr() as said:
         try:
             model = pin.buildModelFromXML(text)

@@ -65,6 +65,7 @@ class _Converter:
     locked: dict[str, float] = field(default_factory=dict)
     names: set[str] = field(default_factory=set)
     said: list[str] = field(default_factory=list)
+    left_out: dict[str, list[str]] = field(default_factory=dict)
 
     def build(self) -> None:
         """Fill the URDF."""
@@ -84,6 +85,7 @@ class _Converter:
         self._drive()
         self._close_loops()
         self._place_home()
+        self.said += [f"left out: {what} {', '.join(names)}" for what, names in self.left_out.items()]
         for sentence in self.said:
             SubElement(self.root, f"{{{_OURS}}}warning", text=sentence)
 
@@ -210,7 +212,7 @@ class _Converter:
         SubElement(element, "limit", {key: _text(value) for key, value in limit.items()})
         self.joints[name] = _Joint(item, element, item.number("armature", 0.0), reference, effort)
         if any(item.numbers("stiffness", "0")):
-            self.said.append(f"the spring of joint '{name}' is left out")
+            self.left_out.setdefault("springs of joints", []).append(name)
 
     def _add_mass(self, item: Item, parts: list[tuple[Element, Pose, str]], place: _Place, moving: bool) -> None:
         link, compiler = self.root.find(f"link[@name='{place.link}']"), self.file.compiler
@@ -242,7 +244,7 @@ class _Converter:
         for shape in shapes:
             _draw(link, shape, place.inside)
         if item.number("gravcomp", 0.0):
-            self.said.append(f"gravity compensation of body '{item.get('name')}' is left out")
+            self.left_out.setdefault("gravity compensation of bodies", []).append(item.get("name"))
 
     def _add_site(self, element: Element, place: _Place, frame: Pose, child_class: str) -> None:
         name = element.get("name")
@@ -328,7 +330,7 @@ class _Converter:
             if joint.driven or joint.element.find("mimic") is not None:
                 self._add_transmission(name, joint.armature)
             elif joint.armature:
-                self.said.append(f"the armature of joint '{name}', which has no motor, is left out")
+                self.left_out.setdefault("armature of joints without motor", []).append(name)
 
     def _find_pulled(self, tendons: dict[str, Element], item: Item) -> str:
         """Return the joint that a tendon's motor drives in the end; none, with a warning, where it pulls several."""
