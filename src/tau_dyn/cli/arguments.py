@@ -144,14 +144,15 @@ class FolderOutput(Output):
 
 _A_XACRO = "(a xacro is code: it evaluates Python)"
 RobotName = Annotated[
-    str, Parameter(help=f"A .urdf or .urdf.xacro file, or a short name that `tau-dyn robots` lists {_A_XACRO}")
+    str,
+    Parameter(help=f"A .urdf, .urdf.xacro or MJCF .xml file, or a short name that `tau-dyn robots` lists {_A_XACRO}"),
 ]
 
 
 def describe_robot_or_model(brings: str) -> Parameter:
     """Return the help of ROBOT where a model file is taken as well; `brings` says what it brings."""
     return Parameter(
-        help=f"A .urdf or .urdf.xacro file, a short name that `tau-dyn robots` lists {_A_XACRO}, "
+        help=f"A .urdf, .urdf.xacro or MJCF .xml file, a short name that `tau-dyn robots` lists {_A_XACRO}, "
         f"or a model file MODEL.yaml of identify or diagnose, {brings}"
     )
 
@@ -163,14 +164,18 @@ class RobotOptions:
 
     Attributes:
         set: Xacro argument or dimension, such as prototype=d1, or a .yaml of them
-        actuated: Actuated joints, if not those with a transmission
-        tool: Tool frame, if not tool, tool0, tcp, ee_link or the tree's only leaf
+        actuated: Actuated joints, if not those with a transmission or in ros2_control
+        tool: Tool frame, if not tool, tool0, tcp, ee_link, flange or the tree's only leaf
+        package: Folder of a ROS package, if not around the file, in AMENT_PREFIX_PATH or ROS_PACKAGE_PATH
+        srdf: An SRDF that names passive joints, if not the one of the same name beside the file
         no_xacro: Accept plain URDF only; refuse xacro files, for they run code. Built-in robots are xacro files too
     """
 
     set: Annotated[tuple[str, ...], Parameter(metavar="NAME=VALUE")] = ()
     actuated: Annotated[Strings, Parameter(metavar="JOINT")] = ()
     tool: Annotated[str | None, Parameter(metavar="FRAME")] = None
+    package: Annotated[tuple[str, ...], Parameter(metavar="NAME=DIR")] = ()
+    srdf: Annotated[Path | None, Parameter(metavar="FILE")] = None
     no_xacro: bool = False
 
     def load(self, robot: str | Path) -> Robot:
@@ -187,7 +192,19 @@ class RobotOptions:
                 raise InputError("bad_option", f"--set {name}=...: {instead}")
         if is_model_file(robot):
             return self._load_calibrated(Path(robot), given)
-        return load_robot(str(robot), actuated=self.actuated or None, tool=self.tool, xacro=not self.no_xacro, **given)
+        return load_robot(
+            str(robot), actuated=self.actuated or None, tool=self.tool, xacro=not self.no_xacro,
+            packages=self._read_packages(), srdf=self.srdf, **given,
+        )  # fmt: skip
+
+    def _read_packages(self) -> dict[str, str]:
+        pairs = {text: text.partition("=") for text in self.package}
+        for text, (name, _, folder) in pairs.items():
+            if not name or not folder:
+                raise InputError(
+                    "bad_option", f"--package {text}: write NAME=DIR, such as ur_description=src/ur_description"
+                )
+        return {name: folder for name, _, folder in pairs.values()}
 
     def _load_calibrated(self, path: Path, given: dict[str, str]) -> Robot:
         from tau_dyn.files import read_yaml
@@ -199,7 +216,7 @@ class RobotOptions:
                 f"{path}: a robot file ends in .urdf or .urdf.xacro, a calibration's begins with tau_dyn_calibration; "
                 "is it a model file? Then give the robot's file first",
             )
-        if given or self.actuated or self.tool:
+        if given or self.actuated or self.tool or self.package or self.srdf:
             raise InputError("bad_option", f"{path}: a calibrated robot has its arguments, joints and tool already")
         from tau_dyn.calibrate import load_calibration
 
@@ -210,7 +227,8 @@ class RobotOptions:
         from tau_dyn.robot import find_robot
 
         dimensions = [Path(text) for text in self.set if "=" not in text]
-        return [Path(robot) if is_model_file(robot) else find_robot(str(robot)), *dimensions]
+        more = [*dimensions, *([self.srdf] if self.srdf else [])]
+        return [Path(robot) if is_model_file(robot) else find_robot(str(robot)), *more]
 
 
 _ELSEWHERE = {

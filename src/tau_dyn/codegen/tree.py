@@ -78,9 +78,14 @@ class Tree:
             value: Gives a parameter's value by its name; by default the robot's number.
 
         Raises:
-            InputError: A joint neither turns about nor slides along one axis, or a drive has a scale.
+            InputError: A joint neither turns about nor slides along one axis, or follows another, or a drive has a scale.
         """
         robot.require_unscaled_drives("generated code of a tree's equations")
+        if robot.mimics:
+            listed = ", ".join(robot.mimics)
+            raise InputError(
+                "unsupported", f"{robot.source}: {listed} follow other joints; code is written of joints that do not"
+            )
         model, data = robot.model, robot.model.createData()
         pin.computeJointJacobians(model, data, pin.neutral(model))
         value = value or (lambda name: robot.parameters[name].value)

@@ -37,12 +37,18 @@ def build_urdf(model: Model) -> Exported:
             _remove(links[name], "inertial")
         _write_inertial(links[link.link], build_body(link, model))
     joints = {e.get("name", ""): e for e in root.findall("joint")}
+    for joint in model.robot.mimics:  # their friction is within that of the joint that they follow
+        _remove(joints[joint], "dynamics")
     for joint in model.robot.actuated:
         friction = compute_friction(model, joint)
         _remove(joints[joint], "dynamics")
         SubElement(joints[joint], "dynamics", damping=_text(friction["viscous"]), friction=_text(friction["coulomb"]))
     _write_drives(root, model)
     _write_gravity_mass(root, model)
+    _remove(root, f"{{{_OURS}}}estimated_inertias")
+    SubElement(
+        root, f"{{{_OURS}}}estimated_inertias"
+    )  # data fit forces, not bodies: a loader should not ask for sound ones
     for prefix, space in (("drake", _DRAKE), ("tau_dyn", _OURS)):
         ElementTree.register_namespace(prefix, space)
     ElementTree.indent(root)

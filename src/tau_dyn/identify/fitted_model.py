@@ -169,7 +169,9 @@ def build_model(robot: Robot, model: str | Path | Model) -> Model:
         InputError: The model file is of a robot with other actuated joints or parameters.
     """
     if isinstance(model, str) and model in FRICTION_MODELS:
-        return free_drive_inertias(Model.of(robot, build_friction_model(model, robot.actuated, robot.force_units)))
+        return free_drive_inertias(
+            _with_friction_of_file(Model.of(robot, build_friction_model(model, robot.actuated, robot.force_units)))
+        )
     if not isinstance(model, Model):
         if isinstance(model, str) and not Path(model).suffix:
             build_friction_model(model, robot.actuated, robot.force_units)  # says which names there are
@@ -180,6 +182,17 @@ def build_model(robot: Robot, model: str | Path | Model) -> Model:
             "mismatch", f"the model is of a robot with joints {theirs}; this one has {', '.join(robot.actuated)}"
         )
     return free_drive_inertias(model.on(robot))
+
+
+def _with_friction_of_file(model: Model) -> Model:
+    """Return the model with the friction that the robot file says as nominal values, the same in both directions."""
+    said = {
+        f"{joint}.{part}{side}": getattr(friction, part)
+        for joint, friction in model.robot.friction.items()
+        for part in ("viscous", "coulomb")
+        for side in ("", "_pos", "_neg")
+    }
+    return model.with_values({name: value for name, value in said.items() if name in model.effect_parameters})
 
 
 def free_drive_inertias(model: Model, seed: int = 0) -> Model:

@@ -281,17 +281,14 @@ class BatchedTree:
         """Return the partial velocities of all joints' frames, in world axes."""
         n = closed.x.shape[1]
         found = [Partial(np.zeros(0, int), np.zeros((3, 0, n)), None)]
-        driven = {int(v): k for k, v in enumerate(self.solver.active_v)}
+        share, passive = self.robot.coupling[0], set(self.solver.passive_v.tolist() if self.robot.loops else ())
         for joint in self.joints:
             parent = found[joint.parent]
             arm = closed.at.origin[joint.index] - closed.at.origin[joint.parent]
             carried = add_vectors(parent.linear, compute_cross_product(parent.angular, arm[:, None]))
             z = closed.at.axis[joint.index][:, None]
-            if joint.v in driven:
-                own, rate = np.array([driven[joint.v]]), z * self.solver.scale[driven[joint.v]]
-            else:
-                own = np.arange(self.robot.na) if self.robot.loops else np.zeros(0, int)
-                rate = z * closed.G[joint.v, own]
+            own = np.arange(self.robot.na) if joint.v in passive else np.flatnonzero(share[joint.v])
+            rate = z * closed.G[joint.v, own]
             movers = np.union1d(parent.movers, own).astype(int)
             linear = _spread(carried, parent.movers, movers)
             angular = None if parent.angular is None else _spread(parent.angular, parent.movers, movers)

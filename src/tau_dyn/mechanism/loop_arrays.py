@@ -92,7 +92,8 @@ class LoopArrays:
         """Prepare for the robot and model of a one-by-one solver."""
         self.solver, self.joints = solver, joints
         robot, model = solver.robot, solver.model
-        self.active, self.passive, self.scale = solver.active_v, solver.passive_v, solver.scale
+        self.active, self.passive, self.scale = solver.active_v, solver.passive_v, robot.drive_scale
+        self._share, self._offset = robot.coupling
         self._by_index = {joint.index: joint for joint in joints}
         self._ends = [(_end(model, loop.frame_a), _end(model, loop.frame_b)) for loop in robot.loops]
         self._cells: dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]] = {}
@@ -123,11 +124,8 @@ class LoopArrays:
         return total
 
     def _without_loops(self, q: np.ndarray) -> ClosedLoops:
-        x = np.zeros((self.solver.model.nv, len(q)))
-        x[self.active] = (self.scale * q).T
-        G = np.zeros((*x.shape[:1], len(self.active), 1))
-        G[self.active, range(len(self.active)), 0] = self.scale
-        G = np.broadcast_to(G, (*G.shape[:2], len(q)))
+        x = self._share @ q.T + self._offset[:, None]
+        G = np.broadcast_to(self._share[:, :, None], (*self._share.shape, len(q)))
         return ClosedLoops(x, compute_frames(self.joints, x), Dense(np.zeros((len(q), 0, 0))), G)
 
     def _started(self, q: np.ndarray) -> np.ndarray:
@@ -188,13 +186,11 @@ class LoopArrays:
         at = compute_frames(self.joints, x)
         entries = self.entries(at)
         J_a = np.zeros((3 * len(self._ends), len(self.active), x.shape[1]))
-        for k, v in enumerate(self.active):
-            for (r, c), value in entries.items():
-                if c == v:
-                    J_a[r, k] = value * self.scale[k]
+        for (r, c), value in entries.items():
+            for k in np.flatnonzero(self._share[c]):
+                J_a[r, k] += self._share[c, k] * value
         inverse, sure = self._inverse(entries, J_a)
-        G = np.zeros((x.shape[0], len(self.active), x.shape[1]))
-        G[self.active, range(len(self.active))] = self.scale[:, None]
+        G = np.repeat(self._share[:, :, None], x.shape[1], axis=2)
         G[self.passive] = -(inverse.solve(J_a) if sure is None else sure)
         return ClosedLoops(x, at, inverse, G)
 

@@ -116,17 +116,17 @@ class LoopSolver:
 
     def __init__(self, robot: Robot, model: pin.Model | None = None) -> None:
         """Prepare for a robot; `model` may carry other masses, its kinematics must be the robot's."""
-        self.robot, self.scale = robot, robot.drive_scale
+        self.robot = robot
         self.model = model if model is not None else robot.model
         self.data = self.model.createData()
-        self.active_v, self._active_q = robot.active_v, robot.active_q
-        self.passive_v = np.setdiff1d(np.arange(self.model.nv), self.active_v)
-        self._turning = np.array([self.model.joints[self.model.getJointId(j)].nq == 2 for j in robot.actuated])
-        self._identity = np.zeros((self.model.nv, robot.na))
-        self._identity[self.active_v, range(robot.na)] = self.scale
+        self.active_v, self.passive_v = robot.active_v, robot.passive_v
+        driven = [self.model.joints[self.model.getJointId(j)] for j in (*robot.actuated, *robot.mimics)]
+        self._driven_q, self._driven_v = (np.array([getattr(j, x) for j in driven]) for x in ("idx_q", "idx_v"))
+        self._turning = np.array([j.nq == 2 for j in driven])
+        self._share, self._offset = robot.coupling
         self._start = self._with_passive_home(pin.neutral(self.model))
         self._constraints = Constraints(self.model, self.data, robot.loops)
-        self._inverse, self._G = np.zeros((0, 0)), self._identity
+        self._inverse, self._G = np.zeros((0, 0)), self._share
         self._last: tuple[np.ndarray, np.ndarray] | None = None
 
     def close(self, q_a: np.ndarray) -> np.ndarray:
@@ -149,7 +149,7 @@ class LoopSolver:
     def state(self, q_a: np.ndarray, v_a: np.ndarray, a_a: np.ndarray) -> TreeState:
         """Return the tree's motion at one sample of actuated motion, each (na,)."""
         q = self.close(q_a)
-        G, g0 = self._identity, np.zeros(self.model.nv)
+        G, g0 = self._share, np.zeros(self.model.nv)
         if self.robot.loops:
             self._linearise(q)
             G = self._G
@@ -171,7 +171,7 @@ class LoopSolver:
             LoopClosureError: The loops do not let the actuated joints move independently of each other.
         """
         jacobian = self._constraints.jacobian(self.close(self.robot.home))
-        J_p, J_a = jacobian[:, self.passive_v], jacobian[:, self.active_v]
+        J_p, J_a = jacobian[:, self.passive_v], jacobian @ self._share
         _, s, vt = np.linalg.svd(J_p) if J_p.size else (None, np.zeros(0), np.eye(len(self.passive_v)))
         rank = int(np.sum(s > 1e-9 * s.max(initial=0.0)))
         stuck = J_a - J_p @ np.linalg.lstsq(J_p, J_a, rcond=1e-9)[0] if J_p.size else J_a
@@ -189,10 +189,11 @@ class LoopSolver:
         return float(np.abs(self._constraints.gap(q)).max()) if self.robot.loops else 0.0
 
     def _with_active(self, q: np.ndarray, q_a: np.ndarray) -> np.ndarray:
-        q, index = q.copy(), self._active_q
-        q[index] = self.scale * q_a
+        q, index = q.copy(), self._driven_q
+        x = (self._share @ q_a + self._offset)[self._driven_v]
+        q[index] = x
         if self._turning.any():  # a continuous joint's configuration is a cosine and a sine
-            index, angle = index[self._turning], q_a[self._turning]
+            index, angle = index[self._turning], x[self._turning]
             q[index], q[index + 1] = np.cos(angle), np.sin(angle)
         return q
 
@@ -257,8 +258,8 @@ class LoopSolver:
         """Keep the inverse of `J_p` and `G` at this configuration."""
         jacobian = self._constraints.jacobian(q)
         self._inverse = invert_matrix(jacobian[:, self.passive_v])
-        self._G = self._identity.copy()
-        self._G[self.passive_v] = -self._inverse @ (jacobian[:, self.active_v] * self.scale)
+        self._G = self._share.copy()
+        self._G[self.passive_v] = -self._inverse @ (jacobian @ self._share)
 
     def _listed(self, q_a: np.ndarray) -> str:
         pairs = zip(self.robot.actuated, q_a, self.robot.position_units, strict=True)

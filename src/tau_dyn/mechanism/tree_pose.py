@@ -34,9 +34,18 @@ from tau_dyn.mechanism.loop_arrays import ClosedLoops, LoopArrays
 from tau_dyn.mechanism.loops import LoopSolver
 from tau_dyn.mechanism.poses import NOT_A_NUMBER, OK, OUT_OF_REACH, Poses, StraightWay, measure_turns
 from tau_dyn.mechanism.small_systems import Move, NewtonRules, iterate_newton, solve_least_motion_step
-from tau_dyn.robot import Robot
+from tau_dyn.robot import Robot, read_annotations
 
 _BLOCK = 1024  # samples at a time; arrays stay in the processor's cache
+
+
+_MAX_LISTED = 8  # frames that a sentence names
+
+
+def list_leaves(robot: Robot) -> str:
+    """Return the links at the ends of a robot's branches, the first of many."""
+    leaves = read_annotations(robot.urdf, robot.source).leaves
+    return ", ".join(leaves[:_MAX_LISTED]) + (" ..." if len(leaves) > _MAX_LISTED else "")
 
 
 class TreePose:
@@ -53,7 +62,7 @@ class TreePose:
             raise InputError(
                 "unsupported",
                 f"{robot.source}: has no evident tool frame whose pose could be computed; name one with --tool FRAME "
-                '(load_robot(..., tool="FRAME"))',
+                f'(load_robot(..., tool="FRAME")), such as {list_leaves(robot)}',
             )
         joints = list_joints(robot.model)
         if joints is None:
@@ -169,6 +178,9 @@ class TreeNewton:
         ends = [(model.frames[loop.frame_a], model.frames[loop.frame_b]) for loop in self.robot.loops]
         self._ends = [[(int(f.parentJoint), f.placement.translation.copy()) for f in pair] for pair in ends]
         self._active, self._scale = self.robot.active_v, self.robot.drive_scale
+        self._share = self.robot.coupling[0] / self._scale  # of the tree's own travel
+        self._rests = np.zeros(0, int) if self.robot.loops else self.robot.passive_v
+        self._followers = [model.joints[model.getJointId(j)].idx_v for j in self.robot.mimics]
         self.home = self.close_loops(self.robot.home[None])
         # home may be singular (a straight wrist), which idles nothing elsewhere: the smallest null space near by counts
         near = np.random.default_rng(0).uniform(-_NEARBY, _NEARBY, (6, self.robot.na))
@@ -269,6 +281,9 @@ class TreeNewton:
             pull = np.einsum("nki,nkj,nj->ni", vt, vt, pull)
         left = np.sum(turn**2, axis=1, keepdims=True)
         dx = solve_least_motion_step(C, gap, T, turn, np.clip(left, _LEAST, _DAMPING), pull, _SOFT)
+        dx[:, self._rests] = 0.0
+        if self._followers:
+            dx[:, self._followers] = dx[:, self._active] @ self._share[self._followers].T
         error = np.stack([np.linalg.norm(away, axis=1), np.linalg.norm(turn, axis=1)], axis=1)
         return dx, np.abs(gap).max(axis=1), error
 
@@ -278,8 +293,17 @@ class TreeNewton:
         C = np.zeros((len(twist), 3 * len(self._ends) + 3, twist.shape[2]))
         for (r, c), value in self.engine.loops.entries(at).items():
             C[:, r, c] = value
+        C = self._fold(C)
         C[:, -3:] = twist[:, :3]
         return C
+
+    def _fold(self, J: np.ndarray) -> np.ndarray:
+        """Return derivatives by all joints (N, m, nv) with those of followers added to what they follow, and none of what rests."""
+        if self._followers:
+            J[:, :, self._active] += J[:, :, self._followers] @ self._share[self._followers]
+            J[:, :, self._followers] = 0.0
+        J[:, :, self._rests] = 0.0
+        return J
 
     def _twist(self, at: Frames) -> np.ndarray:
         """Return the tool's twist by all joints (N, 6, nv)."""
@@ -293,4 +317,4 @@ class TreeNewton:
             else:
                 arm: np.ndarray = place - at.origin[joint.index]
                 out[:, :3, joint.v], out[:, 3:, joint.v] = compute_cross_product(z, arm).T, z.T
-        return out
+        return self._fold(out)

@@ -1,6 +1,11 @@
 """Robots: from a xacro file to a tree with loops, actuated joints and nominal parameters."""
 
-from .annotations import Mimic as Mimic, Spring as Spring, read_annotations as read_annotations
+from .annotations import (
+    JointFriction as JointFriction,
+    Mimic as Mimic,
+    Spring as Spring,
+    read_annotations as read_annotations,
+)
 from .dimensions import read_dimensions_file as read_dimensions_file
 from .expand import (
     describe_robot as describe_robot,
@@ -8,9 +13,9 @@ from .expand import (
     list_dimensions as list_dimensions,
     list_robot_names as list_robot_names,
     list_robots as list_robots,
-    list_stock_robots as list_stock_robots,
 )
 from .load import load_robot as load_robot, load_robot_from_urdf as load_robot_from_urdf
+from .packages import find_package as find_package, resolve_mesh as resolve_mesh
 from .robot import (
     BODY_STDERR as BODY_STDERR,
     INERTIAL as INERTIAL,
@@ -21,3 +26,4 @@ from .robot import (
     Robot as Robot,
     compute_inertia_matrix as compute_inertia_matrix,
 )
+from .stock import list_stock_robots as list_stock_robots

@@ -1,6 +1,7 @@
-"""What a robot file says beyond the plain tree: transmissions, loops, and our own hints.
+"""What a robot file says beyond the plain tree: transmissions, loops, couplings, friction, and our own hints.
 
-Read from the expanded URDF. `<drake:ball_constraint>` closes loops (the same element Drake reads). `<tau_dyn:...>`
+Read from the expanded URDF. `<drake:ball_constraint>` closes loops (the same element Drake reads), and so does `<constraint>`,
+which urdfdom's pull request 264 proposes. Motors are named by `<transmission>` and by `<ros2_control>`. `<tau_dyn:...>`
 elements are hints no other program needs: which parameters a link has, a home position, a known closed form, mass that
 only gravity feels, springs on joints that yield, what a drive's reading is to its slide's travel, and what in the file is
 assumed rather than measured.
@@ -16,10 +17,18 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.robot.numbers import check_numbers, check_parents, check_tree, parse_numbers
+from tau_dyn.robot.numbers import MAX_NUMBER, check_names, check_numbers, check_parents, check_tree, parse_numbers
+from tau_dyn.robot.rotations import build_rotation, combine_axes
 
 _DRAKE = ("http://drake.mit.edu", "https://drake.mit.edu")
 _OURS = "urn:tau_dyn"
+_POINTS = {
+    "spherical": ((0.0, 0.0, 0.0),),
+    "ball": ((0.0, 0.0, 0.0),),
+    "revolute": ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0)),
+    "fixed": ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0)),
+}
+"""Points [m] of a `<constraint>`'s frame, its axis along x, that coincide for each type that points can tie."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +89,14 @@ class Mimic:
 
 
 @dataclass(frozen=True)
+class JointFriction:
+    """What a file says of a joint's friction: `viscous` [N s/m or N m s/rad] and `coulomb` [N or N m]."""
+
+    viscous: float
+    coulomb: float
+
+
+@dataclass(frozen=True)
 class Annotations:
     """All that the file says beyond the plain tree."""
 
@@ -96,6 +113,9 @@ class Annotations:
     springs: tuple[Spring, ...]
     assumed: tuple[str, ...]
     mimics: dict[str, Mimic]
+    friction: dict[str, JointFriction]
+    warnings: tuple[str, ...]
+    estimated: bool  # its inertias are fitted to data, and need not be those of bodies
     shared_drives: tuple[tuple[str, str], ...] = ()  # pairs of joints in one <transmission>
     drive_scales: dict[str, float] = field(default_factory=dict)  # joint -> travel per reading
 
@@ -115,6 +135,7 @@ def read_annotations(urdf: str, where: str) -> Annotations:
     if root.tag != "robot":
         raise InputError("robot_structure", f"{where}: the root element is <{root.tag}>, a robot file's is <robot>")
     check_tree(root, where)
+    check_names(root.iter(), where)
     check_numbers(root, where)
     check_parents(root, where)
     reader = _Reader(root, where)
@@ -133,6 +154,9 @@ def read_annotations(urdf: str, where: str) -> Annotations:
         springs=reader.springs(),
         assumed=tuple(e.get("what", "") for e in reader.ours("assumed")),
         mimics=reader.mimics(),
+        friction=reader.friction(),
+        warnings=tuple(f"{where}: {e.get('text', '')}" for e in reader.ours("warning")),
+        estimated=bool(reader.ours("estimated_inertias")),
         shared_drives=reader.shared_drives(),
         drive_scales=reader.drive_scales(),
     )
@@ -146,6 +170,7 @@ class _Reader:
         self.links = [e.get("name", "") for e in root.findall("link")]
         movable = [e for e in root.findall("joint") if e.get("type") != "fixed"]
         self.joints = {e.get("name", ""): self._child(e) for e in movable}
+        self.fixed = {e.get("name", "") for e in root.findall("joint") if e.get("type") == "fixed"}
         both = set(self.links) & {e.get("name", "") for e in root.findall("joint")}
         if both:
             raise InputError(
@@ -162,6 +187,31 @@ class _Reader:
                     for key, default in (("multiplier", 1.0), ("offset", 0.0))
                 )
                 found[joint.get("name", "")] = Mimic(self.joint_of(element, "joint"), share, offset)
+        return found | {name: mimic for name, mimic in self._controlled_mimics().items() if name not in found}
+
+    def _controlled_mimics(self) -> dict[str, Mimic]:
+        """Return the joints that `<ros2_control>` lets follow others."""
+        found = {}
+        for joint in self.root.findall("ros2_control/joint"):
+            said = {e.get("name", ""): (e.text or "").strip() for e in joint.findall("param")}
+            name = joint.get("name", "")
+            if "mimic" in said and name in self.joints:
+                element = Element("mimic", {"joint": said["mimic"], "multiplier": said.get("multiplier", "1")})
+                found[name] = Mimic(self.joint_of(element, "joint"), self.number(element, "multiplier"), 0.0)
+        return found
+
+    def friction(self) -> dict[str, JointFriction]:
+        """Return what `<dynamics>` says of joints that have some friction."""
+        found = {}
+        for joint in self.root.findall("joint"):
+            element, name = joint.find("dynamics"), joint.get("name", "")
+            if element is not None and name in self.joints:
+                values = [
+                    self.number(element, key) if element.get(key) is not None else 0.0
+                    for key in ("damping", "friction")
+                ]
+                if any(values):
+                    found[name] = JointFriction(*values)
         return found
 
     def leaves(self) -> tuple[str, ...]:
@@ -196,7 +246,7 @@ class _Reader:
     def _numbers(self, element: Element, attribute: str, count: int) -> tuple[float, ...]:
         text = element.get(attribute, "")
         values = parse_numbers(text)
-        if len(values) != count or not all(abs(v) < 1e12 for v in values):
+        if len(values) != count or not all(abs(v) < MAX_NUMBER for v in values):
             tag = element.tag.split("}")[-1]
             raise InputError(
                 "robot_structure", f"{self.where}: <{tag} {attribute}='{text}'> must hold {count} finite number(s)"
@@ -219,16 +269,56 @@ class _Reader:
                 a, b, p_a, p_b = (e for e in part.values() if e is not None)
                 point_a, point_b = self._numbers(p_a, "value", 3), self._numbers(p_b, "value", 3)
                 found.append(BallConstraint(self.link_of(a, "name"), self.link_of(b, "name"), point_a, point_b))  # type: ignore[arg-type]
-        return tuple(found)
+        return (*found, *(ball for element in self.root.findall("constraint") for ball in self._constraint(element)))
+
+    def _constraint(self, element: Element) -> list[BallConstraint]:
+        """Return a proposed `<constraint>` as points that coincide: one of a ball, two of a hinge, three of a rigid tie."""
+        name, kind = element.get("name", ""), element.get("type", "")
+        if kind not in _POINTS:
+            known = ", ".join(_POINTS)
+            raise InputError(
+                "unsupported", f"{self.where}: <constraint name='{name}' type='{kind}'>: loops are closed by {known}"
+            )
+        ends = []
+        for side in ("parent", "child"):
+            link, origin, axis = (element.find(tag) for tag in (side, f"{side}_origin", f"{side}_axis"))
+            if link is None:
+                raise InputError("robot_structure", f"{self.where}: <constraint name='{name}'> lacks <{side}>")
+            place, turn, along = (
+                self._numbers(e, key, 3) if e is not None and e.get(key) is not None else default
+                for e, key, default in (
+                    (origin, "xyz", (0.0,) * 3),
+                    (origin, "rpy", (0.0,) * 3),
+                    (axis, "xyz", (1.0, 0.0, 0.0)),
+                )
+            )
+            if not any(along):
+                raise InputError(
+                    "robot_structure", f"{self.where}: <constraint name='{name}'>: its {side}_axis is zero"
+                )
+            axes = build_rotation(turn) @ combine_axes(along)
+            ends.append((self.link_of(link, "link"), [axes @ point + place for point in _POINTS[kind]]))
+        (a, points_a), (b, points_b) = ends
+        return [
+            BallConstraint(a, b, tuple(p.tolist()), tuple(q.tolist())) for p, q in zip(points_a, points_b, strict=True)
+        ]
 
     def transmissions(self) -> tuple[Transmission, ...]:
-        found = []
+        """Return the joints with a motor: those of transmissions, then those that `<ros2_control>` commands."""
+        found: dict[str, Transmission] = {}
         for element in self.root.findall("transmission"):
             for joint in element.findall("joint"):
                 drives = [self._reflected_inertia(actuator, joint) for actuator in element.findall("actuator")]
                 given = [inertia for inertia in drives if inertia is not None]
-                found.append(Transmission(self.joint_of(joint, "name"), sum(given) if given else None))
-        return tuple(found)
+                if joint.get("name") not in self.fixed:
+                    name = self.joint_of(joint, "name")
+                    if name not in found or given:
+                        found[name] = Transmission(name, sum(given) if given else None)
+        for joint in self.root.findall("ros2_control/joint"):
+            if joint.find("command_interface") is not None and joint.get("name") not in self.fixed:
+                name = self.joint_of(joint, "name")
+                found.setdefault(name, Transmission(name, None))
+        return tuple(found.values())
 
     def shared_drives(self) -> tuple[tuple[str, str], ...]:
         """Return the pairs of joints that one transmission drives, such as a differential's."""

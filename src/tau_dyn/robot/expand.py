@@ -1,4 +1,4 @@
-"""From a robot file to plain URDF text: short names, xacro arguments, and XML that cannot expand entities.
+"""From a robot file to plain URDF text: short names, xacro arguments, MJCF, and XML that cannot expand entities.
 
 A xacro file is code: it evaluates Python expressions. Here they may not reach for Python itself (`xacro_evaluation.py`), and
 neither the file nor anything it includes may declare a document type or entities; but a xacro may still read files, and
@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from functools import cache
-from importlib.metadata import PackageNotFoundError, files as files_of
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -24,7 +22,10 @@ from defusedxml.minidom import parseString
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import format_yaml, read_bytes
 from tau_dyn.robot.dimensions import TableChanges, read_number
-from tau_dyn.robot.numbers import check_depth
+from tau_dyn.robot.mjcf import convert_mjcf
+from tau_dyn.robot.numbers import check_depth, check_names
+from tau_dyn.robot.packages import find_package
+from tau_dyn.robot.stock import find_described_robot, list_stock_robots
 from tau_dyn.robot.xacro_evaluation import evaluate_xacro
 
 _LOG = "; this looks like a log; were robot and log exchanged?"
@@ -45,20 +46,6 @@ def find_urdf_folder() -> Path:
 def list_robot_names() -> dict[str, Path]:
     """Return the robots that come with the package: short name -> file."""
     return {path.name.split(".")[0]: path for path in sorted(find_urdf_folder().glob("*.urdf*"))}
-
-
-@cache
-def list_stock_robots() -> dict[str, Path]:
-    """Return the robots of the installed package `example-robot-data`: name -> file; empty where it is not installed."""
-    found: dict[str, Path] = {}
-    try:
-        listed = files_of("example-robot-data") or ()
-    except PackageNotFoundError:
-        return found
-    for file in listed:
-        if file.suffix == ".urdf" and "robots" in file.parts:
-            found.setdefault(file.stem.removesuffix("_robot"), Path(str(file.locate())))
-    return found
 
 
 def list_robots() -> dict[str, Path]:
@@ -84,19 +71,19 @@ def find_robot(robot: str | Path) -> Path:
         InputError: The file does not exist or is not a robot file.
         UnknownName: A bare word that is no name of a robot.
     """
-    path = Path(robot)
+    path, stock = Path(robot), list_stock_robots()
     try:
         there = path.is_file()
     except OSError as fault:
         raise InputError("file_not_found", f"{path}: no such robot file ({fault.strerror})") from fault
     if there:
-        if not path.name.endswith((".urdf", ".urdf.xacro", ".xacro", ".xml")):
+        if not path.name.endswith((".urdf", ".urdf.xacro", ".xacro", ".xml", ".mjcf")):
             raise InputError(
                 "file_format",
-                f"{path}: a robot file ends in .urdf or .urdf.xacro{_SWAPPED.get(path.suffix.lower(), '')}",
+                f"{path}: a robot file ends in .urdf or .urdf.xacro, or is MJCF in .xml{_SWAPPED.get(path.suffix.lower(), '')}",
             )
         return path
-    if path.suffix or len(path.parts) > 1:
+    if (path.suffix or len(path.parts) > 1) and str(robot) not in stock:
         raise InputError(
             "file_not_found",
             f"{path}: no such robot file; give a .urdf or .urdf.xacro that exists, or a short name such as gantry_tau",
@@ -104,24 +91,39 @@ def find_robot(robot: str | Path) -> Path:
     ours = list_robot_names()
     if str(robot) in ours:
         return ours[str(robot)]
-    if str(robot) in list_stock_robots():
-        return list_stock_robots()[str(robot)]
-    raise UnknownName("robot", str(robot), [*ours, *list_stock_robots()])
+    if str(robot) in stock:
+        return stock[str(robot)]
+    if described := find_described_robot(str(robot)):
+        return described.path
+    if str(robot).endswith("_description"):
+        raise InputError(
+            "file_not_found",
+            f"{robot}: robot_descriptions has it not in its cache; `python -m robot_descriptions pull {robot}` puts it there",
+        )
+    raise UnknownName("robot", str(robot), [*ours, *stock])
 
 
-def expand(path: Path, arguments: Mapping[str, object] | None = None, *, evaluate: bool = True) -> str:
+def expand(
+    path: Path,
+    arguments: Mapping[str, object] | None = None,
+    *,
+    evaluate: bool = True,
+    packages: Mapping[str, str | Path] | None = None,
+) -> str:
     """Expand a robot file to URDF text.
 
     Args:
-        path: A `.urdf` or `.urdf.xacro` file.
+        path: A `.urdf`, `.urdf.xacro` or MJCF file.
         arguments: xacro arguments by name, and entries of the tables that the xacro loads (`dimensions.py`).
         evaluate: Whether a xacro may be evaluated; a plain URDF never is.
+        packages: Folders of ROS packages by name.
 
     Raises:
         InputError: The file is not well-formed, declares entities, is a xacro that may not be evaluated, or cannot be expanded.
         UnknownName: An argument that the file does not declare.
     """
-    return _expand(path, {name: str(value) for name, value in (arguments or {}).items()}, evaluate)[0]
+    given = {name: str(value) for name, value in (arguments or {}).items()}
+    return _expand(path, given, evaluate, packages=packages)[0]
 
 
 def list_dimensions(
@@ -138,7 +140,11 @@ def list_dimensions(
 
 
 def _expand(
-    path: Path, given: dict[str, str], evaluate: bool, listing: bool = False
+    path: Path,
+    given: dict[str, str],
+    evaluate: bool,
+    listing: bool = False,
+    packages: Mapping[str, str | Path] | None = None,
 ) -> tuple[str, dict[str, str], TableChanges]:
     """Return the URDF text, the arguments that the file declares with their defaults, and its tables."""
     changes = TableChanges({})
@@ -149,6 +155,14 @@ def _expand(
             return changes.apply(format_yaml(name), str(name))
         except InputError as fault:
             changes.fault = fault  # xacro wraps it in words of its own
+            raise
+
+    def find(name: str) -> str:
+        """Return the folder of a ROS package that a xacro asks for."""
+        try:
+            return str(find_package(name, path, packages))
+        except InputError as fault:
+            changes.fault = fault
             raise
 
     try:
@@ -163,9 +177,13 @@ def _expand(
                 raise InputError(
                     "unsupported", f"{path} is a xacro, which is code, and none may run; expand it to plain URDF first"
                 )
-            evaluate_xacro(document, path, own, _parse, read_table)
+            evaluate_xacro(document, path, own, _parse, read_table, find)
             check_depth(document, str(path))
         changes.require_all_used(list(declared), str(path))
+        check_names(document.getElementsByTagName("*"), str(path))
+        if document.documentElement is not None and document.documentElement.tagName == "mujoco":
+            return convert_mjcf(document.toxml(), path), declared, changes
+        _rename_twins(document)
         return document.toprettyxml(indent="  "), declared, changes
     except InputError as fault:
         raise fault if str(fault).startswith(str(path)) else InputError(fault.code, f"{path}: {fault}") from fault
@@ -179,6 +197,26 @@ def _expand(
         if given and "math domain error" in reason:
             reason = f"the dimensions do not fit together, such as rods too short to reach ({reason})"
         raise InputError("file_format", f"{path}: xacro cannot expand it: {reason}") from fault
+
+
+def _rename_twins(document: Document) -> None:
+    """Give links that are named like a joint a name of their own: parameters are named after both."""
+    root: Any = document.documentElement
+    inside = [node for node in root.childNodes if node.nodeType == node.ELEMENT_NODE]
+    names = {tag: {node.getAttribute("name") for node in inside if node.tagName == tag} for tag in ("link", "joint")}
+    twins = {name: f"{name}_link" for name in sorted(names["link"] & names["joint"]) if name}
+    if not twins or set(twins.values()) & (names["link"] | names["joint"]):
+        return  # none, or refused where the robot is built
+    for node in [node for parent in inside for node in (parent, *parent.getElementsByTagName("*"))]:
+        keys = ("name",) if node.tagName == "link" or "body_" in node.tagName else ("link",)
+        for key in keys:
+            if node.getAttribute(key) in twins:
+                node.setAttribute(key, twins[node.getAttribute(key)])
+    said = document.createElement("tau_dyn:warning")
+    root.setAttribute("xmlns:tau_dyn", "urn:tau_dyn")
+    listed = ", ".join(f"'{name}' {new}" for name, new in twins.items())
+    said.setAttribute("text", f"names of both a link and a joint; the links are called: {listed}")
+    root.appendChild(said)
 
 
 def is_xacro(path: Path, document: Document) -> bool:

@@ -18,12 +18,16 @@ import pinocchio as pin
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import compute_sha256
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.robot.annotations import Annotations, BallConstraint, read_annotations
+from tau_dyn.robot.annotations import Annotations, BallConstraint, JointFriction, Mimic, read_annotations
 from tau_dyn.robot.expand import expand, find_robot
+from tau_dyn.robot.numbers import MAX_NUMBER, check_inertia
 from tau_dyn.robot.robot import NOT_GIVEN, LinkInertia, Loop, Robot, get_inertial_parameters
+from tau_dyn.robot.semantics import find_srdf, read_passive_joints
+from tau_dyn.robot.stock import StockRobot, find_described_robot
 
-TOOL_NAMES = ("tool", "tool0", "tcp", "ee_link", "end_effector")
-"""Usual names of a tool frame, the first that exists counts: our own files', ROS-Industrial's, and those of common arms."""
+TOOL_NAMES = ("tool", "tool0", "tcp", "hand_tcp", "ee_link", "end_effector", "attachment_site", "flange")
+"""Usual names of a tool frame, our own files', ROS-Industrial's, and those of common arms. The first that exists counts; where none
+does, the first that a single frame's name ends in, as `panda_hand_tcp` does."""
 MAX_DEGREES_OF_FREEDOM = 300
 """Degrees of freedom of a tree; Pinocchio's preparations for one take a second at 300 and a minute at 1000."""
 
@@ -35,16 +39,20 @@ def load_robot(
     actuated: Iterable[str] | None = None,
     tool: str | None = None,
     xacro: bool = True,
+    packages: Mapping[str, str | Path] | None = None,
+    srdf: str | Path | None = None,
     **arguments: object,
 ) -> Robot:
     """Load a robot from a file or by its short name.
 
     Args:
-        robot: Path to a `.urdf` or `.urdf.xacro`, or the short name of a robot that comes with the package or with
-            `example-robot-data`.
-        actuated: Names of the actuated joints; by default those with a `<transmission>`.
+        robot: Path to a `.urdf`, `.urdf.xacro` or MJCF `.xml`, or the short name of a robot that comes with the package, with
+            `example-robot-data` (`ur5`) or is in the cache of `robot_descriptions` (`ur5e_description`).
+        actuated: Names of the actuated joints; by default those with a `<transmission>` or commanded by `<ros2_control>`.
         tool: Name of the tool frame; by default the first of `TOOL_NAMES`, or the only leaf of the tree.
         xacro: Whether a xacro may be evaluated; False takes plain URDF only, for a file from people you do not trust.
+        packages: Folders of ROS packages by name, before those that are found (`packages.py`).
+        srdf: An SRDF that names passive joints; by default the one beside the file, of the same name.
         **arguments: xacro arguments, such as `prototype="l1"`.
 
     Raises:
@@ -52,10 +60,18 @@ def load_robot(
         UnknownName: An unknown robot, xacro argument, joint or frame.
     """
     path = find_robot(robot)
-    urdf = expand(path, arguments, evaluate=xacro)
-    given = {k: str(v) for k, v in arguments.items()}
+    described = find_described_robot(str(robot)) or StockRobot(path)
+    given = {k: str(v) for k, v in {**described.arguments, **arguments}.items()}
+    urdf = expand(path, given, evaluate=xacro, packages={**described.packages, **(packages or {})})
+    semantics = Path(srdf) if srdf is not None else find_srdf(path)
     return load_robot_from_urdf(
-        urdf, str(robot), actuated=actuated, tool=tool, arguments=given, sha256=compute_sha256(path)
+        urdf,
+        str(robot),
+        actuated=actuated,
+        tool=tool,
+        arguments=given,
+        sha256=compute_sha256(path),
+        passive=read_passive_joints(semantics) if semantics is not None else (),
     )
 
 
@@ -68,27 +84,32 @@ def load_robot_from_urdf(
     arguments: Mapping[str, str] | None = None,
     sha256: str = "",
     lock_springs: bool = True,
+    passive: Iterable[str] = (),
 ) -> Robot:
     """Build a robot from URDF text; `source` is how messages and saved models call it. See `load_robot`.
 
     Joints with a `<tau_dyn:spring>` are locked at zero, so that the robot is rigid; `lock_springs=False` leaves them movable.
+    Joints named `passive` are not taken as actuated unless the text or `actuated` says so.
     """
     notes = read_annotations(urdf, source)
     model = _build_model(urdf, source)
+    if not notes.estimated:
+        _check_bodies(model, notes, source)
     if lock_springs and notes.springs:
         model = _locked(model, [s.joint for s in notes.springs], source)
-    names, warnings = _actuated(model, notes, actuated, source)
-    if notes.mimics:
-        warnings.append(
-            f"{source}: the <mimic> of {', '.join(notes.mimics)} counts in calibrate alone; elsewhere each joint moves by itself"
-        )
-    passive = [n for n in model.names[1:] if n not in names]
+    names, warnings = _actuated(model, notes, actuated, tuple(passive), source)
+    warnings += notes.warnings
+    followers = [n for n in notes.mimics if n in names]
+    if followers:
+        warnings.append(f"{source}: {', '.join(followers)} are named as actuated, so their <mimic> does not count")
+    mimics = _resolve_mimics(model, notes, names, source)
+    passive = [n for n in model.names[1:] if n not in names and n not in mimics]
     if passive and not notes.loops:
         listed = ", ".join(passive)
         warnings.append(
             f"{source}: {listed} neither have a <transmission> nor stand in a loop; they are taken as locked at zero"
         )
-    if notes.loops and not passive:
+    if notes.loops and not passive and not mimics:
         raise InputError(
             "robot_structure",
             f"{source}: no passive joint is left to close its loops, of {', '.join(names)}; name only those with a motor",
@@ -110,7 +131,7 @@ def load_robot_from_urdf(
         actuated=names,
         home=np.array([notes.home.get(j, _middle(model, j)) for j in names]),
         links=links,
-        parameters=_parameters(links, units, notes),
+        parameters=_parameters(links, units, notes, mimics),
         arms=notes.gantry_tau_arms,
         plate=notes.gantry_tau_plate,
         assumed=notes.assumed,
@@ -120,6 +141,8 @@ def load_robot_from_urdf(
         tool=_find_tool(model, notes, tool, source),
         passive_home={joint: value for joint, value in notes.home.items() if joint in passive},
         drive_scales=_drive_scales(names, notes, source),
+        mimics=mimics,
+        friction=_sum_friction(names, notes, mimics),
     )
 
 
@@ -132,6 +155,7 @@ def _drive_scales(actuated: tuple[str, ...], notes: Annotations, where: str) -> 
 
 def _build_model(urdf: str, where: str) -> pin.Model:
     text = re.sub(r"<\?xml[^>]*\?>", "", urdf, count=1)
+    text = re.sub(r"<robot(?=[\s>])(?![^>]*\bname=)", '<robot name="robot"', text, count=1)
     with _said_on_stderr() as said:
         try:
             model = pin.buildModelFromXML(text)
@@ -150,7 +174,17 @@ def _build_model(urdf: str, where: str) -> pin.Model:
             "robot_structure",
             f"{where}: its joints have {model.nv} degrees of freedom; a robot has {MAX_DEGREES_OF_FREEDOM} at most",
         )
+    model.lowerPositionLimit = np.clip(model.lowerPositionLimit, -MAX_NUMBER, MAX_NUMBER)
+    model.upperPositionLimit = np.clip(model.upperPositionLimit, -MAX_NUMBER, MAX_NUMBER)
     return model
+
+
+def _check_bodies(model: pin.Model, notes: Annotations, where: str) -> None:
+    """Refuse moving bodies, with what is fixed to them, whose inertia no body has."""
+    for joint in range(1, model.njoints):
+        body = model.inertias[joint]
+        moments = np.linalg.eigvalsh(body.inertia) if np.isfinite(body.inertia).all() else np.full(3, np.inf)
+        check_inertia(body.mass, moments.tolist(), f"{where}: link '{notes.joints[model.names[joint]]}'")
 
 
 def _locked(model: pin.Model, joints: list[str], where: str) -> pin.Model:
@@ -188,14 +222,18 @@ def _said_on_stderr() -> Iterator[list[str]]:
 
 
 def _actuated(
-    model: pin.Model, notes: Annotations, wanted: Iterable[str] | None, where: str
+    model: pin.Model, notes: Annotations, wanted: Iterable[str] | None, passive: tuple[str, ...], where: str
 ) -> tuple[tuple[str, ...], list[str]]:
     """Return the actuated joints in the tree's order, and what is doubtful about them."""
     movable = [n for n in model.names[1:]]
-    names = list(wanted) if wanted is not None else [t.joint for t in notes.transmissions]
+    driven = [t.joint for t in notes.transmissions if t.joint not in notes.mimics]
+    names = list(wanted) if wanted is not None else driven
     for name in names:
         if name not in movable:
             raise UnknownName("movable joint", name, movable, where)
+    left = [name for name in movable if name not in notes.mimics and name not in passive]
+    if not names and notes.loops and passive:
+        names = left
     if not names and notes.loops:
         raise InputError(
             "robot_structure",
@@ -204,7 +242,7 @@ def _actuated(
         )
     warnings = []
     if not names:
-        names = movable
+        names = left
         listed = ", ".join(names)
         warnings = [f"{where} has no <transmission>; all its movable joints are taken as actuated: {listed}"]
     for name in names:
@@ -213,14 +251,62 @@ def _actuated(
     return tuple(n for n in movable if n in names), warnings
 
 
+def _resolve_mimics(model: pin.Model, notes: Annotations, actuated: tuple[str, ...], where: str) -> dict[str, Mimic]:
+    """Return the joints that follow an actuated one, or one that stands still, with what they follow in the end."""
+    found = {}
+    for name in notes.mimics:
+        leader, share, offset, seen = name, 1.0, 0.0, [name]
+        while leader in notes.mimics and leader not in actuated:
+            rule = notes.mimics[leader]
+            leader, share, offset = rule.joint, share * rule.multiplier, offset + share * rule.offset
+            if leader in seen:
+                raise InputError("robot_structure", f"{where}: the <mimic> of joint '{name}' comes back to itself")
+            seen.append(leader)
+        ids = [model.getJointId(joint) for joint in (name, leader)]
+        if name in actuated or not all(k < model.njoints for k in ids):
+            continue
+        if any(model.joints[k].nv != 1 for k in ids):
+            raise InputError(
+                "robot_structure", f"{where}: the <mimic> of '{name}' needs joints of one degree of freedom"
+            )
+        if notes.loops and leader not in actuated:
+            raise InputError(
+                "unsupported",
+                f"{where}: joint '{name}' follows '{leader}', which has no motor; in a robot with loops it must",
+            )
+        found[name] = Mimic(leader, share, offset)
+    return found
+
+
+def _sum_friction(
+    actuated: tuple[str, ...], notes: Annotations, mimics: Mapping[str, Mimic]
+) -> dict[str, JointFriction]:
+    """Return the file's friction of the actuated joints; a follower's acts through its share, viscous by its square."""
+    found = {joint: notes.friction[joint] for joint in actuated if joint in notes.friction}
+    for joint, mimic in mimics.items():
+        if joint in notes.friction and mimic.joint in actuated:
+            before, more = found.get(mimic.joint, JointFriction(0.0, 0.0)), notes.friction[joint]
+            found[mimic.joint] = JointFriction(
+                before.viscous + mimic.multiplier**2 * more.viscous,
+                before.coulomb + abs(mimic.multiplier) * more.coulomb,
+            )
+    return found
+
+
 def _find_tool(model: pin.Model, notes: Annotations, wanted: str | None, where: str) -> str:
     """Return the tool frame's name; empty where none was named and none is evident."""
     if wanted is not None:
         if not model.existFrame(wanted):
             raise UnknownName("frame", wanted, [f.name for f in model.frames[1:]], where)
         return wanted
-    named = next((name for name in TOOL_NAMES if model.existFrame(name)), "")
-    return named or (notes.leaves[0] if len(notes.leaves) == 1 and not notes.loops else "")
+    links = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
+    for name in TOOL_NAMES:
+        if model.existFrame(name):
+            return name
+    if len(notes.leaves) == 1 and not notes.loops:
+        return notes.leaves[0]
+    ending = ([link for link in links if link.endswith((f"_{name}", f"-{name}"))] for name in TOOL_NAMES)
+    return next((same[0] for same in ending if len(same) == 1), "")
 
 
 def _add_loop(model: pin.Model, k: int, ball: BallConstraint, where: str) -> Loop:
@@ -249,8 +335,13 @@ def _links(model: pin.Model, notes: Annotations) -> tuple[LinkInertia, ...]:
     return tuple(found)
 
 
-def _parameters(links: tuple[LinkInertia, ...], armature_units: dict[str, str], notes: Annotations) -> Parameters:
+def _parameters(
+    links: tuple[LinkInertia, ...], armature_units: dict[str, str], notes: Annotations, mimics: Mapping[str, Mimic]
+) -> Parameters:
     armature = {t.joint: t.armature for t in notes.transmissions if t.armature is not None}
+    for joint, mimic in mimics.items():
+        if joint in armature:
+            armature[mimic.joint] = armature.get(mimic.joint, 0.0) + mimic.multiplier**2 * armature[joint]
     rows = [p for link in links for p in get_inertial_parameters(link)]
     for joint, unit in armature_units.items():
         origin = "robot file" if joint in armature else NOT_GIVEN

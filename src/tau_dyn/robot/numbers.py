@@ -1,11 +1,12 @@
-"""The numbers of a robot file's tree, checked before anybody reads them.
+"""The names and numbers of a robot file's tree, checked before anybody reads them.
 
 The parser that Pinocchio uses drops a whole `<inertial>` that it cannot read and goes on with a link without mass; a NaN passes
-through it into every force.
+through it into every force. It also reads numbers otherwise than Python does, which takes `8_0` for eighty.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from math import isfinite
 from typing import Any
@@ -16,7 +17,11 @@ from tau_dyn.exceptions import InputError
 
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _LIMITS = ("lower", "upper", "velocity", "effort")
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_LIMITED = ("revolute", "prismatic")
 
+MAX_NUMBER = 1e12
+"""Size of masses, inertias and places [kg, kg m^2, m]; squares and sums of larger ones overflow. Limits may be larger: none."""
 
 MAX_LEVELS = 100
 """Levels of a robot file; parsers go down one call a level."""
@@ -93,8 +98,28 @@ def check_parents(root: Element, where: str) -> None:
         rooted.update(path)
 
 
+def check_names(elements: Iterable[Any], where: str) -> None:
+    """Refuse names that do not fit on a line: they head columns of logs and stand in sentences.
+
+    Args:
+        elements: Of an ElementTree or of a minidom document.
+        where: The file.
+
+    Raises:
+        InputError: It shows the name.
+    """
+    for element in elements:
+        name = element.get("name") if isinstance(element, Element) else element.getAttribute("name")
+        if name and not name.isprintable():
+            tag = element.tag if isinstance(element, Element) else element.tagName
+            raise InputError(
+                "robot_structure",
+                f"{where}: <{tag} name={name[:60]!r}>: a name holds no line breaks or control characters",
+            )
+
+
 def check_numbers(root: Element, where: str) -> None:
-    """Refuse masses, inertias, origins, axes and limits that are missing or not finite numbers.
+    """Refuse masses, inertias, origins, axes and limits that are missing, not finite numbers, or of no joint.
 
     Raises:
         InputError: The message names the link or joint, the element and what it must hold.
@@ -114,10 +139,57 @@ def check_numbers(root: Element, where: str) -> None:
         place = f"{where}: joint '{joint.get('name', '')}'"
         _check(joint, "origin", ("xyz", "rpy"), 3, place)
         _check(joint, "axis", ("xyz",), 3, place)
-        _check(joint, "limit", _LIMITS, 1, place)
+        _check(joint, "limit", _LIMITS, 1, place, most=float("inf"))
+        _check(joint, "dynamics", ("damping", "friction"), 1, place)
+        _check_joint(joint, place)
 
 
-def _check(parent: Element, tag: str, names: tuple[str, ...], count: int, place: str, required: bool = False) -> None:
+def _check_joint(joint: Element, place: str) -> None:
+    axis, limit, kind = joint.find("axis"), joint.find("limit"), joint.get("type")
+    if kind != "fixed" and axis is not None and not any(parse_numbers(axis.get("xyz") or "1")):
+        raise InputError("robot_structure", f"{place}: <axis xyz='{axis.get('xyz')}'> has no direction")
+    if kind in _LIMITED and limit is not None:
+        lower, upper = (float(limit.get(side) or 0.0) for side in ("lower", "upper"))
+        if lower > upper:
+            raise InputError(
+                "robot_structure", f"{place}: <limit lower='{lower:g}' upper='{upper:g}'>: lower must not exceed upper"
+            )
+
+
+def check_inertia(mass: float, moments: Iterable[float], place: str) -> None:
+    """Refuse an inertia that no body has: a principal moment is at least zero, and at most the sum of the other two.
+
+    Args:
+        mass: [kg].
+        moments: The three principal moments about the centre [kg m^2].
+        place: What the sentence begins with.
+
+    Raises:
+        InputError: It says the moments.
+    """
+    low, middle, high = sorted(moments)
+    said = f"{place}: its principal moments of inertia are {low:.4g}, {middle:.4g} and {high:.4g} kg m^2"
+    if low < -_ROUNDING * high - _NO_MOMENT:
+        raise InputError("robot_structure", f"{said}; none is negative in any body")
+    if high > (1 + _ROUNDING) * (low + middle) + _NO_MOMENT:
+        raise InputError("robot_structure", f"{said}; in any body the largest is at most the sum of the others")
+    if not mass and high > _NO_MOMENT:
+        raise InputError("robot_structure", f"{said}, and its mass is zero; give it one")
+
+
+_ROUNDING = 0.01  # what files with two digits may be off by
+_NO_MOMENT = 1e-9  # [kg m^2] that of a grain
+
+
+def _check(
+    parent: Element,
+    tag: str,
+    names: tuple[str, ...],
+    count: int,
+    place: str,
+    required: bool = False,
+    most: float = MAX_NUMBER,
+) -> None:
     element = parent.find(tag)
     if element is None:
         if required:
@@ -127,20 +199,15 @@ def _check(parent: Element, tag: str, names: tuple[str, ...], count: int, place:
         text = element.get(name)
         if text is None and not required:
             continue
-        if not _are_numbers(text or "", count):
+        values = parse_numbers(text or "")
+        if len(values) != count or not all(isfinite(value) and abs(value) <= most for value in values):
+            size = "" if most > MAX_NUMBER else f" up to {most:g}"
             raise InputError(
-                "robot_structure", f"{place}: <{tag} {name}='{text or ''}'> must hold {count} finite number(s)"
+                "robot_structure", f"{place}: <{tag} {name}='{text or ''}'> must hold {count} finite number(s){size}"
             )
 
 
-def _are_numbers(text: str, count: int) -> bool:
-    values = parse_numbers(text)
-    return len(values) == count and all(map(isfinite, values))
-
-
 def parse_numbers(text: str) -> tuple[float, ...]:
-    """Return the numbers that a text lists between blanks; none where one word is no number."""
-    try:
-        return tuple(float(word) for word in text.split())
-    except ValueError:
-        return ()
+    """Return the numbers that a text lists between blanks; none where one word is no number in every program's eyes."""
+    words = [word for word in re.split(r"[ \t\r\n]+", text) if word]
+    return tuple(map(float, words)) if all(map(_NUMBER.fullmatch, words)) else ()

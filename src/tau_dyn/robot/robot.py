@@ -17,7 +17,7 @@ import pinocchio as pin
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Shown
-from tau_dyn.robot.annotations import ArmNames, Spring
+from tau_dyn.robot.annotations import ArmNames, JointFriction, Mimic, Spring
 
 INERTIAL = ("mass", "mx", "my", "mz", "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 _UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
@@ -94,6 +94,8 @@ class Robot(Shown):
         drive_scales: Travel [m] of actuated slides per metre that their drives read, 1 for those not named; see `drive_scale`.
         passive_home: Positions of passive joints [m or rad] from which the loops are closed at home, zero for those not named;
             they choose the assembly mode.
+        mimics: Joints that follow an actuated one, directly or over others.
+        friction: What the file says of the actuated joints' friction, their followers' included.
     """
 
     name: str
@@ -116,6 +118,8 @@ class Robot(Shown):
     tool: str = ""
     passive_home: Mapping[str, float] = field(default_factory=dict)
     drive_scales: Mapping[str, float] = field(default_factory=dict)
+    mimics: Mapping[str, Mimic] = field(default_factory=dict)
+    friction: Mapping[str, JointFriction] = field(default_factory=dict)
 
     @property
     def coupled_pairs(self) -> tuple[tuple[str, str], ...]:
@@ -155,6 +159,25 @@ class Robot(Shown):
         drive's own and count by its readings.
         """
         return np.array([self.drive_scales.get(joint, 1.0) for joint in self.actuated])
+
+    @property
+    def passive_v(self) -> np.ndarray:
+        """Indices in the tree's velocity of the joints that neither are actuated nor follow one (n,)."""
+        followers = [self.model.joints[self.model.getJointId(j)].idx_v for j in self.mimics]
+        return np.setdiff1d(np.arange(self.model.nv), [*self.active_v, *followers])
+
+    @property
+    def coupling(self) -> tuple[np.ndarray, np.ndarray]:
+        """Shares (nv, na) and offsets (nv,) by which actuated positions place actuated joints and those that follow them."""
+        share, offset = np.zeros((self.model.nv, self.na)), np.zeros(self.model.nv)
+        share[self.active_v, range(self.na)] = self.drive_scale
+        for joint, mimic in self.mimics.items():
+            row = self.model.joints[self.model.getJointId(joint)].idx_v
+            offset[row] = mimic.offset
+            if mimic.joint in self.actuated:
+                k = self.actuated.index(mimic.joint)
+                share[row, k] = mimic.multiplier * self.drive_scale[k]
+        return share, offset
 
     @property
     def joint_kinds(self) -> tuple[str, ...]:

@@ -79,6 +79,7 @@ def evaluate_xacro(
     arguments: Mapping[str, str],
     parse: Callable[..., Document],
     read_table: Callable[[str], str],
+    find: Callable[[str], str],
 ) -> None:
     """Evaluate a xacro in place.
 
@@ -88,6 +89,7 @@ def evaluate_xacro(
         arguments: Values of its arguments, by name.
         parse: Parses an included file, named by `filename`.
         read_table: Returns the text of a YAML table that the file loads.
+        find: Returns the folder of a ROS package.
 
     Raises:
         InputError: An expression reaches for more than values.
@@ -96,6 +98,8 @@ def evaluate_xacro(
     with _LOCK:
         xacro = _load_restricted_xacro()
         xacro.parse, xacro.read_table = parse, read_table
+        substitution: Any = import_module(f"{_NAME}.substitution_args")
+        substitution._eval_find = substitution._eval_dict["find"] = find
         xacro.init_stacks(str(path))
         xacro.process_doc(document, mappings=dict(arguments))
 

@@ -136,12 +136,12 @@ def propagate_twists(
         inverse: `J_p^+` (N, passive, 3 * loops).
         gain: Of the actuated joints (na,).
     """
-    by_active = _samples_first(found.tool_by_position[:, shape.active])
+    by_active = _samples_first(shape.gather(found.tool_by_position))
     by_parameter = _samples_first(found.tool_by_parameter)
     moving = _samples_first(found.position_by_parameter)
     if shape.n_loops:
         follows = _samples_first(found.tool_by_position[:, shape.passive]) @ inverse
-        by_active = by_active - follows @ _samples_first(found.gap_by_position[:, shape.active])
+        by_active = by_active - follows @ _samples_first(shape.gather(found.gap_by_position))
         by_parameter = by_parameter - follows @ _samples_first(found.gap_by_parameter)
     return by_parameter + by_active @ moving, by_active * gain
 
@@ -262,13 +262,13 @@ class TreeClosure:
         n, wanted = len(q), numbers.gain[:, None] * q.T + numbers.offset[:, None]
         if not self.shape.n_loops:
             x = np.zeros((self.shape.robot.model.nv, n))
-            x[self.shape.active] = wanted
+            self.shape.place(x, wanted)
             return ClosedConfigurations(x, np.zeros((n, 0, 0)), np.zeros(n), np.ones(n, bool), np.full(n, "", object))
         key = q.tobytes() + numbers.key
         if key != self._last[0]:  # derivatives are asked for where the poses just were
             nominal = self._nominal_closure(q)
             start = nominal.x.copy()
-            start[self.shape.active] = wanted
+            self.shape.place(start, wanted)
             self._last = key, self._newton(numbers, start, nominal)
         return self._last[1]
 

@@ -80,6 +80,20 @@ class TreeShape:
         """Number of loops."""
         return len(self.ends) // 2
 
+    def place(self, x: np.ndarray, q: np.ndarray) -> None:
+        """Put actuated positions (na, N), and those of the joints that follow them, into all joints' (nv, N)."""
+        x[self.active] = q
+        if self.robot.mimics:
+            share, offset = self.robot.coupling
+            rows = np.flatnonzero(share.any(axis=1))
+            x[rows] = share[rows] @ q + offset[rows, None]
+
+    def gather(self, columns: np.ndarray) -> np.ndarray:
+        """Return derivatives by actuated positions (m, na, N) of those by all joints (m, nv, N)."""
+        if not self.robot.mimics:
+            return columns[:, self.active]
+        return np.einsum("mvn,va->man", columns, self.robot.coupling[0])
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the joints."""
@@ -144,7 +158,7 @@ def get_shape(robot: Robot, tool: str | None = None) -> TreeShape:
     notes = read_annotations(robot.urdf, robot.source)
     pairs = [((b.link_a, b.point_a), (b.link_b, b.point_b)) for b in notes.loops]
     ends = tuple(_anchor(robot.model, link, np.array(point)) for pair in pairs for link, point in pair)
-    passive = np.setdiff1d([j.v for j in joints], robot.active_v) if ends else np.zeros(0, int)
+    passive = robot.passive_v if ends else np.zeros(0, int)
     frame = robot.model.frames[compute_tool_frame(robot, tool)]
     at = Anchor(
         frame.name, frame.parentJoint, frame.placement.translation.copy(), frame.placement.rotation.copy(),

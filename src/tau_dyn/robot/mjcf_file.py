@@ -1,0 +1,255 @@
+"""An MJCF file as MuJoCo reads it: included files put in, defaults of classes filled in, angles in radians.
+
+MuJoCo itself is not needed. Reference: MuJoCo's documentation, chapters "Modeling" and "XML reference".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element, ParseError
+
+import numpy as np
+from defusedxml.common import DefusedXmlException
+from defusedxml.ElementTree import fromstring
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.files import read_bytes
+from tau_dyn.robot.numbers import MAX_LEVELS, MAX_NUMBER, parse_numbers
+from tau_dyn.robot.rotations import build_rotation
+
+_MAX_BYTES = 32 * 2**20  # of an included file, as of any robot file
+_MAX_INCLUDED = 100  # files
+_MOTORS = "motor position velocity intvelocity damper cylinder muscle adhesion plugin dcmotor pid orientation".split()
+_TURNS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
+_MAIN = "main"
+
+
+class Pose(NamedTuple):
+    """A frame in another one: rotation (3, 3) and origin (3,) [m]."""
+
+    rotation: np.ndarray
+    origin: np.ndarray
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """Return where a frame is that sits at `other` in this one."""
+        return Pose(self.rotation @ other.rotation, self.rotation @ other.origin + self.origin)
+
+    def place(self, point: np.ndarray) -> np.ndarray:
+        """Return where a point (3,) of this frame is."""
+        return self.rotation @ point + self.origin
+
+    def invert(self) -> Pose:
+        """Return the outer frame in this one."""
+        return Pose(self.rotation.T, -self.rotation.T @ self.origin)
+
+
+STILL = Pose(np.eye(3), np.zeros(3))
+"""A frame in itself."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """An element with its class's defaults filled in; `where` begins sentences about it."""
+
+    tag: str
+    values: Mapping[str, str]
+    where: str
+    compiler: Mapping[str, str]
+
+    def get(self, key: str, default: str = "") -> str:
+        """Return an attribute's text."""
+        return self.values.get(key, default)
+
+    def numbers(self, key: str, default: str, count: int | None = None) -> np.ndarray:
+        """Return an attribute's numbers; a fixed count, or any from one up.
+
+        Raises:
+            InputError: It holds something else.
+        """
+        text = self.values.get(key, default)
+        found = parse_numbers(text)
+        if not found or (count is not None and len(found) != count) or not all(abs(x) <= MAX_NUMBER for x in found):
+            wanted = "numbers" if count is None else f"{count} finite number(s)"
+            raise InputError("robot_structure", f"{self.where}: {key}='{text}' must hold {wanted}")
+        return np.array(found)
+
+    def number(self, key: str, default: float) -> float:
+        """Return an attribute's one number."""
+        return float(self.numbers(key, repr(default), 1)[0])
+
+    def angle(self, value: float) -> float:
+        """Return an angle of the file in radians."""
+        return value if self.compiler.get("angle", "degree") == "radian" else float(np.deg2rad(value))
+
+    def limits(self, key: str, switch: str) -> np.ndarray | None:
+        """Return a range (2,), or None where it does not count."""
+        said = self.get(switch, "auto")
+        by_itself = self.compiler.get("autolimits", "true") != "false"
+        if said == "false" or key not in self.values or (said != "true" and not by_itself):
+            return None
+        found = self.numbers(key, "0 0", 2)
+        return found if found[0] < found[1] else None
+
+    def pose(self) -> Pose:
+        """Return where the file puts the element."""
+        return Pose(self._rotation(), self.numbers("pos", "0 0 0", 3))
+
+    def _rotation(self) -> np.ndarray:
+        key = next((key for key in _TURNS if key in self.values), "")
+        if not key:
+            return np.eye(3)
+        n = {"quat": 4, "axisangle": 4, "xyaxes": 6}.get(key, 3)
+        x = self.numbers(key, "", n)
+        if key == "euler":
+            return self._turn_by_euler(x)
+        size = np.linalg.norm(x[:3] if key in ("axisangle", "xyaxes") else x)
+        if size < 1e-12:  # MuJoCo takes such a quaternion for no turn at all
+            if key == "quat":
+                return np.eye(3)
+            raise InputError("robot_structure", f"{self.where}: {key}='{self.get(key)}' has no direction")
+        if key == "quat":
+            return turn_by_quaternion(x / size)
+        if key == "axisangle":
+            return turn_about(x[:3] / size, self.angle(x[3]))
+        if key == "xyaxes":
+            first = x[:3] / size
+            second = x[3:] - (x[3:] @ first) * first
+            second = second / np.linalg.norm(second)
+            return np.stack([first, second, np.cross(first, second)], axis=1)
+        return turn_z_to(x / size)
+
+    def _turn_by_euler(self, angles: np.ndarray) -> np.ndarray:
+        order, out = self.compiler.get("eulerseq", "xyz"), np.eye(3)
+        if len(order) != 3 or not set(order.lower()) <= set("xyz"):
+            raise InputError("robot_structure", f"{self.where}: eulerseq='{order}' must name three axes")
+        for letter, angle in zip(order, angles, strict=True):
+            turn = turn_about(np.eye(3)["xyz".index(letter.lower())], self.angle(angle))
+            out = out @ turn if letter.islower() else turn @ out
+        return out
+
+
+@dataclass
+class MjcfFile:
+    """A file with its included ones.
+
+    Attributes:
+        where: The file, as messages call it.
+        root: Its `<mujoco>`, inclusions put in.
+        compiler: Settings of all `<compiler>` elements, the last of each name.
+        defaults: By class and element, the attributes.
+    """
+
+    where: str
+    root: Element
+    compiler: dict[str, str] = field(default_factory=dict)
+    defaults: dict[str, dict[str, dict[str, str]]] = field(default_factory=lambda: {_MAIN: {}})
+
+    @classmethod
+    def read(cls, text: str, path: Path) -> MjcfFile:
+        """Read a file's text and what it includes.
+
+        Raises:
+            InputError: An inclusion is not there, comes twice, or is no XML without entities.
+        """
+        root = _parse(text, str(path))
+        _include(root, path.parent, str(path), [path.resolve()])
+        file = cls(str(path), root)
+        for element in root.findall("compiler"):
+            file.compiler |= dict(element.attrib)
+        for element in root.findall("default"):
+            file._read_defaults(element, element.get("class", _MAIN), {})
+        return file
+
+    def item(self, element: Element, child_class: str = "") -> Item:
+        """Return an element with the defaults of its class, or else of the class that its body gives its children."""
+        own = dict(element.attrib)
+        name = own.get("class") or child_class or _MAIN
+        where = f"{self.where}: <{element.tag} name='{own.get('name', '')}'>"
+        if name not in self.defaults:
+            raise InputError("robot_structure", f"{where}: there is no default class '{name}'")
+        inherited = self.defaults[name].get("general" if element.tag in _MOTORS else element.tag, {})
+        if any(key in own for key in _TURNS):
+            inherited = {key: value for key, value in inherited.items() if key not in _TURNS}
+        return Item(element.tag, {**inherited, **own}, where, self.compiler)
+
+    def sections(self, tag: str) -> Iterator[Element]:
+        """Yield the elements inside all sections of a name."""
+        for section in self.root.findall(tag):
+            yield from section
+
+    def _read_defaults(self, element: Element, name: str, inherited: Mapping[str, Mapping[str, str]]) -> None:
+        table = self.defaults.setdefault(name, {})
+        for tag, values in inherited.items():
+            table[tag] = {**values, **table.get(tag, {})}
+        for child in element:
+            if child.tag != "default":
+                tag = "general" if child.tag in _MOTORS else child.tag
+                table[tag] = {**table.get(tag, {}), **child.attrib}
+        for child in element.findall("default"):
+            if not child.get("class"):
+                raise InputError("robot_structure", f"{self.where}: a <default> inside '{name}' lacks its class")
+            self._read_defaults(child, child.get("class", ""), table)
+
+
+def turn_by_quaternion(quaternion: np.ndarray) -> np.ndarray:
+    """Return the rotation (3, 3) of a unit quaternion, scalar first."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def turn_about(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Return the rotation (3, 3) by an angle [rad] about a unit vector."""
+    return turn_by_quaternion(np.array([np.cos(angle / 2), *(np.sin(angle / 2) * axis)]))
+
+
+def turn_z_to(direction: np.ndarray) -> np.ndarray:
+    """Return the shortest turn (3, 3) that brings z into a unit direction; half a turn about x where that is -z."""
+    axis, cosine = np.cross([0.0, 0.0, 1.0], direction), direction[2]
+    size = np.linalg.norm(axis)
+    if size < 1e-12:
+        return np.eye(3) if cosine > 0 else build_rotation((np.pi, 0.0, 0.0))
+    return turn_about(axis / size, float(np.arctan2(size, cosine)))
+
+
+def _include(element: Element, folder: Path, where: str, seen: list[Path], level: int = 0) -> None:
+    """Replace each `<include>` by what its file holds."""
+    if level > MAX_LEVELS:
+        raise InputError("robot_structure", f"{where}: elements stand more than {MAX_LEVELS} deep inside each other")
+    k = 0
+    while k < len(element):
+        child = element[k]
+        if child.tag != "include":
+            _include(child, folder, where, seen, level + 1)
+            k += 1
+            continue
+        path = folder / child.get("file", "")
+        if path.resolve() in seen:
+            raise InputError("file_format", f"{where}: includes {path} twice, or itself")
+        if len(seen) > _MAX_INCLUDED:
+            raise InputError("file_too_large", f"{where}: includes more than {_MAX_INCLUDED} files")
+        seen.append(path.resolve())
+        try:
+            text = read_bytes(path, _MAX_BYTES)
+        except OSError as fault:
+            raise InputError(
+                "cannot_read", f"{where}: <include file='{child.get('file', '')}'> cannot be read"
+            ) from fault
+        element[k : k + 1] = list(_parse(text, str(path)))
+
+
+def _parse(text: str | bytes, where: str) -> Element:
+    try:
+        return fromstring(text, forbid_dtd=True)
+    except DefusedXmlException as fault:
+        raise InputError("file_format", f"{where}: a robot file may not declare a document type or entities") from fault
+    except ParseError as fault:
+        raise InputError("file_format", f"{where}: not well-formed XML ({fault})") from fault
