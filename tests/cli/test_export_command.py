@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
 import shutil
 import subprocess
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +16,11 @@ import pytest
 from tau_dyn.cli import main
 from tau_dyn.control import Correction, read_reference, write_correction, write_reference
 from tau_dyn.control.interface.reference import compute_digest
+from tau_dyn.effects import QuadraticDrag, build_friction_model
+from tau_dyn.exchange import build_mjcf, describe_price
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import Trajectory, move
+from tau_dyn.simulate import Trajectory, build_named_motion, move, simulate
 
 ROBOT = load_robot("gantry_tau")
 
@@ -114,3 +120,37 @@ def test_bad_requests_end_in_a_sentence(more, said, motion, tmp_path, capsys) ->
     error = capsys.readouterr().err
     assert said in error and len(error.splitlines()) == 1
     assert {p.name for p in tmp_path.iterdir()} == {"fast.csv", "motion.csv"}
+
+
+def test_a_robot_for_every_simulator(tmp_path, monkeypatch) -> None:
+    """URDF and MJCF of a short name, without a model file."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", "gantry_tau", "--to", "mjcf", "--set", "arms=complete"]) == 0
+    assert main(["export", "delta", "--to", "urdf"]) == 0
+    assert (tmp_path / "gantry_tau.xml").read_text().count("<connect") == 6
+    assert load_robot(str(tmp_path / "delta.urdf")).actuated == load_robot("delta").actuated
+
+
+def test_the_price_of_what_a_file_leaves_out(tmp_path, monkeypatch, capsys) -> None:
+    """Against the held-out log, then against the training log's motion, then unknown; nothing is said where all is carried."""
+    monkeypatch.chdir(tmp_path)
+    robot = load_robot("linear_axis")
+    drag = [*build_friction_model("symmetric", robot.actuated, robot.force_units), QuadraticDrag(("axis",), ("N",))]
+    model = Model.of(robot, drag).with_values({"axis.coulomb": 20.0, "axis.viscous": 100.0})
+    with_drag = model.with_values({n: 200.0 for n in drag[-1].parameters.names})
+    log = simulate(with_drag, build_named_motion("exciting", with_drag, 8.0, 1))
+    log.to_csv("log.csv")
+    row = {"path": "log.csv", "sha256": hashlib.sha256((tmp_path / "log.csv").read_bytes()).hexdigest()}
+    for use, said in (("held_out", "held-out force error is"), ("trained_on", "what is left out is"), ("none", "unknown")):
+        replace(with_drag, provenance={use: [row]}).save("m.yaml")
+        assert main(["export", "m.yaml", "--to", "mjcf", "--json", "r.json"]) == 0
+        assert said in capsys.readouterr().err and said in json.loads((tmp_path / "r.json").read_text())["price"]
+    drawn = [float(x) for x in re.findall("([0-9.]+) %", describe_price(*_carried(with_drag, "held_out", row)))]
+    assert drawn[0] < 1 < 3 < drawn[1]
+    model.save("m.yaml")
+    assert main(["export", "m.yaml", "--to", "mjcf", "--json", "r.json"]) == 0
+    assert json.loads((tmp_path / "r.json").read_text())["price"] is None
+
+
+def _carried(model, use, row):
+    return replace(model, provenance={use: [row]}), build_mjcf(model).carried, Path(".")

@@ -203,17 +203,28 @@ def test_the_file_says_what_it_is(write) -> None:
 
 
 def test_the_command_writes_source_and_header(tmp_path, write, capsys) -> None:
-    """One command from model file to C; the effect that is left out is named in a warning."""
+    """One command from model file to C; a recording's delay is left out and named, what needs a history asks for an option."""
     robot = load_robot("linear_axis")
-    made(robot, EFFECTS["delay"](robot.actuated, robot.force_units), size=1e-3).save(tmp_path / "m.yaml")
+    effects = {cause: EFFECTS[cause](robot.actuated, robot.force_units) for cause in ("delay", "hysteresis")}
+    made(robot, effects["delay"], size=1e-3).save(tmp_path / "late.yaml")
+    made(robot, *effects.values(), size=1e-3).save(tmp_path / "both.yaml")
     out, result = tmp_path / "ff.c", tmp_path / "r.json"
-    command = ["feedforward", "export", str(tmp_path / "m.yaml"), "--to", "c", "--out", str(out), "--json", str(result)]
-    assert main(command) == 2 and not out.exists() and not result.exists()
-    assert main([*command, "--steady"]) == 0
-    assert '#include "ff.h"' in out.read_text() and (tmp_path / "ff.h").exists()
-    found = json.loads(result.read_text())
-    assert found["left_out"] == ["delay"] and found["difference"] < 1e-10 and found["joints"] == ["axis"]
-    assert "warning: the feedforward leaves out delay" in capsys.readouterr().err
+    written = ["--to", "c", "--out", str(out), "--json", str(result)]
+    assert main(["feedforward", "export", str(tmp_path / "both.yaml"), *written]) == 2
+    assert not out.exists() and not result.exists()
+    for name, more, left_out in (("late", [], ["delay"]), ("both", ["--steady"], ["delay", "hysteresis"])):
+        assert main(["feedforward", "export", str(tmp_path / f"{name}.yaml"), *written, *more]) == 0
+        assert '#include "ff.h"' in out.read_text() and (tmp_path / "ff.h").exists()
+        found = json.loads(result.read_text())
+        assert found["left_out"] == left_out and found["difference"] < 1e-10 and found["joints"] == ["axis"]
+        assert "warning: the feedforward leaves out delay, which distorts what is recorded" in capsys.readouterr().err
+
+
+def test_a_robot_stands_for_its_rigid_body(tmp_path) -> None:
+    """A short name is enough where there is no model file yet."""
+    out = tmp_path / "ff.py"
+    assert main(["feedforward", "export", "linear_axis", "--to", "python", "--out", str(out)]) == 0
+    assert "def tau_ff" in out.read_text()
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.effects import AsymmetricFriction, Stribeck, SymmetricFriction
+from tau_dyn.effects import EFFECTS, AsymmetricFriction, Stribeck, SymmetricFriction, build_friction_model
 from tau_dyn.exchange import build_mjcf, build_urdf
-from tau_dyn.mechanism import TreeMechanism
+from tau_dyn.mechanism import LoopSolver, TreeMechanism
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot, load_robot_from_urdf
+from tau_dyn.simulate import free_motion
 
 ROBOTS = {
     "simplified": lambda write: load_robot("gantry_tau", gravity_mass=22.38),
@@ -76,20 +77,19 @@ def test_mujoco_gives_the_same_forces(model, rng):
     theirs = mujoco.MjModel.from_xml_string(build_mjcf(model).text)
     theirs.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     theirs.dof_damping[:] = 0
-    light = theirs.body_mass < 1e-6
+    light = (theirs.body_mass < 1e-6) & (theirs.body_gravcomp == 0)
     theirs.body_mass[light], theirs.body_inertia[light] = 0.0, 0.0
     data = mujoco.MjData(theirs)
     mujoco.mj_setConst(theirs, data)
     robot = model.robot
     order = [theirs.joint(n).dofadr[0] for n in list(robot.model.names)[1:]]
     tree = TreeMechanism(robot)
-    plain = model.with_values({n: 0.0 for n in robot.parameters.names if n.endswith(".gravity_mass")})
     for q, v, a in zip(*motion(robot, rng), strict=True):
         state = tree.solver.state(q, v, a)
         x = state.q if robot.model.nq == robot.model.nv else q
         data.qpos[order], data.qvel[order], data.qacc[order] = x, state.v, state.a
         mujoco.mj_inverse(theirs, data)
-        want = plain.mechanism.inverse_dynamics(q[None], v[None], a[None])[0]
+        want = model.mechanism.inverse_dynamics(q[None], v[None], a[None])[0]
         assert_allclose(state.G.T @ data.qfrc_inverse[order], want, atol=1e-9 * np.abs(data.qfrc_inverse).max())
 
 
@@ -131,3 +131,66 @@ def test_a_stock_arm_whose_meshes_are_elsewhere_becomes_mjcf():
     made = build_mjcf(Model.of(load_robot_from_urdf(urdf, "arm", actuated=["turn"])))
     assert "mesh" not in made.text and any("2 visual shapes" in sentence for sentence in made.left_out)
     assert mujoco.MjModel.from_xml_string(made.text).nbody == 2
+
+
+FREE = {
+    "l1": lambda: load_robot("gantry_tau", gravity_mass=22.38),
+    "d1": lambda: load_robot("gantry_tau", arms="complete", prototype="d1"),
+    "f1": lambda: load_robot("gantry_tau_f1"),
+    "delta": lambda: load_robot("delta"),
+    "stewart": lambda: load_robot("stewart"),
+    "ur5": lambda: load_robot("ur5"),
+}
+SPEEDS = {"stewart": 0.02}
+"""Speed at the start [m/s or rad/s] where 0.2 would leave the workspace."""
+
+
+def move_in_mujoco(robot, text: str, v0: np.ndarray, force: np.ndarray, seconds: float) -> np.ndarray:
+    """Return the actuated positions (n, na), one a millisecond, that `mj_step` makes of a file, from home and speeds, under constant forces."""
+    mujoco = pytest.importorskip("mujoco")
+    theirs = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(theirs)
+    mujoco.mj_resetDataKeyframe(theirs, data, 0)
+    names = list(robot.model.names)[1:]
+    data.qvel[[theirs.joint(n).dofadr[0] for n in names]] = LoopSolver(robot).state(robot.home, v0, 0 * v0).v
+    theirs.actuator_ctrllimited[:] = False
+    data.ctrl[:] = force
+    drives = [theirs.joint(n).qposadr[0] for n in robot.actuated]
+    found = [data.qpos[drives].copy()]
+    for _ in range(round(seconds / theirs.opt.timestep)):
+        mujoco.mj_step(theirs, data)
+        found.append(data.qpos[drives].copy())
+    return np.array(found)[:: round(1e-3 / theirs.opt.timestep)]
+
+
+@pytest.mark.parametrize("friction", [False, True])
+@pytest.mark.parametrize("name", FREE)
+def test_mujoco_moves_as_we_do(name, friction, rng):
+    """Half a second of `mj_step` from the file as it is, weight held, ends within 0.1 % of our own motion, friction included."""
+    robot = FREE[name]()
+    effects = [*build_friction_model("asymmetric", robot.actuated, robot.force_units)] if friction else []
+    effects += [EFFECTS[c](robot.actuated, robot.force_units) for c in ("drive_gain", "armature") if friction]
+    model = Model.of(robot, effects)
+    mass, weight = model.mechanism.mass_and_bias(robot.home, np.zeros(robot.na))
+    speed = SPEEDS.get(name, 0.2)
+    stops = np.diag(mass) * speed  # what would stop a joint within a second
+    size = {"coulomb_pos": 0.2, "coulomb_neg": 0.15, "viscous_pos": 0.3 / speed, "viscous_neg": 0.3 / speed}
+    size = {n: {j: x * s for j, s in zip(robot.actuated, stops, strict=True)} for n, x in size.items()}
+    size |= {"gain_error": dict.fromkeys(robot.actuated, 0.05)}
+    size |= {"armature_error": {j: 0.2 * m for j, m in zip(robot.actuated, np.diag(mass), strict=True)}}
+    model = model.with_values({n: size[n.split(".")[1]][n.split(".")[0]] for n in model.effect_parameters.names})
+    v0, force = speed * rng.standard_normal(robot.na), weight * (1.05 if friction else 1.0)
+    ours = free_motion(model, robot.home, v0, 0.5, dt=5e-4, tau=force).q[::2]
+    theirs = move_in_mujoco(robot, build_mjcf(model).text, v0, force, 0.5)
+    assert np.abs(theirs - ours).max() < 1e-3 * np.ptp(ours, axis=0).max()
+
+
+def test_a_urdf_says_what_ros2_control_may_command():
+    """Each drive takes an effort within its limit and shows position and velocity."""
+    robot = load_robot("gantry_tau")
+    system = fromstring(build_urdf(Model.of(robot)).text).find("ros2_control")
+    assert system is not None and [j.get("name") for j in system.findall("joint")] == list(robot.actuated)
+    drive = system.find("joint")
+    assert drive is not None and drive.find("command_interface").get("name") == "effort"
+    assert float(drive.findtext("command_interface/param[@name='max']")) == robot.effort_limit[0]
+    assert [s.get("name") for s in drive.findall("state_interface")] == ["position", "velocity"]

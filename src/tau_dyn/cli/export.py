@@ -79,11 +79,14 @@ class _Request:
 
     def load_model(self):
         """Return the model; of a robot its nominal rigid body without effects."""
-        from tau_dyn.model import Model
+        return load_model(self.source, self.robot_options)
 
-        if args.is_saved_model(self.source):
-            return Model.load(self.source)
-        return Model.of(self.robot_options.load(self.source), [])
+
+def load_model(source: Path, options: args.RobotOptions):
+    """Return a file's model; of a robot its nominal rigid body without effects."""
+    from tau_dyn.model import Model
+
+    return Model.load(source) if args.is_saved_model(source) else Model.of(options.load(str(source)), [])
 
 
 def export(
@@ -101,7 +104,7 @@ def export(
     """A robot or its identified model for another program: URDF, MJCF, FMU, C kinematics, controller references, RAPID.
 
     Args:
-        model: A model file of identify or diagnose; for fmu, c, reference and rapid also a robot (file or short name)
+        model: A model file of identify or diagnose; or a robot (file or short name), which stands for its nominal rigid body
         to: Format
     """
     chosen = FORMATS[to]
@@ -139,27 +142,22 @@ def _name_beside(model: Path, motion: Path | None, ending: str) -> Path:
 
 def _make_exchanged(request: _Request) -> Made:
     """Return URDF or MJCF."""
-    from tau_dyn.exchange import build_mjcf, build_urdf
-    from tau_dyn.model import Model
+    from tau_dyn.exchange import build_mjcf, build_urdf, describe_price
 
-    if not args.is_saved_model(request.source):
-        learned = f"tau-dyn identify {request.source} LOG --out model.yaml"
-        raise InputError(
-            "unsupported",
-            f"{request.source}: --to {request.to} takes a model file, as `{learned}` writes it; a robot's file is there already",
-        )
-    model = Model.load(request.source)
+    model = request.load_model()
     made = build_urdf(model) if request.to == "urdf" else build_mjcf(model)
     links = len(model.robot.links)
-    kept = f"; nominal values, not identified: {', '.join(made.nominal)}" if made.nominal else ""
+    kept = f"; nominal values, not identified: {', '.join(made.nominal)}" if made.nominal and model.provenance else ""
     shared = f"; one of many splits with the same forces: {', '.join(made.split)}" if made.split else ""
     carriers = "link that carries" if links == 1 else "links that carry"
     said = f"{model.robot.name} with {links} {carriers} mass -> {request.out}{kept}{shared}"
+    changed = made.carried.parameters.values != model.parameters.values
+    price = [describe_price(model, made.carried, request.source.parent)] if changed.any() else []
     return Made(
         {request.out: made.text},
         said,
-        {"left_out": list(made.left_out), "nominal": list(made.nominal)},
-        tuple(made.left_out),
+        {"left_out": list(made.left_out), "nominal": list(made.nominal), "price": price[0] if price else None},
+        (*made.left_out, *price),
     )
 
 
@@ -281,7 +279,7 @@ _ENDINGS = {"c": ".c", "python": ".py"}
 
 
 def export_feedforward(
-    model: Annotated[Path, Parameter(name="MODEL.yaml")],
+    model: Annotated[Path, Parameter(name="MODEL.yaml|ROBOT")],
     /,
     *,
     to: Literal["c", "python"],
@@ -290,17 +288,18 @@ def export_feedforward(
     width: Annotated[args.Positives, Parameter(metavar="V")] = (0.01,),
     shape: Literal["ramp", "tanh"] = "ramp",
     steady: bool = False,
+    robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
     """A model's feedforward tau_ff(q, v, a) written out for a controller: dependency-free C, or Python with NumPy alone.
 
     Args:
-        model: A model file of identify or diagnose
+        model: A model file of identify or diagnose, or a robot, which stands for its nominal rigid body
         to: Language
         name: Of the function
         width: Speed within which the sign of friction is smoothed, one or one a joint [m/s or rad/s]
         shape: Of the smoothed sign
-        steady: Leave out effects that need a history, and say which
+        steady: Leave out effects that need a history, and say which (what only distorts recordings, as a delay, is always left out)
     """
     ending = _ENDINGS[to]
     if out.suffix != ending:
@@ -316,11 +315,12 @@ def export_feedforward(
             write_python_source,
         )
         from tau_dyn.control import Feedforward
-        from tau_dyn.model import Model
+        from tau_dyn.effects import acts_on_recording
 
-        loaded = Model.load(model)
-        kept = loaded.steady(ARGUMENTS) if steady else loaded
-        dropped = [effect.name for effect in loaded.effects if effect not in kept.effects]
+        loaded = load_model(model, robot_options)
+        recorded = [effect for effect in loaded.effects if acts_on_recording(effect)]
+        kept = loaded.steady(ARGUMENTS) if steady else loaded.only(e for e in loaded.effects if e not in recorded)
+        dropped = [effect for effect in loaded.effects if effect not in kept.effects]
         program = build_program(Feedforward(kept, width=width[0] if len(width) == 1 else np.array(width), shape=shape))
         if to == "c":
             header = locate_header(out)
@@ -337,7 +337,7 @@ def export_feedforward(
         "signals": list(program.signals),
         "expressions": size,
         "difference": program.difference,
-        "left_out": dropped,
+        "left_out": [effect.name for effect in dropped],
     }
     said = (
         f"{name}({', '.join(('q', 'v', 'a', *program.signals))}): {size} expressions, within "
@@ -346,9 +346,15 @@ def export_feedforward(
     return Outcome(
         result=result,
         warnings=[
-            f"the feedforward leaves out {effect}, which a single state does not determine" for effect in dropped
+            f"the feedforward leaves out {effect.name}, "
+            + (
+                "which distorts what is recorded: the force is the one at the reference's own time"
+                if effect in recorded
+                else "which a single state does not determine"
+            )
+            for effect in dropped
         ],
-        inputs=[model],
+        inputs=[model] if args.is_saved_model(model) else robot_options.list_files(str(model)),
         lines=[said],
         files=files,
     )

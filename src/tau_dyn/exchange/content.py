@@ -1,25 +1,38 @@
-"""What other programs' robot files can carry of a model: each link's inertia, and one friction of each joint.
+"""What other programs' robot files can carry of a model: each link's inertia, and one law of each joint.
 
-Neither URDF nor MJCF knows friction that differs by direction, and neither knows our other effects: friction is written as the
-mean of both directions, the rest is left out, and both are said. Base parameters alone are what data determine
-(Khalil & Dombre 2002, ch. 9). Where only a combination is identified, the file holds one of many splits with the same forces.
+    tau = offset + coulomb sign(v) + viscous v + armature a,     reported as (1 + gain_error) tau
+
+URDF knows no offset and no gain, MJCF knows both (an actuator's gain and bias), so Coulomb friction that differs by direction is
+exact in MJCF: its mean, and half its difference as an offset. Viscous friction is written as the mean of both directions. All
+other effects are left out, and said. Base parameters alone are what data determine (Khalil & Dombre 2002, ch. 9). Where only a
+combination is identified, the file holds one of many splits with the same forces.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.effects import AsymmetricFriction, SymmetricFriction
+from tau_dyn.effects import (
+    Armature,
+    AsymmetricFriction,
+    CoulombAsymmetry,
+    DriveGain,
+    Effect,
+    SymmetricFriction,
+    TorqueOffset,
+)
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter
 from tau_dyn.robot import LinkInertia
 from tau_dyn.version import __version__
 
-_PARTS = {"coulomb": ("coulomb", "coulomb_pos", "coulomb_neg"), "viscous": ("viscous", "viscous_pos", "viscous_neg")}
+_BY_JOINT = (SymmetricFriction, AsymmetricFriction, Armature)  # what every format knows
+_OF_DRIVES = (CoulombAsymmetry, TorqueOffset, DriveGain)  # what an actuator's gain and bias say
 
 
 @dataclass(frozen=True)
@@ -29,6 +42,7 @@ class Exported:
     Attributes:
         text: The file.
         left_out: What of the model the format cannot carry, a sentence each.
+        carried: The model with the values that the file has.
         nominal: Inertial parameters that no data excited; they have their nominal values.
         split: Inertial parameters of which only combinations are identified; their values are one of many splits of these
             combinations that give the same forces.
@@ -36,6 +50,7 @@ class Exported:
 
     text: str
     left_out: tuple[str, ...]
+    carried: Model
     nominal: tuple[str, ...]
     split: tuple[str, ...] = ()
 
@@ -61,32 +76,77 @@ def build_body(link: LinkInertia, model: Model) -> BodyInertia:
     return BodyInertia(mass, centre, about_origin - shifted)
 
 
-def compute_friction(model: Model, joint: str) -> dict[str, float]:
-    """Return a joint's `coulomb` [N or N m] and `viscous` friction, each the mean of both directions."""
-    found = {}
-    for part, names in _PARTS.items():
-        values = [
-            model.effect_parameters[f"{joint}.{n}"].value for n in names if f"{joint}.{n}" in model.effect_parameters
-        ]
-        found[part] = float(np.mean(values)) if values else 0.0
-    return found
+def build_carried_model(model: Model, *, drives: bool) -> Model:
+    """Return the model with the values that a file carries; what it leaves out is zero.
+
+    Args:
+        model: The model.
+        drives: Whether the format knows a drive's gain and a constant force.
+    """
+    values = {n: 0.0 for e in _list_unknown(model, drives) for n in e.parameters.names}
+    for _, _, both in _list_pairs(model, drives):
+        values |= dict.fromkeys(both, float(np.mean([model.effect_parameters[n].value for n in both])))
+    return model.with_values(values)
 
 
-def list_omitted_effects(model: Model) -> tuple[str, ...]:
-    """Return what neither format can carry, a sentence each."""
-    said = []
-    for effect in model.effects:
-        if not isinstance(effect, SymmetricFriction | AsymmetricFriction):
-            said.append(f"effect {effect.name} of {', '.join(effect.joints)} is left out: the format does not know it")
-    for joint in model.robot.actuated:
-        for part in _PARTS:
-            both = [f"{joint}.{part}_{side}" for side in ("pos", "neg")]
-            if all(n in model.effect_parameters for n in both):
-                a, b = (model.effect_parameters[n].value for n in both)
-                if abs(a - b) > 1e-9 * (abs(a) + abs(b)):
-                    said.append(
-                        f"{joint}: {part} friction {a:.4g} and {b:.4g} in the two directions is written as its mean"
-                    )
+def _list_unknown(model: Model, drives: bool) -> list[Effect]:
+    """Return the effects that a format does not know."""
+    known = _BY_JOINT + (_OF_DRIVES if drives else ())
+    return [effect for effect in model.effects if not isinstance(effect, known)]
+
+
+def _list_pairs(model: Model, drives: bool) -> list[tuple[str, str, list[str]]]:
+    """Return joint, part of friction and both directions' names where a file has their mean instead."""
+    parts = ("viscous",) if drives else ("coulomb", "viscous")
+    rows = [(j, p, [f"{j}.{p}_{side}" for side in ("pos", "neg")]) for j in model.robot.actuated for p in parts]
+    return [row for row in rows if all(name in model.effect_parameters for name in row[2])]
+
+
+class JointLaw(NamedTuple):
+    """A joint's own force in a file; see the module.
+
+    Attributes:
+        coulomb: [N or N m].
+        viscous: [N s/m or N m s/rad].
+        offset: [N or N m].
+        armature: [kg or kg m^2].
+        gain: Reported over true force.
+    """
+
+    coulomb: float
+    viscous: float
+    offset: float
+    armature: float
+    gain: float
+
+
+def read_joint_law(carried: Model, joint: str) -> JointLaw:
+    """Return a joint's law in a model that `build_carried_model` made."""
+
+    def value(name: str) -> float:
+        found = carried.effect_parameters
+        return found[f"{joint}.{name}"].value if f"{joint}.{name}" in found else 0.0
+
+    pos, neg = value("coulomb_pos"), value("coulomb_neg")
+    return JointLaw(
+        value("coulomb") + (pos + neg) / 2,
+        value("viscous") + value("viscous_pos"),
+        value("offset") + value("coulomb_asymmetry") + (pos - neg) / 2,
+        carried.robot.parameters[f"{joint}.armature"].value + value("armature_error"),
+        1 + value("gain_error"),
+    )
+
+
+def list_omissions(model: Model, *, drives: bool) -> tuple[str, ...]:
+    """Return what of a model a file does not carry, a sentence each; see `build_carried_model`."""
+    said = [
+        f"effect {effect.name} of {', '.join(effect.joints)} is left out: the format does not know it"
+        for effect in _list_unknown(model, drives)
+    ]
+    for joint, part, both in _list_pairs(model, drives):
+        a, b = (model.effect_parameters[n].value for n in both)
+        if abs(a - b) > 1e-9 * (abs(a) + abs(b)):
+            said.append(f"{joint}: {part} friction {a:.4g} and {b:.4g} in the two directions is written as its mean")
     return tuple(said)
 
 
@@ -105,7 +165,7 @@ def _inertial(model: Model) -> list[Parameter]:
     return list(model.robot.parameters.select(list(names)))
 
 
-def format_header(model: Model) -> str:
+def format_header(model: Model, left_out: Sequence[str]) -> str:
     """Return what a file says about itself: no two hyphens in a row, which XML comments cannot hold, no control characters."""
     lines = [f"Written by tau_dyn {__version__} from {model.robot.source}."]
     if kept := list_nominal_parameters(model):
@@ -115,6 +175,6 @@ def format_header(model: Model) -> str:
             "Identified only in combination; these values are one of many splits with the same forces, and no estimates: "
             f"{', '.join(shared)}."
         )
-    lines += [f"{sentence}." for sentence in list_omitted_effects(model)]
+    lines += [f"{sentence}." for sentence in left_out]
     text = "".join(c if c.isprintable() else "?" for c in " ".join(lines))
     return re.sub("-(?=-)", "- ", text)

@@ -1,8 +1,9 @@
 """A model's robot as MJCF for MuJoCo: nested bodies, loops as `<connect>` between sites, motors, home as a keyframe.
 
 MuJoCo's own URDF reader drops loops and drive inertia. Here every movable joint becomes a body with the model's inertia
-(links fixed to it merged in), `armature`, `damping` and `frictionloss`; loops are tied at sites, which unlike ties between
-bodies do not depend on the pose that the file is compiled at. Bodies without mass get 1e-9 kg, which MuJoCo demands.
+(links fixed to it merged in), `armature`, `damping` and `frictionloss`; a drive's gain and constant force stand at its actuator.
+Loops are tied at sites, which unlike ties between bodies do not depend on the pose that the file is compiled at. Bodies without
+mass get 1e-9 kg, which MuJoCo demands.
 """
 
 from __future__ import annotations
@@ -19,17 +20,27 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.exchange.content import (
     Exported,
     build_body,
-    compute_friction,
+    build_carried_model,
     format_header,
     list_nominal_parameters,
-    list_omitted_effects,
+    list_omissions,
+    read_joint_law,
     split,
 )
 from tau_dyn.mechanism import Joint, LoopSolver, list_joints
 from tau_dyn.model import Model
 
+TIMESTEP_S = 5e-4
+"""Time step that the file asks for [s]: MuJoCo's step is of first order, and errs by less than 0.1 % in 0.5 s of free motion,
+friction that stops joints included; 1 ms would leave 0.11 %."""
+
+_STIFF = {"solref": f"{2 * TIMESTEP_S:g} 1", "solimp": "0.9999 0.99999 0.001"}
+"""Loops and dry friction as hard as MuJoCo takes them: it corrects no faster than over two steps, and an impedance of 1 - 1e-5
+leaves so little of a loop's acceleration. Its defaults, 20 ms and 0.9, open loops by millimetres."""
+
 _SEEN_ONLY = {"contype": "0", "conaffinity": "0", "mass": "0"}
-_MIN_INERTIA = {"mass": "1e-9", "inertia": "1e-12"}
+_LIGHT = 1e-9  # kg, of bodies without mass
+_MIN_INERTIAL = {"pos": "0 0 0", "mass": f"{_LIGHT:g}", "diaginertia": "1e-12 1e-12 1e-12"}
 
 
 def build_mjcf(model: Model) -> Exported:
@@ -45,28 +56,29 @@ def build_mjcf(model: Model) -> Exported:
         raise InputError(
             "unsupported", f"{robot.source}: MJCF is written for robots of joints with one degree of freedom each"
         )
+    carried = build_carried_model(model, drives=True)
+    left_out = list_omissions(model, drives=True)
     root = Element("mujoco", model=robot.name)
-    root.append(Comment(f" {format_header(model)} "))
+    root.append(Comment(f" {format_header(model, left_out)} "))
     SubElement(root, "compiler", angle="radian", autolimits="true", boundmass="1e-9", boundinertia="1e-12")
-    SubElement(root, "option", gravity=_numbers(robot.model.gravity.linear))
+    SubElement(root, "option", gravity=_numbers(robot.model.gravity.linear), timestep=_numbers([TIMESTEP_S]))
     world = SubElement(root, "worldbody")
-    bodies = _bodies(world, model, joints)
+    bodies = _bodies(world, carried, joints)
+    _add_weights(bodies, model)
     shapes = _draw(model, [world, *bodies])
     _tie(root, model, [world, *bodies])
     actuator = SubElement(root, "actuator")
     for joint, limit in zip(robot.actuated, robot.effort_limit, strict=True):
         more = {"ctrlrange": _numbers([-limit, limit])} if np.isfinite(limit) else {}
-        SubElement(actuator, "motor", {"name": f"{joint}_motor", "joint": joint, **more})
+        law = read_joint_law(carried, joint)
+        if law.gain != 1 or law.offset:
+            more |= {"biastype": "affine", "gainprm": _numbers([1 / law.gain]), "biasprm": _numbers([-law.offset, 0, 0])}
+        SubElement(actuator, "general", {"name": f"{joint}_motor", "joint": joint, **more})
     key = SubElement(root, "keyframe")
     SubElement(key, "key", name="home", qpos=_numbers(_home(model, joints, world)))
     ElementTree.indent(root)
     text = '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
-    extra = tuple(
-        f"{name} weighs more under gravity than in motion, which MJCF cannot say"
-        for name in robot.parameters.names
-        if name.endswith(".gravity_mass") and robot.parameters[name].value
-    )
-    return Exported(text, (*list_omitted_effects(model), *extra, *shapes), list_nominal_parameters(model), split(model))
+    return Exported(text, (*left_out, *shapes), carried, list_nominal_parameters(model), split(model))
 
 
 def _bodies(world: Element, model: Model, joints: list[Joint]) -> list[Element]:
@@ -84,8 +96,7 @@ def _bodies(world: Element, model: Model, joints: list[Joint]) -> list[Element]:
             full = _numbers(carried.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
             SubElement(body, "inertial", pos=_numbers(carried.centre), mass=_numbers([carried.mass]), fullinertia=full)
         else:
-            least = _MIN_INERTIA["inertia"]
-            SubElement(body, "inertial", pos="0 0 0", mass=_MIN_INERTIA["mass"], diaginertia=f"{least} {least} {least}")
+            SubElement(body, "inertial", _MIN_INERTIAL)
         found.append(body)
     return found[1:]
 
@@ -98,10 +109,29 @@ def _joint(model: Model, joint: Joint) -> dict[str, str]:
     if item.nq == 1 and lower < upper and np.isfinite(lower + upper) and upper - lower < 1e10:
         said["range"] = _numbers([lower, upper])
     if name in robot.actuated:
-        friction = compute_friction(model, name)
-        said["armature"] = _numbers([robot.parameters[f"{name}.armature"].value])
-        said |= {"damping": _numbers([friction["viscous"]]), "frictionloss": _numbers([friction["coulomb"]])}
+        law = read_joint_law(model, name)
+        said |= {"armature": _numbers([law.armature]), "damping": _numbers([law.viscous])}
+        if law.coulomb:
+            stiff = {f"{key}friction": value for key, value in _STIFF.items()}
+            said |= {"frictionloss": _numbers([law.coulomb]), **stiff}
     return said
+
+
+def _add_weights(bodies: list[Element], model: Model) -> None:
+    """Give mass that only gravity feels a body of its own with hardly any inertia, which gravity pulls so much more.
+
+    MuJoCo looks at `gravcomp` only where some body has one above zero; its carrier gets one that is too small to matter.
+    """
+    robot = model.robot
+    for name in robot.parameters.names:
+        mass = robot.parameters[name].value
+        if name.endswith(".gravity_mass") and mass:
+            link = robot.model.frames[robot.model.getFrameId(name.rsplit(".", 1)[0])]
+            place = {"name": name.replace(".", "_"), "pos": _numbers(link.placement.translation)}
+            carrier = bodies[link.parentJoint - 1]
+            carrier.set("gravcomp", "1e-12")
+            body = SubElement(carrier, "body", {**place, "gravcomp": _numbers([-mass / _LIGHT])})
+            SubElement(body, "inertial", _MIN_INERTIAL)
 
 
 def _draw(model: Model, bodies: list[Element]) -> list[str]:
@@ -151,7 +181,8 @@ def _tie(root: Element, model: Model, bodies: list[Element]) -> None:
             SubElement(
                 bodies[end.parentJoint], "site", name=end.name, pos=_numbers(end.placement.translation), size="0.005"
             )
-        SubElement(equality, "connect", name=f"{ends[0].name}_{ends[1].name}", site1=ends[0].name, site2=ends[1].name)
+        a, b = (end.name for end in ends)
+        SubElement(equality, "connect", {"name": f"{a}_{b}", "site1": a, "site2": b, **_STIFF})
 
 
 def _home(model: Model, joints: list[Joint], world: Element) -> list[float]:

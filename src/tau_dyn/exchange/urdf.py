@@ -2,6 +2,7 @@
 
 Links that are fixed to a moving link lose their own inertia to it, since data see only their sum. Friction goes to `<dynamics>`,
 drive inertia to Drake's `<drake:rotor_inertia>` (which our loader reads too), mass that only gravity feels to our own element.
+`<ros2_control>` lists each drive with an effort command within its limit, and position and velocity as states.
 """
 
 from __future__ import annotations
@@ -16,20 +17,24 @@ from tau_dyn.exchange.content import (
     BodyInertia,
     Exported,
     build_body,
-    compute_friction,
+    build_carried_model,
     format_header,
     list_nominal_parameters,
-    list_omitted_effects,
+    list_omissions,
+    read_joint_law,
     split,
 )
 from tau_dyn.model import Model
 
 _DRAKE, _OURS = "http://drake.mit.edu", "urn:tau_dyn"
+_HARDWARE = "mock_components/GenericSystem"  # what ros2_control brings for trials; a real drive's plugin replaces it
 _ENTRIES = (("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 1, 2), ("izz", 2, 2))
 
 
 def build_urdf(model: Model) -> Exported:
     """Return the model's robot as URDF text, which reads back with the same rigid-body forces."""
+    carried = build_carried_model(model, drives=False)
+    left_out = list_omissions(model, drives=False)
     root = fromstring(model.robot.urdf, forbid_dtd=True)
     links = {e.get("name", ""): e for e in root.findall("link")}
     for link in model.robot.links:
@@ -40,10 +45,11 @@ def build_urdf(model: Model) -> Exported:
     for joint in model.robot.mimics:  # their friction is within that of the joint that they follow
         _remove(joints[joint], "dynamics")
     for joint in model.robot.actuated:
-        friction = compute_friction(model, joint)
+        law = read_joint_law(carried, joint)
         _remove(joints[joint], "dynamics")
-        SubElement(joints[joint], "dynamics", damping=_text(friction["viscous"]), friction=_text(friction["coulomb"]))
-    _write_drives(root, model)
+        SubElement(joints[joint], "dynamics", damping=_text(law.viscous), friction=_text(law.coulomb))
+    _write_drives(root, carried)
+    _write_ros2_control(root, model)
     _write_gravity_mass(root, model)
     _remove(root, f"{{{_OURS}}}estimated_inertias")
     SubElement(
@@ -53,8 +59,8 @@ def build_urdf(model: Model) -> Exported:
         ElementTree.register_namespace(prefix, space)
     ElementTree.indent(root)
     body = ElementTree.tostring(root, encoding="unicode")
-    text = f'<?xml version="1.0"?>\n<!-- {format_header(model)} -->\n{body}\n'
-    return Exported(text, list_omitted_effects(model), list_nominal_parameters(model), split(model))
+    text = f'<?xml version="1.0"?>\n<!-- {format_header(model, left_out)} -->\n{body}\n'
+    return Exported(text, left_out, carried, list_nominal_parameters(model), split(model))
 
 
 def _fixed_to(root: Element, link: str) -> list[str]:
@@ -94,7 +100,7 @@ def _write_drives(root: Element, model: Model) -> None:
         for space in (_DRAKE, "https://drake.mit.edu"):
             for tag in ("rotor_inertia", "gear_ratio"):
                 _remove(actuator, f"{{{space}}}{tag}")
-        armature = model.robot.parameters[f"{joint}.armature"].value
+        armature = read_joint_law(model, joint).armature
         if armature:
             SubElement(actuator, f"{{{_DRAKE}}}rotor_inertia", value=_text(armature))
             SubElement(actuator, f"{{{_DRAKE}}}gear_ratio", value="1")
@@ -110,6 +116,22 @@ def _actuator(root: Element, transmission: Element | None, joint: str) -> Elemen
     for extra in actuators[1:]:
         transmission.remove(extra)
     return actuators[0] if actuators else SubElement(transmission, "actuator", name=f"{joint}_motor")
+
+
+def _write_ros2_control(root: Element, model: Model) -> None:
+    """Say which drives take an effort and what is read of them; a file that says so itself is left as it is."""
+    if root.find("ros2_control") is not None:
+        return
+    system = SubElement(root, "ros2_control", name=f"{model.robot.name}_drives", type="system")
+    SubElement(SubElement(system, "hardware"), "plugin").text = _HARDWARE
+    for joint, limit in zip(model.robot.actuated, model.robot.effort_limit, strict=True):
+        drive = SubElement(system, "joint", name=joint)
+        command = SubElement(drive, "command_interface", name="effort")
+        if np.isfinite(limit):
+            for name, value in (("min", -limit), ("max", limit)):
+                SubElement(command, "param", name=name).text = _text(value)
+        for name in ("position", "velocity"):
+            SubElement(drive, "state_interface", name=name)
 
 
 def _write_gravity_mass(root: Element, model: Model) -> None:

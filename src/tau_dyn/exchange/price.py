@@ -1,0 +1,74 @@
+"""What it costs that a file cannot carry all of a model: the force error with and without, on the logs that the model names.
+
+A model file names its held-out logs and their hashes. On these both predictions are compared with the measured force, filtered
+and masked as `identify` does it. Where it names training logs alone, what is left out is measured as a force, over their motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.files import compute_sha256
+from tau_dyn.identify import build_force_errors, build_regression
+from tau_dyn.log import Log, read_log
+from tau_dyn.model import Model
+
+
+def describe_price(model: Model, carried: Model, folder: Path) -> str:
+    """Return one sentence about what a file costs that holds `carried` instead of `model`.
+
+    Args:
+        model: The model, with the provenance of its file.
+        carried: What the file carries of it.
+        folder: Where the model file lies; its logs are looked for there and where the program runs.
+    """
+    held, trained = (_find_logs(model, use, folder) for use in ("held_out", "trained_on"))
+    try:
+        if held:
+            before, after = compute_held_out_errors(model, carried, held)
+            return f"the held-out force error is {before:.3g} % with the whole model, {after:.3g} % with what the file carries"
+        if trained:
+            size = ", ".join(
+                f"{x:.3g} {unit} at {joint}"
+                for joint, x, unit in zip(
+                    model.robot.actuated,
+                    compute_lost_force(model, carried, trained),
+                    model.robot.force_units,
+                    strict=True,
+                )
+            )
+            return f"what is left out is {size} (RMS over the training logs' motion)"
+    except (InputError, CannotAnswer) as fault:
+        return f"what that costs is unknown: {fault}"
+    return "what that costs is unknown: the model's logs are not here"
+
+
+def compute_held_out_errors(model: Model, carried: Model, logs: Sequence[Log]) -> tuple[float, float]:
+    """Return the relative force error [%] of a model and of what is carried of it, both on the same filtered samples."""
+    regression = build_regression(model, logs)
+    before, after = (build_force_errors(regression, m.parameters.values) for m in (model, carried))
+    return before.relative_error_percent, after.relative_error_percent
+
+
+def compute_lost_force(model: Model, carried: Model, logs: Sequence[Log]) -> np.ndarray:
+    """Return the RMS (na,) [N or N m] of the force that is left out, along the logs' motion."""
+    change = model.parameters.values - carried.parameters.values
+    rows = [(run.W @ change, run.usable) for run in build_regression(model, logs).runs]
+    lost, usable = (np.concatenate(part) for part in zip(*rows, strict=True))
+    return np.sqrt((lost**2 * usable).sum(axis=0) / np.maximum(usable.sum(axis=0), 1))
+
+
+def _find_logs(model: Model, use: str, folder: Path) -> list[Log]:
+    """Return a model's logs where all of them are here and are what they were."""
+    found = []
+    for row in model.provenance.get(use, []):
+        places = [p for p in (Path(row["path"]), folder / row["path"], folder / Path(row["path"]).name) if p.is_file()]
+        path = next((p for p in places if compute_sha256(p) == row.get("sha256")), None)
+        if path is None:
+            return []
+        found.append(read_log(path))
+    return found
