@@ -28,6 +28,12 @@ def _short(value: object) -> str:
     return f"{value:.1f}".removesuffix(".0") if isinstance(value, float) else str(value)
 
 
+def draw_svg(title: str, size: tuple[float, float], style: str, *pieces: Markup | str) -> Markup:
+    """Return a whole drawing of a width and a height; screen readers read its title."""
+    box = f"0 0 {size[0]:.0f} {size[1]:.0f}"
+    return format_tag("svg", format_tag("title", title), *pieces, viewBox=box, role="img", class_=style)
+
+
 def format_path(points: np.ndarray, *, closed: bool = False) -> str:
     """Return a path through points (n, 2) of the drawing."""
     return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points) + ("Z" if closed else "")
@@ -225,10 +231,9 @@ class Chart:
 
     def render(self, *marks: r.Mark, style: str = "chart", beside: str = "", wider: int = 0) -> Markup:
         """Return the whole drawing: axes behind, marks within, and what stands beside it in so much more width."""
-        return format_tag(
-            "svg", format_tag("title", f"{self.title}: {self.ylabel} over {self.xlabel}"), self._axes(), *map(self.draw, marks),
-            beside, viewBox=f"0 0 {self.width + wider} {self.height}", role="img", class_=style,
-        )  # fmt: skip
+        title = f"{self.title}: {self.ylabel} over {self.xlabel}"
+        size = self.width + wider, self.height
+        return draw_svg(title, size, style, self._axes(), *map(self.draw, marks), beside)
 
     def _path(self, d: str, ink: str) -> Markup:
         return format_tag("path", d=d, class_=ink) if d else Markup("")
