@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tau_dyn.log.check_motion import check_motion, find_moving_samples
-from tau_dyn.log.column_names import count, format_names
+from tau_dyn.log.column_names import format_names
 from tau_dyn.log.data_integrity import list_data_warnings
 from tau_dyn.log.log import Log
 from tau_dyn.log.resample import (
@@ -29,6 +29,7 @@ from tau_dyn.log.resample import (
 )
 from tau_dyn.log.signal_checks import CheckFinding, LogCheck, Severity, build_fault, check_jumps, check_signals
 from tau_dyn.message_codes import UNCODED, CodedWarning, get_code
+from tau_dyn.results import count
 
 MAX_AXIS_LENGTH_M = 20.0
 """No prismatic joint without limits travels further [m]."""

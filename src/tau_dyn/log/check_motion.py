@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
-from tau_dyn.log.column_names import count
 from tau_dyn.log.filtering import (
     compute_edge_samples,
     compute_noise_gain,
@@ -21,6 +20,7 @@ from tau_dyn.log.filtering import (
 )
 from tau_dyn.log.log import Log
 from tau_dyn.log.signal_checks import CheckFinding
+from tau_dyn.results import count
 
 CUTOFF_SHARE = 0.06
 """Low-pass for judging a motion, as a share of the sampling rate: 60 Hz at 1 kHz."""

@@ -19,10 +19,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tau_dyn.log.column_names import count
 from tau_dyn.log.log import Log
 from tau_dyn.message_codes import CodedWarning, get_code
-from tau_dyn.results import Shown
+from tau_dyn.results import Shown, count
 
 Severity = Literal["ok", "warning", "fault"]
 

@@ -51,6 +51,7 @@ from .formatting import (
     format_number as format_number,
     format_percent as format_percent,
     format_quantity as format_quantity,
+    format_thousands as format_thousands,
     format_unit as format_unit,
     format_with_uncertainty as format_with_uncertainty,
     replace_minus_signs as replace_minus_signs,
@@ -85,7 +86,9 @@ from .presentation import (
     TimeView as TimeView,
     Verdict as Verdict,
     explain as explain,
+    judge as judge,
     list_numbers as list_numbers,
+    spread_blocks as spread_blocks,
     tabulate_plainly as tabulate_plainly,
     tabulate_things as tabulate_things,
 )

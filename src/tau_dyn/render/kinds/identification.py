@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from tau_dyn import results as r
@@ -293,8 +294,7 @@ def describe_verdict(found: Identification, truth: Mapping[str, float] | None = 
     return _judge("good", "Use it for feedforward and simulation; every parameter is determined.")
 
 
-def _judge(level: r.Level, sentence: str) -> r.Verdict:
-    return r.Verdict(level, sentence, BADGES[level])
+_judge = partial(r.judge, badges=BADGES)
 
 
 def name_mass_group(name: str) -> str:

@@ -74,7 +74,7 @@ def present_simulation(found: SimulatedLog) -> r.Presentation:
     follows = (
         f"; it follows its reference to {r.format_percent(100 * max(errors))} of each joint's travel" if errors else ""
     )
-    samples = f"{log.n_samples:,}".replace(",", " ")
+    samples = r.format_thousands(log.n_samples)
     summary = f"{log.name}: {samples} samples of {r.format_list(robot.actuated)}, read through the sensors below. "
     summary += "Not a recording."
     return r.Presentation(
