@@ -85,6 +85,7 @@ from .presentation import (
     Text as Text,
     TimeView as TimeView,
     Verdict as Verdict,
+    build_key as build_key,
     explain as explain,
     judge as judge,
     list_numbers as list_numbers,

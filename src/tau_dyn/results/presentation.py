@@ -48,6 +48,11 @@ class Key(NamedTuple):
     words: str
 
 
+def build_key(**meanings: str) -> list[Key]:
+    """Return what inks mean, by their names."""
+    return [Key(ink, words) for ink, words in meanings.items()]
+
+
 @dataclass(frozen=True)
 class Bar:
     """A bar from 0 to 1, or a stretch of one.
