@@ -36,7 +36,7 @@ class Verdict(NamedTuple):
     badge: str = ""
 
 
-def judge(level: Level, sentence: str, badges: Mapping[Level, str]) -> Verdict:
+def judge(level: Level, sentence: str, badges: Mapping[str, str]) -> Verdict:
     """Return a verdict with the badge of its level."""
     return Verdict(level, sentence, badges[level])
 
