@@ -8,18 +8,16 @@ in the map); and `t: {rate_hz: F}` makes a clock. Numbers are numbers: nothing i
 in `read.py`.
 """
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.files import MAX_YAML_BYTES, YAML_FAULTS, PlainLoader, read_bytes
+from tau_dyn.files import read_yaml
 from tau_dyn.log.column_names import SIGNALS, format_names, is_contract_name, map_joints
 
 SOURCE_KEYS = ("column", "scale", "offset", "file")
@@ -81,7 +79,7 @@ class ColumnMap:
             InputError: The file is missing, is not YAML, or holds a key, a type or a matrix that means nothing here.
         """
         path = Path(path)
-        return cls.from_dict(_load_yaml(path), name=path.name)
+        return cls.from_dict(_read_entries(path), name=path.name)
 
     @classmethod
     def from_dict(cls, entries: Mapping[Any, Any], name: str = "column map") -> "ColumnMap":
@@ -101,38 +99,8 @@ class ColumnMap:
         return cls(sources, rate_hz, _couplings(name, couplings, tuple(sources)), files, name)
 
 
-class _UniqueLoader(PlainLoader):
-    """A safe loader of YAML, which would let the second of two equal keys win without a word."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
-        for key, times in keys.items():
-            if times > 1:
-                raise yaml.constructor.ConstructorError(None, None, f"key {key} stands twice", node.start_mark)
-        return super().construct_mapping(node, deep)
-
-
-def _load_yaml(path: Path) -> dict[Any, Any]:
-    try:
-        entries = yaml.load(
-            read_bytes(path, MAX_YAML_BYTES).decode("utf-8"), Loader=_UniqueLoader
-        )  # builds plain data only
-    except InputError:
-        raise
-    except FileNotFoundError:
-        raise InputError("file_not_found", f"{path}: there is no such file; give the path of a column map.") from None
-    except OSError as error:
-        raise InputError(
-            "cannot_read", f"{path} cannot be read: {error.strerror or error}; give a readable column map."
-        ) from None
-    except UnicodeDecodeError:
-        raise InputError("cannot_read", f"{path.name} is not UTF-8; save the column map as UTF-8.") from None
-    except YAML_FAULTS as error:
-        mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
-        line = f", line {mark.line + 1}" if mark is not None else ""
-        raise InputError(
-            "file_format", f"{path.name}{line}: this is not YAML as a map needs it ({problem or 'unreadable'})."
-        ) from None
+def _read_entries(path: Path) -> dict[Any, Any]:
+    entries = read_yaml(path)
     if not isinstance(entries, dict):
         example = "such as 'q_axis: position'"
         raise InputError(
