@@ -9,6 +9,7 @@ import platform
 import select
 import shutil
 import stat
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from itertools import count
@@ -110,6 +111,14 @@ class PlainLoader(yaml.SafeLoader):
 
     yaml_constructors = yaml.SafeLoader.yaml_constructors.copy()
 
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        """Build a mapping; the second of two equal keys would win without a word."""
+        keys = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+        for key, times in keys.items():
+            if times > 1:
+                raise yaml.constructor.ConstructorError(None, None, f"key {key} stands twice", node.start_mark)
+        return super().construct_mapping(node, deep)
+
     def fetch_flow_collection_start(self, TokenClass: Any) -> None:  # noqa: N803
         """Open a bracket; PyYAML's time grows with the square of how many are open."""
         if self.flow_level >= _MAX_LEVELS:
@@ -181,7 +190,9 @@ def _yaml_of(path: str | Path) -> Iterator[str]:
     except (OSError, UnicodeDecodeError) as fault:
         raise InputError("cannot_read", f"{path}: cannot be read as text ({fault})") from fault
     except YAML_FAULTS as fault:
-        raise InputError("file_format", f"{path}: not valid YAML ({' '.join(str(fault).split())})") from fault
+        mark, problem = getattr(fault, "problem_mark", None), getattr(fault, "problem", None) or str(fault)
+        line = "" if mark is None else f", line {mark.line + 1}"
+        raise InputError("file_format", f"{path}{line}: not valid YAML ({' '.join(problem.split())})") from fault
 
 
 def resolve_destination(path: str | Path) -> Path:

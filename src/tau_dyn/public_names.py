@@ -199,6 +199,7 @@ DEPRECATED: dict[str, dict[str, str]] = {
         "Finding": "CheckFinding",
         "Stretch": "EvenSegment",
         "attenuation": "compute_attenuation",
+        "count": "tau_dyn.results.count",
         "edge_samples": "compute_edge_samples",
         "encoder_noise": "estimate_encoder_noise",
         "motion_band": "find_motion_band",

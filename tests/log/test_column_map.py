@@ -131,9 +131,9 @@ def test_a_foreign_column_that_is_missing_is_named(foreign, map_file):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("q_a: [", "line 1: this is not YAML"),
+        ("q_a: [", "line 1: not valid YAML"),
         ("q_a: m1\nq_a: m2\n", "stands twice"),
-        ("q_a: !!python/object/apply:os.getcwd []\n", "this is not YAML as a map needs it"),
+        ("q_a: !!python/object/apply:os.getcwd []\n", "not valid YAML"),
         ("- q_a\n", "not a list"),
         ("", "not nothing"),
         ("t: {rate_hz: 5}\n", "maps no column"),
@@ -167,7 +167,7 @@ def test_a_map_that_means_nothing_is_refused(map_file, text, sentence):
     with pytest.raises(InputError) as caught:
         ColumnMap.load(map_file(text))
     message = str(caught.value)
-    assert sentence in message and message.startswith("map.yaml") and "\n" not in message
+    assert sentence in message and "map.yaml" in message.partition(": ")[0] and "\n" not in message
 
 
 def test_a_missing_map_is_named(tmp_path):

@@ -96,6 +96,7 @@ def test_steps_of_two_lengths_by_turns_leave_none_usual(tmp_path) -> None:
     t[1::2] -= 2.0**-11
     path = stored(tmp_path, table(t))
     agree(path, open_log(path))
+    assert [piece.dt for piece in split_even_segments(open_log(path))] == pytest.approx([2.0**-10], rel=1e-4)
 
 
 def test_a_folder_is_one_recording(tmp_path) -> None:

@@ -109,6 +109,7 @@ def test_a_mirrored_machine_with_six_rods(complete, make, rng) -> None:
     """The complete L1, its plate free to turn: all columns, masses, centres and inertias."""
     other = load_robot_from_urdf(make.mirrored(complete.urdf), "mirrored", actuated=complete.actuated)
     signs = [-1.0 if name.rpartition(".")[2] in ("my", "ixy", "iyz") else 1.0 for name in complete.parameters.names]
+    assert other.parameters.names == complete.parameters.names
     agree(complete, other, np.array(signs), rng)
 
 

@@ -72,6 +72,7 @@ def test_limit_defaults_to_the_drives_effort(read, gantry):
         (GAINS + f"integral_rate: {'x' * 400}", "..."),
         ("position_gain: !!python/object:os.system 1", "not valid YAML"),
         ("position_gain: [", "not valid YAML"),
+        ("position_gain: 1.0\nposition_gain: 2.0", "position_gain stands twice"),
     ],
 )
 def test_each_fault_is_one_short_sentence(read, text, words):

@@ -101,7 +101,7 @@ def build_destination(own: str, text: str = "", *, csv: bool = False) -> Paramet
             require_csv_name(None, found)
         return found
 
-    told = {"help": f"{text}; FOLDER/ takes it with result, report and run.json"} if text else {}
+    told: dict[str, Any] = {"help": f"{text}; FOLDER/ takes it with result, report and run.json"} if text else {}
     return Parameter(name="--out", converter=convert, n_tokens=1, metavar=own, **told)
 
 

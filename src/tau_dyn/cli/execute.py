@@ -60,7 +60,7 @@ class Outcome:
     printed: bool = True
     lines: Sequence[str] = ()
     show: Callable[[Console, dict[str, str]], None] | None = None
-    files: Mapping[Path | None, Any] = field(default_factory=dict)
+    files: Mapping[Path, Any] | Mapping[Path | None, Any] = field(default_factory=dict)
     named: Mapping[str, Path | None] = field(default_factory=dict)
     report: Callable[[str], str] | None = None
     exit_status: int = 0

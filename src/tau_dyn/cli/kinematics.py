@@ -97,7 +97,7 @@ def _build_outcome(table, robot_files: list[Path], poses: Path | None, out: Path
         result=table.to_dict(),
         warnings=[*table.robot.warnings, *table.warnings],
         inputs=[*robot_files, poses],
-        files={out: table.to_csv()},
+        files={out: table.to_csv()} if out else {},
         named={"table": out},
         found=table,
     )

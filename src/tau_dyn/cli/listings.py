@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -55,29 +56,29 @@ def _list_dimensions(robot: str, given: tuple[str, ...], no_xacro: bool) -> Outc
     )
 
 
-def _show_dimensions(console, rows: list[dict[str, str]]) -> None:
+def _show_table(console, rows: Iterable[dict[str, str]], **columns: str) -> None:
+    """Print rows; `columns` are the keys shown and their heads."""
     from rich.table import Table
     from rich.text import Text
 
-    table = Table("--set name", "value", box=None, pad_edge=False)
+    table = Table(*columns.values(), box=None, pad_edge=False)
     for row in rows:
-        table.add_row(Text(row["name"]), Text(row["value"]))
-    console.print(table if rows else Text("no xacro arguments and no tables of dimensions"))
+        table.add_row(*(Text(row[key]) for key in columns))
+    console.print(table)
+
+
+def _show_dimensions(console, rows: list[dict[str, str]]) -> None:
+    if rows:
+        _show_table(console, rows, name="--set name", value="value")
+    else:
+        console.print("no xacro arguments and no tables of dimensions")
 
 
 def _show_robots(console, rows: list[dict[str, str]]) -> None:
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table("name", "about", box=None, pad_edge=False)
-    for row in rows:
-        if row["from"] == "tau_dyn":
-            table.add_row(Text(row["name"]), Text(row["about"]))
-    console.print(table)
-    others = sorted({row["from"] for row in rows} - {"tau_dyn"})
-    for package in others:
+    _show_table(console, (row for row in rows if row["from"] == "tau_dyn"), name="name", about="about")
+    for package in sorted({row["from"] for row in rows} - {"tau_dyn"}):
         names = ", ".join(row["name"] for row in rows if row["from"] == package)
-        console.print(Text(f"\n{package}: {names}"))
+        console.print(f"\n{package}: {names}", markup=False)
 
 
 def causes(cause: str | None = None, /, *, output: FolderOutput = FolderOutput()) -> Outcome:
@@ -115,19 +116,11 @@ def _list_causes() -> list[dict[str, str]]:
 
 
 def _show_causes(console, rows: list[dict[str, str]], *, whole: bool) -> None:
-    from rich.table import Table
-    from rich.text import Text
-
-    if whole:
-        for row in rows:
-            for key, value in row.items():
-                if value:
-                    console.print(Text(f"{key.replace('_', ' ') + ':':<13} {value}"))
+    if not whole:
+        _show_table(console, rows, cause="cause", named_by="named by", equation="law")
         return
-    table = Table("cause", "named by", "law", box=None, pad_edge=False)
-    for row in rows:
-        table.add_row(Text(row["cause"]), Text(row["named_by"]), Text(row["equation"]))
-    console.print(table)
+    for key, value in ((key, value) for row in rows for key, value in row.items() if value):
+        console.print(f"{key.replace('_', ' ') + ':':<13} {value}", markup=False)
 
 
 Side = Annotated[

@@ -26,6 +26,7 @@ from typing import Any
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import build_write_error, compute_sha256, get_owner_name, remove_stale_files
+from tau_dyn.results import to_plain
 from tau_dyn.version import __version__
 
 _LIBRARIES = ("pin", "numpy", "scipy", "cvxpy", "clarabel", "pandas", "pyarrow", "xacro")
@@ -191,7 +192,7 @@ def read_destination(text: str, own: str) -> Path | RunFolder:
 def collect_configuration(values: dict[str, Any]) -> dict[str, Any]:
     """Return every option of a call with its value, defaults included; what only says where results go is left out."""
     aside = ("out", "json", "report", "quiet")
-    return {name: _plain(value) for name, value in sorted(values.items()) if name not in aside}
+    return {name: to_plain(value) for name, value in sorted(values.items()) if name not in aside}
 
 
 def list_versions() -> dict[str, str]:
@@ -203,12 +204,6 @@ def list_versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found | {"platform": f"{platform.system()} {platform.machine()}"}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
 
 
 def _sha256(path: Path) -> str:

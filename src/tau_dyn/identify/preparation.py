@@ -37,12 +37,12 @@ from tau_dyn.log import (
     Recording,
     compute_edge_samples,
     compute_noise_gain,
-    count,
     count_short_segments,
     estimate_encoder_noise,
     find_motion_band,
 )
 from tau_dyn.message_codes import CodedWarning
+from tau_dyn.results import count
 from tau_dyn.robot import Robot
 
 BAND_FACTOR = 5.0  # low-pass of forces over the motion's band edge

@@ -5,7 +5,6 @@ from .check_motion import find_moving_samples as find_moving_samples
 from .column_map import ColumnMap as ColumnMap
 from .column_names import (
     ROOM_TEMPERATURE as ROOM_TEMPERATURE,
-    count as count,
     describe_missing_column as describe_missing_column,
     format_names as format_names,
 )

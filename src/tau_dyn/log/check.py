@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tau_dyn.log.check_motion import check_motion, find_moving_samples
-from tau_dyn.log.column_names import count, format_names
+from tau_dyn.log.column_names import format_names
 from tau_dyn.log.data_integrity import list_data_warnings
 from tau_dyn.log.log import Log
 from tau_dyn.log.resample import (
@@ -27,8 +27,17 @@ from tau_dyn.log.resample import (
     resample_segments,
     split_at_gaps,
 )
-from tau_dyn.log.signal_checks import CheckFinding, LogCheck, Severity, build_fault, check_jumps, check_signals
+from tau_dyn.log.signal_checks import (
+    CheckFinding,
+    LogCheck,
+    Severity,
+    build_fault,
+    check_jumps,
+    check_signals,
+    choose_finding,
+)
 from tau_dyn.message_codes import UNCODED, CodedWarning, get_code
+from tau_dyn.results import count
 
 MAX_AXIS_LENGTH_M = 20.0
 """No prismatic joint without limits travels further [m]."""
@@ -140,7 +149,7 @@ def check_clock(log: Log) -> tuple[list[CheckFinding], dict[str, Any]]:
         "gaps": [[float(log.t[i]), float(log.t[i + 1])] for i in clock.gaps],
         "times_rounded": clock.rounded,
     }
-    return [_rate(log, clock), _evenness(log, clock), *_gaps(log, clock)], numbers
+    return [_rate(log, clock), _evenness(log, clock), _gaps(log, clock)], numbers
 
 
 def _rate(log: Log, clock: Clock) -> CheckFinding:
@@ -150,44 +159,37 @@ def _rate(log: Log, clock: Clock) -> CheckFinding:
         unit, scale = next((name, scale) for least, name, scale in _UNITS if clock.dt >= least)
         remedy = f"Give t in s: `t: {{column: t, scale: {scale}}}` in a column map (--columns)."
         return CheckFinding("fault", "sampling", f"{what} The time step suggests {unit}.", remedy)
-    if rate < MIN_RATE_HZ:
-        return CheckFinding(
-            "warning", "sampling", f"{what} The sampling rate is too low for accelerations.", "Log at 250 Hz or more."
-        )
-    if log.duration < MIN_DURATION_S:
-        return CheckFinding("warning", "sampling", f"{what} The log is short.", "Record 10 s or more of varied motion.")
-    return CheckFinding("ok", "sampling", what)
+    return choose_finding(
+        "sampling",
+        what,
+        (rate < MIN_RATE_HZ, f"{what} The sampling rate is too low for accelerations.", "Log at 250 Hz or more."),
+        (log.duration < MIN_DURATION_S, f"{what} The log is short.", "Record 10 s or more of varied motion."),
+    )
 
 
 def _evenness(log: Log, clock: Clock) -> CheckFinding:
-    if clock.rounded:
-        sentence = f"{log.name}: uniform clock, rounded stamps."
-        return CheckFinding("warning", "jitter", sentence, "Write more digits; a uniform clock is used.")
-    sentence = f"{log.name}: steps differ from {clock.dt:.6g} s by up to {100 * clock.jitter:.2g} %."
-    if clock.jitter > MAX_RELATIVE_JITTER:
-        return CheckFinding("warning", "jitter", sentence, "Stamp samples in the real-time loop; the log is resampled.")
-    return CheckFinding("ok", "jitter", sentence)
+    rounded = f"{log.name}: uniform clock, rounded stamps."
+    differ = f"{log.name}: steps differ from {clock.dt:.6g} s by up to {100 * clock.jitter:.2g} %."
+    uneven, remedy = clock.jitter > MAX_RELATIVE_JITTER, "Stamp samples in the real-time loop; the log is resampled."
+    rounding = (clock.rounded, rounded, "Write more digits; a uniform clock is used.")
+    return choose_finding("jitter", differ, rounding, (uneven, differ, remedy))
 
 
-def _gaps(log: Log, clock: Clock) -> list[CheckFinding]:
-    if clock.gaps:
-        return [
-            CheckFinding(
-                "warning",
-                "gaps",
-                describe_gaps(log, clock),
-                "Record without interruption; the parts are used separately.",
-            )
-        ]
-    if clock.n_missing:
-        lost = f"{count(clock.n_missing, 'sample')} {'is' if clock.n_missing == 1 else 'are'}"
-        sentence = f"{log.name}: {lost} missing, never three in a row."
-        return [
-            CheckFinding(
-                "warning", "gaps", sentence, "Give the logger more priority; missing samples are interpolated."
-            )
-        ]
-    return [CheckFinding("ok", "gaps", f"{log.name}: no sample is missing.")]
+def _gaps(log: Log, clock: Clock) -> CheckFinding:
+    lost = (
+        f"{count(clock.n_missing, 'sample')} {'is' if clock.n_missing == 1 else 'are'} missing, never three in a row."
+    )
+    cut = describe_gaps(log, clock) if clock.gaps else ""
+    return choose_finding(
+        "gaps",
+        f"{log.name}: no sample is missing.",
+        (bool(clock.gaps), cut, "Record without interruption; the parts are used separately."),
+        (
+            clock.n_missing > 0,
+            f"{log.name}: {lost}",
+            "Give the logger more priority; missing samples are interpolated.",
+        ),
+    )
 
 
 def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:

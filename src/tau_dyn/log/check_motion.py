@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
-from tau_dyn.log.column_names import count
 from tau_dyn.log.filtering import (
     compute_edge_samples,
     compute_noise_gain,
@@ -20,7 +19,8 @@ from tau_dyn.log.filtering import (
     lowpass,
 )
 from tau_dyn.log.log import Log
-from tau_dyn.log.signal_checks import CheckFinding
+from tau_dyn.log.signal_checks import CheckFinding, choose_finding
+from tau_dyn.results import count
 
 CUTOFF_SHARE = 0.06
 """Low-pass for judging a motion, as a share of the sampling rate: 60 Hz at 1 kHz."""
@@ -72,14 +72,8 @@ def check_motion(log: Log) -> tuple[list[CheckFinding], dict[str, Any]]:
         follows = crossed[joint] if joint in crossed else _lag(log, joint, figures)
         findings += [_encoder(log, joint, figures), _excitation(log, joint, figures), follows]
     if numbers and not any(figures["moves"] for figures in numbers.values()):
-        findings.append(
-            CheckFinding(
-                "fault",
-                "excitation",
-                f"{log.name}: no joint moves.",
-                "Record a motion, such as `tau-dyn excite` makes.",
-            )
-        )
+        remedy = "Record a motion, such as `tau-dyn excite` makes."
+        findings.append(CheckFinding("fault", "excitation", f"{log.name}: no joint moves.", remedy))
     return findings, {"joints": numbers}
 
 
@@ -137,47 +131,29 @@ def _encoder(log: Log, joint: str, f: dict[str, Any]) -> CheckFinding:
         f"{log.name}: q_{joint} has {step} and noise of {f['encoder_noise']:.2g}, "
         f"which leaves {f['velocity_noise']:.2g} a second in the velocity below {compute_motion_cutoff(log):.3g} Hz."
     )
-    if f["moves"] and f["velocity_noise"] > 0.05 * f["speed"][0]:
-        return CheckFinding(
-            "warning",
-            "encoder",
-            sentence + " The noise is large for this motion.",
-            "Move faster, or use a finer encoder.",
-        )
-    return CheckFinding("ok", "encoder", sentence)
+    noisy = f["moves"] and f["velocity_noise"] > 0.05 * f["speed"][0]
+    doubt = (noisy, f"{sentence} The noise is large for this motion.", "Move faster, or use a finer encoder.")
+    return choose_finding("encoder", sentence, doubt)
 
 
 def _excitation(log: Log, joint: str, f: dict[str, Any]) -> CheckFinding:
     what = f"{log.name}: joint {joint}"
     if not f["moves"]:
-        return CheckFinding(
-            "warning",
-            "excitation",
-            f"{what} does not move.",
-            "Move it, else its friction and the masses that it alone moves are not identifiable.",
-        )
+        remedy = "Move it, else its friction and the masses that it alone moves are not identifiable."
+        return CheckFinding("warning", "excitation", f"{what} does not move.", remedy)
     share, ratio = f["forward_share"], f["acceleration_rms"] / max(f["acceleration_noise"], 1e-300)
     low, high = f["range"]
     moved = f"{what}: range {low:.4g} … {high:.4g}, up to {f['speed'][1]:.3g} a second, {count(f['n_reversals'], 'reversal')}"
-    if not 0.02 < share < 0.98:
-        way = "forwards" if share > 0.5 else "backwards"
-        return CheckFinding(
-            "warning",
-            "excitation",
-            f"{moved}, only {way}.",
-            "Move both ways, else Coulomb friction and offset are not separable.",
-        )
-    if f["n_reversals"] < MIN_REVERSALS:
-        return CheckFinding(
-            "warning",
-            "excitation",
-            f"{moved}, at least {MIN_REVERSALS} needed.",
-            "Reverse more often, at several speeds.",
-        )
-    if ratio < 3.0:
-        sentence = f"{moved}, acceleration only {ratio:.2g} times its noise."
-        return CheckFinding("warning", "excitation", sentence, "Accelerate harder, else masses are poorly determined.")
-    return CheckFinding("ok", "excitation", f"{moved}, acceleration {ratio:.3g} times its noise.")
+    way, weak = "forwards" if share > 0.5 else "backwards", f"acceleration only {ratio:.2g} times its noise"
+    both = "Move both ways, else Coulomb friction and offset are not separable."
+    often = f["n_reversals"] >= MIN_REVERSALS
+    return choose_finding(
+        "excitation",
+        f"{moved}, acceleration {ratio:.3g} times its noise.",
+        (not 0.02 < share < 0.98, f"{moved}, only {way}.", both),
+        (not often, f"{moved}, at least {MIN_REVERSALS} needed.", "Reverse more often, at several speeds."),
+        (ratio < 3.0, f"{moved}, {weak}.", "Accelerate harder, else masses are poorly determined."),
+    )
 
 
 def _check_swapped_columns(log: Log) -> dict[str, CheckFinding]:
@@ -200,12 +176,6 @@ def _lag(log: Log, joint: str, f: dict[str, Any]) -> CheckFinding:
         why = "does not move" if log.has("q_ref", [joint]) else f"has no q_ref_{joint}"
         return CheckFinding("ok", "synchronisation", f"{log.name}: {joint} {why}, so its lag was not tested.")
     sentence = f"{log.name}: q_{joint} lags its reference by {1e3 * f['lag']:.3g} ms."
-    if f["lag"] < -1.5 * log.dt:
-        return CheckFinding(
-            "warning", "synchronisation", f"{sentence} A lag cannot be negative.", "Give both channels the same clock."
-        )
-    if f["lag"] > 0.1:
-        return CheckFinding(
-            "warning", "synchronisation", f"{sentence} The lag is long.", "Check for a delay in one channel."
-        )
-    return CheckFinding("ok", "synchronisation", sentence)
+    early = (f["lag"] < -1.5 * log.dt, f"{sentence} A lag cannot be negative.", "Give both channels the same clock.")
+    late = (f["lag"] > 0.1, f"{sentence} The lag is long.", "Check for a delay in one channel.")
+    return choose_finding("synchronisation", sentence, early, late)

@@ -8,18 +8,16 @@ in the map); and `t: {rate_hz: F}` makes a clock. Numbers are numbers: nothing i
 in `read.py`.
 """
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.files import MAX_YAML_BYTES, YAML_FAULTS, PlainLoader, read_bytes
+from tau_dyn.files import read_yaml
 from tau_dyn.log.column_names import SIGNALS, format_names, is_contract_name, map_joints
 
 SOURCE_KEYS = ("column", "scale", "offset", "file")
@@ -81,7 +79,7 @@ class ColumnMap:
             InputError: The file is missing, is not YAML, or holds a key, a type or a matrix that means nothing here.
         """
         path = Path(path)
-        return cls.from_dict(_load_yaml(path), name=path.name)
+        return cls.from_dict(_read_entries(path), name=path.name)
 
     @classmethod
     def from_dict(cls, entries: Mapping[Any, Any], name: str = "column map") -> "ColumnMap":
@@ -97,44 +95,12 @@ class ColumnMap:
             )
         unused = set(files) - {source.file for source in sources.values()}
         if unused:
-            raise InputError(
-                "file_format", f"{name}: no column is taken from file '{min(unused)}'; use it or leave it out of files."
-            )
+            raise _build_error(name, f"no column is taken from file '{min(unused)}'; use it or leave it out of files.")
         return cls(sources, rate_hz, _couplings(name, couplings, tuple(sources)), files, name)
 
 
-class _UniqueLoader(PlainLoader):
-    """A safe loader of YAML, which would let the second of two equal keys win without a word."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
-        for key, times in keys.items():
-            if times > 1:
-                raise yaml.constructor.ConstructorError(None, None, f"key {key} stands twice", node.start_mark)
-        return super().construct_mapping(node, deep)
-
-
-def _load_yaml(path: Path) -> dict[Any, Any]:
-    try:
-        entries = yaml.load(
-            read_bytes(path, MAX_YAML_BYTES).decode("utf-8"), Loader=_UniqueLoader
-        )  # builds plain data only
-    except InputError:
-        raise
-    except FileNotFoundError:
-        raise InputError("file_not_found", f"{path}: there is no such file; give the path of a column map.") from None
-    except OSError as error:
-        raise InputError(
-            "cannot_read", f"{path} cannot be read: {error.strerror or error}; give a readable column map."
-        ) from None
-    except UnicodeDecodeError:
-        raise InputError("cannot_read", f"{path.name} is not UTF-8; save the column map as UTF-8.") from None
-    except YAML_FAULTS as error:
-        mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
-        line = f", line {mark.line + 1}" if mark is not None else ""
-        raise InputError(
-            "file_format", f"{path.name}{line}: this is not YAML as a map needs it ({problem or 'unreadable'})."
-        ) from None
+def _read_entries(path: Path) -> dict[Any, Any]:
+    entries = read_yaml(path)
     if not isinstance(entries, dict):
         example = "such as 'q_axis: position'"
         raise InputError(
@@ -147,12 +113,11 @@ def _load_yaml(path: Path) -> dict[Any, Any]:
 def _our_name(name: str, key: Any, value: Any = None) -> str:
     if not isinstance(key, str) or not is_contract_name(key):
         if isinstance(value, str) and is_contract_name(value):
-            raise InputError(
-                "file_format",
-                f"{name}: '{key}: {value}' is the wrong way round; write '{value}: {key}', our name first.",
+            raise _build_error(
+                name, f"'{key}: {value}' is the wrong way round; write '{value}: {key}', our name first."
             )
         known = "t, files, couplings, temp_room, x_tool.. and " + ", ".join(f"{signal}_JOINT" for signal in SIGNALS)
-        raise InputError("file_format", f"{name}: key {key} is none of our column names, which are {known}.")
+        raise _build_error(name, f"key {key} is none of our column names, which are {known}.")
     return key
 
 
@@ -160,28 +125,21 @@ def _source(name: str, key: str, value: Any, files: Mapping[str, str]) -> Source
     if isinstance(value, str):
         return Source(value)
     if not isinstance(value, dict):
-        raise InputError(
-            "file_format",
-            f"{name}: {key} has to be a column's name or {{column: .., scale: .., offset: ..}}, not {_kind(value)}.",
+        raise _build_error(
+            name, f"{key} has to be a column's name or {{column: .., scale: .., offset: ..}}, not {_kind(value)}."
         )
     unknown = [k for k in value if k not in SOURCE_KEYS]
     if unknown:
         hint = _HINTS.get(type(unknown[0]), _HINTS.get(unknown[0], ""))
-        raise InputError(
-            "file_format", f"{name}: {key} has a key {unknown[0]}; it may have {format_names(SOURCE_KEYS)}{hint}."
-        )
+        raise _build_error(name, f"{key} has a key {unknown[0]}; it may have {format_names(SOURCE_KEYS)}{hint}.")
     if not isinstance(value.get("column"), str):
-        raise InputError(
-            "file_format", f"{name}: {key} needs a 'column', the foreign column's name as text (in quotes if need be)."
-        )
+        raise _build_error(name, f"{key} needs a 'column', the foreign column's name as text (in quotes if need be).")
     file = value.get("file")
     if file is not None and (not isinstance(file, str) or file not in files):
-        raise InputError("file_format", f"{name}: {key} names file {file}, and 'files' has {format_names(files)}.")
+        raise _build_error(name, f"{key} names file {file}, and 'files' has {format_names(files)}.")
     scale, offset = (_number(f"{name}: {key}.{k}", value.get(k, d)) for k, d in (("scale", 1.0), ("offset", 0.0)))
     if scale == 0.0:
-        raise InputError(
-            "file_format", f"{name}: {key}.scale is 0, which would erase the column; give a number other than 0."
-        )
+        raise _build_error(name, f"{key}.scale is 0, which would erase the column; give a number other than 0.")
     return Source(value["column"], scale, offset, file)
 
 
@@ -197,17 +155,13 @@ def _rate(name: str, entries: dict[Any, Any]) -> float | None:
         )
     rate = _number(f"{name}: t.rate_hz", entries.pop("t")["rate_hz"])
     if rate <= 0.0:
-        raise InputError(
-            "file_format", f"{name}: t.rate_hz is {rate:g}; it has to be a positive number of samples a second."
-        )
+        raise _build_error(name, f"t.rate_hz is {rate:g}; it has to be a positive number of samples a second.")
     return rate
 
 
 def _files(name: str, value: Any) -> dict[str, str]:
     if not isinstance(value, dict) or not all(isinstance(x, str) for pair in value.items() for x in pair):
-        raise InputError(
-            "file_format", f"{name}: files has to be a mapping such as {{pos: positions.csv, cur: currents.csv}}."
-        )
+        raise _build_error(name, "files has to be a mapping such as {pos: positions.csv, cur: currents.csv}.")
     for key, path in value.items():
         windows = PureWindowsPath(path)  # understands both kinds of separators
         if (
@@ -218,9 +172,7 @@ def _files(name: str, value: Any) -> dict[str, str]:
             or path.startswith("~")
             or "\0" in path
         ):
-            raise InputError(
-                "file_format", f"{name}: files.{key} is '{path}'; name a file in the log's own folder or below it."
-            )
+            raise _build_error(name, f"files.{key} is '{path}'; name a file in the log's own folder or below it.")
     return dict(value)
 
 
@@ -229,9 +181,8 @@ def _couplings(name: str, value: Any, columns: tuple[str, ...]) -> dict[str, Cou
     allowed = [key for signal in SIGNALS for key in (signal, f"{signal}_offset")]
     if not isinstance(value, dict) or any(key not in allowed for key in value):
         wrong = format_names(k for k in value if k not in allowed) if isinstance(value, dict) else _kind(value)
-        raise InputError(
-            "file_format",
-            f"{name}: couplings holds {wrong}; it may hold matrices q, tau, v, a, q_ref and lists such as q_offset.",
+        raise _build_error(
+            name, f"couplings holds {wrong}; it may hold matrices q, tau, v, a, q_ref and lists such as q_offset."
         )
     couplings = {}
     for signal in dict.fromkeys(key.removesuffix("_offset") for key in value):
@@ -270,6 +221,11 @@ def _number(where: str, value: Any) -> float:
             "file_format", f"{where} is {value!r}, and has to be a finite number written out, such as 0.0174532925."
         )
     return number
+
+
+def _build_error(name: str, sentence: str) -> InputError:
+    """Return the fault of a map that is not as it has to be."""
+    return InputError("file_format", f"{name}: {sentence}")
 
 
 def _kind(value: Any) -> str:

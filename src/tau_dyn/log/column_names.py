@@ -62,11 +62,6 @@ def format_names(names: Iterable[str], limit: int = 12) -> str:
     return phrase if len(names) <= limit else f"{phrase} and {len(names) - limit} more"
 
 
-def count(n: int, noun: str) -> str:
-    """Return `1 gap`, `3 gaps`."""
-    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
-
-
 def _is_used(column: str, joints: set[str]) -> bool:
     pair = split_column_name(column)
     if pair is None:

@@ -26,12 +26,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tau_dyn.log.column_names import count
 from tau_dyn.log.filtering import estimate_quantisation_step
 from tau_dyn.log.log import Log
 from tau_dyn.log.resample import examine_clock
 from tau_dyn.log.signal_checks import find_constant_runs
 from tau_dyn.message_codes import CodedWarning
+from tau_dyn.results import count
 
 MIN_STEPS_OFF = 6.0
 """How far the neighbours stand from zero, in median changes of a sample; noise passes four in 1 of 1000 samples."""

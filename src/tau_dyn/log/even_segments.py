@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.log.column_names import count
 from tau_dyn.log.log import Log
 from tau_dyn.log.recording import Recording
 from tau_dyn.log.resample import MAX_RELATIVE_JITTER, MIN_GAP_STEPS, MIN_SEGMENT_SAMPLES, interpolate, is_rounded
+from tau_dyn.results import count
 
 _STEPS = 2**20  # steps from which the usual one is taken, spread evenly
 _INDEX = 4096  # every so manieth sample's time is kept

@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import write_atomically
-from tau_dyn.log.column_names import ROOM_TEMPERATURE, count, describe_missing_column, map_joints
-from tau_dyn.results import Shown
+from tau_dyn.log.column_names import ROOM_TEMPERATURE, describe_missing_column, map_joints
+from tau_dyn.results import Shown, count
 
 _NAME_IT = "; log it, or let a column map say which column it is"
 

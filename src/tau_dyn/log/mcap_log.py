@@ -167,16 +167,15 @@ def _decompressed(name: str, kind: str, data: bytes, size: int) -> bytes:
     """Return at most one byte more than `size`."""
     if kind == "":
         return data
+    import lz4.frame
+    import zstandard
+
     try:
         if kind == "zstd":
-            import zstandard
-
             return zstandard.ZstdDecompressor().stream_reader(BytesIO(data)).read(size + 1)
         if kind == "lz4":
-            import lz4.frame
-
             return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
-    except Exception as fault:  # the file's fault, whatever its bytes break; ZstdError has no base of its own
+    except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as fault:  # RuntimeError is lz4's
         raise ValueError(f"a chunk cannot be decompressed ({describe_fault(fault)})") from None
     raise InputError(
         "unsupported",

@@ -19,16 +19,11 @@ from numpy.typing import NDArray
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import compute_joint_sha256
 from tau_dyn.log.column_map import ColumnMap
-from tau_dyn.log.column_names import (
-    count,
-    describe_missing_clock,
-    describe_missing_column,
-    format_names,
-    list_used_columns,
-)
+from tau_dyn.log.column_names import describe_missing_clock, describe_missing_column, format_names, list_used_columns
 from tau_dyn.log.log import Log
 from tau_dyn.log.rosbag_log import is_bag_folder, read_bag
 from tau_dyn.log.table import Table, read_table
+from tau_dyn.results import count
 
 SUFFIXES = (".mcap", ".bag", ".db3", ".mat")
 

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.column_names import count
 from tau_dyn.log.filtering import estimate_encoder_noise
 from tau_dyn.log.log import Log
+from tau_dyn.results import count
 
 
 def find_true_runs(mask: np.ndarray) -> list[slice]:

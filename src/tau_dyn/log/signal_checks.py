@@ -12,17 +12,16 @@ for several samples.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tau_dyn.log.column_names import count
 from tau_dyn.log.log import Log
 from tau_dyn.message_codes import CodedWarning, get_code
-from tau_dyn.results import Shown
+from tau_dyn.results import Shown, count
 
 Severity = Literal["ok", "warning", "fault"]
 
@@ -38,6 +37,14 @@ class CheckFinding:
     """What would help; empty where nothing has to."""
     code: str = ""
     """Stable code, see docs/reference/message_codes.md; empty where there is none."""
+
+
+def choose_finding(topic: str, fine: str, *doubts: tuple[bool, str, str]) -> CheckFinding:
+    """Return the first doubt that holds as a warning, else what is fine; a doubt is (whether it holds, sentence, remedy)."""
+    for holds, sentence, remedy in doubts:
+        if holds:
+            return CheckFinding("warning", topic, sentence, remedy)
+    return CheckFinding("ok", topic, fine)
 
 
 def build_fault(warning: str) -> CheckFinding:
@@ -146,15 +153,12 @@ def check_jumps(
     where = f"first by {sizes[0]:.3g}{unit} after t = {log.t[at[0]]:.6g} s"
     sentence = f"{log.name}: q_{joint} jumps {count(len(at), 'time')}, {where}, further than it can move in a sample"
     if wraps:
-        return CheckFinding(
-            "fault", "jumps", f"{sentence}: the encoder begins anew each turn.", "Unwrap it (numpy.unwrap)."
-        )
-    return CheckFinding(
-        "fault",
-        "jumps",
-        f"{sentence}: readings were lost, or the encoder was set anew.",
-        "Leave out the lines of lost readings, or flag them in a column (--exclude); cut the log where an encoder was set anew.",
-    )
+        why, remedy = "the encoder begins anew each turn", "Unwrap it (numpy.unwrap)."
+    else:
+        why = "readings were lost, or the encoder was set anew"
+        remedy = "Leave out the lines of lost readings, or flag them in a column (--exclude); "
+        remedy += "cut the log where an encoder was set anew."
+    return CheckFinding("fault", "jumps", f"{sentence}: {why}.", remedy)
 
 
 MIN_CLIPPED_SAMPLES = 5
@@ -195,20 +199,13 @@ def check_signals(log: Log, moving: dict[str, NDArray[np.bool_]]) -> tuple[list[
             column = f"{signal}_{joint}"
             runs = find_constant_runs(log.channels[column])
             moves = moving.get(joint, np.ones(log.n_samples, dtype=bool))
-            judges: list[Callable[[], CheckFinding | None]] = [lambda c=column, r=runs: _constant(log, c, r)]
-            if signal != "q_ref":
-                judges.append(lambda c=column, r=runs, m=moves: _frozen(log, c, r, m))
+            found, measured = _constant(log, column, runs), signal != "q_ref"
+            found = found or (_frozen(log, column, runs, moves) if measured else None)
             if signal == "tau":
                 clipped[column] = compute_clipped_share(runs, moves)
-                judges.append(lambda c=column: _clipped(log, c, clipped[c]))
-            if signal != "q_ref":
-                judges.append(lambda c=column, r=runs, m=moves: _check_sample_hold(log, c, r, m))
-            findings += [
-                next(
-                    (f for f in (judge() for judge in judges) if f),
-                    CheckFinding("ok", "signal", f"{column}: no fault found."),
-                )
-            ]
+                found = found or _clipped(log, column, clipped[column])
+            found = found or (_check_sample_hold(log, column, runs, moves) if measured else None)
+            findings.append(found or CheckFinding("ok", "signal", f"{column}: no fault found."))
     return findings, {"clipped": clipped}
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from tau_dyn import results as r
+from tau_dyn.log import find_true_runs
 
 
 def format_tag(name: str, *content: Markup | str, **attributes: object) -> Markup:
@@ -26,6 +27,12 @@ def format_tag(name: str, *content: Markup | str, **attributes: object) -> Marku
 
 def _short(value: object) -> str:
     return f"{value:.1f}".removesuffix(".0") if isinstance(value, float) else str(value)
+
+
+def draw_svg(title: str, size: tuple[float, float], style: str, *pieces: Markup | str) -> Markup:
+    """Return a whole drawing of a width and a height; screen readers read its title."""
+    box = f"0 0 {size[0]:.0f} {size[1]:.0f}"
+    return format_tag("svg", format_tag("title", title), *pieces, viewBox=box, role="img", class_=style)
 
 
 def format_path(points: np.ndarray, *, closed: bool = False) -> str:
@@ -134,8 +141,8 @@ def _band(x: np.ndarray, y: np.ndarray, values: np.ndarray, low: float, high: fl
     inside = np.isfinite(cells) & (cells >= low) & (cells < top)
     pieces = []
     for row, y0, y1 in zip(inside, y[:-1], y[1:], strict=True):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], row.astype(int), [0]])))
-        pieces += [f"M{x[a]:.1f} {y0:.1f}H{x[b]:.1f}V{y1:.1f}H{x[a]:.1f}Z" for a, b in edges.reshape(-1, 2)]
+        runs = find_true_runs(row)
+        pieces += [f"M{x[n.start]:.1f} {y0:.1f}H{x[n.stop]:.1f}V{y1:.1f}H{x[n.start]:.1f}Z" for n in runs]
     return format_tag("path", d="".join(pieces), style=f"fill:{colour};stroke:{colour};stroke-width:.3")
 
 
@@ -225,10 +232,9 @@ class Chart:
 
     def render(self, *marks: r.Mark, style: str = "chart", beside: str = "", wider: int = 0) -> Markup:
         """Return the whole drawing: axes behind, marks within, and what stands beside it in so much more width."""
-        return format_tag(
-            "svg", format_tag("title", f"{self.title}: {self.ylabel} over {self.xlabel}"), self._axes(), *map(self.draw, marks),
-            beside, viewBox=f"0 0 {self.width + wider} {self.height}", role="img", class_=style,
-        )  # fmt: skip
+        title = f"{self.title}: {self.ylabel} over {self.xlabel}"
+        size = self.width + wider, self.height
+        return draw_svg(title, size, style, self._axes(), *map(self.draw, marks), beside)
 
     def _path(self, d: str, ink: str) -> Markup:
         return format_tag("path", d=d, class_=ink) if d else Markup("")
@@ -278,11 +284,10 @@ class Chart:
         half_u, half_v = (float(x[1] - x[0]) / 2 if len(x) > 1 else 0.005 for x in (mark.u, mark.v))
         pieces = []
         for j in np.flatnonzero(there.any(axis=0) & (mark.v >= self.ylim[0]) & (mark.v <= self.ylim[1])):
-            edges = np.flatnonzero(np.diff(np.concatenate([[0], there[:, j].astype(int), [0]])))
             top, bottom = float(self.y(mark.v[j] + half_v)), float(self.y(mark.v[j] - half_v))
-            for start, end in zip(edges[::2], edges[1::2] - 1, strict=True):
-                left = max(float(self.x(mark.u[start] - half_u)), float(LEFT))
-                right = min(float(self.x(mark.u[end] + half_u)), float(self.width - RIGHT))
+            for run in find_true_runs(there[:, j]):
+                left = max(float(self.x(mark.u[run.start] - half_u)), float(LEFT))
+                right = min(float(self.x(mark.u[run.stop - 1] + half_u)), float(self.width - RIGHT))
                 if right > left:
                     pieces.append(f"M{left:.1f} {top:.1f}H{right:.1f}V{bottom + 0.15:.1f}H{left:.1f}Z")
         return "".join(pieces)

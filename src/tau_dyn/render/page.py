@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import platform
-from collections.abc import Iterable
 from datetime import datetime
 from functools import cache
 from importlib.metadata import version
@@ -45,7 +44,8 @@ def build_page(result: Any, *, command_line: str = "", **options: Any) -> str:
     shown = result if isinstance(result, r.Presentation) else present(result, **options)
     sections = [(section, section.list_blocks(r.On.PAGE)) for section in shown.sections if section.on & r.On.PAGE]
     sections = [(section, blocks) for section, blocks in sections if blocks]
-    views = [view for block in _spread(b for _, blocks in sections for b in blocks) for view in block.views]
+    every = r.spread_blocks(block for _, blocks in sections for block in blocks)
+    views = [view for block in every if isinstance(block, r.TimeView) for view in block.views]
     picture = Markup("") if shown.picture is None else draw(shown.picture)
     return _environment().get_template("page.html.j2").render(
         shown=shown,
@@ -61,15 +61,6 @@ def build_page(result: Any, *, command_line: str = "", **options: Any) -> str:
         script_hashes=[_hash(text) for text in list_scripts()],
         licence=_read("vendor/uPlot.LICENSE"),
     )  # fmt: skip
-
-
-def _spread(blocks: Iterable[r.Element]) -> Iterable[r.TimeView]:
-    """Give the time views among blocks, wherever they stand."""
-    for block in blocks:
-        if isinstance(block, r.TimeView):
-            yield block
-        elif isinstance(block, r.Beside | r.Folded | r.Group):
-            yield from _spread([*block.left, *block.right] if isinstance(block, r.Beside) else block.blocks)
 
 
 @cache

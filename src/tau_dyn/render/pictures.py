@@ -24,7 +24,7 @@ from scipy import ndimage
 from tau_dyn.kinematics import Box, Capsule, Cylinder, HalfSpace, Obstacle, PlacedSolid
 from tau_dyn.kinematics.workspace import Study
 from tau_dyn.mechanism import LoopSolver
-from tau_dyn.render.chart import format_path, format_tag
+from tau_dyn.render.chart import draw_svg, format_path, format_tag
 from tau_dyn.render.sketch import (
     BOX_EDGES,
     Projection,
@@ -64,7 +64,7 @@ def draw_swing(picture: SwingPicture) -> Markup:
     view = _project(skeleton)
     pieces = [format_tag("path", d=format_path(view.place(rail)), class_="rail") for rail in skeleton.rails]
     order = sorted(range(len(skeleton.links)), key=lambda k: -len(skeleton.links[k]))
-    pieces += [format_tag("path", d=_outline(view.place(skeleton.links[k])), class_="at-rest") for k in order]
+    pieces += [format_tag("path", d=draw_outline(view.place(skeleton.links[k])), class_="at-rest") for k in order]
     moving, still = [], []
     for k in order:
         if np.abs(swing.links[k]).max() < 1e-3:
@@ -83,31 +83,16 @@ def draw_swing(picture: SwingPicture) -> Markup:
     ]
     pieces += [_arrow(view.place(at[None])[0], swing.arrows[name]) for name, at in skeleton.places.items()]
     text = f"{picture.who}: {format_number(swing.frequency_hz, 3)} Hz on the robot"
-    return format_tag(
-        "svg", format_tag("title", text), *pieces, viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img", class_="robot swinging"
-    )  # fmt: skip
+    return draw_svg(text, (WIDTH, HEIGHT), "robot swinging", *pieces)
 
 
 def _frames(points: np.ndarray, moved: np.ndarray, view: Projection) -> list[str]:
     """Return one outline each for moments of a swing, the first again at the end; hulls keep their corners."""
     flat = view.place(points)
-    corners = _corners(flat)
-    angles = np.linspace(0, 2 * np.pi, FRAMES)
-    return [_around((flat + _MAX_REACH * project(np.real(moved * np.exp(1j * x))))[corners]) for x in angles]
-
-
-def _corners(flat: np.ndarray) -> np.ndarray:
-    """Return which points (n, 2) are drawn, in order."""
-    around = compute_hull(flat) if len(flat) > 2 else None
-    return np.arange(len(flat)) if around is None else around
-
-
-def _outline(flat: np.ndarray) -> str:
-    return _around(flat[_corners(flat)])
-
-
-def _around(flat: np.ndarray) -> str:
-    return format_path(flat, closed=len(flat) > 2)
+    around = compute_hull(flat)
+    corners, closed = (np.arange(len(flat)), False) if around is None else (around, True)
+    swung = (flat + _MAX_REACH * project(np.real(moved * np.exp(1j * x))) for x in np.linspace(0, 2 * np.pi, FRAMES))
+    return [format_path(points[corners], closed=closed) for points in swung]
 
 
 def _arrow(at: np.ndarray, moved: np.ndarray) -> Markup:
@@ -172,7 +157,7 @@ def _path(shape: np.ndarray, axes: dict[str, int]) -> Markup:
     pieces.append(format_tag("path", d=f"M{middle[0]:.1f} {middle[1]:.1f}m-4 0h8m-4-4v8", class_="rest"))
     run = format_tag("animateMotion", path=d, dur=f"{PERIOD}s", repeatCount="indefinite")
     pieces.append(format_tag("circle", run, r=6, class_="tool"))
-    return _drawing(pieces, "path of the tool through one swing", SIZE, SIZE)
+    return draw_svg("path of the tool through one swing", (SIZE, SIZE), "shape", *pieces)
 
 
 def _bars(shape: np.ndarray, outputs: Sequence[str]) -> Markup:
@@ -197,13 +182,7 @@ def _bars(shape: np.ndarray, outputs: Sequence[str]) -> Markup:
             pieces.append(format_tag("path", d=f"M{x + half + 3:.1f} {base:.1f}V{base + late:.1f}", class_="late"))
         at = {"x": x, "y": SIZE - 6.0, "text_anchor": "middle"}
         pieces.append(format_tag("text", name if len(name) <= 9 else f"{name[:8]}…", **at))
-    return _drawing(pieces, "swing of every output", width, SIZE)
-
-
-def _drawing(pieces: Sequence[Markup], title: str, width: float, height: float) -> Markup:
-    return format_tag(
-        "svg", format_tag("title", title), *pieces, viewBox=f"0 0 {width:.0f} {height:.0f}", role="img", class_="shape"
-    )  # fmt: skip
+    return draw_svg("swing of every output", (width, SIZE), "shape", *pieces)
 
 
 SPACE_WIDTH, SPACE_HEIGHT, SPACE_MARGIN = 700, 520, 30
@@ -241,15 +220,7 @@ def draw_space(picture: SpacePicture) -> Markup:
     x, y = (float(c) for c in place(machine.home.position)[0])
     pieces.append(format_tag("circle", cx=x, cy=y, r=5, class_="cart"))
     words = f"workspace of {machine.robot.name}, the robot at home in it"
-    return format_tag(
-        "svg",
-        format_tag("title", words),
-        *pieces,
-        draw_triad(40, SPACE_HEIGHT - 34, 26),
-        viewBox=f"0 0 {SPACE_WIDTH} {SPACE_HEIGHT}",
-        role="img",
-        class_="space",
-    )
+    return draw_svg(words, (SPACE_WIDTH, SPACE_HEIGHT), "space", *pieces, draw_triad(40, SPACE_HEIGHT - 34, 26))
 
 
 def _cloud(found: Study, view: Projection) -> Markup:
@@ -360,9 +331,7 @@ def draw_polar(picture: PolarPicture) -> Markup:
     pieces.append(format_tag("path", d=format_path(points, closed=True), class_="lean"))
     pieces.append(format_tag("text", "x", x=middle + far + 10, y=middle + 4, class_="name"))
     pieces.append(format_tag("text", "y", x=middle, y=middle - far - 14, text_anchor="middle", class_="name"))
-    return format_tag(
-        "svg", format_tag("title", picture.title), *pieces, viewBox="0 0 260 260", role="img", class_="chart tilt"
-    )
+    return draw_svg(picture.title, (260, 260), "chart tilt", *pieces)
 
 
 def draw_picture(picture: SwingPicture | ShapePicture | SpacePicture | PolarPicture) -> Markup:

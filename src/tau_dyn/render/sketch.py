@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.mechanism import LoopSolver
-from tau_dyn.render.chart import format_path, format_tag
+from tau_dyn.render.chart import draw_svg, format_path, format_tag
 from tau_dyn.results import RobotPicture, VectorPicture
 from tau_dyn.robot import Robot
 
@@ -164,15 +164,7 @@ def _drawing(
         pieces.append(format_tag("path", d=f"M{x - 9:.1f} {y:.1f}l9 -8l9 8l-9 8Z", class_="plate"))
         pieces.append(format_tag("text", "tool", x=x, y=y + 24, text_anchor="middle", class_="joint-name"))
     text = f"{robot.name} at its home position"
-    return format_tag(
-        "svg",
-        format_tag("title", text),
-        *pieces,
-        draw_triad(26, HEIGHT - 22, 18),
-        viewBox=f"0 0 {WIDTH} {HEIGHT}",
-        role="img",
-        class_="robot",
-    )
+    return draw_svg(text, (WIDTH, HEIGHT), "robot", *pieces, draw_triad(26, HEIGHT - 22, 18))
 
 
 def _link(points: np.ndarray) -> Markup:
@@ -224,8 +216,6 @@ def draw_vectors(picture: VectorPicture) -> Markup:
         format_tag("text", "xyz"[a], x=float(box[1 << a][0]), y=float(box[1 << a][1]) - 4, class_="axis-name")
         for a in range(3)
     ]
-    return format_tag(
-        "svg", format_tag("title", "error vectors at unseen poses"), format_tag("path", d=edges, class_="box"), *names,
-        format_tag("path", d=strokes, class_="error"), format_tag("path", d=dots, class_="spot"),
-        viewBox="0 0 520 430", role="img", class_="chart vectors",
-    )  # fmt: skip
+    pieces = [format_tag("path", d=d, class_=ink) for d, ink in ((strokes, "error"), (dots, "spot"))]
+    box_drawn = format_tag("path", d=edges, class_="box")
+    return draw_svg("error vectors at unseen poses", (520, 430), "chart vectors", box_drawn, *names, *pieces)

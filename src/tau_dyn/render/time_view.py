@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from tau_dyn.log import find_true_runs
 from tau_dyn.render.chart import Chart
 from tau_dyn.results import Line, Spans, View
 
@@ -97,9 +98,9 @@ def decimate_min_max(t: np.ndarray, columns: np.ndarray, most: int) -> tuple[np.
 
 def find_gaps(t: np.ndarray, usable: np.ndarray, shortest: float = 0.0) -> list[tuple[float, float]]:
     """Return the intervals [s] that are not usable, those closer together than `shortest` joined."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], (~usable).astype(int), [0]])))
     found: list[tuple[float, float]] = []
-    for start, stop in zip(t[edges[::2]], t[edges[1::2] - 1], strict=True):
+    for run in find_true_runs(~usable):
+        start, stop = t[run.start], t[run.stop - 1]
         if found and start - found[-1][1] < shortest:
             found[-1] = (found[-1][0], float(stop))
         else:

@@ -113,6 +113,11 @@ def count(n: int, noun: str) -> str:
     return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
 
 
+def format_thousands(n: int) -> str:
+    """Return a whole number with its thousands apart."""
+    return f"{n:,}".replace(",", " ")
+
+
 def _tiny_or_huge(value: float) -> bool:
     return value != 0 and not 1e-4 <= abs(value) < 1e7
 

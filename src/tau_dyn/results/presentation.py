@@ -6,7 +6,7 @@ stands (`On`). Sections are made when a renderer asks for them, so that a termin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Flag, auto
 from typing import Any, Literal, NamedTuple
@@ -36,11 +36,21 @@ class Verdict(NamedTuple):
     badge: str = ""
 
 
+def judge(level: Level, sentence: str, badges: Mapping[str, str]) -> Verdict:
+    """Return a verdict with the badge of its level."""
+    return Verdict(level, sentence, badges[level])
+
+
 class Key(NamedTuple):
     """What a colour or a mark of a figure means."""
 
     ink: str
     words: str
+
+
+def build_key(**meanings: str) -> list[Key]:
+    """Return what inks mean, by their names."""
+    return [Key(ink, words) for ink, words in meanings.items()]
 
 
 @dataclass(frozen=True)
@@ -346,16 +356,21 @@ class Chapter:
 
     def list_blocks(self, on: On) -> list[Element]:
         """Return the blocks that stand there."""
-        return [block for block in _spread(self.make(), on) if block.on & on] if self.when and self.on & on else []
+        if not (self.when and self.on & on):
+            return []
+        blocks = (
+            self.make() if on is On.PAGE else spread_blocks(self.make())
+        )  # only a page has them side by side or folded
+        return [block for block in blocks if block.on & on]
 
 
-def _spread(blocks: Iterable[Element], on: On) -> Iterable[Element]:
-    """Give blocks one after the other; only a page has them side by side or folded."""
+def spread_blocks(blocks: Iterable[Element]) -> Iterable[Element]:
+    """Give blocks one after the other, those in boxes of others, too."""
     for block in blocks:
-        if on is On.PAGE or not isinstance(block, Beside | Folded | Group):
+        if not isinstance(block, Beside | Folded | Group):
             yield block
         else:
-            yield from _spread([*block.left, *block.right] if isinstance(block, Beside) else block.blocks, on)
+            yield from spread_blocks([*block.left, *block.right] if isinstance(block, Beside) else block.blocks)
 
 
 @dataclass(frozen=True)

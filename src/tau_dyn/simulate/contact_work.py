@@ -22,8 +22,8 @@ class ContactWorkpiece(Protocol):
     """Something a tool touches."""
 
     def reset(self) -> None:
-        """Forget what friction remembers."""
-        ...
+        """Forget what friction remembers; nothing where it has no memory."""
+        return
 
     def wrench(self, position: np.ndarray, rotation: np.ndarray, twist: np.ndarray, dt: float) -> np.ndarray:
         """Return force and torque on the tool (6,), world axes at the tool point.
@@ -105,7 +105,7 @@ class CompliantSurface:
 
 
 @dataclass(eq=False)
-class Hole:
+class Hole(ContactWorkpiece):
     """A round hole with a chamfer in a block, for a round peg along the tool's z axis that ends `peg` past the tool point.
 
     Three places may touch: the tip on the block's face or chamfer, the tip on the wall, and the peg's side at the mouth. With
@@ -142,9 +142,6 @@ class Hole:
             self, ("clearance", "depth", "stiffness", "side_stiffness"), ("peg", "damping", "friction", "chamfer")
         )
         self.axis = np.asarray(self.axis, float) / np.linalg.norm(self.axis)
-
-    def reset(self) -> None:
-        """Do nothing: its friction has no memory."""
 
     def inserted(self, position: np.ndarray, rotation: np.ndarray) -> float:
         """Return how deep the tip is in the hole [m]; zero beside it."""

@@ -175,12 +175,7 @@ def _build_failures(found: AccuracyResult) -> Iterator[r.Element]:
     if figure is None or g is None:
         return
     yield r.Text("How large errors may be", "heading")
-    key = [
-        r.Key("residual", "linear"),
-        r.Key("first", "parallelepiped"),
-        r.Key("shells", "ellipsoid"),
-        r.Key("proved", "certified"),
-    ]
+    key = r.build_key(residual="linear", first="parallelepiped", shells="ellipsoid", proved="certified")
     rows = [r.Row([m, _times(g.holds_to(m, 0.01)), _times(g.holds_to(m, 0.1))]) for m in linear if m in g.largest]
     columns = [r.Column("bound"), r.Column("within 1 % up to", "number"), r.Column("within 10 % up to", "number")]
     said = (
@@ -250,7 +245,7 @@ def _build_measured(found: AccuracyResult) -> Iterator[r.Element]:
         )
     if seen.orientation is not None:
         yield r.Text("Orientation of the plate", "heading")
-        key = [r.Key("predicted", "α"), r.Key("residual", "β"), r.Key("expected", "γ")]
+        key = r.build_key(predicted="α", residual="β", expected="γ")
         yield r.Figures([figures.build_orientation_figure(seen.orientation)], "wide-chart", key)
         pole = "β is near 0° or 180°, where α and γ trade against each other; only their sum or difference means something. "
         yield r.explain(

@@ -59,7 +59,7 @@ def present_calibration(found: Calibration, *, poses: Sequence[tuple[str, str]] 
 
 def _build_errors(found: Calibration) -> Iterator[r.Element]:
     before, after = (found.errors(m) for m in (found.models[0], found.chosen))
-    key = [r.Key("measured", "robot file, device and target placed"), r.Key("predicted", "calibrated")]
+    key = r.build_key(measured="robot file, device and target placed", predicted="calibrated")
     position = _draw_errors(before.distance, after.distance, "position error", "mm")
     yield r.Figures([position], "wide-chart", key, on=r.On.DRAWN)
     if before.angle is not None and after.angle is not None:

@@ -180,8 +180,14 @@ def _build_open_end(item: Unexplained, k: int) -> r.Chapter:
 
 
 def _build_time(found: Diagnosis) -> Iterator[r.Element]:
-    key = [r.Key("measured", "measured"), r.Key("residual", "before (refitted)"), r.Key("predicted", "after (extended)"),
-           r.Key("confirm", "validation"), r.Key("held", "test"), r.Key("masked", "not used")]  # fmt: skip
+    key = r.build_key(
+        measured="measured",
+        residual="before (refitted)",
+        predicted="after (extended)",
+        confirm="validation",
+        held="test",
+        masked="not used",
+    )
     views = [_build_view(found, trace, k) for trace in found.traces for k in range(len(found.outputs))]
     yield r.TimeView("measured and predicted over time, before and after, and the residuals", views, key)
     yield r.explain(

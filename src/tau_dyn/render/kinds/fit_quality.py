@@ -251,7 +251,9 @@ def _speed(v: float, unit: str) -> str:
 def describe_used_data(found: Identification) -> str:
     """Return how much of the data the fit uses, and what the rest looks like."""
     train, n = found.train, found.estimate.regression.n_samples
-    text = f"The fit uses {r.format_percent(100 * train.used_share)} of the samples: {f'{n:,}'.replace(',', ' ')} force values."
+    text = (
+        f"The fit uses {r.format_percent(100 * train.used_share)} of the samples: {r.format_thousands(n)} force values."
+    )
     if train.all_samples is not None:
         text += f" Training error: {r.format_percent(train.relative_error_percent)} of the used samples, "
         text += f"{r.format_percent(train.all_samples.relative_error_percent)} of all."

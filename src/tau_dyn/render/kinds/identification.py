@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from tau_dyn import results as r
@@ -122,9 +123,9 @@ def _build_errors(found: Identification) -> r.ResultTable:
 
 
 def _build_forces(found: Identification) -> Iterator[r.Element]:
-    key = [r.Key("measured", "measured"), r.Key("predicted", "predicted"), r.Key("residual", "residual"), r.Key("held",
-    "held out"),
-           r.Key("masked", "not used")]  # fmt: skip
+    key = r.build_key(
+        measured="measured", predicted="predicted", residual="residual", held="held out", masked="not used"
+    )
     yield r.TimeView(
         "measured and predicted force over time, and the residual", list(fit_quality.list_views(found)), key
     )
@@ -149,7 +150,7 @@ def _list_friction(found: Identification, equations: Sequence[str]) -> list[r.Ch
     def build() -> Iterator[r.Element]:
         drawn = [fit_quality.build_friction_figure(curve) for curve in curves]
         means = "mean and standard deviation of the samples, by speed"
-        key = [r.Key("cloud", "samples"), r.Key("mean", means), r.Key("predicted", "identified law")]
+        key = r.build_key(cloud="samples", mean=means, predicted="identified law")
         yield r.Figures(drawn, key=key)
         yield r.Figures(drawn[:_MAX_CURVES], on=r.On.NOTEBOOK)
         subtracted = f" Subtracted: {'; '.join(offsets)}." if offsets else ""
@@ -293,8 +294,7 @@ def describe_verdict(found: Identification, truth: Mapping[str, float] | None = 
     return _judge("good", "Use it for feedforward and simulation; every parameter is determined.")
 
 
-def _judge(level: r.Level, sentence: str) -> r.Verdict:
-    return r.Verdict(level, sentence, BADGES[level])
+_judge = partial(r.judge, badges=BADGES)
 
 
 def name_mass_group(name: str) -> str:

@@ -232,7 +232,7 @@ def _build_response(found: Modes) -> Iterator[r.Element]:
 
 def _build_time(found: Modes) -> Iterator[r.Element]:
     views = [_build_view(found, trace, k) for trace in found.traces for k in range(len(found.outputs))]
-    key = [r.Key("measured", "measured"), r.Key("predicted", "simulated"), r.Key("residual", "missed")]
+    key = r.build_key(measured="measured", predicted="simulated", residual="missed")
     if views:
         yield r.TimeView("measured and simulated outputs over time", views, key)
     judged, held = found.judged, found.holdout is not None
@@ -269,13 +269,13 @@ def _build_view(found: Modes, trace: Any, k: int) -> r.View:
 def _build_impulse(found: Modes) -> Iterator[r.Element]:
     drawn = [figures.build_impulse_figure(found, i, j) for i, j in figures.list_pairs(found)]
     held = ", held out" if found.impulse and found.impulse.held_out else ""
-    key = [r.Key("measured", f"measured{held}"), r.Key("predicted", "model")]
+    key = r.build_key(measured=f"measured{held}", predicted="model")
     yield r.Figures([figure for figure in drawn if figure is not None], _lay_out(found), key)
     yield r.explain(_tidy(found.impulse.how) if found.impulse else "")
 
 
 def _key_of_modes(last: str) -> list[r.Key]:
-    return [r.Key("stable", "stable"), r.Key("ring", "frequency only"), r.Key("new", "new"), r.Key("mode", last)]
+    return r.build_key(stable="stable", ring="frequency only", new="new", mode=last)
 
 
 def _build_order(found: Modes) -> Iterator[r.Element]:

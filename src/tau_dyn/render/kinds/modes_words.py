@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from tau_dyn import results as r
@@ -100,21 +102,20 @@ def describe_verdict(found: Modes | OperationalModes) -> r.Verdict:
     return _judge("good", "Usable for simulation and design: the residual is not correlated with the inputs.")
 
 
-def _judge(level: r.Level, sentence: str) -> r.Verdict:
-    return r.Verdict(level, sentence, BADGES[level])
+_judge = partial(r.judge, badges=BADGES)
 
 
 def describe_inputs(found: Modes | OperationalModes) -> str:
     """Return what went in."""
     if isinstance(found, OperationalModes):
-        samples = f"{found.n_samples:,}".replace(",", " ")
+        samples = r.format_thousands(found.n_samples)
         return (
             f"{samples} samples at {r.format_number(1 / found.dt, 4)} Hz, no inputs, {r.count(len(found.outputs), 'output')} "
             f"({r.format_list(found.outputs)}); models up to order {found.order}, ssi-cov."
         )
     n = found.train.n_samples + (0 if found.holdout is None else found.holdout.n_samples)
     what = "impulse tests" if found.kind == "impulse" else f"{r.count(len(found.inputs), 'input')}"
-    samples = f"{n:,}".replace(",", " ")
+    samples = r.format_thousands(n)
     return (
         f"{samples} samples at {r.format_number(1 / found.dt, 4)} Hz, {what} ({r.format_list(found.inputs)}), "
         f"{r.count(len(found.outputs), 'output')} ({r.format_list(found.outputs)}); order {found.order}, delay "

@@ -74,7 +74,7 @@ def present_simulation(found: SimulatedLog) -> r.Presentation:
     follows = (
         f"; it follows its reference to {r.format_percent(100 * max(errors))} of each joint's travel" if errors else ""
     )
-    samples = f"{log.n_samples:,}".replace(",", " ")
+    samples = r.format_thousands(log.n_samples)
     summary = f"{log.name}: {samples} samples of {r.format_list(robot.actuated)}, read through the sensors below. "
     summary += "Not a recording."
     return r.Presentation(
@@ -94,12 +94,7 @@ def _judge_simulation(log: Log, rows: list[dict[str, Any]]) -> r.Verdict:
 
 
 def _build_signals(log: Log, robot: Robot) -> Iterator[r.Element]:
-    key = [
-        r.Key("measured", "reference"),
-        r.Key("predicted", "position"),
-        r.Key("residual", "force"),
-        r.Key("limit", "limit"),
-    ]
+    key = r.build_key(measured="reference", predicted="position", residual="force", limit="limit")
     views = [_log_view(log, robot, k) for k in range(robot.na)]
     yield r.TimeView("position, how far it is behind its reference, and force, over time", views, key)
     yield r.explain(
@@ -233,7 +228,7 @@ def _build_prediction(found: ExcitingMotion) -> Iterator[r.Element]:
 
 
 def _build_motion(motion: Trajectory, robot: Robot) -> Iterator[r.Element]:
-    key = [r.Key("predicted", "position, speed"), r.Key("residual", "acceleration"), r.Key("limit", "limit")]
+    key = r.build_key(predicted="position, speed", residual="acceleration", limit="limit")
     views = [_motion_view(motion, robot, k) for k in range(robot.na)]
     yield r.TimeView("position, speed and acceleration over time", views, key)
     yield r.explain(

@@ -133,7 +133,7 @@ def _square(x: np.ndarray, y: np.ndarray) -> tuple[tuple[float, float], tuple[fl
 
 
 def _build_motion(plan: MotionPlan) -> Iterator[r.Element]:
-    key = [r.Key("predicted", "position, speed"), r.Key("residual", "force"), r.Key("limit", "limit")]
+    key = r.build_key(predicted="position, speed", residual="force", limit="limit")
     views = [_build_view(plan, k) for k in range(len(plan.joints))]
     yield r.TimeView("position, speed and force over time", views, key)
     yield r.explain(f"{ZOOM}A limit is drawn where the motion comes near it.")
