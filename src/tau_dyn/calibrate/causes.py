@@ -211,7 +211,7 @@ class CalibrationFinding:
             "status": self.status,
             "p_value": self.gain.p_value,
             "parameters": rows,
-            "gain": self.gain.to_dict(),
+            "gain": self.gain,
             "equation": self.equation,
             "indistinguishable_from": list(self.indistinguishable_from),
         }

@@ -132,7 +132,7 @@ def fit_and_cross_validate(
     start: GeometryFit | None = None,
     periods: dict[str, float] | None = None,
 ) -> CandidateModel:
-    """Fit a model and cross-validate it."""
+    """Fit a model and cross-validate it; arguments as in `fit_spec`."""
     fitted = fit_spec(family, spec, poses, options, start, periods)
     return CandidateModel(spec.name_for(family.joints), spec, fitted, cross_validate(fitted, options.seed))
 

@@ -24,10 +24,6 @@ class ErrorSize(NamedTuple):
     rms: float
     max: float
 
-    def to_dict(self) -> dict[str, float]:
-        """Return it as the contract spells it."""
-        return {"mean": self.mean, "rms": self.rms, "max": self.max}
-
 
 class PoseErrors(NamedTuple):
     """Measured minus predicted.
@@ -52,11 +48,7 @@ class PoseErrors(NamedTuple):
 
     def to_dict(self) -> dict[str, object]:
         """Return the contract's `{position, orientation}`; orientation is None where none was measured."""
-        angle = self.angle
-        return {
-            "position": _size(self.distance).to_dict(),
-            "orientation": None if angle is None else _size(angle).to_dict(),
-        }
+        return {"position": self.position_size, "orientation": self.orientation_size}
 
     @property
     def position_size(self) -> ErrorSize:
@@ -114,10 +106,6 @@ class MeasurementNoise:
     source: NoiseSource
     position: float | None = None
     orientation: float | None = None
-
-    def to_dict(self) -> dict[str, object]:
-        """Return it as results spell it."""
-        return {"source": self.source, "position": self.position, "orientation": self.orientation}
 
 
 def estimate_measurement_noise(poses: PoseSet, accuracy: tuple[float, ...] = ()) -> MeasurementNoise:
