@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.causes import CalibrationFinding
-from tau_dyn.calibrate.crossvalidation import HeldOutErrors, compute_rms_interval, summarise_held_out_errors
+from tau_dyn.calibrate.crossvalidation import compute_rms_interval
 from tau_dyn.calibrate.geometry import expand_constraints
 from tau_dyn.calibrate.geometry_fit import GeometryFit, compute_sensitivities
 from tau_dyn.calibrate.model_selection import CandidateModel, SelectionStep
@@ -74,15 +74,7 @@ class Calibration(Shown):
 
     def errors(self, model: CandidateModel) -> PoseErrors:
         """Return a model's errors at unseen poses: held-out ones, or training poses predicted without their fold."""
-        if self.holdout is not None:
-            return model.fit.errors(self.holdout)
-        return PoseErrors(model.unseen.position, model.unseen.rotation)
-
-    def unseen(self, model: CandidateModel) -> HeldOutErrors:
-        """Return the same for comparisons."""
-        if self.holdout is None:
-            return model.unseen
-        return summarise_held_out_errors(self.errors(model), self.holdout, oriented=model.fit.geometry.orients)
+        return model.unseen if self.holdout is None else model.fit.errors(self.holdout)
 
     def at(self) -> PoseSet:
         """Return the poses at which unseen errors stand."""
@@ -157,8 +149,9 @@ class Calibration(Shown):
     def _waterfall(self) -> list[dict[str, object]]:
         rows = []
         for model in self.models:
-            unseen = self.unseen(model)
-            rows.append({"step": model.name, "rms": unseen.rms, "ci95": list(compute_rms_interval(unseen, self.seed))})
+            errors = self.errors(model)
+            interval = list(compute_rms_interval(errors, self.seed))
+            rows.append({"step": model.name, "rms": errors.position_size.rms, "ci95": interval})
         return rows
 
 
