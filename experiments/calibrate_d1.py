@@ -68,7 +68,7 @@ def machine(rng: np.random.Generator) -> Machine:
     built = family.build(spec, dict.fromkeys(joints, PERIOD))
     geometry = built.geometry
     bends = [_bow(rods, k, home[k], rng) for k in range(3)]
-    whole = RodGeometry(rods, geometry.drives, (*geometry.guides, *bends))
+    whole = RodGeometry(rods, (*geometry.laws, *bends))
     value = dict(zip(whole.parameters.names, whole.parameters.values, strict=True))
     for k, joint in enumerate(joints):
         phase = rng.uniform(0, 2 * np.pi)
@@ -92,7 +92,7 @@ def _bow(rods: Rods, k: int, home: float, rng: np.random.Generator) -> GuideBend
     shape = np.sin(np.pi * (knots - knots[0]) / np.ptp(knots) * rng.uniform(1.2, 2.0))
     base = BOW[k] * shape[:, None] * across / np.linalg.norm(across) + along[:, None] * rods.numbers.joints[k].direction
     name = rods.robot.actuated[k]
-    return GuideBendLaw(name, k, find_carried_rods(rods, k), rods.n, knots, base)
+    return GuideBendLaw(name, k, find_carried_rods(rods, k), knots, base)
 
 
 def grid() -> np.ndarray:
@@ -128,7 +128,7 @@ def measured_bends(
 ) -> tuple[GuideBendLaw, ...]:
     """Return guideways as measured (5.7)."""
     return tuple(
-        GuideBendLaw(rods.robot.actuated[k], k, find_carried_rods(rods, k), rods.n, q[:, k], measured[k]) for k in which
+        GuideBendLaw(rods.robot.actuated[k], k, find_carried_rods(rods, k), q[:, k], measured[k]) for k in which
     )
 
 
@@ -150,7 +150,7 @@ def models(
     ):
         family = RodFamily(rods, train)
         drifts = () if rods.translates else tuple(family._drifts())
-        whole = RodGeometry(rods, (), (*drifts, *measured_bends(rods, knots, measured, which)))
+        whole = RodGeometry(rods, (*drifts, *measured_bends(rods, knots, measured, which)))
         bends = [n for n in whole.parameters.names if ".bend_" in n]
         found = fit_geometry_to_poses(
             constrain_parameters(whole, {}, bends),

@@ -47,7 +47,7 @@ def grid(rods: Rods) -> np.ndarray:
 def machine(rods: Rods, q: np.ndarray, rng: np.random.Generator) -> tuple[RodGeometry, np.ndarray]:
     """Return the true robot."""
     bends = [_crooked(rods, k, q[:, k], rng) for k in range(3)]
-    geometry = RodGeometry(rods, (), tuple(bends))
+    geometry = RodGeometry(rods, tuple(bends))
     value = dict(zip(geometry.parameters.names, geometry.parameters.values, strict=True))
     mean = TABLE_5_1.mean(axis=0)
     to_x = Rotation.align_vectors([[1.0, 0.0, 0.0]], [mean / np.linalg.norm(mean)])[0]
@@ -67,7 +67,7 @@ def _crooked(rods: Rods, k: int, x: np.ndarray, rng: np.random.Generator) -> Gui
     bow = BOW[k] * np.sin(np.pi * rng.uniform(1.5, 2.5) * (knots - knots[0]) / np.ptp(knots) + rng.uniform(0, 6))
     wave = WAVE[k] * np.sin(2 * np.pi * knots / PERIOD + rng.uniform(0, 6))
     base = bow[:, None] * across / np.linalg.norm(across) + wave[:, None] * np.array([1.0, 0.0, 0.0])
-    return GuideBendLaw(rods.robot.actuated[k], k, find_carried_rods(rods, k), rods.n, knots, base)
+    return GuideBendLaw(rods.robot.actuated[k], k, find_carried_rods(rods, k), knots, base)
 
 
 def study(seed: int) -> None:

@@ -11,9 +11,9 @@ import pytest
 from raising import raises_code
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate import PoseSet, calibrate, load_calibration, save_calibration
+from tau_dyn.calibrate import PoseErrors, PoseSet, calibrate, load_calibration, save_calibration
 from tau_dyn.calibrate.addition_tests import find_unit_coupling
-from tau_dyn.calibrate.crossvalidation import HeldOutErrors, compare_paired, split_folds
+from tau_dyn.calibrate.crossvalidation import compare_paired, split_folds
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.gravity import ArmGeometry, build_gravity_laws, compute_gravity_moments
 from tau_dyn.calibrate.joint_laws import CouplingLaw, EccentricityLaw
@@ -298,8 +298,8 @@ def test_targets_of_one_configuration_are_no_independent_evidence():
     """A gain seen at eight configurations is as sure with five targets at each as with one."""
     rng = np.random.default_rng(16)
     small, large = 1 + 0.3 * rng.random((8, 3)), 1 + 0.3 * rng.random((8, 3)) - 0.2
-    one = compare_paired(*(HeldOutErrors(x, None) for x in (small, large)))
-    many = [HeldOutErrors(np.repeat(x, 5, axis=0), None, None, np.repeat(np.arange(8), 5)) for x in (small, large)]
+    one = compare_paired(*(PoseErrors(x, None) for x in (small, large)))
+    many = [PoseErrors(np.repeat(x, 5, axis=0), None, None, np.repeat(np.arange(8), 5)) for x in (small, large)]
     assert compare_paired(*many).p_value == pytest.approx(one.p_value) and one.p_value > 1e-3
     assert compare_paired(*many).ci95 == pytest.approx(one.ci95)
     apart = [replace(x, configuration=None) for x in many]

@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 from raising import raises_code
 
+from tau_dyn.codegen import build_kinematics as build_kinematics_code, build_program
+from tau_dyn.control import Feedforward
+from tau_dyn.exchange import build_mjcf
 from tau_dyn.mechanism import (
     build_kinematics,
     build_mechanism,
@@ -16,6 +19,7 @@ from tau_dyn.mechanism import (
     jacobian,
     measure_singularity,
 )
+from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 SCALE = 1.05
@@ -94,6 +98,16 @@ def test_power_goes_into_energy(pair) -> None:
     power = np.sum(mechanism.inverse_dynamics(q, v, a) * v, axis=1)
     kept = (energy(h) - energy(-h)) / (2 * h) + np.sum(mechanism.inverse_dynamics(q, rest, rest) * v, axis=1)
     assert np.abs(power - kept).max() < 1e-6 * np.abs(power).max()
+
+
+def test_files_and_code_carry_a_scale_or_refuse_it() -> None:
+    """Code of the closed form computes with it; a MuJoCo file and a tree's code have no place for it and say so."""
+    closed = scale_drives(load_robot("gantry_tau"), cart1=1.05, cart2=0.97)
+    assert build_program(Feedforward(Model.of(closed, []))).difference < 1e-9 > build_kinematics_code(closed).difference
+    tree = Model.of(scale_drives(load_robot("hexaglide"), cart1=1.05), [])
+    for build in (build_mjcf, lambda model: build_program(Feedforward(model))):
+        with raises_code("unsupported", "cart1"):
+            build(tree)
 
 
 @pytest.mark.parametrize(

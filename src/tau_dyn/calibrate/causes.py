@@ -14,10 +14,8 @@ import numpy as np
 
 from tau_dyn.calibrate.crossvalidation import (
     CrossValidationGain,
-    HeldOutErrors,
     compare_paired,
     cross_validate,
-    summarise_held_out_errors,
 )
 from tau_dyn.calibrate.geometry import ConstrainedGeometry, Geometry, constrain_parameters
 from tau_dyn.calibrate.geometry_fit import GeometryFit
@@ -28,23 +26,11 @@ from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.parameters import Parameter, Parameters
 
-LENGTHS = (".length", ".rods_length")
-PLACES = (".origin_", ".base_", ".plate_", ".turn_")
 
-
-def fix_lengths(geometry: Geometry) -> Geometry | None:
-    """Return the geometry with nominal rod lengths."""
-    return _left_out(geometry, [n for n in _free(geometry) if n.endswith(LENGTHS)])
-
-
-def fix_placements(geometry: Geometry) -> Geometry | None:
-    """Return the geometry with all joints where the robot file has them."""
-    return _left_out(geometry, [n for n in _free(geometry) if any(w in n for w in PLACES)])
-
-
-def fix_tilts(geometry: Geometry) -> Geometry | None:
-    """Return the geometry with rods' ends on their carts' lines."""
-    return _left_out(geometry, [n for n in _free(geometry) if ".drift_" in n])
+def fix_parameters(geometry: Geometry, what: Sequence[str]) -> Geometry | None:
+    """Return the geometry with the dimensions at nominal whose names have one of these beginnings after the owner's."""
+    names = [p.name for p in geometry.parameters if p.free and p.name.rpartition(".")[2].startswith(tuple(what))]
+    return constrain_parameters(geometry, {}, names) if names else None
 
 
 def tie_guideway_directions(geometry: Geometry) -> Geometry | None:
@@ -52,14 +38,10 @@ def tie_guideway_directions(geometry: Geometry) -> Geometry | None:
     owners = _rails(geometry)
     if len(owners) < 2:
         return None
-    names, value = (
-        geometry.parameters.names,
-        dict(zip(geometry.parameters.names, geometry.parameters.values, strict=True)),
-    )
-    along, first, second = _axes(owners[0], value)
+    along, first, second = _axes(owners[0], geometry)
     rows = [(f"{o}.scale", {o: along}) for o in owners]
     rows += [("guideways.slope_1", dict.fromkeys(owners, first)), ("guideways.slope_2", dict.fromkeys(owners, second))]
-    return _recombined(geometry, owners, rows, names)
+    return _recombined(geometry, owners, rows)
 
 
 def fix_drive_scales(geometry: Geometry) -> Geometry | None:
@@ -67,40 +49,29 @@ def fix_drive_scales(geometry: Geometry) -> Geometry | None:
     owners = _rails(geometry)
     if not owners:
         return None
-    names, value = (
-        geometry.parameters.names,
-        dict(zip(geometry.parameters.names, geometry.parameters.values, strict=True)),
-    )
     rows = []
     for o in owners:
-        _, first, second = _axes(o, value)
+        _, first, second = _axes(o, geometry)
         rows += [(f"{o}.slope_1", {o: first}), (f"{o}.slope_2", {o: second})]
-    return _recombined(geometry, owners, rows, names)
-
-
-def _free(geometry: Geometry) -> list[str]:
-    return [p.name for p in geometry.parameters if p.free]
-
-
-def _left_out(geometry: Geometry, names: Sequence[str]) -> Geometry | None:
-    return constrain_parameters(geometry, {}, names) if names else None
+    return _recombined(geometry, owners, rows)
 
 
 def _rails(geometry: Geometry) -> list[str]:
     return [n.removesuffix(".direction_x") for n in geometry.parameters.names if n.endswith(".direction_x")]
 
 
-def _axes(owner: str, value: dict[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    d = np.array([value[f"{owner}.direction_{a}"] for a in "xyz"])
+def _axes(owner: str, geometry: Geometry) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    d = np.array([geometry.parameters[f"{owner}.direction_{a}"].value for a in "xyz"])
     d = d / np.linalg.norm(d)
     _, _, vt = np.linalg.svd(d[None])
     return d, vt[1], vt[2]
 
 
 def _recombined(
-    geometry: Geometry, owners: Sequence[str], rows: list[tuple[str, dict[str, np.ndarray]]], names: Sequence[str]
+    geometry: Geometry, owners: Sequence[str], rows: list[tuple[str, dict[str, np.ndarray]]]
 ) -> ConstrainedGeometry:
     """Return the geometry with its directions replaced by a few combinations of them."""
+    names = geometry.parameters.names
     directions = {f"{o}.direction_{a}" for o in owners for a in "xyz"}
     kept = [k for k, n in enumerate(names) if n not in directions]
     index = {n: k for k, n in enumerate(names)}
@@ -151,15 +122,8 @@ _OF_ADDITION = {
     "tool_frame": "tool_frame",
     "base_frame": "base_frame",
 }
-_OF_STRUCTURE: dict[str, Callable[[Geometry], Geometry | None]] = {
-    "rod_length": fix_lengths,
-    "joint_placement": fix_placements,
-    "guideway_nonparallel": tie_guideway_directions,
-    "pinion_scale": fix_drive_scales,
-    "cart_tilt": fix_tilts,
-}
 _PATTERNS = {
-    "rod_length": ("length",),
+    "rod_length": ("length", "rods_length"),
     "joint_placement": ("origin_", "base_", "plate_", "turn_"),
     "guideway_nonparallel": ("direction_",),
     "pinion_scale": ("direction_",),
@@ -170,6 +134,15 @@ _PATTERNS = {
     "backlash": ("backlash",),
     "gravity_deflection": ("gravity_compliance", "load_deflection"),
     "joint_eccentricity": ("eccentricity_",),
+}
+
+
+_OF_STRUCTURE: dict[str, Callable[[Geometry], Geometry | None]] = {
+    "rod_length": lambda geometry: fix_parameters(geometry, _PATTERNS["rod_length"]),
+    "joint_placement": lambda geometry: fix_parameters(geometry, _PATTERNS["joint_placement"]),
+    "guideway_nonparallel": tie_guideway_directions,
+    "pinion_scale": fix_drive_scales,
+    "cart_tilt": lambda geometry: fix_parameters(geometry, _PATTERNS["cart_tilt"]),
 }
 
 
@@ -211,7 +184,7 @@ class CalibrationFinding:
             "status": self.status,
             "p_value": self.gain.p_value,
             "parameters": rows,
-            "gain": self.gain.to_dict(),
+            "gain": self.gain,
             "equation": self.equation,
             "indistinguishable_from": list(self.indistinguishable_from),
         }
@@ -239,7 +212,7 @@ def find_causes(
             continue
         gain, agrees = by_folds, False
         if holdout is not None:
-            gain = compare_paired(_held(smaller, holdout), _held(chosen.fit, holdout), options.seed)
+            gain = compare_paired(smaller.errors(holdout), chosen.fit.errors(holdout), options.seed)
             agrees = gain.p_value < _LEVEL and gain.ci95[0] > 0
         names, status = _parameters(cause, joints, chosen.fit), "confirmed" if agrees else "suspected"
         alike = _list_alike(family, cause, joints)
@@ -294,10 +267,6 @@ def _fitted(chosen: CandidateModel, geometry: Geometry, spec: Spec, options: Opt
             frames = replace(frames, tool=frames.tool[: len(chosen.fit.poses.targets)])
         start = start._replace(frames=frames, slack=slack)
     return fit_geometry(geometry, spec, chosen.fit.poses, options, start, "this model")
-
-
-def _held(fitted: GeometryFit, holdout: PoseSet) -> HeldOutErrors:
-    return summarise_held_out_errors(fitted.errors(holdout), holdout, oriented=fitted.geometry.orients)
 
 
 def _parameters(cause: str, joints: tuple[str, ...], fitted: GeometryFit) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ import numpy as np
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.mechanism import Poses, Rods
 from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.robot import Robot
 
 KNOWN_BEFOREHAND = 1000
 """Priority of a parameter that its `prior_stderr` tells where poses do not: never dropped, its uncertainty always counts."""
@@ -127,6 +128,21 @@ class GeometryDefaults:
     """
 
     beyond_file = "laws of its joints"
+
+    @property
+    def robot(self) -> Robot:
+        """The robot file."""
+        raise NotImplementedError
+
+    @property
+    def actuated(self) -> tuple[str, ...]:
+        """Actuated joints, in the order of `q`."""
+        return self.robot.actuated
+
+    @property
+    def position_units(self) -> tuple[str, ...]:
+        """Units of `q`."""
+        return self.robot.position_units
 
     def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure | None:
         """Return None; use forward residuals."""

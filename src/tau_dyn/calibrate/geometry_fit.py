@@ -40,17 +40,16 @@ def count_required_poses(rank: int, per_pose: int) -> int:
     return -(-rank // per_pose) + 1
 
 
-def check_count(poses: PoseSet, geometry: Geometry, unknowns: Unknowns, problem: Problem, what: str) -> None:
+def check_count(problem: Problem, what: str) -> None:
     """Refuse fewer measurements than unknowns.
 
     Raises:
         InputError: Too few poses; says how many are needed.
     """
-    m = sum(problem.blocks)
-    free = int(unknowns.free.sum())
-    if poses.n >= count_required_poses(free, m):
+    m, poses = sum(problem.blocks), problem.poses
+    if poses.n >= count_required_poses(int(problem.unknowns.free.sum()), m):
         return
-    rank = compute_structural_rank(poses, geometry, unknowns, problem)
+    rank = compute_structural_rank(problem)
     needed = count_required_poses(rank, m)
     if poses.n >= needed:
         return
@@ -62,9 +61,9 @@ def check_count(poses: PoseSet, geometry: Geometry, unknowns: Unknowns, problem:
     )
 
 
-def compute_structural_rank(poses: PoseSet, geometry: Geometry, unknowns: Unknowns, problem: Problem) -> int:
+def compute_structural_rank(problem: Problem) -> int:
     """Return the rank that random poses within the range of these (widened where they do not move) would give."""
-    rng = np.random.default_rng(0)
+    poses, geometry, unknowns, rng = problem.poses, problem.geometry, problem.unknowns, np.random.default_rng(0)
     low, high = poses.q.min(axis=0), poses.q.max(axis=0)
     width = np.maximum(high - low, 0.1)
     q = 0.5 * (low + high) + width * (rng.random((4 * int(unknowns.free.sum()), poses.na)) - 0.5)
@@ -82,7 +81,7 @@ def compute_structural_rank(poses: PoseSet, geometry: Geometry, unknowns: Unknow
         approach=np.sign(rng.standard_normal(q.shape)),
     )
     wide = replace(problem, poses=many)
-    frames = _one_of_each(unknowns)
+    frames = DeviceFrames((IDENTITY,) * (unknowns.n_device // 6), (IDENTITY,) * (unknowns.n_tool // 6))
     state = wide.place(geometry.parameters.values, frames, np.zeros(poses.na), None)
     seen = state.frames.measured(state.base, many.setup)
     wide = replace(
@@ -92,10 +91,6 @@ def compute_structural_rank(poses: PoseSet, geometry: Geometry, unknowns: Unknow
     names = tuple(np.array(unknowns.names)[unknowns.free])
     flat = columns.reshape(-1, columns.shape[2])
     return find_identifiable(flat, names, unknowns.scales[unknowns.free], unknowns.priority[unknowns.free]).rank
-
-
-def _one_of_each(unknowns: Unknowns) -> DeviceFrames:
-    return DeviceFrames((IDENTITY,) * (unknowns.n_device // 6), (IDENTITY,) * (unknowns.n_tool // 6))
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,19 +274,15 @@ def fit_geometry_to_poses(
     devices = len(poses.campaigns) if apart[0] else len(state.frames.device)
     tools = len(poses.campaigns) if apart[1] else max(len(poses.targets), len(state.frames.tool))
     state = state._replace(frames=state.frames.apart(devices, tools))
-    unknowns = collect(
-        geometry,
-        state.frames,
-        fix=fix,
-        free=free,
-        device=device,
-        tool=tool,
-        turned=turned,
-        backlash=backlash,
-        prior=prior,
-    )
-    problem = Problem(geometry, poses, unknowns, residual, turned)
-    check_count(poses, geometry, unknowns, problem, what)
+    own = {"fix": fix, "free": free, "device": device, "tool": tool, "backlash": backlash, "prior": prior}
+    problem = Problem(geometry, poses, collect(geometry, state.frames, turned=turned, **own), residual, turned)
+    check_count(problem, what)
+    return _solve(problem, robust, noise, state, what)
+
+
+def _solve(problem: Problem, robust: str, noise: tuple[float, ...] | None, state: FitState, what: str) -> GeometryFit:
+    """Return the fit of a problem from a state, with what cannot be told at nominal and the others' covariance."""
+    poses = problem.poses
     state, weighted, steps, converged = descend_in_rounds(problem, robust, noise, state)
     found = weighted.identify(state)
     state = reset_unidentifiable(weighted, state, found)
@@ -303,13 +294,13 @@ def fit_geometry_to_poses(
         )
     weights, columns, cov = weighted.compute_covariance(state, found.kept)
     return GeometryFit(
-        geometry=geometry,
+        geometry=problem.geometry,
         poses=poses,
-        unknowns=unknowns,
+        unknowns=problem.unknowns,
         state=state,
         cov=cov,
         residuals=problem.residuals(state),
-        kind=residual,
+        kind=problem.kind,
         noise=weighted.noise,
         weights=weights,
         identifiability=found,

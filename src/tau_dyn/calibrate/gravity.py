@@ -27,11 +27,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.calibrate.geometry import KNOWN_BEFOREHAND, GeometryDefaults, Predicted
-from tau_dyn.calibrate.joint_laws import JointLaw, MovedJoints, move_joints
+from tau_dyn.calibrate.joint_laws import Displaced, Law, displace
 from tau_dyn.calibrate.tree_geometry import TreeGeometry
 from tau_dyn.mechanism import Poses, Rods, compute_frames, forward_kinematics, transform_point
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.robot import BODY_STDERR
+from tau_dyn.robot import BODY_STDERR, Robot
 
 MAX_DEFLECTION = 0.01
 """Deflection by gravity that a machine is taken to have before its poses are known (one standard deviation) [rad or m]."""
@@ -215,7 +215,7 @@ _LEVEL = 1e-6
 class _PlacedArm(NamedTuple):
     own: np.ndarray  # the tree's parameters
     yielding: tuple[tuple[GravityLaw, np.ndarray], ...]  # laws of gravity and their values
-    moved: MovedJoints  # by the encoders' laws
+    moved: Displaced  # by the encoders' laws
     real: np.ndarray  # joints' positions (N, na)
     moments: GravityMoments | None
     gravity: np.ndarray
@@ -233,15 +233,11 @@ class ArmGeometry(GeometryDefaults):
     """
 
     tree: TreeGeometry
-    laws: tuple[JointLaw | GravityLaw, ...]
-
-    @property
-    def parameters(self) -> Parameters:
-        """The tree's parameters, then the laws', then by what share masses are off that matter to them, and the base's tilt."""
-        return self._parameters
+    laws: tuple[Law | GravityLaw, ...]
 
     @cached_property
-    def _parameters(self) -> Parameters:
+    def parameters(self) -> Parameters:
+        """The tree's parameters, then the laws', then by what share masses are off that matter to them, and the base's tilt."""
         masses = [
             Parameter(f"{body}.mass_error", 0.0, "1", prior_stderr=BODY_STDERR, origin="law") for body in self._bodies
         ]
@@ -272,14 +268,9 @@ class ArmGeometry(GeometryDefaults):
         )
 
     @property
-    def actuated(self) -> tuple[str, ...]:
-        """Actuated joints."""
-        return self.tree.actuated
-
-    @property
-    def position_units(self) -> tuple[str, ...]:
-        """Units of `q`."""
-        return self.tree.position_units
+    def robot(self) -> Robot:
+        """The robot file."""
+        return self.tree.robot
 
     @property
     def orients(self) -> bool:
@@ -307,8 +298,7 @@ class ArmGeometry(GeometryDefaults):
             if isinstance(law, GravityLaw):
                 columns.append(slopes[:, :, [law.actuator]] * law.select(at.torques)[:, None])
             else:
-                actuator, own = next(encoders)
-                columns.append(through[:, :, [actuator]] * own[:, None])
+                columns.append(through[:, :, [law.actuator]] * next(encoders)[1])
         return np.concatenate([*columns, slopes @ self._by_load(at)], axis=2)
 
     def tool_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
@@ -321,7 +311,7 @@ class ArmGeometry(GeometryDefaults):
         ends = np.cumsum([len(self.tree.parameters), *(len(law.parameters) for law in self.laws)])
         own, *values, off = np.split(np.asarray(theta, float), ends)
         pairs = [(law, v) for law, v in zip(self.laws, values, strict=True) if not isinstance(law, GravityLaw)]
-        moved = move_joints([law for law, _ in pairs], [v for _, v in pairs], q)
+        moved = displace([law for law, _ in pairs], [v for _, v in pairs], q)
         yielding = [(law, v) for law, v in zip(self.laws, values, strict=True) if isinstance(law, GravityLaw)]
         if not yielding:
             return _PlacedArm(own, (), moved, moved.real, None, np.zeros(3), np.zeros((0, 2)), np.zeros((*q.shape, 2)))

@@ -1,13 +1,13 @@
 r"""What joints and carts do beside moving as their encoders say: a law is a few more parameters, zero in the nominal robot.
 
-A `JointLaw` changes the position that a joint really has, `q_real = q + sum of e`:
+A `Law` of a joint changes the position that it really has, `q_real = q + sum of e`:
 
 - periodic errors of pinions, racks and resolvers, `e = s sin(2 pi q / T) + c cos(2 pi q / T)`;
 - eccentricity of an encoder disc, `e = s sin q + c cos q`;
 - coupling, `e = k q_other`: another joint's drive turns this one along;
 - compliance of a drive, `e = c F . n`, `F` the rods' pull; what an arm's joints yield to gravity stands in `gravity.py`.
 
-A `GuideLaw` displaces all rod ends that a slide carries, `A = A_0 + d(q)`, in base axes. Laws are given `q` alone, so that
+One of a guideway displaces rod ends that its slide carries, `A = A_0 + d(q)`, in base axes. Laws are given `q` alone, so that
 forward kinematics stays a function of `q`; a load-dependent law takes its loads from the nominal robot, whose errors change them
 by parts in a thousand. References: thesis 4.2, 5.3, figures 4.3, 5.2; Whitney, Lozinski & Rourke 1986.
 """
@@ -16,38 +16,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from tau_dyn.mechanism import Rods, list_path
+from tau_dyn.mechanism import AXES, Rods, list_path
 from tau_dyn.parameters import Parameter, Parameters
 
-AXES = ("x", "y", "z")
 _COUPLING_STDERR = 0.1
 """Share of another joint's motion that may be coupled in, one standard deviation."""
 Loads = Callable[[np.ndarray], np.ndarray]
 """`q` (N, na) -> force of the rods on each actuated slide (N, na, 3) [N], in base axes."""
 
 
-class JointShift(NamedTuple):
-    """A joint's error (N,), its slope by all positions (N, na) and by the law's parameters (N, p)."""
+class Shift(NamedTuple):
+    """A displacement (N, d) [m or rad], its slope by all positions (N, d, na) and by the law's parameters (N, d, p).
 
-    error: np.ndarray
-    slope: np.ndarray
-    columns: np.ndarray
+    `d` is 1 of a joint's own position, 3 of rod ends.
+    """
 
-
-class GuideShift(NamedTuple):
-    """Displacements (N, rods, 3) [m] of rods' ends, their slope by the slide's `q` and by parameters (N, rods, 3, p)."""
-
-    shift: np.ndarray
-    slope: np.ndarray
-    columns: np.ndarray
+    value: np.ndarray
+    by_position: np.ndarray
+    by_parameter: np.ndarray
 
 
-class JointLaw(Protocol):
-    """An error of one joint's position."""
+class Law(Protocol):
+    """A displacement of one joint's position, or of rod ends that its link carries."""
 
     @property
     def actuator(self) -> int:
@@ -55,21 +49,8 @@ class JointLaw(Protocol):
         ...
 
     @property
-    def parameters(self) -> Parameters:
-        """Its parameters, at their nominal values."""
-        ...
-
-    def shift(self, values: np.ndarray, q: np.ndarray) -> JointShift:
-        """Return the error at `q` (N, na)."""
-        ...
-
-
-class GuideLaw(Protocol):
-    """A displacement of the rod ends that one slide carries."""
-
-    @property
-    def actuator(self) -> int:
-        """Index of the slide in `q`."""
+    def rods(self) -> tuple[int, ...]:
+        """Rods whose ends are displaced; none where the joint's own position is."""
         ...
 
     @property
@@ -77,34 +58,50 @@ class GuideLaw(Protocol):
         """Its parameters, at their nominal values."""
         ...
 
-    def displace(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
-        """Return the displacements at `q` (N, na)."""
+    def shift(self, values: np.ndarray, q: np.ndarray) -> Shift:
+        """Return the displacement at `q` (N, na)."""
         ...
 
 
-class MovedJoints(NamedTuple):
-    """Where joints really are.
+class Displaced(NamedTuple):
+    """Where joints and rod ends really are.
 
     Attributes:
         real: Positions (N, na).
         by_encoder: Their derivative by what the encoders say (N, na, na).
-        columns: Each law's joint, and the derivative of its position by the law's parameters (N, p).
+        ends: Displacements of rod ends (N, rods, 3) [m].
+        ends_by_encoder: Their derivative (N, rods, 3, na).
+        columns: Each law and the derivative of its displacement by its parameters (N, d, p).
     """
 
     real: np.ndarray
     by_encoder: np.ndarray
-    columns: tuple[tuple[int, np.ndarray], ...]
+    ends: np.ndarray
+    ends_by_encoder: np.ndarray
+    columns: tuple[tuple[Law, np.ndarray], ...]
 
 
-def move_joints(laws: Sequence[JointLaw], values: Sequence[np.ndarray], q: np.ndarray) -> MovedJoints:
-    """Return where joints really are when their encoders say `q` (N, na), each law at its values."""
+def displace(laws: Sequence[Law], values: Sequence[np.ndarray], q: np.ndarray, n_rods: int = 0) -> Displaced:
+    """Return where joints and rod ends are when the encoders say `q` (N, na), each law at its values."""
     real, by_encoder, columns = np.array(q, float), np.tile(np.eye(q.shape[1]), (len(q), 1, 1)), []
+    ends, ends_by_encoder = np.zeros((len(q), n_rods, 3)), np.zeros((len(q), n_rods, 3, q.shape[1]))
     for law, own in zip(laws, values, strict=True):
         shift = law.shift(own, q)
-        real[:, law.actuator] += shift.error
-        by_encoder[:, law.actuator] += shift.slope
-        columns.append((law.actuator, shift.columns))
-    return MovedJoints(real, by_encoder, tuple(columns))
+        if law.rods:
+            ends[:, law.rods] += shift.value[:, None]
+            ends_by_encoder[:, law.rods] += shift.by_position[:, None]
+        else:
+            real[:, law.actuator] += shift.value[:, 0]
+            by_encoder[:, law.actuator] += shift.by_position[:, 0]
+        columns.append((law, shift.by_parameter))
+    return Displaced(real, by_encoder, ends, ends_by_encoder, tuple(columns))
+
+
+def _by_joint(q: np.ndarray, joint: int, slope: np.ndarray) -> np.ndarray:
+    """Return a slope (N, d) by one joint as one by all (N, d, na)."""
+    out = np.zeros((*slope.shape, q.shape[1]))
+    out[:, :, joint] = slope
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,31 +121,41 @@ class PeriodicDriveLaw:
     period: float
     label: str = ""
     unit: str = "m"
+    rods: ClassVar[tuple[int, ...]] = ()
 
     @property
     def parameters(self) -> Parameters:
         """Two amplitudes and the period."""
-        n, u, k = self.joint, self.unit, self.label
+        rows = (("sin", 0.0), ("cos", 0.0), ("period", self.period))
         return Parameters(
-            [
-                Parameter(f"{n}.error{k}_sin", 0.0, u, origin="law"),
-                Parameter(f"{n}.error{k}_cos", 0.0, u, origin="law"),
-                Parameter(f"{n}.error{k}_period", self.period, u, origin="law"),
-            ]
+            Parameter(f"{self.joint}.error{self.label}_{x}", value, self.unit, origin="law") for x, value in rows
         )
 
-    def shift(self, values: np.ndarray, q: np.ndarray) -> JointShift:
+    def shift(self, values: np.ndarray, q: np.ndarray) -> Shift:
         """Return the error."""
         a, b, period = values
-        x = q[:, self.actuator]
+        x = q[:, [self.actuator]]
         w = 2 * np.pi / period
         s, c = np.sin(w * x), np.cos(w * x)
         slope = w * (a * c - b * s)
-        return JointShift(a * s + b * c, _by_own(q, self.actuator, slope), np.column_stack([s, c, -slope * x / period]))
+        return Shift(a * s + b * c, _by_joint(q, self.actuator, slope), np.stack([s, c, -slope * x / period], axis=2))
+
+
+class _LinearLaw:
+    """A law `columns(q) @ values`."""
+
+    def columns(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+        """Return displacements per parameter (N, d, p), their slopes by one joint (N, d, p), and which joint that is."""
+        raise NotImplementedError
+
+    def shift(self, values: np.ndarray, q: np.ndarray) -> Shift:
+        """Return the displacement."""
+        columns, slopes, joint = self.columns(q)
+        return Shift(columns @ values, _by_joint(q, joint, slopes @ values), columns)
 
 
 @dataclass(frozen=True)
-class EccentricityLaw:
+class EccentricityLaw(_LinearLaw):
     """An encoder disc or gear that turns off its axis.
 
     Attributes:
@@ -158,21 +165,21 @@ class EccentricityLaw:
 
     joint: str
     actuator: int
+    rods: ClassVar[tuple[int, ...]] = ()
 
     @property
     def parameters(self) -> Parameters:
         """Two amplitudes."""
         return Parameters(Parameter(f"{self.joint}.eccentricity_{x}", 0.0, "rad", origin="law") for x in ("sin", "cos"))
 
-    def shift(self, values: np.ndarray, q: np.ndarray) -> JointShift:
-        """Return the error."""
-        x = q[:, self.actuator]
-        columns, slope = np.column_stack([np.sin(x), np.cos(x)]), np.column_stack([np.cos(x), -np.sin(x)]) @ values
-        return JointShift(columns @ values, _by_own(q, self.actuator, slope), columns)
+    def columns(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+        """Return sine and cosine."""
+        s, c = np.sin(q[:, [self.actuator]]), np.cos(q[:, [self.actuator]])
+        return np.stack([s, c], axis=2), np.stack([c, -s], axis=2), self.actuator
 
 
 @dataclass(frozen=True)
-class CouplingLaw:
+class CouplingLaw(_LinearLaw):
     """Motion that another joint's drive passes on, by a gear train in the arm or an encoder against the ground.
 
     Attributes:
@@ -188,6 +195,7 @@ class CouplingLaw:
     other: str
     source: int
     ratio: float = 0.0
+    rods: ClassVar[tuple[int, ...]] = ()
 
     @property
     def parameters(self) -> Parameters:
@@ -195,14 +203,13 @@ class CouplingLaw:
         name = f"{self.joint}.coupling_{self.other}"
         return Parameters([Parameter(name, self.ratio, "1", prior_stderr=_COUPLING_STDERR, origin="law")])
 
-    def shift(self, values: np.ndarray, q: np.ndarray) -> JointShift:
-        """Return the error."""
-        other = q[:, self.source]
-        return JointShift(values[0] * other, _by_own(q, self.source, np.full(len(q), values[0])), other[:, None])
+    def columns(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+        """Return the other joint's position."""
+        return q[:, self.source, None, None], np.ones((len(q), 1, 1)), self.source
 
 
 @dataclass(frozen=True, eq=False)
-class DriveComplianceLaw:
+class DriveComplianceLaw(_LinearLaw):
     """A drive that yields to its rods' pull: `e = drive_compliance F . n` along its guideway.
 
     Attributes:
@@ -216,16 +223,17 @@ class DriveComplianceLaw:
     actuator: int
     direction: np.ndarray
     loads: Loads
+    rods: ClassVar[tuple[int, ...]] = ()
 
     @property
     def parameters(self) -> Parameters:
         """One compliance."""
         return Parameters([Parameter(f"{self.joint}.drive_compliance", 0.0, "m/N", origin="law")])
 
-    def shift(self, values: np.ndarray, q: np.ndarray) -> JointShift:
-        """Return the error."""
-        along = self.loads(q)[:, self.actuator] @ self.direction
-        return JointShift(values[0] * along, np.zeros(q.shape), along[:, None])
+    def columns(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+        """Return the pull along the guideway, taken as constant near `q`."""
+        along = (self.loads(q)[:, self.actuator] @ self.direction)[:, None, None]
+        return along, np.zeros_like(along), self.actuator
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +244,6 @@ class GuideBendLaw:
         joint: Slide's name.
         actuator: Its index.
         rods: Rods it carries.
-        n_rods: Number of all rods.
         knots: Positions along the guideway (k,) [m].
         base: Displacements that are known beforehand (k, 3) [m], from a measured guideway; the parameters come on top.
     """
@@ -244,7 +251,6 @@ class GuideBendLaw:
     joint: str
     actuator: int
     rods: tuple[int, ...]
-    n_rods: int
     knots: np.ndarray
     base: np.ndarray | None = None
 
@@ -254,63 +260,56 @@ class GuideBendLaw:
         inner = range(1, len(self.knots) - 1)
         return Parameters(Parameter(f"{self.joint}.bend_{k}_{a}", 0.0, "m", origin="law") for k in inner for a in AXES)
 
-    def displace(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
+    def shift(self, values: np.ndarray, q: np.ndarray) -> Shift:
         """Return the displacements."""
         x, knots = q[:, self.actuator], self.knots
         k = np.clip(np.searchsorted(knots, x) - 1, 0, len(knots) - 2)
         width = knots[k + 1] - knots[k]
         share = np.clip((x - knots[k]) / width, 0.0, 1.0)
         inside = ((x >= knots[0]) & (x <= knots[-1])).astype(float)
-        hat, by_q = np.zeros((len(x), len(knots))), np.zeros((len(x), len(knots)))
+        hat, slope = np.zeros((len(x), len(knots))), np.zeros((len(x), len(knots)))
         row = np.arange(len(x))
         hat[row, k], hat[row, k + 1] = 1 - share, share
-        by_q[row, k], by_q[row, k + 1] = -inside / width, inside / width
-        at = np.zeros((len(knots), 3))
-        at[1:-1] = values.reshape(-1, 3)
-        if self.base is not None:
-            at = at + self.base
+        slope[row, k], slope[row, k + 1] = -inside / width, inside / width
+        at = np.zeros((len(knots), 3)) if self.base is None else np.array(self.base, float)
+        at[1:-1] += values.reshape(-1, 3)
         columns = np.einsum("nk,ab->nakb", hat[:, 1:-1], np.eye(3)).reshape(len(x), 3, -1)
-        return _on_rods(hat @ at, by_q @ at, columns, self.rods, self.n_rods)
+        return Shift(hat @ at, _by_joint(q, self.actuator, slope @ at), columns)
 
 
 @dataclass(frozen=True, eq=False)
-class RodPathLaw:
+class RodPathLaw(_LinearLaw):
     """A rod's own path: its end leaves the cart's line by `drift` per metre of travel, as on a cart that turns while it travels.
 
     Attributes:
         rod: Name of the rod.
-        index: Its index.
+        rods: Its index alone.
         actuator: Index of the slide.
-        n_rods: Number of all rods.
     """
 
     rod: str
-    index: int
+    rods: tuple[int, ...]
     actuator: int
-    n_rods: int
 
     @property
     def parameters(self) -> Parameters:
         """Three drifts."""
         return Parameters(Parameter(f"{self.rod}.drift_{a}", 0.0, "1", origin="law") for a in AXES)
 
-    def displace(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
-        """Return the displacements."""
-        x = q[:, self.actuator]
-        columns = x[:, None, None] * np.eye(3)
-        slope = np.broadcast_to(values, (len(x), 3))
-        return _on_rods(x[:, None] * values, slope, columns, (self.index,), self.n_rods)
+    def columns(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+        """Return the travel along each axis."""
+        one = np.broadcast_to(np.eye(3), (len(q), 3, 3))
+        return q[:, self.actuator, None, None] * one, one, self.actuator
 
 
 @dataclass(frozen=True, eq=False)
-class CartComplianceLaw:
+class CartComplianceLaw(_LinearLaw):
     """A cart that yields to its rods' pull: `d = guideway_compliance F` across its guideway.
 
     Attributes:
         joint: Slide's name.
         actuator: Its index.
         rods: Rods it carries.
-        n_rods: Number of all rods.
         direction: Unit vector of the guideway (3,).
         loads: The rods' pull.
     """
@@ -318,7 +317,6 @@ class CartComplianceLaw:
     joint: str
     actuator: int
     rods: tuple[int, ...]
-    n_rods: int
     direction: np.ndarray
     loads: Loads
 
@@ -327,11 +325,11 @@ class CartComplianceLaw:
         """One compliance."""
         return Parameters([Parameter(f"{self.joint}.guideway_compliance", 0.0, "m/N", origin="law")])
 
-    def displace(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
-        """Return the displacements."""
+    def columns(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+        """Return the pull across the guideway, taken as constant near `q`."""
         force = self.loads(q)[:, self.actuator]
-        across = force - (force @ self.direction)[:, None] * self.direction
-        return _on_rods(values[0] * across, np.zeros_like(across), across[:, :, None], self.rods, self.n_rods)
+        across = (force - (force @ self.direction)[:, None] * self.direction)[:, :, None]
+        return across, np.zeros_like(across), self.actuator
 
 
 def find_carried_rods(rods: Rods, actuator: int) -> tuple[int, ...]:
@@ -343,19 +341,3 @@ def find_carried_rods(rods: Rods, actuator: int) -> tuple[int, ...]:
 def find_guideways(rods: Rods) -> tuple[int, ...]:
     """Return the indices in `q` of slides that stand on the base and carry rods."""
     return tuple(j.actuator for j in rods.numbers.joints if j.slides and j.parent < 0)
-
-
-def _on_rods(shift: np.ndarray, slope: np.ndarray, columns: np.ndarray, rods: Sequence[int], n_rods: int) -> GuideShift:
-    out = np.zeros((len(shift), n_rods, 3))
-    by_q = np.zeros((len(shift), n_rods, 3))
-    by = np.zeros((len(shift), n_rods, 3, columns.shape[2]))
-    for k in rods:
-        out[:, k], by_q[:, k], by[:, k] = shift, slope, columns
-    return GuideShift(out, by_q, by)
-
-
-def _by_own(q: np.ndarray, joint: int, slope: np.ndarray) -> np.ndarray:
-    """Return a slope (N,) by one joint as one by all (N, na)."""
-    out = np.zeros(q.shape)
-    out[:, joint] = slope
-    return out

@@ -13,12 +13,13 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from tau_dyn.calibrate.addition_tests import find_strongest_periods, screen_additions
-from tau_dyn.calibrate.crossvalidation import CrossValidationGain, HeldOutErrors, compare_paired, cross_validate
+from tau_dyn.calibrate.crossvalidation import CrossValidationGain, compare_paired, cross_validate
 from tau_dyn.calibrate.fit_problem import FitState
 from tau_dyn.calibrate.frames import AXES
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import GeometryFit, fit_geometry_to_poses
 from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Family, Spec
+from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError, UnknownName
 
@@ -37,7 +38,7 @@ class CandidateModel:
     name: str
     spec: Spec
     fit: GeometryFit
-    unseen: HeldOutErrors
+    unseen: PoseErrors
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +133,7 @@ def fit_and_cross_validate(
     start: GeometryFit | None = None,
     periods: dict[str, float] | None = None,
 ) -> CandidateModel:
-    """Fit a model and cross-validate it."""
+    """Fit a model and cross-validate it; arguments as in `fit_spec`."""
     fitted = fit_spec(family, spec, poses, options, start, periods)
     return CandidateModel(spec.name_for(family.joints), spec, fitted, cross_validate(fitted, options.seed))
 

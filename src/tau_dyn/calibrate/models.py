@@ -35,8 +35,7 @@ from tau_dyn.calibrate.joint_laws import (
     DriveComplianceLaw,
     EccentricityLaw,
     GuideBendLaw,
-    GuideLaw,
-    JointLaw,
+    Law,
     PeriodicDriveLaw,
     RodPathLaw,
     find_carried_rods,
@@ -206,11 +205,8 @@ class RodFamily(Family):
 
     def build(self, spec: Spec, periods: dict[str, float] | None = None) -> Geometry:
         """Return the geometry of a model; `periods` are starting values of cyclic errors by joint."""
-        drives, guides = self._laws(spec, periods or {})
-        if spec.structure == "paths":
-            guides = [*guides, *self._drifts()]
-        base = RodGeometry(self.rods, tuple(drives), tuple(guides))
-        return self._tied(base, spec.structure)
+        drifts = self._drifts() if spec.structure == "paths" else []
+        return self._tied(RodGeometry(self.rods, (*self._laws(spec, periods or {}), *drifts)), spec.structure)
 
     def _structures(self) -> tuple[str, ...]:
         if not self.rails:
@@ -228,9 +224,10 @@ class RodFamily(Family):
             found.append("paths")
         return tuple(found)
 
-    def _laws(self, spec: Spec, periods: dict[str, float]) -> tuple[list[JointLaw], list[GuideLaw]]:
-        drives: list[JointLaw] = []
-        guides: list[GuideLaw] = []
+    def _laws(self, spec: Spec, periods: dict[str, float]) -> list[Law]:
+        """Return the laws of drives, then those of guideways."""
+        drives: list[Law] = []
+        guides: list[Law] = []
         for addition, label in (("periodic", ""), ("periodic2", "2")):
             for joint in spec.additions.get(addition, ()):
                 drives.append(
@@ -239,15 +236,13 @@ class RodFamily(Family):
         for joint in spec.additions.get("compliant", ()):
             a, direction = self._rail(joint)
             drives.append(DriveComplianceLaw(joint, a, direction, self.loads))
-            guides.append(
-                CartComplianceLaw(joint, a, find_carried_rods(self.rods, a), self.rods.n, direction, self.loads)
-            )
+            guides.append(CartComplianceLaw(joint, a, find_carried_rods(self.rods, a), direction, self.loads))
         for joint in spec.additions.get("piecewise", ()):
             a, _ = self._rail(joint)
             x = self.poses.q[:, a]
             knots = np.linspace(x.min() - 1e-6, x.max() + 1e-6, _KNOTS)
-            guides.append(GuideBendLaw(joint, a, find_carried_rods(self.rods, a), self.rods.n, knots))
-        return drives, guides
+            guides.append(GuideBendLaw(joint, a, find_carried_rods(self.rods, a), knots))
+        return [*drives, *guides]
 
     def _rail(self, joint: str) -> tuple[int, np.ndarray]:
         a = self.joints.index(joint)
@@ -258,7 +253,7 @@ class RodFamily(Family):
         found, joints = [], self.rods.numbers.joints
         for k, carrier in enumerate(self.rods.numbers.carried.carrier):
             if carrier >= 0 and joints[carrier].slides:
-                found.append(RodPathLaw(self.rods.names[k], k, joints[carrier].actuator, self.rods.n))
+                found.append(RodPathLaw(self.rods.names[k], (k,), joints[carrier].actuator))
         return found
 
     def _tied(self, base: RodGeometry, structure: str) -> Geometry:
@@ -339,7 +334,7 @@ class TreeFamily(Family):
 
     def build(self, spec: Spec, periods: dict[str, float] | None = None) -> Geometry:
         """Return the geometry of a model."""
-        laws: list[JointLaw | GravityLaw] = [self._coupling(text) for text in spec.additions.get("coupling", ())]
+        laws: list[Law | GravityLaw] = [self._coupling(text) for text in spec.additions.get("coupling", ())]
         laws += [self._gravity_laws[joint] for joint in spec.additions.get("gravity", ())]
         laws += [EccentricityLaw(joint, self.joints.index(joint)) for joint in spec.additions.get("eccentric", ())]
         geometry = ArmGeometry(self.tree, tuple(laws)) if laws else self.tree

@@ -15,11 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from tau_dyn.calibrate.crossvalidation import CrossValidationGain, HeldOutErrors, compare_paired
+from tau_dyn.calibrate.crossvalidation import CrossValidationGain, compare_paired
 from tau_dyn.calibrate.frames import AXES, DeviceFrames, Frame, compute_rotation_between, is_flat
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.model_selection import Options, fit_spec
 from tau_dyn.calibrate.models import Family, Spec
+from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.estimate import DescentRules, LinearSystem, descend, factor_system
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -359,6 +360,6 @@ def _leave_out_each(fit: _Fit) -> np.ndarray:
     return np.linalg.solve(np.eye(m) - q @ np.swapaxes(q, 1, 2), fit.residuals[:, :, None])[:, :, 0]
 
 
-def _as_errors(errors: np.ndarray, poses: PoseSet) -> HeldOutErrors:
+def _as_errors(errors: np.ndarray, poses: PoseSet) -> PoseErrors:
     rotation = errors[:, 3:] if errors.shape[1] == 6 else None
-    return HeldOutErrors(errors[:, :3], rotation, poses.relative_errors(6), poses.configuration)
+    return PoseErrors(errors[:, :3], rotation, poses.relative_errors(6), poses.configuration)

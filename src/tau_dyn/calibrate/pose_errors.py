@@ -24,21 +24,24 @@ class ErrorSize(NamedTuple):
     rms: float
     max: float
 
-    def to_dict(self) -> dict[str, float]:
-        """Return it as the contract spells it."""
-        return {"mean": self.mean, "rms": self.rms, "max": self.max}
 
-
-class PoseErrors(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class PoseErrors:
     """Measured minus predicted.
 
     Attributes:
         position: (N, 3) [m] in the device's axes, nan where the model reaches no pose.
         rotation: Rotation vectors (N, 3) [rad] in the device's axes, None where no orientation was measured.
+        relative: Stated standard errors of the measurements over their median (N, 6), None where none are stated.
+        configuration: Which poses have the same joint positions (N,), None where all differ; such poses are no independent ones.
+        oriented: Whether the model predicts orientation, so that it counts in comparisons.
     """
 
     position: np.ndarray
     rotation: np.ndarray | None
+    relative: np.ndarray | None = None
+    configuration: np.ndarray | None = None
+    oriented: bool = True
 
     @property
     def distance(self) -> np.ndarray:
@@ -49,14 +52,6 @@ class PoseErrors(NamedTuple):
     def angle(self) -> np.ndarray | None:
         """Angle of the orientation error (N,) [rad]."""
         return None if self.rotation is None else np.linalg.norm(self.rotation, axis=1)
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the contract's `{position, orientation}`; orientation is None where none was measured."""
-        angle = self.angle
-        return {
-            "position": _size(self.distance).to_dict(),
-            "orientation": None if angle is None else _size(angle).to_dict(),
-        }
 
     @property
     def position_size(self) -> ErrorSize:
@@ -69,6 +64,31 @@ class PoseErrors(NamedTuple):
         angle = self.angle
         return None if angle is None else _size(angle)
 
+    def to_dict(self) -> dict[str, object]:
+        """Return the contract's `{position, orientation}`; orientation is None where none was measured."""
+        return {"position": self.position_size, "orientation": self.orientation_size}
+
+    def noise(self) -> tuple[float, float]:
+        """Return the rms of a coordinate [m] and of an angle [rad] (1 where there is none), at the median stated error."""
+        position, angle = (float(np.sqrt(np.nanmean(self._weighted(k) ** 2))) for k in (0, 1))
+        return position or 1.0, angle or 1.0
+
+    def score(self, noise: tuple[float, float]) -> np.ndarray:
+        """Return squared errors of each configuration in units of the noise [m, rad]; unpredicted ones as the worst."""
+        parts = [np.sum((self._weighted(k) / noise[k]) ** 2, axis=1) for k in (0, 1)]
+        squares = _with_worst(parts[0] + parts[1])
+        return squares if self.configuration is None else np.bincount(self.configuration, squares)
+
+    def squared_distance(self) -> np.ndarray:
+        """Return squared position errors (N,) [m^2]; a pose without prediction counts as the worst."""
+        return _with_worst(np.sum(self.position**2, axis=1))
+
+    def _weighted(self, block: int) -> np.ndarray:
+        errors = (self.position, self.rotation if self.oriented else None)[block]
+        if errors is None:
+            return np.zeros_like(self.position)
+        return errors if self.relative is None else errors / self.relative[:, 3 * block : 3 * block + 3]
+
 
 def compute_pose_errors(poses: PoseSet, seen: Poses, target: np.ndarray | None, *, own: bool) -> PoseErrors:
     """Return measured minus predicted poses.
@@ -79,14 +99,18 @@ def compute_pose_errors(poses: PoseSet, seen: Poses, target: np.ndarray | None, 
         target: Orientation of the target on a plate that keeps its own (3, 3).
         own: Whether the prediction has an orientation of its own.
     """
-    position = poses.position - seen.position
-    if poses.rotation is None or not (own or target is not None):
-        return PoseErrors(position, None)
-    predicted = seen.rotation if target is None else seen.rotation @ target
-    rotation = np.full_like(position, np.nan)
-    ok = np.isfinite(predicted).all(axis=(1, 2))
-    rotation[ok] = compute_rotation_between(poses.rotation[ok], predicted[ok])
-    return PoseErrors(position, rotation)
+    rotation = None
+    if poses.rotation is not None and (own or target is not None):
+        predicted = seen.rotation if target is None else seen.rotation @ target
+        rotation = np.full_like(poses.position, np.nan)
+        ok = np.isfinite(predicted).all(axis=(1, 2))
+        rotation[ok] = compute_rotation_between(poses.rotation[ok], predicted[ok])
+    return PoseErrors(poses.position - seen.position, rotation, poses.relative_errors(6), poses.configuration, own)
+
+
+def _with_worst(squares: np.ndarray) -> np.ndarray:
+    worst = np.nanmax(squares) if np.isfinite(squares).any() else 1.0
+    return np.where(np.isfinite(squares), squares, worst)
 
 
 def _size(x: np.ndarray) -> ErrorSize:
@@ -114,10 +138,6 @@ class MeasurementNoise:
     source: NoiseSource
     position: float | None = None
     orientation: float | None = None
-
-    def to_dict(self) -> dict[str, object]:
-        """Return it as results spell it."""
-        return {"source": self.source, "position": self.position, "orientation": self.orientation}
 
 
 def estimate_measurement_noise(poses: PoseSet, accuracy: tuple[float, ...] = ()) -> MeasurementNoise:

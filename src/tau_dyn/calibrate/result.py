@@ -8,13 +8,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.causes import CalibrationFinding
-from tau_dyn.calibrate.crossvalidation import HeldOutErrors, compute_rms_interval, summarise_held_out_errors
+from tau_dyn.calibrate.crossvalidation import compute_rms_interval
 from tau_dyn.calibrate.geometry import expand_constraints
 from tau_dyn.calibrate.geometry_fit import GeometryFit, compute_sensitivities
 from tau_dyn.calibrate.model_selection import CandidateModel, SelectionStep
 from tau_dyn.calibrate.pose_errors import MeasurementNoise, PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.results import Shown
+from tau_dyn.results import Shown, to_plain
 from tau_dyn.robot import Robot
 
 _MAX_RELATIVE_ERROR = 0.01
@@ -74,15 +74,7 @@ class Calibration(Shown):
 
     def errors(self, model: CandidateModel) -> PoseErrors:
         """Return a model's errors at unseen poses: held-out ones, or training poses predicted without their fold."""
-        if self.holdout is not None:
-            return model.fit.errors(self.holdout)
-        return PoseErrors(model.unseen.position, model.unseen.rotation)
-
-    def unseen(self, model: CandidateModel) -> HeldOutErrors:
-        """Return the same for comparisons."""
-        if self.holdout is None:
-            return model.unseen
-        return summarise_held_out_errors(self.errors(model), self.holdout, oriented=model.fit.geometry.orients)
+        return model.unseen if self.holdout is None else model.fit.errors(self.holdout)
 
     def at(self) -> PoseSet:
         """Return the poses at which unseen errors stand."""
@@ -107,30 +99,29 @@ class Calibration(Shown):
 
     def to_dict(self) -> dict[str, object]:
         """Return the contract's result."""
-        return {
+        told = {
             "robot": self.robot.source,
             "n_poses": self.poses.n,
             "n_holdout": 0 if self.holdout is None else self.holdout.n,
             "holdout_is": self.split,
             "models": [self._model(m) for m in self.models],
             "chosen": self.chosen.name,
-            "steps": [
-                {"model": s.name, "over": s.over, "gain": s.gain.to_dict(), "taken": s.taken} for s in self.steps
-            ],
+            "steps": [{"model": s.name, "over": s.over, "gain": s.gain, "taken": s.taken} for s in self.steps],
             "waterfall": self._waterfall(),
             "findings": [f.to_dict(self.fit) for f in self.findings],
             "noise": self._noise(),
-            "measurement_noise": self.measured.to_dict(),
+            "measurement_noise": self.measured,
             "predicted_rms": self.predicted_error(),
-            "identifiability": self.fit.identifiability.to_dict(),
+            "identifiability": self.fit.identifiability,
             "condition_number": self.fit.identifiability.condition_number,
             "weak": list_weak_parameters(self.fit),
             "correlated": list_correlated_pairs(self.fit),
             "frames": build_frame_rows(self.fit),
             "orientations": turn_rows(self.fit),
-            "sensitivity": [s._asdict() for s in compute_sensitivities(self.fit)],
+            "sensitivity": compute_sensitivities(self.fit),
             "errors_at_poses": self._errors_at_poses(),
         }
+        return to_plain(told)
 
     def _errors_at_poses(self) -> dict[str, object]:
         """Return where unseen errors stand and every model's errors there [m], in the robot's base frame: what a viewer draws."""
@@ -145,8 +136,8 @@ class Calibration(Shown):
             "name": model.name,
             "parameters": build_parameter_rows(model.fit),
             "n_estimated": model.fit.n_estimated,
-            "train": model.fit.errors(self.poses).to_dict(),
-            "holdout": self.errors(model).to_dict(),
+            "train": model.fit.errors(self.poses),
+            "holdout": self.errors(model),
         }
 
     def _noise(self) -> dict[str, float | None]:
@@ -158,8 +149,9 @@ class Calibration(Shown):
     def _waterfall(self) -> list[dict[str, object]]:
         rows = []
         for model in self.models:
-            unseen = self.unseen(model)
-            rows.append({"step": model.name, "rms": unseen.rms, "ci95": list(compute_rms_interval(unseen, self.seed))})
+            errors = self.errors(model)
+            interval = list(compute_rms_interval(errors, self.seed))
+            rows.append({"step": model.name, "rms": errors.position_size.rms, "ci95": interval})
         return rows
 
 

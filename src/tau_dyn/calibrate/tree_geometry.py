@@ -62,14 +62,9 @@ class TreeGeometry(GeometryDefaults):
         return self.tree.shape
 
     @property
-    def actuated(self) -> tuple[str, ...]:
-        """Actuated joints, in the order of `q`."""
-        return self.shape.robot.actuated
-
-    @property
-    def position_units(self) -> tuple[str, ...]:
-        """Units of `q`."""
-        return self.shape.robot.position_units
+    def robot(self) -> Robot:
+        """The robot file."""
+        return self.shape.robot
 
     @property
     def home(self) -> np.ndarray:

@@ -34,7 +34,12 @@ from .kinematics import (
     Kinematics as Kinematics,
     Singularity as Singularity,
 )
-from .legs import DEFAULT_ANGLE as DEFAULT_ANGLE, BallJoints as BallJoints, find_ball_joints as find_ball_joints
+from .legs import (
+    DEFAULT_ANGLE as DEFAULT_ANGLE,
+    BallJoints as BallJoints,
+    Legs as Legs,
+    find_ball_joints as find_ball_joints,
+)
 from .loop_arrays import LoopArrays as LoopArrays
 from .loops import LoopSolver as LoopSolver, TreeState as TreeState
 from .mechanism import (
@@ -87,6 +92,7 @@ from .rod_dimensions import (
     compute_leg_lengths as compute_leg_lengths,
     compute_leg_rates as compute_leg_rates,
     compute_squared_lengths as compute_squared_lengths,
+    set_dimensions as set_dimensions,
 )
 from .sliding_plate import SlidingPlate as SlidingPlate, intersect_spheres as intersect_spheres
 from .small_systems import measure_column_lengths as measure_column_lengths

@@ -16,7 +16,7 @@ arm by arm, `<arm>.length`, `.origin_x`, `.direction_x`: what its plate and cart
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -209,7 +209,11 @@ def replace_values(numbers: RodDimensions, parameters: Parameters) -> RodDimensi
     for name in parameters.names:
         if name not in known:
             raise UnknownName("geometry parameter", name, known.names)
-    values = {p.name: p.value for p in known} | {p.name: p.value for p in parameters}
+    return set_dimensions(numbers, {p.name: p.value for p in known} | {p.name: p.value for p in parameters})
+
+
+def set_dimensions(numbers: RodDimensions, values: Mapping[str, float]) -> RodDimensions:
+    """Return the geometry at values of all its parameters, by name."""
 
     def vector(owner: str, what: str) -> np.ndarray:
         return np.array([values[f"{owner}.{what}_{axis}"] for axis in AXES])

@@ -20,7 +20,7 @@ Files have lengths in m, angles in degrees, places in the robot's base frame; or
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -28,8 +28,8 @@ from typing import Any, NoReturn
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.frames import DeviceFrames, Frame, compute_mean_rotation
-from tau_dyn.calibrate.poses.devices import SEEN, Tracker, transform_to_base, transform_to_device
+from tau_dyn.calibrate.frames import Frame, compute_mean_rotation
+from tau_dyn.calibrate.poses.devices import StandingDevice, Tracker, transform_to_base, transform_to_device
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml
 from tau_dyn.mechanism import Poses
@@ -71,7 +71,7 @@ class CameraPattern:
 
 
 @dataclass(frozen=True, eq=False)
-class Camera:
+class Camera(StandingDevice):
     """A camera that stands still and a pattern on the tool.
 
     Attributes:
@@ -103,31 +103,18 @@ class Camera:
     name: str = "camera"
 
     @property
-    def frames(self) -> DeviceFrames:
-        """The base in the camera's frame, the pattern on the tool."""
-        return DeviceFrames((self.pose.inverse,), (self.on_tool,))
-
-    @property
     def turned(self) -> bool:
         """A pattern has an orientation, unless all pictures share one."""
         return not self.steady
 
-    @property
-    def place(self) -> np.ndarray:
-        """Where it looks from (3,) [m]."""
-        return self.pose.translation
-
-    def reasons(self, tool: Poses) -> np.ndarray:
-        """Return why it does not see the whole pattern (N,), '' where it does."""
-        at = transform_to_device(self.frames, tool)
-        out = np.full(len(at.position), SEEN, dtype=object)
+    def _rules(self, at: Poses) -> Sequence[tuple[str, np.ndarray]]:
         points = _points(at, self.pattern.outline)
         away = np.linalg.norm(at.position, axis=1)
         pixels = self.project(points)
         edge = np.array([self.margin, self.margin]), np.array(self.image) - 1 - self.margin
         outside = ((pixels < edge[0]) | (pixels > edge[1])).any(axis=(1, 2))
         cosine = -np.einsum("ni,ni->n", at.rotation[:, :, 2], at.position) / np.maximum(away, 1e-9)
-        rules = (
+        return (
             ("behind the camera", (points[..., 2] <= 1e-6).any(axis=1)),
             (f"nearer than {self.distance[0]:g} m", away < self.distance[0]),
             (f"farther than {self.distance[1]:g} m", away > self.distance[1]),
@@ -135,9 +122,6 @@ class Camera:
             (f"pattern seen at more than {np.rad2deg(self.incidence):.0f} degrees", cosine < np.cos(self.incidence)),
             ("pattern not wholly in the picture", outside),
         )
-        for words, wrong in rules:
-            out[wrong & (out == SEEN)] = words
-        return out
 
     def marks(self, tool: Poses) -> np.ndarray:
         """Return the pattern's middle and its four corners (N, 5, 3) [m] in the robot's base frame."""

@@ -11,13 +11,11 @@ that was asked for. Fewer than the rank needs cannot be fitted at all.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from tau_dyn.calibrate.frames import DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import count_required_poses
 from tau_dyn.calibrate.poses.criteria import SMOOTH, PoseExchange, build_criterion, compute_observability_indices
@@ -188,7 +186,6 @@ class PoseChoice:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it for a JSON result."""
-        rows = [{"parameter": name, "depends_on": list(d)} for name, d in self.not_identifiable.items()]
         return {
             "candidates": self.design.n,
             "chosen": self.n,
@@ -202,7 +199,7 @@ class PoseChoice:
             "predicted_at_random": self.at_random,
             "doubling_gain": compute_doubling_gain(self.predicted),
             "curve": [{"poses": p.poses, "rms": p.rms, "held_out": p.held_out} for p in self.curve],
-            "identifiability": {"rank": self.design.found.rank, "not_identifiable": rows},
+            "identifiability": self.design.found.to_dict(),
         }
 
 
@@ -213,16 +210,10 @@ def choose_poses(
     *,
     criterion: str = "tool",
     noise: tuple[float, ...] | np.ndarray = (1e-4, 1e-4),
-    frames: DeviceFrames | None = None,
-    workspace: np.ndarray | None = None,
-    fix: Sequence[str] = (),
-    free: Sequence[str] = (),
-    device: bool = True,
-    tool: bool = True,
-    weighted: bool = False,
     gain: float = MIN_DOUBLING_GAIN,
     target: float | None = None,
     seed: int = 0,
+    **known: Any,
 ) -> PoseChoice:
     """Choose poses for a calibration and predict what they will give.
 
@@ -231,35 +222,17 @@ def choose_poses(
         candidates: Actuated positions (N, na) [m or rad] that may be measured.
         n: How many, or `auto`: until twice as many would hardly help.
         criterion: `tool` (default), `worst`, `determinant`, `condition`, `smallest` or `amplification`.
-        noise: Standard deviations of measured positions [m] and, where they are measured, orientations [rad]; or a
-            covariance for every candidate (N, m, m).
-        frames: Device and target as far as they are known.
-        workspace: Positions (M, na) where accuracy counts; all candidates by default.
-        fix: Names or patterns that stay.
-        free: Names or patterns freed on top.
-        device: Whether the device's frame is unknown.
-        tool: Whether the target's place on the tool is unknown.
-        weighted: Whether the fit will weigh every pose by its own covariance (`refine`) instead of all alike (`fit`).
+        noise: Standard deviations or covariances, as in `build_design`.
         gain: With `auto`, share of the held-out error that twice as many poses must be worth.
         target: With `auto`, accuracy [m] at which to stop instead.
         seed: Of the random start that competes with the picked one.
+        **known: Of `build_design`: frames, workspace, fix, free, device, tool, weighted.
 
     Raises:
         InputError: Too few candidates or poses (says how many), or numbers that are none.
         UnknownName: No such criterion.
     """
-    design = build_design(
-        geometry,
-        candidates,
-        noise,
-        frames=frames,
-        workspace=workspace,
-        fix=fix,
-        free=free,
-        device=device,
-        tool=tool,
-        weighted=weighted,
-    )
+    design = build_design(geometry, candidates, noise, **known)
     return choose_from(design, n, criterion=criterion, gain=gain, target=target, seed=seed)
 
 

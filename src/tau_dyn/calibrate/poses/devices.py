@@ -6,6 +6,7 @@ for a target that tells its orientation too (Leica Geosystems 2009). The tracker
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -120,8 +121,41 @@ def add_noise(poses: Poses, covariance: np.ndarray, rng: np.random.Generator) ->
     return Poses(poses.position + error[:, :3], Rotation.from_rotvec(error[:, 3:]).as_matrix() @ poses.rotation)
 
 
+class StandingDevice:
+    """What devices share that stand at a place and see a target on the tool.
+
+    Attributes:
+        pose: The device in the robot's base frame.
+        on_tool: The target in the tool frame.
+    """
+
+    pose: Frame
+    on_tool: Frame
+
+    @property
+    def frames(self) -> DeviceFrames:
+        """The base in the device's frame, the target on the tool."""
+        return DeviceFrames((self.pose.inverse,), (self.on_tool,))
+
+    @property
+    def place(self) -> np.ndarray:
+        """Where it looks from (3,) [m]."""
+        return self.pose.translation
+
+    def reasons(self, tool: Poses) -> np.ndarray:
+        """Return why it does not see the target (N,), '' where it does: the first rule that is broken."""
+        out = np.full(len(tool.position), SEEN, dtype=object)
+        for words, broken in self._rules(transform_to_device(self.frames, tool)):
+            out[broken & (out == SEEN)] = words
+        return out
+
+    def _rules(self, at: Poses) -> Sequence[tuple[str, np.ndarray]]:
+        """Return what may be wrong with target poses in the device's frame, in words, and where it is (N,)."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True, eq=False)
-class Tracker:
+class Tracker(StandingDevice):
     """A laser tracker that stands still.
 
     Attributes:
@@ -147,28 +181,15 @@ class Tracker:
     name: str = "tracker"
 
     @property
-    def frames(self) -> DeviceFrames:
-        """The base in the tracker's frame, the reflector on the tool."""
-        return DeviceFrames((self.pose.inverse,), (self.on_tool,))
-
-    @property
     def turned(self) -> bool:
         """Whether the target tells its orientation."""
         return self.turn is not None
 
-    @property
-    def place(self) -> np.ndarray:
-        """Where it looks from (3,) [m]."""
-        return self.pose.translation
-
-    def reasons(self, tool: Poses) -> np.ndarray:
-        """Return why the beam does not come back (N,), '' where it does."""
-        at = transform_to_device(self.frames, tool)
-        out = np.full(len(at.position), SEEN, dtype=object)
+    def _rules(self, at: Poses) -> Sequence[tuple[str, np.ndarray]]:
         away = np.maximum(np.linalg.norm(at.position, axis=1), 1e-9)
         cosine = -np.einsum("ni,ni->n", at.rotation[:, :, 2], at.position) / away
         height = np.arcsin(np.clip(at.position[:, 2] / away, -1, 1))
-        rules = (
+        return (
             (f"nearer than {self.distance[0]:g} m", away < self.distance[0]),
             (f"farther than {self.distance[1]:g} m", away > self.distance[1]),
             ("reflector turned away", cosine <= 0),
@@ -176,9 +197,6 @@ class Tracker:
             ("below the tracker's elevation", height < self.elevation[0]),
             ("above the tracker's elevation", height > self.elevation[1]),
         )
-        for words, wrong in rules:
-            out[wrong & (out == SEEN)] = words
-        return out
 
     def marks(self, tool: Poses) -> np.ndarray:
         """Return the reflector (N, 1, 3) [m] in the robot's base frame."""
