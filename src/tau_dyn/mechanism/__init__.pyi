@@ -27,6 +27,7 @@ from .frames import (
     multiply_by_rotation as multiply_by_rotation,
     skew as skew,
     transform_point as transform_point,
+    yield_columns as yield_columns,
 )
 from .gantry_tau import GantryTauMechanism as GantryTauMechanism
 from .kinematics import (

@@ -17,12 +17,11 @@ from tau_dyn.mechanism.frames import (
     FrameMotion,
     Frames,
     Joint,
-    Vector,
-    add_vectors,
-    compute_cross_product,
     compute_frames,
     compute_motion,
+    compute_point_acceleration,
     transform_point,
+    yield_columns,
 )
 from tau_dyn.mechanism.loops import LoopSolver
 from tau_dyn.mechanism.small_systems import ILL, Elimination, Entries, invert_matrices
@@ -240,12 +239,10 @@ class LoopArrays:
         for k, ends in enumerate(self._ends):
             for end, sign in zip(ends, (1.0, -1.0), strict=True):
                 place = transform_point(at, end.joint, end.local)
-                for index in end.carriers:
-                    joint, z = self._by_index[index], at.axis[index]
-                    column = sign * (z if joint.slides else compute_cross_product(z, place - at.origin[index]))
+                for joint, column, _ in yield_columns(at, (self._by_index[j] for j in end.carriers), place):
                     for r in range(3):
-                        before = found.get((3 * k + r, joint.v))
-                        found[3 * k + r, joint.v] = column[r] if before is None else before + column[r]
+                        before = found.get((3 * k + r, joint.v), 0.0)
+                        found[3 * k + r, joint.v] = before + sign * column[r]
         return found
 
     def gap(self, at: Frames) -> np.ndarray:
@@ -260,20 +257,10 @@ class LoopArrays:
 
     def _gap_acceleration(self, at: Frames, moving: FrameMotion) -> np.ndarray:
         """Return the gaps' accelerations (3 * loops, N) [m/s^2]."""
-        zero = np.zeros_like(at.origin[0])
 
         def of(end: _Ends) -> np.ndarray:
-            j = end.joint
-            arm = transform_point(at, j, end.local) - at.origin[j]
-            w = moving.turning[j]
-            total: Vector = add_vectors(
-                moving.acceleration[j],
-                add_vectors(
-                    compute_cross_product(moving.spinning_up[j], arm),
-                    compute_cross_product(w, compute_cross_product(w, arm)),
-                ),
-            )
-            return zero if total is None else total
+            total = compute_point_acceleration(at, moving, end.joint, transform_point(at, end.joint, end.local))
+            return np.zeros_like(at.origin[0]) if total is None else total
 
         return np.concatenate([of(a) - of(b) for a, b in self._ends])
 

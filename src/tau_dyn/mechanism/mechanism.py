@@ -374,6 +374,17 @@ class Mechanism(ABC):
         return checked
 
 
+def require_tool_frame(robot: Robot) -> int:
+    """Return the index of the tool's frame.
+
+    Raises:
+        InputError: The robot has none.
+    """
+    if robot.tool_frame is None:
+        raise InputError("unsupported", f"{robot.source}: the robot file has no frame named tool")
+    return robot.tool_frame
+
+
 def compute_perpendicular_axes(direction: np.ndarray) -> np.ndarray:
     """Return two unit vectors (2, 3) across a direction (3,): the base axes most across it, made perpendicular.
 

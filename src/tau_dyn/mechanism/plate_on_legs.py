@@ -275,8 +275,7 @@ class PlateOnLegs(Legs, Kinematics):
         rate = np.einsum("nkia,na->nki", self.base_jacobian(q), v) - twist[:, None, :3] - np.cross(w[:, None], r)
         joints, carried, qt = self.numbers.joints, self.numbers.carried, q.T
         places = frames.compute_points(joints, carried, qt)
-        at = frames.compute_joint_frames(joints, qt)
-        pushed = frames.compute_accelerations(joints, carried, at, places, v.T).transpose(2, 0, 1)
+        pushed = frames.compute_accelerations(joints, carried, qt, v.T).transpose(2, 0, 1)
         pushed = pushed - np.cross(w[:, None], np.cross(w[:, None], r))
         d = places.transpose(2, 0, 1) - self.plate_points(plate)
         right = np.sum(rate**2, axis=2) + np.sum(d * pushed, axis=2)

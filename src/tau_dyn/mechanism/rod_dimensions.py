@@ -26,7 +26,7 @@ from tau_dyn.exceptions import UnknownName
 from tau_dyn.mechanism.frames import (
     Carried,
     ChainJoint,
-    Placed,
+    JointFrame,
     combine_rotated,
     compute_cross_product,
     compute_joint_frames,
@@ -235,7 +235,7 @@ def replace_values(numbers: RodDimensions, parameters: Parameters) -> RodDimensi
 
 def compute_gap_columns(
     numbers: RodDimensions,
-    at: Sequence[Placed],
+    at: Sequence[JointFrame],
     q: np.ndarray,
     places: np.ndarray,
     unit: np.ndarray,
@@ -373,7 +373,7 @@ def _stretch(numbers: RodDimensions, k: int, q: np.ndarray) -> np.ndarray:
 
 
 def _by_axis(
-    joint: ChainJoint, q: np.ndarray, pushed: np.ndarray, place: np.ndarray, here: Placed, parent: np.ndarray
+    joint: ChainJoint, q: np.ndarray, pushed: np.ndarray, place: np.ndarray, here: JointFrame, parent: np.ndarray
 ) -> np.ndarray:
     r"""Return the gap's derivative (3, N) by a turn's axis `d`: `u . (J_l(q d) q e_k x (A - o))`.
 

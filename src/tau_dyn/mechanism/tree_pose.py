@@ -23,12 +23,13 @@ import numpy as np
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.mechanism.frames import (
     Frames,
-    compute_cross_product,
     compute_frames,
     compute_motion,
+    compute_point_acceleration,
     list_joints,
     multiply_by_rotation,
     transform_point,
+    yield_columns,
 )
 from tau_dyn.mechanism.loop_arrays import ClosedLoops, LoopArrays
 from tau_dyn.mechanism.loops import LoopSolver
@@ -119,14 +120,10 @@ class TreePose:
         """Return the tool's twist per actuated velocity (N, 6, na), linear first, in world axes at the tool's origin."""
         place = self.place_of(closed.at)
         out = np.zeros((6, closed.G.shape[1], place.shape[1]))
-        for joint in self.carriers:
-            z: np.ndarray = closed.at.axis[joint.index]
-            if joint.slides:
-                out[:3] += z[:, None] * closed.G[joint.v][None]
-            else:
-                arm: np.ndarray = place - closed.at.origin[joint.index]
-                out[:3] += compute_cross_product(z, arm)[:, None] * closed.G[joint.v][None]
-                out[3:] += z[:, None] * closed.G[joint.v][None]
+        for joint, linear, angular in yield_columns(closed.at, self.carriers, place):
+            out[:3] += linear[:, None] * closed.G[joint.v][None]
+            if angular is not None:
+                out[3:] += angular[:, None] * closed.G[joint.v][None]
         return out.transpose(2, 0, 1)
 
     def acceleration(self, closed: ClosedLoops, v: np.ndarray) -> np.ndarray:
@@ -134,18 +131,10 @@ class TreePose:
         rates = np.einsum("van,na->vn", closed.G, v)
         a = self.loops.accelerations(closed, rates, np.zeros((self.robot.na, len(v))))
         moving = compute_motion(self.joints, closed.at, rates, a, np.zeros(3))
-        j = self._joint
-        arm = transform_point(closed.at, j, self.tool.translation) - closed.at.origin[j]
-        w, dw = moving.turning[j], moving.spinning_up[j]
-        linear = np.zeros_like(arm)
-        for term in (
-            moving.acceleration[j],
-            compute_cross_product(dw, arm),
-            compute_cross_product(w, compute_cross_product(w, arm)),
-        ):
-            linear = linear if term is None else linear + term
-        angular = np.zeros_like(arm) if dw is None else dw
-        return np.concatenate([linear, angular]).T
+        place = self.place_of(closed.at)
+        linear = compute_point_acceleration(closed.at, moving, self._joint, place)
+        parts = (linear, moving.spinning_up[self._joint])
+        return np.concatenate([np.zeros_like(place) if x is None else x for x in parts]).T
 
 
 _NEWTON_BLOCK = 512  # samples at a time; arrays stay in the processor's cache
@@ -286,11 +275,8 @@ class TreeNewton:
         engine = self.engine
         place = engine.place_of(at)
         out = np.zeros((place.shape[1], 6, self.robot.model.nv))
-        for joint in engine.carriers:
-            z: np.ndarray = at.axis[joint.index]
-            if joint.slides:
-                out[:, :3, joint.v] = z.T
-            else:
-                arm: np.ndarray = place - at.origin[joint.index]
-                out[:, :3, joint.v], out[:, 3:, joint.v] = compute_cross_product(z, arm).T, z.T
+        for joint, linear, angular in yield_columns(at, engine.carriers, place):
+            out[:, :3, joint.v] = linear.T
+            if angular is not None:
+                out[:, 3:, joint.v] = angular.T
         return out
