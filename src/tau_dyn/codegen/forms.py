@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.codegen.graph import Graph, Node
-from tau_dyn.codegen.loops import Loops, locate_frame
+from tau_dyn.codegen.loops import Loops, trace_frames
 from tau_dyn.codegen.tracing import ExpressionArray, as_expression_array, build_inputs
 from tau_dyn.codegen.tree import Tree
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism import GantryTauMechanism, Mechanism, Rods, forward_kinematics, get_robot
+from tau_dyn.mechanism import GantryTauMechanism, Mechanism, Rods, TreePose, forward_kinematics, get_robot
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 
@@ -85,9 +85,8 @@ class TreeForm(Mechanism):
 
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """Return the tool's position (1, 3) [m]."""
-        still, frame = [0.0] * len(self.tree.joints), self.robot.tool_frame
-        places = self.tree.places(self.tree.motions(self.place(q[0]), still, still, np.zeros(3)))
-        return as_expression_array(locate_frame(self.tree, self.robot.model.frames[frame], places).p[None])
+        engine = TreePose(self.robot)
+        return as_expression_array(engine.place_of(trace_frames(engine.joints, self.place(q[0]))).T)
 
     def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return what each guide or reducer carries (1, na); see `Mechanism.guide_load`."""
@@ -134,11 +133,11 @@ class LoopForm(TreeForm):
     def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the forces (1, na) of one sample: the passive joints' motion, the tree's forces, virtual work."""
         loops, graph = self.loops, self.graph
-        place = self.place(q[0])
-        J = loops.closure(place).jacobian[loops.rows]
+        place, at = self.place(q[0]), loops.frames(q[0], self.passive)
+        J = loops.closure(at)[1][loops.rows]
         J_a, factor = J[:, loops.active], graph.factored(J[:, loops.passive])
         speeds = loops.rates(v[0], graph.solved(factor, -(J_a @ v[0])))
-        drift = loops.closure(place, speeds).drift[loops.rows]
+        drift = loops.drift(at, speeds)[loops.rows]
         change = loops.rates(a[0], graph.solved(factor, -(J_a @ a[0] + drift)))
         tau, _ = self.tree.forces(place, speeds, change)
         held = np.array(graph.solved(factor, [tau[k] for k in loops.passive], transposed=True), dtype=object)
@@ -168,7 +167,7 @@ class TracedModel(Model):
 
 def find_loops(model: Model) -> Loops | None:
     """Return the loops that have to be solved numerically; None for a tree and for a closed form."""
-    return Loops(model.robot, Tree(model.robot)) if model.robot.loops and model.mechanism.equations == "tree" else None
+    return Loops(model.robot) if model.robot.loops and model.mechanism.equations == "tree" else None
 
 
 class TracingInputs:

@@ -147,14 +147,6 @@ class Tree:
                 n[joint.parent] = n[joint.parent] + m.R @ n[k] + compute_cross_product(m.p, turned)
         return tau, beyond
 
-    def places(self, motions: list[LinkMotion]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return rotation (3, 3) and place (3,) of every link in the base."""
-        out: list[tuple[np.ndarray, np.ndarray]] = []
-        for joint, m in zip(self.joints, motions, strict=True):
-            R, p = out[joint.parent] if joint.parent >= 0 else (np.eye(3), np.zeros(3))
-            out.append((R @ m.R, p + R @ m.p))
-        return out
-
     def chain(self, k: int) -> list[int]:
         """Return the joints from the base to joint k."""
         out = []

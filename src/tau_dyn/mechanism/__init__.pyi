@@ -19,6 +19,7 @@ from .frames import (
     compute_cross_product as compute_cross_product,
     compute_frames as compute_frames,
     compute_joint_frames as compute_joint_frames,
+    compute_motion as compute_motion,
     compute_points as compute_points,
     compute_velocities as compute_velocities,
     list_joints as list_joints,

@@ -232,7 +232,7 @@ def _turned(base: np.ndarray, joint: Joint, angle: np.ndarray) -> np.ndarray:
         return multiply_by_rotation(_turned(multiply_by_rotation(base, third), about_z, angle), third.T)
     c, s, k = np.cos(angle), np.sin(angle), joint.along
     one, two = _AHEAD[k], _BEHIND[k]
-    out = np.empty(base.shape)
+    out = np.empty_like(angle, shape=base.shape)
     out[:, k] = base[:, k]
     out[:, one] = base[:, one] * c + base[:, two] * s
     out[:, two] = base[:, two] * c - base[:, one] * s

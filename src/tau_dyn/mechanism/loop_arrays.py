@@ -20,6 +20,7 @@ from tau_dyn.mechanism.frames import (
     compute_frames,
     compute_motion,
     compute_point_acceleration,
+    remove_rounding,
     transform_point,
     yield_columns,
 )
@@ -110,14 +111,14 @@ class LoopArrays:
         x = self._started(q)
         x, found = self._newton(x)
         for k in np.flatnonzero(~found):
-            x[:, k] = self._positions(self.solver.close(q[k]))
+            x[:, k] = self.positions(self.solver.close(q[k]))
         return self._linearised(x)
 
     def accelerations(self, closed: ClosedLoops, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the tree's accelerations (nv, N) at its velocities `v` (nv, N) and actuated accelerations `a` (na, N)."""
         total = np.einsum("van,an->vn", closed.G, a)
         if self._ends:
-            gap = self._gap_acceleration(closed.at, compute_motion(self.joints, closed.at, v, None, np.zeros(3)))
+            gap = self.gap_acceleration(closed.at, compute_motion(self.joints, closed.at, v, None, np.zeros(3)))
             total[self.passive] -= closed.inverse.solve(gap)
         return total
 
@@ -152,7 +153,7 @@ class LoopArrays:
         """Walk from home to the middles of new cells (n, na), all at once, and keep them."""
         if not len(cells):
             return
-        x = np.repeat(self._positions(self.solver.close(self.solver.robot.home))[:, None], len(cells), axis=1)
+        x = np.repeat(self.positions(self.solver.close(self.solver.robot.home))[:, None], len(cells), axis=1)
         distance = np.abs(cells).max(axis=1)
         x[:, distance > _MAX_CELLS_FROM_HOME] = np.nan
         steps = int(distance[distance <= _MAX_CELLS_FROM_HOME].max(initial=0))
@@ -213,7 +214,7 @@ class LoopArrays:
         """Return how to eliminate at home and near it; None where the passive Jacobian has no inverse."""
         if not self._ends or 3 * len(self._ends) != len(self.passive):
             return None
-        home = self._positions(self.solver.close(self.solver.robot.home))
+        home = self.positions(self.solver.close(self.solver.robot.home))
         passive = self._passive(self.entries(compute_frames(self.joints, home[:, None])))
         J = self._dense(passive, len(self.passive))[0]
         return None if np.linalg.cond(J) > ILL else Elimination.plan(set(passive), J)
@@ -255,7 +256,7 @@ class LoopArrays:
         """Return the points `p_A` of all loops, each (3, N) [m]."""
         return [transform_point(at, a.joint, a.local) for a, _ in self._ends]
 
-    def _gap_acceleration(self, at: Frames, moving: FrameMotion) -> np.ndarray:
+    def gap_acceleration(self, at: Frames, moving: FrameMotion) -> np.ndarray:
         """Return the gaps' accelerations (3 * loops, N) [m/s^2]."""
 
         def of(end: _Ends) -> np.ndarray:
@@ -264,7 +265,7 @@ class LoopArrays:
 
         return np.concatenate([of(a) - of(b) for a, b in self._ends])
 
-    def _positions(self, q: np.ndarray) -> np.ndarray:
+    def positions(self, q: np.ndarray) -> np.ndarray:
         """Return Pinocchio's configuration (nq,) as one position a joint (nv,)."""
         x = np.empty(self.solver.model.nv)
         for joint in self.joints:
@@ -277,5 +278,7 @@ class LoopArrays:
 def _end(model: pin.Model, frame: int) -> _Ends:
     item = model.frames[frame]
     return _Ends(
-        item.parentJoint, item.placement.translation.copy(), tuple(model.supports[item.parentJoint].tolist()[1:])
+        item.parentJoint,
+        remove_rounding(item.placement.translation),
+        tuple(model.supports[item.parentJoint].tolist()[1:]),
     )

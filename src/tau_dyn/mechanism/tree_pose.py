@@ -28,6 +28,7 @@ from tau_dyn.mechanism.frames import (
     compute_point_acceleration,
     list_joints,
     multiply_by_rotation,
+    remove_rounding,
     transform_point,
     yield_columns,
 )
@@ -65,6 +66,7 @@ class TreePose:
         self.loops = LoopArrays(LoopSolver(robot), joints)
         frame = robot.model.frames[robot.tool_frame]
         self._joint, self.tool = int(frame.parentJoint), frame.placement
+        self._turn, self._local = (remove_rounding(x) for x in (self.tool.rotation, self.tool.translation))
         carrying = robot.model.supports[self._joint].tolist()[1:]
         self.carriers = [joint for joint in joints if joint.index in carrying]
 
@@ -105,7 +107,7 @@ class TreePose:
 
     def pose_of(self, at: Frames) -> Poses:
         """Return the tool's poses where the joints are."""
-        rotation = multiply_by_rotation(at.rotation[self._joint], self.tool.rotation)
+        rotation = multiply_by_rotation(at.rotation[self._joint], self._turn)
         return Poses(self.place_of(at).T.copy(), np.moveaxis(rotation, 2, 0).copy())
 
     def pose_at(self, x: np.ndarray) -> Poses:
@@ -114,7 +116,17 @@ class TreePose:
 
     def place_of(self, at: Frames) -> np.ndarray:
         """Return the tool's positions (3, N) [m]."""
-        return transform_point(at, self._joint, self.tool.translation)
+        return transform_point(at, self._joint, self._local)
+
+    def twist(self, at: Frames) -> np.ndarray:
+        """Return the tool's twist by all joints (N, 6, nv)."""
+        place = self.place_of(at)
+        out = np.zeros_like(place, shape=(place.shape[1], 6, self.robot.model.nv))
+        for joint, linear, angular in yield_columns(at, self.carriers, place):
+            out[:, :3, joint.v] = linear.T
+            if angular is not None:
+                out[:, 3:, joint.v] = angular.T
+        return out
 
     def jacobian(self, closed: ClosedLoops) -> np.ndarray:
         """Return the tool's twist per actuated velocity (N, 6, na), linear first, in world axes at the tool's origin."""
@@ -163,7 +175,7 @@ class TreeNewton:
         near = np.random.default_rng(0).uniform(-_NEARBY, _NEARBY, (6, self.robot.na))
         x = self.close_loops(np.vstack([self.robot.home, self.robot.home + near]))
         at = compute_frames(engine.joints, x[:, np.isfinite(x).all(axis=0)])
-        whole = np.concatenate([self._closure(at), self._twist(at)[:, 3:]], axis=1)
+        whole = np.concatenate([self._closure(at), engine.twist(at)[:, 3:]], axis=1)
         _, s, vt = np.linalg.svd(whole)
         ranks = np.sum(s > _IDLE * s.max(axis=1, initial=0.0, keepdims=True), axis=1)
         null = vt[np.argmax(ranks), ranks.max() :]
@@ -245,7 +257,7 @@ class TreeNewton:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the step (N, nv), the largest gap (N,) [m] and the tool's errors (N, 2)."""
         at = compute_frames(self.engine.joints, x)
-        here, C, T = self.engine.pose_of(at), self._closure(at), self._twist(at)[:, 3:]
+        here, C, T = self.engine.pose_of(at), self._closure(at), self.engine.twist(at)[:, 3:]
         away = here.position - poses.position
         gap = np.concatenate(
             [*[(transform_point(at, *a) - transform_point(at, *b)).T for a, b in self._ends], away], axis=1
@@ -263,20 +275,9 @@ class TreeNewton:
 
     def _closure(self, at: Frames) -> np.ndarray:
         """Return the derivatives of loops and tool position by all joints (N, 3 * loops + 3, nv)."""
-        twist = self._twist(at)
+        twist = self.engine.twist(at)
         C = np.zeros((len(twist), 3 * len(self._ends) + 3, twist.shape[2]))
         for (r, c), value in self.engine.loops.entries(at).items():
             C[:, r, c] = value
         C[:, -3:] = twist[:, :3]
         return C
-
-    def _twist(self, at: Frames) -> np.ndarray:
-        """Return the tool's twist by all joints (N, 6, nv)."""
-        engine = self.engine
-        place = engine.place_of(at)
-        out = np.zeros((place.shape[1], 6, self.robot.model.nv))
-        for joint, linear, angular in yield_columns(at, engine.carriers, place):
-            out[:, :3, joint.v] = linear.T
-            if angular is not None:
-                out[:, 3:, joint.v] = angular.T
-        return out
