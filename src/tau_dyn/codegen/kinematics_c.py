@@ -105,7 +105,7 @@ def _yield_description(program: KinematicsProgram, name: str) -> Iterator[str]:
     if program.no_inverse:
         yield f"No ik: {program.no_inverse}."
     yield ""
-    yield "Each function returns 0, or else leaves its outputs (and start) as they were and returns"
+    yield "Each function returns 0, or else leaves its outputs (and start) alone and returns"
     yield f"  1  out of reach, beyond a singularity from home, a number that is none or beyond {MAX_NUMBER:g}, R no rotation"
     if follows or searches:
         yield "  2  Newton's method did not end: out of reach, beyond a singularity, or too far from start"

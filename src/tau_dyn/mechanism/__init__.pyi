@@ -72,6 +72,7 @@ from .poses import (
     InverseResult as InverseResult,
     InverseSolutions as InverseSolutions,
     Poses as Poses,
+    StraightWay as StraightWay,
     convert_from_quaternions as convert_from_quaternions,
     convert_to_quaternions as convert_to_quaternions,
     require_poses as require_poses,

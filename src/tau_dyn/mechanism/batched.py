@@ -173,9 +173,11 @@ class BatchedTree:
         self._armature = int(first[-1])
         self.pi = {link.joint_id: link.map @ robot.parameters.select(link.names).values for link in robot.links}
         self.drive = robot.parameters.values[self._armature : self._armature + robot.na]
-        self.weights = [
-            _weight(robot, solver, name, names.index(name)) for name in names if name.endswith(".gravity_mass")
-        ]
+        self.weights: list[Weight] = []
+        for name in (name for name in names if name.endswith(".gravity_mass")):
+            frame = solver.model.frames[solver.model.getFrameId(name.rsplit(".", 1)[0])]
+            at, mass = frame.placement.translation.copy(), robot.parameters[name].value
+            self.weights.append(Weight(names.index(name), int(frame.parentJoint), at, mass))
 
     def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return `Y` (N, na, p), laid out in memory as (na, p, N)."""
@@ -338,8 +340,3 @@ def _spread(x: np.ndarray, of: np.ndarray, movers: np.ndarray) -> np.ndarray:
     out = np.zeros((3, len(movers), x.shape[2]))
     out[:, np.searchsorted(movers, of)] = x
     return out
-
-
-def _weight(robot: Robot, solver: LoopSolver, name: str, column: int) -> Weight:
-    frame = solver.model.frames[solver.model.getFrameId(name.rsplit(".", 1)[0])]
-    return Weight(column, int(frame.parentJoint), frame.placement.translation.copy(), robot.parameters[name].value)

@@ -37,12 +37,11 @@ class _Shelves(threading.local):
     """A thread's shelves, one a robot."""
 
     def __init__(self) -> None:
-        self.of = lru_cache(maxsize=_MAX_ROBOTS)(_make_shelf)
+        self.of = lru_cache(maxsize=_MAX_ROBOTS)(self._make_shelf)
 
-
-def _make_shelf(owner: object) -> dict[str, object]:
-    """Return an empty shelf."""
-    return {}
+    @staticmethod
+    def _make_shelf(owner: object) -> dict[str, object]:
+        return {}
 
 
 _SHELVES = _Shelves()

@@ -16,7 +16,7 @@ arm by arm, `<arm>.length`, `.origin_x`, `.direction_x`: what its plate and cart
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -326,33 +326,6 @@ def compute_closure_by_q(
     for k in np.flatnonzero(numbers.slides >= 0).tolist():
         out[k, numbers.slides[k]] -= numbers.gains[k] * _reach(numbers, k, q)
     return out
-
-
-def measure_rail_distances(numbers: RodDimensions) -> list[Callable[[np.ndarray], np.ndarray] | None]:
-    """Return for each rod the distance (N,) [m] of places (N, 3) to all that its point A can reach, limits aside.
-
-    A point at rest, on one slide (a line) or on one turn (a circle) has one; None for longer chains.
-    """
-    return [_rail(numbers, k) for k in range(len(numbers.names))]
-
-
-def _rail(numbers: RodDimensions, k: int) -> Callable[[np.ndarray], np.ndarray] | None:
-    carrier, local = numbers.carried.carrier[k], numbers.carried.local[k]
-    if carrier < 0:
-        return lambda place: np.linalg.norm(place - local, axis=1)
-    joint = numbers.joints[carrier]
-    if joint.parent >= 0:
-        return None
-    axis, point = joint.direction / np.linalg.norm(joint.direction), joint.rotation @ local
-    centre = joint.origin + (point if joint.slides else axis * (axis @ point))
-    radius = 0.0 if joint.slides else float(np.linalg.norm(point - axis * (axis @ point)))
-
-    def distance(place: np.ndarray) -> np.ndarray:
-        along = (place - centre) @ axis
-        across = np.linalg.norm(place - centre - along[:, None] * axis, axis=1)
-        return across if joint.slides else np.hypot(across - radius, along)
-
-    return distance
 
 
 def _along(numbers: RodDimensions, k: int) -> float:

@@ -308,12 +308,9 @@ class UncertaintyPanel:
         with viewer.server.gui.add_folder("how well masses are known"):
             if len(value):
                 viewer.server.gui.add_html(format_legend("standard error [%], logarithmic", value))
-            rows = "".join(f"<div>{escape(k)}: {_percent(v)}</div>" for k, v in percent.items())
+            said = {k: f"{v:.2g} %" if np.isfinite(v) else "not determined" for k, v in percent.items()}
+            rows = "".join(f"<div>{escape(k)}: {v}</div>" for k, v in said.items())
             viewer.server.gui.add_html(format_panel(rows))
-
-
-def _percent(value: float) -> str:
-    return f"{value:.2g} %" if np.isfinite(value) else "not determined"
 
 
 def _spacing(points: np.ndarray) -> float:

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism import Poses, Rods
+from tau_dyn.mechanism import Poses, Rods, StraightWay
 
 _NOISE = 1e-10
 """Smallest singular value, as a share of the largest, below which a determinant has no sign."""
@@ -158,12 +158,12 @@ def advance(rods: Rods, start: Sample, goal: Poses, limits: Limits, reach: float
     way = float(measure_pose_distances(start.plate, goal, limits.scale)[0])
     if way == 0:
         return [], True
-    end = min(1.0, reach / way)
+    end, line = min(1.0, reach / way), StraightWay(start.plate, goal)
     done, step, motion = 0.0, limits.longest / way, []
     here = start
     while done < end:
         step = min(step, end - done)
-        there = _next(rods, here, interpolate_pose(start.plate, goal, done + step), limits)
+        there = _next(rods, here, line.at(done + step), limits)
         if there is None:
             step /= 2
             if step * way < _MIN_STEP_RATIO * limits.longest:
@@ -178,13 +178,6 @@ def measure_pose_distances(a: Poses, b: Poses, scale: float) -> np.ndarray:
     """Return the distances (N,) of poses (N) from one pose: metres over `scale` plus radians."""
     chord = np.linalg.norm(a.rotation - b.rotation, axis=(1, 2)) / np.sqrt(8)  # sin of half the angle between them
     return np.linalg.norm(a.position - b.position, axis=1) / scale + 2 * np.arcsin(np.minimum(chord, 1.0))
-
-
-def interpolate_pose(a: Poses, b: Poses, share: float) -> Poses:
-    """Return the pose at a share of the way from one single pose to another."""
-    turn = Rotation.from_matrix(a.rotation[0].T @ b.rotation[0]).as_rotvec()
-    rotation = a.rotation[0] @ Rotation.from_rotvec(share * turn).as_matrix()
-    return Poses(a.position + share * (b.position - a.position), rotation[None])
 
 
 def measure_rod_distance(rods: Rods, q: np.ndarray, plate: Poses) -> float:
