@@ -9,7 +9,7 @@ in closed form, or by Newton's method on drives and loops at once (`c/inverse_se
 
 Drives that reach all six freedoms meet the whole pose and, if some motion of theirs is idle, stay near where they started.
 Others meet the place and turn as near as they can, `H = T_turn' T_turn + small`: the equations of
-`mechanism/least_motion.py` (Nocedal & Wright 2006, ch. 16).
+`mechanism/small_systems.py` (Nocedal & Wright 2006, ch. 16).
 """
 
 from __future__ import annotations

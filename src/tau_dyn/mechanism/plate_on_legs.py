@@ -1,8 +1,6 @@
 """Kinematics of a plate on legs: forward by spheres or Newton on SE(3), inverse leg by leg, derivatives of the gaps.
 
-Reads a recognised robot's geometry from its tree: actuated chains, the points that they carry, rods and their lengths.
-
-Kinematics of a plate on legs: forward by spheres or Newton on SE(3), inverse leg by leg, derivatives of the gaps.
+A recognised robot's geometry is read from its tree: actuated chains, the points that they carry, rods and their lengths.
 """
 
 from __future__ import annotations

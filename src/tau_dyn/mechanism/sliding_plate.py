@@ -1,29 +1,17 @@
-"""Closed forms of plates.
+"""Closed forms of plates: three spheres for one that only translates, and arms of parallel rods. Samples last.
 
-A translating plate on three rods: spheres around the points A intersected in closed form; samples last.
-
-The plate keeps its rotation, so each rod ends at `T + r_k` with constant `r_k`, and `|A_k - r_k - T| = L_k`: three
-spheres (thesis (4.9); Coope 2000). They meet in two points, mirrored in the plane of the centres; `side` says on which
-side of it the plate is, seen along `(C_2 - C_1) x (C_3 - C_1)`, which is the thesis' configuration `c`. Guideways may
-have any direction: `q` enters through A alone.
-
-Forward kinematics of a plate that only translates: trilateration, with Gauss-Newton where there are more than three rods.
-
-Of the two points in which three spheres meet the one on home's side of the centres' plane is taken, always: the sides are
-apart, and the way from one to the other leads through the plane, where the plate is singular. Blocks of samples stay in
-the processor's cache.
-
-Kinematics in closed form where the rods of an arm stay parallel: rotation and position one after the other.
+A plate that keeps its rotation ends each rod at `T + r_k` with constant `r_k`, and `|A_k - r_k - T| = L_k`: three spheres
+(thesis (4.9); Coope 2000), with Gauss-Newton where there are more rods. They meet in two points, mirrored in the plane of the
+centres; `side` says on which side of it the plate is, seen along `(C_2 - C_1) x (C_3 - C_1)`: the thesis' configuration `c`.
+Home's side is taken, since the way from one to the other leads through a singularity.
 
 Rods of one arm that are equally long and parallel carry over their arm's rotation to the plate: `A_kj - A_k1 = R (B_kj -
 B_k1)` for all of them. So the rotation that turns the plate's vectors into the arms' (Kabsch 1976) is the plate's, and
 with it known each arm counts as one rod of a translating plate. This is the thesis' implicit 5-DOF kinematics of the F1
 type at `q4 = -q5`, (4.26) forward and (4.25) inverse, and as well the nominal complete Gantry-Tau; forward also the Delta.
-`defect` says how far the vectors are from each other: zero where the closed form is exact, else it is a start for Newton
-or a check of it.
-
-The inverse finds an arm's turns from the plate's rotation: one turn by the angle between vectors, two as the first two of
-three successive turns (Paden-Kahan subproblem 1 twice; Murray, Li & Sastry 1994, ch. 3.3), and its slide from a sphere.
+`defect` says how far the vectors are from each other: zero where the closed form is exact. The inverse finds an arm's turns
+from the plate's rotation: one by the angle between vectors, two as the first two of three successive turns (Paden-Kahan
+subproblem 1 twice; Murray, Li & Sastry 1994, ch. 3.3), and its slide from a sphere.
 """
 
 from __future__ import annotations

@@ -1,19 +1,14 @@
-"""Poses of a tree and Newton on its joints.
+"""The tool of any tree with loops, and Newton on all joints at once: loops and tool closed, orientation as near as it goes.
 
-Kinematics of any tree with loops: a serial arm, a plate with joints of its own, a planar mechanism, a wrist on a plate.
-
-The loops are closed at `q` (`loop_arrays.py`) and the tool frame is read off; its Jacobian is `J_tree G`. The inverse is
-`tree_pose.py`. Reference: Siciliano et al. 2009, ch. 3.
-
-Newton on all joints of a tree at once: its loops and the tool's position closed, the orientation as near as it goes.
+The loops are closed at `q` (`loop_arrays.py`) and the tool frame is read off; its Jacobian is `J_tree G`. The inverse solves
 
     J_loops dx = -c,   J_p dx = p_wanted - p,   minimise |J_r dx - log(R_wanted R')|
 
 with `x` the positions of all joints, actuated and passive. No loop is closed for itself on the way, so a pose out of reach
 costs as little as one in reach: its gap stops shrinking and it is given up. Actuators that can move without the tool idle
-towards the start. Orientation in the null space of position: Siciliano et al. 2009, ch. 3.5. What motion costs falls with the
-square of the turn that is left, which keeps convergence quadratic near singularities such as a straight elbow: Yamashita &
-Fukushima 2001. Arrays of joints have samples last.
+towards the start. What motion costs falls with the square of the turn that is left, which keeps convergence quadratic near
+singularities such as a straight elbow. Arrays of joints have samples last. Reference: Siciliano et al. 2009, ch. 3; Yamashita &
+Fukushima 2001.
 """
 
 from __future__ import annotations
