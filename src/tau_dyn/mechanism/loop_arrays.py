@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pinocchio as pin
 
+from tau_dyn.mechanism.cell_starts import CellStarts
 from tau_dyn.mechanism.frames import (
     FrameMotion,
     Frames,
@@ -95,7 +96,7 @@ class LoopArrays:
         self.active, self.passive = solver.active_v, solver.passive_v
         self._by_index = {joint.index: joint for joint in joints}
         self._ends = [(_end(model, loop.frame_a), _end(model, loop.frame_b)) for loop in robot.loops]
-        self._cells: dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]] = {}
+        self._cells = CellStarts(np.full(robot.na, _CELL), _MAX_CELLS_FROM_HOME, self._learn)
         self._row = {int(v): k for k, v in enumerate(self.passive)}
         self._plan = self._planned()
         self._endless = np.array([model.joints[model.getJointId(j)].nq == 2 for j in robot.actuated])
@@ -106,7 +107,7 @@ class LoopArrays:
         Raises:
             LoopClosureError: The robot cannot reach one of them.
         """
-        if not self._ends:
+        if not self._ends or not len(q):
             return self._without_loops(q)
         x = self._started(q)
         x, found = self._newton(x)
@@ -132,16 +133,7 @@ class LoopArrays:
 
     def _started(self, q: np.ndarray) -> np.ndarray:
         """Return a first guess of all positions (nv, N): the cell's middle, moved along its `G`."""
-        away = self._reduced(q - self.solver.robot.home)
-        nearest = np.clip(
-            np.round(away / _CELL), -_MAX_CELLS_FROM_HOME - 1, _MAX_CELLS_FROM_HOME + 1
-        )  # what is farther has no closure anyway
-        cells, which = np.unique(nearest.astype(int), axis=0, return_inverse=True)
-        self._learn(cells[[tuple(cell) not in self._cells for cell in cells.tolist()]])
-        known = [self._cells[tuple(cell)] for cell in cells.tolist()]
-        which = which.ravel()
-        x = np.stack([start for start, _ in known], axis=1)[:, which]
-        G = np.stack([slope for _, slope in known], axis=2)[:, :, which]
+        _, x, G = self._cells.find(self._reduced(q - self.solver.robot.home).T)
         return x + np.einsum("van,an->vn", G, self._reduced(q - x[self.active].T).T)
 
     def _reduced(self, away: np.ndarray) -> np.ndarray:
@@ -149,10 +141,8 @@ class LoopArrays:
         turn = 2 * np.pi * np.round(away / (2 * np.pi))
         return np.where(self._endless, away - turn, away)
 
-    def _learn(self, cells: np.ndarray) -> None:
-        """Walk from home to the middles of new cells (n, na), all at once, and keep them."""
-        if not len(cells):
-            return
+    def _learn(self, cells: np.ndarray) -> list[tuple[np.ndarray, ...]]:
+        """Walk from home to the middles of new cells (n, na), all at once; return positions and `G`."""
         x = np.repeat(self.positions(self.solver.close(self.solver.robot.home))[:, None], len(cells), axis=1)
         distance = np.abs(cells).max(axis=1)
         x[:, distance > _MAX_CELLS_FROM_HOME] = np.nan
@@ -163,8 +153,7 @@ class LoopArrays:
                 if step < steps:
                     x, found = self._newton(x + np.einsum("van,an->vn", G, _CELL / steps * cells.T))
                     x[:, ~found] = np.nan
-        for k, cell in enumerate(cells.tolist()):
-            self._cells[tuple(cell)] = x[:, k], G[:, :, k]
+        return [(x[:, k], G[:, :, k]) for k in range(len(cells))]
 
     def _newton(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return closed positions (nv, N), started at `x`, and where that worked (N,)."""
