@@ -5,13 +5,11 @@ cannot be traced. Parameters are numbers, or inputs named `theta`. Random states
 with Python.
 """
 
-# ruff: noqa: D102 (what cannot be traced says so in the sentence that it raises)
-
 from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -50,6 +48,15 @@ class ClosedForm(GantryTauMechanism):
         self._armature = lambda: armature  # type: ignore[method-assign]
 
 
+def _refuse(what: str) -> Any:
+    """Return a method that says what cannot be traced."""
+
+    def refuse(self: Mechanism, *_: Any) -> NoReturn:
+        raise TypeError(what)
+
+    return refuse
+
+
 class TreeForm(Mechanism):
     """A tree without loops on expressions."""
 
@@ -57,7 +64,7 @@ class TreeForm(Mechanism):
         """Take the tree, its parameters numbers or expressions."""
         super().__init__(model.robot)
         self.tree = tree
-        self.order = [tree.index(name) for name in model.robot.actuated]
+        self.order = model.robot.active_v.tolist()
 
     def _checked(self, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
         return arrays
@@ -102,20 +109,11 @@ class TreeForm(Mechanism):
         """Return no bearings: there are no loops."""
         return (), as_expression_array(np.zeros((1, 0, 3, self.robot.na)))
 
-    def regressor(self, q, v, a):
-        raise TypeError("the regressor of a tree")
-
-    def tool_jacobian(self, q):
-        raise TypeError("the tool's Jacobian on a tree")
-
-    def cart_sensitivity(self, q):
-        raise TypeError("the tool's sensitivity on a tree")
-
-    def condition(self, q):
-        raise TypeError("the conditioning of a tree")
-
-    def guide_force(self, q, v, a):
-        raise TypeError("the force that presses on each guide of a tree")
+    regressor = _refuse("the regressor of a tree")
+    tool_jacobian = _refuse("the tool's Jacobian on a tree")
+    cart_sensitivity = _refuse("the tool's sensitivity on a tree")
+    condition = _refuse("the conditioning of a tree")
+    guide_force = _refuse("the force that presses on each guide of a tree")
 
 
 class LoopForm(TreeForm):
@@ -145,11 +143,8 @@ class LoopForm(TreeForm):
         felt = np.array([tau[k] for k in loops.active], dtype=object) - J_a.T @ held + np.array(driven, dtype=object)
         return as_expression_array(felt[None])
 
-    def guide_load(self, q, v, a):
-        raise TypeError("what its guides carry, on a robot whose loops are solved numerically")
-
-    def passive_rates(self, q):
-        raise TypeError("passive joints' friction, on a robot whose loops are solved numerically")
+    guide_load = _refuse("what its guides carry, on a robot whose loops are solved numerically")
+    passive_rates = _refuse("passive joints' friction, on a robot whose loops are solved numerically")
 
 
 @dataclass(frozen=True, eq=False)

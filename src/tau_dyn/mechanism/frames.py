@@ -93,8 +93,8 @@ def compute_subspace(model: pin.Model, joint: int) -> np.ndarray:
 
 
 def remove_rounding(x: np.ndarray) -> np.ndarray:
-    """Return numbers with the rounding of whole ones taken away, so that zeros are seen as zeros."""
-    return np.where(np.abs(x - np.round(x)) < 1e-15, np.round(x), x)
+    """Return numbers with the rounding of whole ones taken away, so that zeros are seen as zeros; expressions stay."""
+    return x if x.dtype == object else np.where(np.abs(x - np.round(x)) < 1e-15, np.round(x), x)
 
 
 def compute_frames(joints: list[Joint], x: np.ndarray) -> Frames:
