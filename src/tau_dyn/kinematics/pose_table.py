@@ -214,13 +214,12 @@ def _all_modes(
             parts.append(tool)
             names, why = [*names, *modes.names], [*why, *[""] * tool.n_samples]
         which += [k] * parts[-1].n_samples
-    poses = Poses(np.concatenate([p.position for p in parts]), np.concatenate([p.rotation for p in parts]))
     pose, lost = np.array(which, int), _lost(np.array([reason[c.pose - 1] if not c.count else "" for c in counts]))
     table = _table(
         robot,
         False,
         q[pose],
-        poses,
+        Poses.join(parts),
         np.array(why),
         pose=pose,
         configuration=np.array(names),

@@ -93,7 +93,12 @@ from .rod_dimensions import (
     compute_squared_lengths as compute_squared_lengths,
 )
 from .sliding_plate import SlidingPlate as SlidingPlate, intersect_spheres as intersect_spheres
-from .small_systems import measure_column_lengths as measure_column_lengths
+from .small_systems import (
+    Move as Move,
+    NewtonRules as NewtonRules,
+    iterate_newton as iterate_newton,
+    measure_column_lengths as measure_column_lengths,
+)
 from .tree import TreeMechanism as TreeMechanism, build_mechanism as build_mechanism
 from .tree_geometry import (
     PRIORITY as PRIORITY,

@@ -24,9 +24,18 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import frames, rod_dimensions
-from tau_dyn.mechanism.frames import ChainJoint, compute_cross_product, list_path, skew
+from tau_dyn.mechanism.frames import ChainJoint, compute_cross_product, list_path
 from tau_dyn.mechanism.legs import Legs
-from tau_dyn.mechanism.poses import NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR, Poses, require_poses, require_positions
+from tau_dyn.mechanism.poses import (
+    NOT_A_NUMBER,
+    OK,
+    OUT_OF_REACH,
+    SINGULAR,
+    Poses,
+    require_poses,
+    require_positions,
+    turn_rotations,
+)
 from tau_dyn.mechanism.small_systems import solve_with_lapack
 
 
@@ -261,7 +270,8 @@ def _find_turns(rods: Legs, arm: list[int], path: list[ChainJoint], rotation: np
     turned = parent.T @ turned @ second.rotation.T
     axis = second.direction / np.linalg.norm(second.direction)
     angle = _find_angle(first, (first.rotation @ axis)[None], (turned @ axis)[:, None])
-    left = first.rotation.T @ np.swapaxes(_turn(first, angle), 1, 2) @ turned
+    back = turn_rotations(-angle[:, None] * first.direction, np.eye(3)[None])
+    left = first.rotation.T @ back @ turned
     across = np.linalg.svd(axis[None])[2][1:]
     return [angle, _find_angle(second, across, across @ np.swapaxes(left, 1, 2))]
 
@@ -273,13 +283,6 @@ def _find_angle(joint: ChainJoint, vectors: np.ndarray, wanted: np.ndarray) -> n
     sine = np.sum(np.cross(vectors, wanted) @ n, axis=1)
     cosine = np.sum(vectors * wanted, axis=(1, 2)) - np.sum((vectors @ n) * (wanted @ n), axis=1)
     return np.arctan2(sine, cosine) / gain
-
-
-def _turn(joint: ChainJoint, q: np.ndarray) -> np.ndarray:
-    """Return `Exp(q d)` (N, 3, 3), by Rodrigues' formula."""
-    gain = float(np.linalg.norm(joint.direction))
-    K, angle = skew(joint.direction / gain), (gain * q)[:, None, None]
-    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * (K @ K)
 
 
 def _find_slides(

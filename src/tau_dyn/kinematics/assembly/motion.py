@@ -289,7 +289,9 @@ def find_reachable_modes(
         )
     if not 0 <= home < modes.n_samples:
         raise InputError("invalid_value", f"home is one of the {modes.n_samples} modes; there is no number {home}")
-    kept = _limits(rods, limits, clearance)
+    everywhere = np.full(rods.na, np.inf)
+    lower, upper = (rods.robot.lower, rods.robot.upper) if limits else (-everywhere, everywhere)
+    kept = Limits(lower, upper, clearance, float(rods.lengths.mean()))  # poses are measured in rods' lengths
     states = solve_configuration_states(rods, np.repeat(q[None], modes.n_samples, axis=0), modes)
     samples = [sample_at(rods, q, modes.take(slice(k, k + 1))) for k in range(modes.n_samples)]
     out = []
@@ -349,7 +351,7 @@ class _Tree:
             self.samples.append(sample)
         if motion:
             self.q = np.concatenate([self.q, [s.q for s in motion]])
-            self.plate = _joined([self.plate, *(s.plate for s in motion)])
+            self.plate = Poses.join([self.plate, *(s.plate for s in motion)])
         return self.samples[parent]
 
     def holds(self, sample: Sample, scale: float) -> Sample | None:
@@ -379,19 +381,8 @@ def _random_pose(rods: Rods, home: Sample, mode: Sample, rng: np.random.Generato
     return Poses(position, rotation[None])
 
 
-def _limits(rods: Rods, keep: bool, clearance: float) -> Limits:
-    """Return the limits of a search; poses are measured in rods' lengths."""
-    everywhere = np.full(rods.na, np.inf)
-    lower, upper = (rods.robot.lower, rods.robot.upper) if keep else (-everywhere, everywhere)
-    return Limits(lower, upper, clearance, float(rods.lengths.mean()))
-
-
 def _answer(verdict: str, why: str, samples: list[Sample]) -> Reach:
     """Put a motion's samples into arrays."""
     if not samples:
-        return Reach(verdict, why, np.zeros((0, 0)), Poses(np.zeros((0, 3)), np.zeros((0, 3, 3))))
-    return Reach(verdict, why, np.array([s.q for s in samples]), _joined([s.plate for s in samples]))
-
-
-def _joined(poses: list[Poses]) -> Poses:
-    return Poses(np.concatenate([p.position for p in poses]), np.concatenate([p.rotation for p in poses]))
+        return Reach(verdict, why, np.zeros((0, 0)), Poses.join([]))
+    return Reach(verdict, why, np.array([s.q for s in samples]), Poses.join([s.plate for s in samples]))
