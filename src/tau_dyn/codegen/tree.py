@@ -88,11 +88,12 @@ class Tree:
                 + compute_cross_product(above.dw, p)
                 + compute_cross_product(above.w, compute_cross_product(above.w, p))
             )
+            rate: np.ndarray = u * v[k]
             if joint.slides:
-                c = c + u * a[k] + 2.0 * compute_cross_product(w, u * v[k])
+                c = c + u * a[k] + 2.0 * compute_cross_product(w, rate)
             else:
-                dw = dw + compute_cross_product(w, u * v[k]) + u * a[k]
-                w = w + u * v[k]
+                dw = dw + compute_cross_product(w, rate) + u * a[k]
+                w = w + rate
             out.append(LinkMotion(w, dw, c, R, p))
         return out
 

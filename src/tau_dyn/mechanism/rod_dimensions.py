@@ -309,7 +309,7 @@ def compute_leg_rates(numbers: RodDimensions, q: np.ndarray) -> np.ndarray:
 
 
 def compute_closure_by_q(
-    numbers: RodDimensions, q: np.ndarray, points: np.ndarray, d: Sequence[np.ndarray]
+    numbers: RodDimensions, q: np.ndarray, points: np.ndarray, d: Sequence[np.ndarray] | np.ndarray
 ) -> np.ndarray:
     """Return the derivative of `(|d|^2 - L^2) / 2` by the positions, `d . dA/dq - L dL/dq` (n, na, N).
 

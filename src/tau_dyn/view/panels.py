@@ -120,7 +120,7 @@ class _Body:
             handle.position, handle.wxyz = compute_link_pose(now[0], now[-1])
             return
         middle = now.mean(axis=0)
-        turn, _ = Rotation.align_vectors(now - middle, self._rest - self._middle)  # nearest, by Kabsch's method
+        turn = Rotation.align_vectors(now - middle, self._rest - self._middle)[0]  # nearest, by Kabsch's method
         handle.position, handle.wxyz = middle, turn.as_quat(scalar_first=True)
 
 
