@@ -12,9 +12,9 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.kinematics.assembly import find_reachable_modes, find_robot_assembly_modes, solve_configuration_states
-from tau_dyn.kinematics.assembly.motion import Limits, advance, interpolate_pose, measure_rod_distance, sample_at
+from tau_dyn.kinematics.assembly.motion import Limits, advance, measure_rod_distance, sample_at
 from tau_dyn.kinematics.assembly.robot_modes import find_translating_modes, select_real_poses
-from tau_dyn.mechanism import Poses, Rods, build_rods, forward_kinematics
+from tau_dyn.mechanism import Poses, Rods, StraightWay, build_rods, forward_kinematics
 from tau_dyn.robot import load_robot
 
 URDF = Path(__file__).resolve().parents[2] / "urdf"
@@ -76,7 +76,7 @@ def test_modes_apart_in_sign_are_apart_by_a_singularity(stewart, stewart_modes) 
     reach = find_reachable_modes(stewart, q, poses, home, n_samples=0)
     assert reach[home].verdict == "home" and reach[other].verdict == "behind a singularity"
     a, b = poses.take(slice(home, home + 1)), poses.take(slice(other, other + 1))
-    way = [interpolate_pose(a, b, share) for share in np.linspace(0, 1, 50)]
+    way = [StraightWay(a, b).at(share) for share in np.linspace(0, 1, 50)]
     signs = [np.sign(np.linalg.det(stewart.gap_by_pose(q[None], pose)[0])) for pose in way]
     assert set(signs) == {-1.0, 1.0}
 

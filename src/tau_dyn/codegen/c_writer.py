@@ -2,7 +2,7 @@
 
 A file is fixed texts of the folder `c`, their `@BLANKS@` filled, and functions written from graphs. It has no allocation,
 no recursion and no header beyond `math.h`. Every exported function refuses inputs and outputs that are not finite or beyond
-`MAX_NUMBER`; then it returns a status above zero and leaves its outputs as they were.
+`MAX_NUMBER`; then it returns a status above zero and leaves its outputs alone.
 """
 
 from __future__ import annotations
@@ -84,7 +84,8 @@ def yield_guard_lines(graph: Graph, status: int = 1) -> Iterator[str]:
 
 def yield_output_lines(array: str, outputs: Sequence[Any]) -> Iterator[str]:
     """Yield the assignments of an output array."""
-    yield from (f"    {array}[{k}] = {_named(x)};" for k, x in enumerate(outputs))
+    for k, x in enumerate(outputs):
+        yield f"    {array}[{k}] = {_shown(x) if isinstance(x, Node) else format_number(float(x))};"
 
 
 def yield_unused_lines(graph: Graph, outputs: Sequence[Any], arrays: Sequence[str]) -> Iterator[str]:
@@ -117,11 +118,6 @@ def _shown(node: Node) -> str:
     if node.op == "item":
         return f"t{node.args[0]}[{node.args[1]}]"
     return f"t{node.index}"
-
-
-def _named(x: Any) -> str:
-    """Return a node's name, or a number, as C."""
-    return _shown(x) if isinstance(x, Node) else format_number(float(x))
 
 
 def format_number(x: float) -> str:

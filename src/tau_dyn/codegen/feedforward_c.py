@@ -67,7 +67,7 @@ def write_c_source(program: Program, name: str = "tau_ff") -> tuple[str, str]:
 def _list_statuses(program: Program) -> list[str]:
     solved = program.loops is not None
     lines = [
-        "Returns 0, or else leaves tau as it was and returns",
+        "Returns 0, or else leaves tau alone and returns",
         f"  1  an input or a force is no number or beyond {MAX_NUMBER:g}, the position is out of reach,",
         "     or it is beside the sort of state that the function was written for",
         *(["  2  the loops could not be closed"] if solved else []),

@@ -113,7 +113,7 @@ _LEARNING_WORDS = (
     "l: L on a signal; out must be another array.",
     "update: correction becomes weight Q (correction + L error); weight holds n numbers, or is NULL for ones; work holds",
     f"n numbers a channel. Each returns 0; 1 where n < 1 or a number is none, or beyond {MAX_NUMBER:g}; update returns 2 where",
-    "a correction larger than the limit would leave. Then the outputs are as before. No allocation, no state.",
+    "a correction larger than the limit would leave. Then the outputs are left alone. No allocation, no state.",
     "Compile without -ffast-math, which takes the checks of numbers away.",
 )
 
@@ -159,11 +159,11 @@ def write_observer_source(observer: ComplementaryObserver | KalmanObserver, name
 _STEP_WORDS = (
     "start: at rest, with the tool where the actuators say it is. step: one call a sample, in order; z is the tool",
     "and may be kinematic.",
-    "step returns 0, or 1; then state and z are as before.",
+    "step returns 0, or 1; then state and z are left alone.",
 )
 _TRIAL_WORDS = (
     "trial: the whole of it at once, n samples by axes, row by row; work holds 2 n numbers. z may be kinematic.",
-    "Returns 0, or 1, also where n < 2; then z is as before.",
+    "Returns 0, or 1, also where n < 2; then z is left alone.",
 )
 _CHECK_WORDS = (
     f"1: an input, the state or the answer is no number, or beyond {MAX_NUMBER:g}.",

@@ -85,9 +85,14 @@ def _trace_equations(model: Model) -> Equations:
     def inputs() -> TracingInputs:
         return TracingInputs(model, loops, open_parameters=True)
 
-    dynamics = _trace_dynamics(inputs())
+    given = inputs()
+    M, h = given.form.mass_and_bias(given.q[0], given.v[0])
+    dynamics = _collect(given, "v theta", {"M": M, "h": h})
     friction = _trace_friction(inputs()) if any(not acts_on_recording(e) for e in model.effects) else None
-    tool = _trace_tool(inputs()) if model.robot.tool_frame is not None else None
+    tool = None
+    if model.robot.tool_frame is not None:
+        given = inputs()
+        tool = _collect(given, "", {"x": given.form.tool_position(given.q)[0]})
     closure = None if loops is None else loops.trace_closure(np.array([x.value for x in inputs().q[0]]))
     used = {
         int(node.args[0].removeprefix("theta"))
@@ -105,15 +110,6 @@ def _collect(given: TracingInputs, takes: str, made: dict[str, Any]) -> TracedFu
     sizes = {"v": na, "a": na, "theta": len(given.model.parameters)}
     arguments = {"q": na} | ({} if given.passive is None else {"p": len(given.passive)})
     return TracedFunction(given.graph, arguments | {x: sizes[x] for x in takes.split()}, flatten_outputs(made))
-
-
-def _trace_dynamics(given: TracingInputs) -> TracedFunction:
-    M, h = given.form.mass_and_bias(given.q[0], given.v[0])
-    return _collect(given, "v theta", {"M": M, "h": h})
-
-
-def _trace_tool(given: TracingInputs) -> TracedFunction:
-    return _collect(given, "", {"x": given.form.tool_position(given.q)[0]})
 
 
 def _trace_friction(given: TracingInputs) -> TracedFunction:

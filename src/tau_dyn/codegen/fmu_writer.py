@@ -1,8 +1,8 @@
 """The files of an FMU for co-simulation (FMI 2.0): its C source, and `modelDescription.xml`.
 
 The source: the model's equations as functions, the simulator's step (`c/fmu_plant.c`: leapfrog with sharp friction, as
-`simulate/plant.py` and `simulate/slip.py` have it, so that with equal steps the trajectory is the simulator's but for rounding),
-the functions of FMI (`c/fmu_interface.c`). A step that cannot be made leaves the state as it was, is logged, and is an error. An
+`simulate/plant.py` has it, so that with equal steps the trajectory is the simulator's but for rounding),
+the functions of FMI (`c/fmu_interface.c`). A step that cannot be made leaves the state alone, is logged, and is an error. An
 instance is one block of memory, so its state is stored and restored as bytes.
 
 Variables are named as a log's columns: `tau_J` goes in, `q_J`, `v_J`, `x_tool` and so on come out; `q0_J` and `v0_J` are where it

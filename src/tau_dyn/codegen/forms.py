@@ -5,22 +5,20 @@ cannot be traced. Parameters are numbers, or inputs named `theta`. Random states
 with Python.
 """
 
-# ruff: noqa: D102 (what cannot be traced says so in the sentence that it raises)
-
 from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
 from tau_dyn.codegen.graph import Graph, Node
-from tau_dyn.codegen.loops import Loops, locate_frame
+from tau_dyn.codegen.loops import Loops, trace_frames
 from tau_dyn.codegen.tracing import ExpressionArray, as_expression_array, build_inputs
 from tau_dyn.codegen.tree import Tree
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism import GantryTauMechanism, Mechanism, Rods, forward_kinematics, get_robot
+from tau_dyn.mechanism import GantryTauMechanism, Mechanism, Rods, TreePose, forward_kinematics, get_robot
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 
@@ -50,6 +48,15 @@ class ClosedForm(GantryTauMechanism):
         self._armature = lambda: armature  # type: ignore[method-assign]
 
 
+def _refuse(what: str) -> Any:
+    """Return a method that says what cannot be traced."""
+
+    def refuse(self: Mechanism, *_: Any) -> NoReturn:
+        raise TypeError(what)
+
+    return refuse
+
+
 class TreeForm(Mechanism):
     """A tree without loops on expressions."""
 
@@ -57,7 +64,7 @@ class TreeForm(Mechanism):
         """Take the tree, its parameters numbers or expressions."""
         super().__init__(model.robot)
         self.tree = tree
-        self.order = [tree.index(name) for name in model.robot.actuated]
+        self.order = model.robot.active_v.tolist()
 
     def _checked(self, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
         return arrays
@@ -85,9 +92,8 @@ class TreeForm(Mechanism):
 
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """Return the tool's position (1, 3) [m]."""
-        still, frame = [0.0] * len(self.tree.joints), self.robot.tool_frame
-        places = self.tree.places(self.tree.motions(self.place(q[0]), still, still, np.zeros(3)))
-        return as_expression_array(locate_frame(self.tree, self.robot.model.frames[frame], places).p[None])
+        engine = TreePose(self.robot)
+        return as_expression_array(engine.place_of(trace_frames(engine.joints, self.place(q[0]))).T)
 
     def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return what each guide or reducer carries (1, na); see `Mechanism.guide_load`."""
@@ -103,20 +109,11 @@ class TreeForm(Mechanism):
         """Return no bearings: there are no loops."""
         return (), as_expression_array(np.zeros((1, 0, 3, self.robot.na)))
 
-    def regressor(self, q, v, a):
-        raise TypeError("the regressor of a tree")
-
-    def tool_jacobian(self, q):
-        raise TypeError("the tool's Jacobian on a tree")
-
-    def cart_sensitivity(self, q):
-        raise TypeError("the tool's sensitivity on a tree")
-
-    def condition(self, q):
-        raise TypeError("the conditioning of a tree")
-
-    def guide_force(self, q, v, a):
-        raise TypeError("the force that presses on each guide of a tree")
+    regressor = _refuse("the regressor of a tree")
+    tool_jacobian = _refuse("the tool's Jacobian on a tree")
+    cart_sensitivity = _refuse("the tool's sensitivity on a tree")
+    condition = _refuse("the conditioning of a tree")
+    guide_force = _refuse("the force that presses on each guide of a tree")
 
 
 class LoopForm(TreeForm):
@@ -134,11 +131,11 @@ class LoopForm(TreeForm):
     def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the forces (1, na) of one sample: the passive joints' motion, the tree's forces, virtual work."""
         loops, graph = self.loops, self.graph
-        place = self.place(q[0])
-        J = loops.closure(place).jacobian[loops.rows]
+        place, at = self.place(q[0]), loops.frames(q[0], self.passive)
+        J = loops.closure(at)[1][loops.rows]
         J_a, factor = J[:, loops.active], graph.factored(J[:, loops.passive])
         speeds = loops.rates(v[0], graph.solved(factor, -(J_a @ v[0])))
-        drift = loops.closure(place, speeds).drift[loops.rows]
+        drift = loops.drift(at, speeds)[loops.rows]
         change = loops.rates(a[0], graph.solved(factor, -(J_a @ a[0] + drift)))
         tau, _ = self.tree.forces(place, speeds, change)
         held = np.array(graph.solved(factor, [tau[k] for k in loops.passive], transposed=True), dtype=object)
@@ -146,11 +143,8 @@ class LoopForm(TreeForm):
         felt = np.array([tau[k] for k in loops.active], dtype=object) - J_a.T @ held + np.array(driven, dtype=object)
         return as_expression_array(felt[None])
 
-    def guide_load(self, q, v, a):
-        raise TypeError("what its guides carry, on a robot whose loops are solved numerically")
-
-    def passive_rates(self, q):
-        raise TypeError("passive joints' friction, on a robot whose loops are solved numerically")
+    guide_load = _refuse("what its guides carry, on a robot whose loops are solved numerically")
+    passive_rates = _refuse("passive joints' friction, on a robot whose loops are solved numerically")
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +162,7 @@ class TracedModel(Model):
 
 def find_loops(model: Model) -> Loops | None:
     """Return the loops that have to be solved numerically; None for a tree and for a closed form."""
-    return Loops(model.robot, Tree(model.robot)) if model.robot.loops and model.mechanism.equations == "tree" else None
+    return Loops(model.robot) if model.robot.loops and model.mechanism.equations == "tree" else None
 
 
 class TracingInputs:

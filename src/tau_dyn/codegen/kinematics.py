@@ -14,11 +14,11 @@ import numpy as np
 
 from tau_dyn.codegen import rods as closed_form
 from tau_dyn.codegen.forms import draw_reachable_positions
-from tau_dyn.codegen.loops import TreeExpressions
+from tau_dyn.codegen.loops import Loops, spread_over_joints, trace_frames
 from tau_dyn.codegen.rods import compute_rod_gaps
 from tau_dyn.codegen.tracing import TracedFunction, trace_function
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism import Rods, forward_kinematics, get_robot, get_rods, get_solver, jacobian
+from tau_dyn.mechanism import Frames, Rods, forward_kinematics, get_robot, get_rods, get_solver, jacobian
 from tau_dyn.robot import Robot
 
 _SEED, _CHECK_SEED, _STATES = 3, 2, 15  # any; states that are drawn once decide about ranks, others are compared
@@ -142,18 +142,26 @@ def _trace_rods(rods: Rods) -> KinematicsProgram:
 
 
 def _trace_tree(robot: Robot) -> KinematicsProgram:
-    get_solver(robot)  # says what is wrong with a robot that has no kinematics at all
-    tree = TreeExpressions(robot)
-    z = np.zeros(0) if tree.loops is None else tree.loops.home[tree.passive]
+    engine: Any = get_solver(robot)
+    loops = Loops(robot) if robot.loops else None
+    order = robot.active_v.tolist() + ([] if loops is None else loops.passive)
+    z = np.zeros(0) if loops is None else loops.home[loops.passive]
     state = {"q": robot.home, "z": z} if len(z) else {"q": robot.home}
 
+    def locate(q: Any, z: Any) -> Frames:
+        if loops is not None:
+            return loops.frames(q, z)
+        return trace_frames(engine.joints, spread_over_joints([0.0] * robot.model.nv, (order, q)))
+
     def tool(q: Any, z: Any = ()) -> dict[str, Any]:
-        at = tree.tool(np.asarray(q), np.asarray(z))
-        return {"p": at.p, "R": at.R, "T": np.vstack([at.linear, at.angular])}
+        at = locate(q, z)
+        pose = engine.pose_of(at)
+        return {"p": pose.position, "R": pose.rotation, "T": engine.twist(at)[0][:, order]}
 
     def equations(q: Any, z: Any) -> dict[str, Any]:
-        gap, G = tree.gaps(np.asarray(q), np.asarray(z))
-        return {"gap": gap, "G": G}
+        assert loops is not None
+        gap, G = loops.closure(loops.frames(q, z))
+        return {"gap": gap[loops.rows], "G": G[np.ix_(loops.rows, order)]}
 
     rank, idle = _count_freedoms(robot)
     program = KinematicsProgram(
@@ -220,9 +228,8 @@ def _by_equations(program: KinematicsProgram, q, plate, p, R, J) -> list[float]:
     if program.rods is not None:
         known["z"] = np.column_stack([plate.position, plate.rotation.reshape(-1, 9)])
     elif nt:
-        tree = TreeExpressions(program.robot)
-        assert tree.loops is not None
-        known["z"] = np.array([tree.loops.closed(x) for x in q])[:, tree.passive]
+        loops = Loops(program.robot)
+        known["z"] = np.array([loops.closed(x) for x in q])[:, loops.passive]
     out, X = [], np.zeros((len(q), nt, na))
     if program.equations is not None:
         at = program.equations.evaluate(known)

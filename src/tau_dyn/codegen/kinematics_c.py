@@ -9,7 +9,7 @@ in closed form, or by Newton's method on drives and loops at once (`c/inverse_se
 
 Drives that reach all six freedoms meet the whole pose and, if some motion of theirs is idle, stay near where they started.
 Others meet the place and turn as near as they can, `H = T_turn' T_turn + small`: the equations of
-`mechanism/least_motion.py` (Nocedal & Wright 2006, ch. 16).
+`mechanism/small_systems.py` (Nocedal & Wright 2006, ch. 16).
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def _yield_description(program: KinematicsProgram, name: str) -> Iterator[str]:
     if program.no_inverse:
         yield f"No ik: {program.no_inverse}."
     yield ""
-    yield "Each function returns 0, or else leaves its outputs (and start) as they were and returns"
+    yield "Each function returns 0, or else leaves its outputs (and start) alone and returns"
     yield f"  1  out of reach, beyond a singularity from home, a number that is none or beyond {MAX_NUMBER:g}, R no rotation"
     if follows or searches:
         yield "  2  Newton's method did not end: out of reach, beyond a singularity, or too far from start"

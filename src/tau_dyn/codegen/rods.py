@@ -13,7 +13,6 @@ import numpy as np
 
 from tau_dyn.codegen.graph import Node
 from tau_dyn.codegen.tracing import as_expression_array
-from tau_dyn.codegen.tree import remove_rounding
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import (
     Plate,
@@ -26,6 +25,7 @@ from tau_dyn.mechanism import (
     compute_equation_rows,
     compute_points,
     compute_squared_lengths,
+    remove_rounding,
 )
 
 

@@ -20,37 +20,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from tau_dyn.codegen.tracing import as_expression_array
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism import compute_cross_product
+from tau_dyn.mechanism import compute_cross_product, list_joints, remove_rounding
 from tau_dyn.robot import Robot
-
-_EXACT = 1e-15  # rounding of the robot file's angles, not a direction
-
-
-@dataclass(frozen=True, eq=False)
-class TreeJoint:
-    """One joint and its link.
-
-    Attributes:
-        name: Its name.
-        parent: Index of the parent's joint, -1 for the base.
-        axis: Unit axis in the link's own axes (3,).
-        slides: Whether it is prismatic.
-        R: Rotation from the link's axes at zero to the parent's (3, 3).
-        p: Place in the parent (3,) [m].
-        pi: The link's ten inertial numbers about the joint's origin.
-    """
-
-    name: str
-    parent: int
-    axis: np.ndarray
-    slides: bool
-    R: np.ndarray
-    p: np.ndarray
-    pi: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,11 +60,11 @@ class Tree:
             raise InputError(
                 "unsupported", f"{robot.source}: {listed} follow other joints; code is written of joints that do not"
             )
-        model, data = robot.model, robot.model.createData()
-        pin.computeJointJacobians(model, data, pin.neutral(model))
+        model, joints = robot.model, list_joints(robot.model)
+        if joints is None:
+            raise InputError("unsupported", f"{robot.source}: only hinges and slides of one axis each export")
         value = value or (lambda name: robot.parameters[name].value)
-        inertial = _inertial(robot, value)
-        self.joints = tuple(_joint(robot, data, j, inertial[j]) for j in range(1, model.njoints))
+        self.joints, self.pi = joints, _inertial(robot, value)
         self.gravity = np.array(model.gravity.linear)
         self.armature = {j: value(f"{j}.armature") for j in robot.actuated}
         self.weights = [
@@ -105,98 +79,53 @@ class Tree:
         light.gravity, light.weights = np.zeros(3), []
         return light
 
-    def index(self, name: str) -> int:
-        """Return a joint's place."""
-        return [j.name for j in self.joints].index(name)
-
     def motions(self, q: Any, v: Any, a: Any, gravity: np.ndarray) -> list[LinkMotion]:
         """Return every link's motion; q, v, a one number or node a joint, `gravity` (3,) in base axes."""
         out: list[LinkMotion] = []
         still = np.zeros(3, dtype=object)
         for k, joint in enumerate(self.joints):
-            above = out[joint.parent] if joint.parent >= 0 else LinkMotion(still, still, -gravity, np.eye(3), still)
-            u = joint.axis
-            R = joint.R if joint.slides else remove_rounding(joint.R @ turn(u, q[k]))
-            p = joint.p + joint.R @ u * q[k] if joint.slides else joint.p
+            above = out[joint.parent - 1] if joint.parent else LinkMotion(still, still, -gravity, np.eye(3), still)
+            u, p = joint.axis, remove_rounding(joint.offset)
+            R = joint.rotation if joint.slides else remove_rounding(joint.rotation @ turn(u, q[k]))
+            p = p + joint.rotation @ u * q[k] if joint.slides else p
             w, dw = R.T @ above.w, R.T @ above.dw
             c = R.T @ (
                 above.c
                 + compute_cross_product(above.dw, p)
                 + compute_cross_product(above.w, compute_cross_product(above.w, p))
             )
+            rate: np.ndarray = u * v[k]
             if joint.slides:
-                c = c + u * a[k] + 2.0 * compute_cross_product(w, u * v[k])
+                c = c + u * a[k] + 2.0 * compute_cross_product(w, rate)
             else:
-                dw = dw + compute_cross_product(w, u * v[k]) + u * a[k]
-                w = w + u * v[k]
+                dw = dw + compute_cross_product(w, rate) + u * a[k]
+                w = w + rate
             out.append(LinkMotion(w, dw, c, R, p))
         return out
 
     def forces(self, q: Any, v: Any, a: Any) -> tuple[list[Any], list[np.ndarray]]:
         """Return each joint's force, without drive inertia, and what its link's children exert on it in its axes (3,)."""
         motions = self.motions(q, v, a, self.gravity)
-        pairs = [_needed(joint.pi, m) for joint, m in zip(self.joints, motions, strict=True)]
+        pairs = [_needed(self.pi[joint.index], m) for joint, m in zip(self.joints, motions, strict=True)]
         f, n = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+        down: list[np.ndarray] = [self.gravity]  # gravity in the links' axes
+        for joint, m in zip(self.joints if self.weights else [], motions, strict=False):
+            down.append(m.R.T @ down[joint.parent])
         for frame, mass in self.weights:
             k = frame.parentJoint - 1
-            pull = self._down(motions, k) * -mass
+            pull = down[frame.parentJoint] * -mass
             f[k], n[k] = f[k] + pull, n[k] + compute_cross_product(frame.placement.translation, pull)
         beyond = [np.zeros(3, dtype=object) for _ in self.joints]
         tau: list[Any] = [0.0] * len(self.joints)
         for k in reversed(range(len(self.joints))):
             joint, m = self.joints[k], motions[k]
             tau[k] = joint.axis @ (f[k] if joint.slides else n[k])
-            if joint.parent >= 0:
-                turned = m.R @ f[k]
-                beyond[joint.parent] = beyond[joint.parent] - turned
-                f[joint.parent] = f[joint.parent] + turned
-                n[joint.parent] = n[joint.parent] + m.R @ n[k] + compute_cross_product(m.p, turned)
+            if joint.parent:
+                above, turned = joint.parent - 1, m.R @ f[k]
+                beyond[above] = beyond[above] - turned
+                f[above] = f[above] + turned
+                n[above] = n[above] + m.R @ n[k] + compute_cross_product(m.p, turned)
         return tau, beyond
-
-    def places(self, motions: list[LinkMotion]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return rotation (3, 3) and place (3,) of every link in the base."""
-        out: list[tuple[np.ndarray, np.ndarray]] = []
-        for joint, m in zip(self.joints, motions, strict=True):
-            R, p = out[joint.parent] if joint.parent >= 0 else (np.eye(3), np.zeros(3))
-            out.append((R @ m.R, p + R @ m.p))
-        return out
-
-    def chain(self, k: int) -> list[int]:
-        """Return the joints from the base to joint k."""
-        out = []
-        while k >= 0:
-            out.append(k)
-            k = self.joints[k].parent
-        return out[::-1]
-
-    def _down(self, motions: list[LinkMotion], k: int) -> np.ndarray:
-        """Return gravity in a link's axes."""
-        g: np.ndarray = self.gravity
-        for j in self.chain(k):
-            g = motions[j].R.T @ g
-        return g
-
-
-def _joint(robot: Robot, data: pin.Data, j: int, pi: np.ndarray) -> TreeJoint:
-    model = robot.model
-    if model.joints[j].nv != 1:
-        raise InputError(
-            "unsupported",
-            f"{robot.source}: joint {model.names[j]} has {model.joints[j].nv} axes; only hinges and slides export",
-        )
-    S = np.asarray(data.joints[j].S).reshape(6)
-    slides = bool(np.linalg.norm(S[:3]) > np.linalg.norm(S[3:]))
-    place = model.jointPlacements[j]
-    axis = remove_rounding(np.array(S[:3] if slides else S[3:]))
-    return TreeJoint(
-        model.names[j],
-        model.parents[j] - 1,
-        axis,
-        slides,
-        remove_rounding(place.rotation),
-        remove_rounding(place.translation),
-        pi,
-    )
 
 
 def _inertial(robot: Robot, value: Callable[[str], Any]) -> dict[int, np.ndarray]:
@@ -222,12 +151,3 @@ def _needed(pi: np.ndarray, m: LinkMotion) -> tuple[np.ndarray, np.ndarray]:
     inertia = np.array([[pi[4], pi[5], pi[7]], [pi[5], pi[6], pi[8]], [pi[7], pi[8], pi[9]]])
     f = m.c * mass + compute_cross_product(m.dw, s) + compute_cross_product(m.w, compute_cross_product(m.w, s))
     return f, inertia @ m.dw + compute_cross_product(m.w, inertia @ m.w) + compute_cross_product(s, m.c)
-
-
-def remove_rounding(x: np.ndarray) -> np.ndarray:
-    """Return plain numbers with what is only rounding of 0, 1 and -1 taken away; expressions stay."""
-    x = np.array(x)
-    if x.dtype == object:
-        return x
-    whole = np.round(x)
-    return np.where(np.abs(x - whole) < _EXACT, whole, x)

@@ -163,7 +163,7 @@ class PoseTable(Shown):
             "units": list(self.robot.position_units),
             "answered": int(self.ok.sum()),
             "rows": rows,
-            "solutions" if self.inverse else "modes": [count._asdict() for count in self.counts],
+            "solutions" if self.inverse else "modes": self.counts,
         }
 
 
@@ -214,13 +214,12 @@ def _all_modes(
             parts.append(tool)
             names, why = [*names, *modes.names], [*why, *[""] * tool.n_samples]
         which += [k] * parts[-1].n_samples
-    poses = Poses(np.concatenate([p.position for p in parts]), np.concatenate([p.rotation for p in parts]))
     pose, lost = np.array(which, int), _lost(np.array([reason[c.pose - 1] if not c.count else "" for c in counts]))
     table = _table(
         robot,
         False,
         q[pose],
-        poses,
+        Poses.join(parts),
         np.array(why),
         pose=pose,
         configuration=np.array(names),
@@ -258,7 +257,8 @@ def _all(robot: Robot, poses: Poses) -> PoseTable:
     kinematics = build_kinematics(robot)
     solved = kinematics.solutions(poses)
     found = solved.q
-    names = [] if kinematics.legs is None else [_name(signs) for signs in kinematics.configurations]
+    listed = [] if kinematics.legs is None else kinematics.configurations
+    names = ["".join("0+-"[int(sign)] for sign in signs) for signs in listed]
     names = names if len(names) == found.shape[1] else [str(k + 1) for k in range(found.shape[1])]
     n, m = found.shape[:2]
     q, pose, name = found.reshape(n * m, -1), np.repeat(np.arange(n), m), np.array(names * n)
@@ -277,10 +277,6 @@ def _all(robot: Robot, poses: Poses) -> PoseTable:
     counts = np.bincount(pose, minlength=n).tolist()
     each = zip(range(1, n + 1), counts, solved.proved.tolist(), solved.why, strict=True)
     return replace(table, counts=tuple(Count(*row) for row in each))
-
-
-def _name(signs: np.ndarray) -> str:
-    return "".join("-" if s < 0 else "+" if s > 0 else "0" for s in signs)
 
 
 def _table(

@@ -19,14 +19,17 @@ from .frames import (
     compute_cross_product as compute_cross_product,
     compute_frames as compute_frames,
     compute_joint_frames as compute_joint_frames,
+    compute_motion as compute_motion,
     compute_points as compute_points,
     compute_velocities as compute_velocities,
     list_joints as list_joints,
     list_path as list_path,
     multiply_by_constant as multiply_by_constant,
     multiply_by_rotation as multiply_by_rotation,
+    remove_rounding as remove_rounding,
     skew as skew,
     transform_point as transform_point,
+    yield_columns as yield_columns,
 )
 from .gantry_tau import GantryTauMechanism as GantryTauMechanism
 from .kinematics import (
@@ -75,6 +78,7 @@ from .poses import (
     InverseResult as InverseResult,
     InverseSolutions as InverseSolutions,
     Poses as Poses,
+    StraightWay as StraightWay,
     convert_from_quaternions as convert_from_quaternions,
     convert_to_quaternions as convert_to_quaternions,
     require_poses as require_poses,
@@ -95,7 +99,12 @@ from .rod_dimensions import (
     set_dimensions as set_dimensions,
 )
 from .sliding_plate import SlidingPlate as SlidingPlate, intersect_spheres as intersect_spheres
-from .small_systems import measure_column_lengths as measure_column_lengths
+from .small_systems import (
+    Move as Move,
+    NewtonRules as NewtonRules,
+    iterate_newton as iterate_newton,
+    measure_column_lengths as measure_column_lengths,
+)
 from .tree import TreeMechanism as TreeMechanism, build_mechanism as build_mechanism
 from .tree_geometry import (
     PRIORITY as PRIORITY,

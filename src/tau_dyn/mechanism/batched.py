@@ -1,11 +1,4 @@
-"""Rigid-body dynamics of any tree, with or without loops, for many samples at once.
-
-One body's share of the actuated forces, per inertial number and at given numbers; arrays have samples last.
-
-In the body's axes, with `S = [dw]x + [w]x [w]x`, the ten numbers `m, h, I` act by `F = m a + S h`, `T = h x a + I dw + w x I w`.
-Written out, the six columns of `T` in `I` hold sums of `S`'s entries and of products of `w`. Reference: Khalil & Dombre 2002, 9.
-
-Rigid-body dynamics of any tree, with or without loops, for many samples at once.
+"""Rigid-body dynamics of any tree, with or without loops, for many samples at once; arrays have samples last.
 
 A body's motion per actuated speed is its partial velocity `(L_a, A_a)`: linear, of its frame's origin, and angular. Kane's
 form of virtual work then needs neither forces between bodies nor the tree's joint torques,
@@ -32,12 +25,12 @@ from tau_dyn.mechanism.frames import (
     add_vectors,
     compute_cross_product,
     compute_motion,
-    list_joints,
     rotate_into_frame,
     transform_point,
 )
 from tau_dyn.mechanism.loop_arrays import ClosedLoops, LoopArrays
 from tau_dyn.mechanism.loops import LoopSolver
+from tau_dyn.mechanism.mechanism import require_tool_frame
 from tau_dyn.robot import Robot, compute_inertia_matrix
 
 
@@ -170,7 +163,7 @@ class BatchedTree:
     """Dynamics of one robot for arrays of samples; see `Mechanism` for what each method returns."""
 
     def __init__(self, robot: Robot, solver: LoopSolver, joints: list[Joint]) -> None:
-        """Prepare for a robot with its parameters' values; `BatchedTree.of` says whether that is possible."""
+        """Prepare for a robot with its parameters' values."""
         self.robot, self.solver, self.joints = robot, solver, joints
         self.loops = LoopArrays(solver, joints)
         self.gravity = np.asarray(solver.model.gravity.linear, float)
@@ -180,15 +173,11 @@ class BatchedTree:
         self._armature = int(first[-1])
         self.pi = {link.joint_id: link.map @ robot.parameters.select(link.names).values for link in robot.links}
         self.drive = robot.parameters.values[self._armature : self._armature + robot.na]
-        self.weights = [
-            _weight(robot, solver, name, names.index(name)) for name in names if name.endswith(".gravity_mass")
-        ]
-
-    @classmethod
-    def of(cls, robot: Robot, solver: LoopSolver) -> BatchedTree | None:
-        """Return the batched dynamics of a robot, or None where a joint has more than one degree of freedom."""
-        joints = list_joints(solver.model)
-        return None if joints is None else cls(robot, solver, joints)
+        self.weights: list[Weight] = []
+        for name in (name for name in names if name.endswith(".gravity_mass")):
+            frame = solver.model.frames[solver.model.getFrameId(name.rsplit(".", 1)[0])]
+            at, mass = frame.placement.translation.copy(), robot.parameters[name].value
+            self.weights.append(Weight(names.index(name), int(frame.parentJoint), at, mass))
 
     def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return `Y` (N, na, p), laid out in memory as (na, p, N)."""
@@ -227,9 +216,16 @@ class BatchedTree:
         M[range(self.robot.na), range(self.robot.na)] += self.drive[:, None]
         return M.transpose(2, 0, 1)
 
-    def tool(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the tool's position (N, 3) [m] and velocity per actuated speed (N, 3, na), in base axes."""
-        frame = self.solver.model.frames[self.robot.tool_frame]
+    def tool_position(self, q: np.ndarray) -> np.ndarray:
+        """Return the tool's position (N, 3) [m]."""
+        return self._tool(q)[0]
+
+    def tool_jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Return the tool's velocity per actuated speed (N, 3, na), in base axes."""
+        return self._tool(q)[1]
+
+    def _tool(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        frame = self.solver.model.frames[require_tool_frame(self.robot)]
         place, J = np.empty((3, len(q))), np.zeros((3, self.robot.na, len(q)))
         for part in iterate_blocks(len(q)):
             closed = self.loops.close(q[part])
@@ -341,8 +337,3 @@ def _spread(x: np.ndarray, of: np.ndarray, movers: np.ndarray) -> np.ndarray:
     out = np.zeros((3, len(movers), x.shape[2]))
     out[:, np.searchsorted(movers, of)] = x
     return out
-
-
-def _weight(robot: Robot, solver: LoopSolver, name: str, column: int) -> Weight:
-    frame = solver.model.frames[solver.model.getFrameId(name.rsplit(".", 1)[0])]
-    return Weight(column, int(frame.parentJoint), frame.placement.translation.copy(), robot.parameters[name].value)

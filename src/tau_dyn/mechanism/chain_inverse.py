@@ -21,9 +21,10 @@ from tau_dyn.mechanism import frames, rod_dimensions
 from tau_dyn.mechanism.frames import Carried, ChainJoint
 from tau_dyn.mechanism.legs import Legs
 from tau_dyn.mechanism.rod_dimensions import RodDimensions
+from tau_dyn.mechanism.small_systems import Move, NewtonRules, iterate_newton
 
 _MAX_ITERATIONS = 30  # Newton steps; quadratic convergence needs five to eight
-_DONE = 1e-13  # m, relative to the robot's size: rounding
+_STILL = 1e-6  # [m or rad] size of a last step whose square is rounding
 _REACHED = 1e-10  # relative to the rod: what `(|d|^2 - L^2) / 2 L^2` may be
 _TURNS = 6  # starting angles a turn when all solutions of a chain are looked for
 _EQUALITY_TOLERANCE = 1e-6  # [m or rad] closer solutions are one
@@ -111,25 +112,19 @@ class NewtonChain:
     def newton(self, B: np.ndarray, q: np.ndarray, rounds: int = _MAX_ITERATIONS) -> np.ndarray:
         """Return positions (m, N) that put the points A at a rod's length from `B`, from a start; nan where it fails."""
         q = q.copy()
-        squares = self.scale**2
-        left = np.flatnonzero(np.isfinite(q).all(axis=0) & np.isfinite(B).all(axis=(0, 1)))
-        good = np.zeros(q.shape[1], bool)
-        for _ in range(rounds):
-            if not left.size:
-                break
+
+        def advance(left: np.ndarray) -> tuple[np.ndarray, np.ndarray, Move]:
             f, J = self._equations(B[:, :, left], q[:, left])
             step = _solve(J, -f)
-            step *= np.minimum(1.0, 0.5 * max(self.scale, 0.5) / np.maximum(np.abs(step).max(axis=0), 1e-300))
-            q[:, left] += step
-            size = np.abs(step).max(axis=0)
-            small = np.abs(f).max(axis=0) < _REACHED * squares
-            done = (size < _DONE * max(1.0, self.scale)) | (small & (size < 1e-9))
-            good[left[small & done]] = True
-            left = left[~done & np.isfinite(size)]
-        if left.size:
-            f, _ = self._equations(B[:, :, left], q[:, left])
-            good[left[np.abs(f).max(axis=0) < _REACHED * squares]] = True
-        q[:, ~good] = np.nan
+
+            def move(share: np.ndarray) -> None:
+                q[:, left] += share * step
+
+            return np.abs(f).max(axis=0), np.abs(step).max(axis=0), move
+
+        rules = NewtonRules(rounds + 1, rounds, 0.5 * max(self.scale, 0.5), _REACHED * self.scale**2, _STILL)
+        closed = iterate_newton(np.isfinite(q).all(axis=0) & np.isfinite(B).all(axis=(0, 1)), advance, rules)
+        q[:, ~closed] = np.nan
         return q
 
     def all(self, B: np.ndarray) -> list[np.ndarray]:

@@ -15,7 +15,7 @@ stays a constant `(3, 1)` or `(3, 3, 1)`. Reference: thesis (4.16) to (4.24).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple, overload
 
 import numpy as np
@@ -93,8 +93,8 @@ def compute_subspace(model: pin.Model, joint: int) -> np.ndarray:
 
 
 def remove_rounding(x: np.ndarray) -> np.ndarray:
-    """Return numbers with the rounding of whole ones taken away, so that zeros are seen as zeros."""
-    return np.where(np.abs(x - np.round(x)) < 1e-15, np.round(x), x)
+    """Return numbers with the rounding of whole ones taken away, so that zeros are seen as zeros; expressions stay."""
+    return x if x.dtype == object else np.where(np.abs(x - np.round(x)) < 1e-15, np.round(x), x)
 
 
 def compute_frames(joints: list[Joint], x: np.ndarray) -> Frames:
@@ -156,6 +156,18 @@ def compute_motion(
 def transform_point(at: Frames, joint: int, local: np.ndarray) -> np.ndarray:
     """Return a point (3, N) that a joint's frame carries at `local` (3,)."""
     return at.origin[joint] + combine_rotated(at.rotation[joint], local)
+
+
+def yield_columns(
+    at: Frames, joints: Iterable[Joint], place: np.ndarray
+) -> Iterator[tuple[Joint, np.ndarray, np.ndarray | None]]:
+    """Yield how a point (3, N) moves and turns with each joint's speed, both (3, N); None where it does not turn."""
+    for joint in joints:
+        axis = at.axis[joint.index]
+        if joint.slides:
+            yield joint, axis, None
+        else:
+            yield joint, compute_cross_product(axis, place - at.origin[joint.index]), axis
 
 
 @overload
@@ -220,7 +232,7 @@ def _turned(base: np.ndarray, joint: Joint, angle: np.ndarray) -> np.ndarray:
         return multiply_by_rotation(_turned(multiply_by_rotation(base, third), about_z, angle), third.T)
     c, s, k = np.cos(angle), np.sin(angle), joint.along
     one, two = _AHEAD[k], _BEHIND[k]
-    out = np.empty(base.shape)
+    out = np.empty_like(angle, shape=base.shape)
     out[:, k] = base[:, k]
     out[:, one] = base[:, one] * c + base[:, two] * s
     out[:, two] = base[:, two] * c - base[:, one] * s
@@ -257,7 +269,7 @@ class ChainJoint(NamedTuple):
     rotation: np.ndarray
 
 
-class Placed(NamedTuple):
+class JointFrame(NamedTuple):
     """A joint's frame: rotation (3, 3, N or 1), origin (3, N or 1), and `d` in the world (3, N or 1)."""
 
     rotation: np.ndarray
@@ -265,22 +277,22 @@ class Placed(NamedTuple):
     direction: np.ndarray
 
 
-WORLD = Placed(np.eye(3)[:, :, None], np.zeros((3, 1)), np.zeros((3, 1)))
+WORLD = JointFrame(np.eye(3)[:, :, None], np.zeros((3, 1)), np.zeros((3, 1)))
 
 
-def compute_joint_frames(joints: Sequence[ChainJoint], q: np.ndarray) -> list[Placed]:
+def compute_joint_frames(joints: Sequence[ChainJoint], q: np.ndarray) -> list[JointFrame]:
     """Return the frames of all joints at `q` (na, N)."""
-    found: list[Placed] = []
+    found: list[JointFrame] = []
     for joint in joints:
         parent = found[joint.parent] if joint.parent >= 0 else WORLD
         direction = rotate_vectors(parent.rotation, joint.direction)
         origin = parent.origin + rotate_vectors(parent.rotation, joint.origin)
         if joint.slides:
-            here = Placed(
+            here = JointFrame(
                 multiply_by_constant(parent.rotation, joint.rotation), origin + direction * q[joint.actuator], direction
             )
         else:
-            here = Placed(_rotated(parent.rotation, joint, q[joint.actuator]), origin, direction)
+            here = JointFrame(_rotated(parent.rotation, joint, q[joint.actuator]), origin, direction)
         found.append(here)
     return found
 
@@ -340,7 +352,7 @@ def compute_points(joints: Sequence[ChainJoint], carried: Carried, q: np.ndarray
 
 
 def compute_velocities(
-    joints: Sequence[ChainJoint], carried: Carried, at: Sequence[Placed], places: np.ndarray
+    joints: Sequence[ChainJoint], carried: Carried, at: Sequence[JointFrame], places: np.ndarray
 ) -> dict[tuple[int, int], np.ndarray]:
     """Return how points (n, 3, N) move per actuator: those of `(point, actuator)` that are not zero, each (3, N or 1)."""
     found: dict[tuple[int, int], np.ndarray] = {}
@@ -357,37 +369,29 @@ def compute_velocities(
     return found
 
 
-def compute_accelerations(
-    joints: Sequence[ChainJoint], carried: Carried, at: Sequence[Placed], places: np.ndarray, v: np.ndarray
-) -> np.ndarray:
-    """Return the points' accelerations (n, 3, N) at velocities `v` (na, N) without actuated acceleration."""
-    out = np.zeros(places.shape)
+def compute_accelerations(joints: Sequence[ChainJoint], carried: Carried, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return the points' accelerations (n, 3, N) at `q` and velocities `v` (na, N) without actuated acceleration."""
+    gains = [float(np.linalg.norm(joint.direction)) for joint in joints]
+    x, rates = np.zeros_like(v), np.zeros_like(v)
+    tree: list[Joint] = []
+    for k, (joint, gain) in enumerate(zip(joints, gains, strict=True)):
+        axis = joint.rotation.T @ joint.direction / gain
+        tree.append(
+            Joint(k + 1, joint.parent + 1, joint.rotation, joint.origin, axis, None, joint.slides, joint.actuator)
+        )
+        x[joint.actuator], rates[joint.actuator] = gain * q[joint.actuator], gain * v[joint.actuator]
+    at = compute_frames(tree, x)
+    moving = compute_motion(tree, at, rates, None, np.zeros(3))
+    out = np.zeros((len(carried.carrier), 3, q.shape[1]))
     for k, carrier in enumerate(carried.carrier):
-        w, total = np.zeros(places[k].shape), np.zeros(places[k].shape)
-        steps = [joints[i] for i in list_path(joints, carrier)]
-        heres = [at[i] for i in list_path(joints, carrier)]
-        if all(joint.slides for joint in steps):
-            continue
-        # outward: acceleration of each joint's origin, then of the point (Featherstone, ch. 2.11)
-        origin, spin = np.zeros((3, 1)), np.zeros(places[k].shape)
-        for joint, here in zip(steps, heres, strict=True):
-            arm = here.origin - origin
-            total = (
-                total
-                + compute_cross_product(spin, _wide(arm, w))
-                + compute_cross_product(w, compute_cross_product(w, _wide(arm, w)))
-            )
-            rate = _wide(here.direction * v[joint.actuator], w)
-            if joint.slides:
-                total = total + 2 * compute_cross_product(w, rate)
-            else:
-                spin = spin + compute_cross_product(w, rate)
-                w = w + rate
-            origin = here.origin
-        arm = _wide(places[k] - origin, w)
-        out[k] = total + compute_cross_product(spin, arm) + compute_cross_product(w, compute_cross_product(w, arm))
+        total = compute_point_acceleration(at, moving, carrier + 1, transform_point(at, carrier + 1, carried.local[k]))
+        out[k] = 0.0 if total is None else total
     return out
 
 
-def _wide(x: np.ndarray, like: np.ndarray) -> np.ndarray:
-    return np.broadcast_to(x, like.shape)
+def compute_point_acceleration(at: Frames, moving: FrameMotion, joint: int, place: np.ndarray) -> Vector:
+    """Return the acceleration (3, N) of a point (3, N) that a joint carries."""
+    arm, w = place - at.origin[joint], moving.turning[joint]
+    swung = compute_cross_product(w, compute_cross_product(w, arm))
+    turned = add_vectors(compute_cross_product(moving.spinning_up[joint], arm), swung)
+    return add_vectors(moving.acceleration[joint], turned)

@@ -16,6 +16,7 @@ import numpy as np
 
 from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.mechanism import frames, rod_dimensions
+from tau_dyn.mechanism.cell_starts import CellStarts
 from tau_dyn.mechanism.legs import Legs
 from tau_dyn.mechanism.poses import BRANCH_CHANGE, NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR, Poses
 from tau_dyn.mechanism.rod_dimensions import Plate, SixRods, build_dense, compute_equation_rows, compute_residual
@@ -29,15 +30,6 @@ _MAX_CELLS_FROM_HOME = 1000  # cells from home beyond which positions are taken 
 _TOLERANCE = 1e-9  # [m] what the last step may be; of the rods' length where that is above one metre
 _SINGULAR = 1e-7  # of home's determinant
 _ASTRAY = 0.2  # relative to the rods: what Newton may move a plate away from where its cell puts it
-_KEPT = 200_000  # cells kept at most
-
-
-class _Cell(NamedTuple):
-    """A cell's middle: pose and slope."""
-
-    position: np.ndarray
-    rotation: np.ndarray
-    slope: np.ndarray
 
 
 class Solved(NamedTuple):
@@ -57,7 +49,7 @@ class FreePlate:
         self.scale = float(np.mean(rods.lengths))
         turning = np.array([kind == "revolute" for kind in rods.robot.joint_kinds])
         self.cell = np.where(turning, _CELL * 1.5, _CELL * self.scale)
-        self._cells: dict[tuple[int, ...], _Cell] = {}
+        self._cells = CellStarts(self.cell, _MAX_CELLS_FROM_HOME - 1, self._learn)
         nominal = Plate(rods.home.position.T.copy(), np.moveaxis(rods.home.rotation, 0, 2).copy())
         points, squares = self._given(rods.robot.home[:, None])
         self._six = (
@@ -172,36 +164,22 @@ class FreePlate:
 
     def _started(self, q: np.ndarray) -> Plate:
         """Return a first guess: the cell's middle, moved along its slope."""
-        home = self.rods.robot.home
-        index = np.round((q - home[:, None]) / self.cell[:, None])
-        index = np.where(np.abs(index) < _MAX_CELLS_FROM_HOME, index, np.nan)
-        whole = np.nan_to_num(index, nan=10.0 * _MAX_CELLS_FROM_HOME).astype(np.int64)
-        names, which = _unique_columns(whole)
-        if len(self._cells) > _KEPT:
-            self._cells.clear()
-        self._learn(names[[tuple(name) not in self._cells for name in names.tolist()]])
-        known = [self._cells[tuple(name)] for name in names.tolist()]
-        middle = home[:, None] + whole * self.cell[:, None]
-        position = np.stack([c.position for c in known], axis=1)[:, which]
-        rotation = np.stack([c.rotation for c in known], axis=2)[:, :, which]
-        slope = np.stack([c.slope for c in known], axis=2)[:, :, which]
-        away = q - middle
+        away = q - self.rods.robot.home[:, None]
+        middle, position, rotation, slope = self._cells.find(away)
         twist = np.zeros((6, q.shape[1]))
-        for a in range(len(away)):
-            twist += slope[:, a] * away[a]
+        for a, row in enumerate(away - middle):
+            twist += slope[:, a] * row
         return Plate(position, rotation).moved(twist)
 
-    def _learn(self, names: np.ndarray) -> None:
-        """Walk from home to the middles of new cells (n, na), all at once, and keep them."""
-        if not len(names):
-            return
-        home = np.repeat(self.rods.robot.home[:, None], len(names), axis=1)
-        goal = home + names.T * self.cell[:, None]
-        plate = self.walk(home, goal, _repeated(self.home, len(names)))
+    def _learn(self, cells: np.ndarray) -> list[tuple[np.ndarray, ...]]:
+        """Walk from home to the middles of new cells (n, na), all at once; return poses and slopes."""
+        home = np.repeat(self.rods.robot.home[:, None], len(cells), axis=1)
+        goal = home + cells.T * self.cell[:, None]
+        plate = self.walk(home, goal, _repeated(self.home, len(cells)))
         with np.errstate(all="ignore"):
             slope = self.slope(goal, plate)
-        for k, name in enumerate(names.tolist()):
-            self._cells[tuple(name)] = _Cell(plate.position[:, k], plate.rotation[:, :, k], slope[:, :, k])
+        parts = (plate.position, plate.rotation, slope)
+        return [tuple(part[..., k] for part in parts) for k in range(len(cells))]
 
     def _newton(self, points: np.ndarray, squares: np.ndarray, guess: Plate) -> Solved:
         """Close the rods from a guess; samples that are done leave the work."""
@@ -260,23 +238,6 @@ def _size(twist: np.ndarray, scale: float) -> np.ndarray:
     angular = np.abs(twist[3:]).max(axis=0)
     angular *= scale
     return np.maximum(np.abs(twist[:3]).max(axis=0), angular)
-
-
-def _unique_columns(whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return distinct columns (n, na) of integers (na, N) and which one each sample has (N,)."""
-    if np.all(whole == whole[:, :1]):
-        return whole[:, :1].T, np.zeros(whole.shape[1], int)
-    low = whole.min(axis=1)
-    spans = (whole.max(axis=1) - low + 1).tolist()
-    key, factor = np.zeros(whole.shape[1], np.int64), 1
-    for row, start, span in zip(whole, low, spans, strict=True):
-        key += (row - start) * factor
-        factor *= int(span)
-    if factor > 2**62:
-        names, which = np.unique(whole.T, axis=0, return_inverse=True)
-        return names, which.ravel()
-    _, first, which = np.unique(key, return_index=True, return_inverse=True)
-    return whole[:, first].T, which.ravel()
 
 
 def _corners(home: np.ndarray, goal: np.ndarray, order: list[int]) -> list[np.ndarray]:

@@ -131,7 +131,7 @@ class Singularity(NamedTuple):
     Attributes:
         parallel: Smallest singular value of `G_x` by the largest, angles taken at the plate's radius (root mean square of |B|):
             the actuators lose hold of the plate. Of a tree the same of its loops.
-        serial: The same of `G_q`, each column by the fastest point that its actuator moves: an actuator no longer moves
+        serial: The same of `G_q`, each column by the fastest point that its actuator moves: an actuator does not move
             the plate. Of a tree the same of its tool's Jacobian.
     """
 

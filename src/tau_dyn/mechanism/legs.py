@@ -1,15 +1,10 @@
-"""Legs.
+"""A plate on legs as points and distances: `|A_k(q) - B_k(X)| = L_k` (thesis (4.4), (4.14); Merlet 2006, ch. 2).
 
-A plate on legs as points and distances: `|A_k(q) - B_k(X)| = L_k` (thesis (4.4), (4.14); Merlet 2006, ch. 2).
+Actuated chains carry points A, the plate at pose X carries points B, rods hold their distance. Public arrays have samples
+first; what the solvers use (`frames.py`, `rod_dimensions.py`) has samples last.
 
-Actuated chains carry points A, the plate at pose X carries points B, rods hold their distance. Forward and inverse
-kinematics, Jacobians and calibration know the robot through these rows alone. Public arrays have samples first; what the
-solvers use (`frames.py`, `rod_dimensions.py`) has samples last.
-
-How far rods lean in their ball joints, on the cart and on the plate.
-
-A joint's axis is the direction, in the frame of the link that holds it, of a rod in the middle of the joint's range; both
-axes are given from cart to plate. Where the robot file does not say, it is the rod's direction at home. The file may say
+Rods lean in their ball joints, on the cart and on the plate, away from an axis: the direction, in the frame of the link that
+holds the joint, of a rod in the middle of the joint's range, given from cart to plate. It is the rod's at home, or the file says
 
     <tau_dyn:ball_joint rod="rod1" side="cart" axis="1 0 0" angle="0.7"/>
 

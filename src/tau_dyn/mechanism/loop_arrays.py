@@ -13,16 +13,17 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pinocchio as pin
 
+from tau_dyn.mechanism.cell_starts import CellStarts
 from tau_dyn.mechanism.frames import (
     FrameMotion,
     Frames,
     Joint,
-    Vector,
-    add_vectors,
-    compute_cross_product,
     compute_frames,
     compute_motion,
+    compute_point_acceleration,
+    remove_rounding,
     transform_point,
+    yield_columns,
 )
 from tau_dyn.mechanism.loops import LoopSolver
 from tau_dyn.mechanism.small_systems import ILL, Elimination, Entries, invert_matrices
@@ -96,7 +97,7 @@ class LoopArrays:
         self._share, self._offset = robot.coupling
         self._by_index = {joint.index: joint for joint in joints}
         self._ends = [(_end(model, loop.frame_a), _end(model, loop.frame_b)) for loop in robot.loops]
-        self._cells: dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]] = {}
+        self._cells = CellStarts(np.full(robot.na, _CELL), _MAX_CELLS_FROM_HOME, self._learn)
         self._row = {int(v): k for k, v in enumerate(self.passive)}
         self._plan = self._planned()
         self._endless = np.array([model.joints[model.getJointId(j)].nq == 2 for j in robot.actuated])
@@ -107,19 +108,19 @@ class LoopArrays:
         Raises:
             LoopClosureError: The robot cannot reach one of them.
         """
-        if not self._ends:
+        if not self._ends or not len(q):
             return self._without_loops(q)
         x = self._started(q)
         x, found = self._newton(x)
         for k in np.flatnonzero(~found):
-            x[:, k] = self._positions(self.solver.close(q[k]))
+            x[:, k] = self.positions(self.solver.close(q[k]))
         return self._linearised(x)
 
     def accelerations(self, closed: ClosedLoops, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the tree's accelerations (nv, N) at its velocities `v` (nv, N) and actuated accelerations `a` (na, N)."""
         total = np.einsum("van,an->vn", closed.G, a)
         if self._ends:
-            gap = self._gap_acceleration(closed.at, compute_motion(self.joints, closed.at, v, None, np.zeros(3)))
+            gap = self.gap_acceleration(closed.at, compute_motion(self.joints, closed.at, v, None, np.zeros(3)))
             total[self.passive] -= closed.inverse.solve(gap)
         return total
 
@@ -130,16 +131,7 @@ class LoopArrays:
 
     def _started(self, q: np.ndarray) -> np.ndarray:
         """Return a first guess of all positions (nv, N): the cell's middle, moved along its `G`."""
-        away = self._reduced(q - self.solver.robot.home)
-        nearest = np.clip(
-            np.round(away / _CELL), -_MAX_CELLS_FROM_HOME - 1, _MAX_CELLS_FROM_HOME + 1
-        )  # what is farther has no closure anyway
-        cells, which = np.unique(nearest.astype(int), axis=0, return_inverse=True)
-        self._learn(cells[[tuple(cell) not in self._cells for cell in cells.tolist()]])
-        known = [self._cells[tuple(cell)] for cell in cells.tolist()]
-        which = which.ravel()
-        x = np.stack([start for start, _ in known], axis=1)[:, which]
-        G = np.stack([slope for _, slope in known], axis=2)[:, :, which]
+        _, x, G = self._cells.find(self._reduced(q - self.solver.robot.home).T)
         return x + np.einsum("van,an->vn", G, self._reduced(q - x[self.active].T / self.scale).T)
 
     def _reduced(self, away: np.ndarray) -> np.ndarray:
@@ -147,11 +139,9 @@ class LoopArrays:
         turn = 2 * np.pi * np.round(away / (2 * np.pi))
         return np.where(self._endless, away - turn, away)
 
-    def _learn(self, cells: np.ndarray) -> None:
-        """Walk from home to the middles of new cells (n, na), all at once, and keep them."""
-        if not len(cells):
-            return
-        x = np.repeat(self._positions(self.solver.close(self.solver.robot.home))[:, None], len(cells), axis=1)
+    def _learn(self, cells: np.ndarray) -> list[tuple[np.ndarray, ...]]:
+        """Walk from home to the middles of new cells (n, na), all at once; return positions and `G`."""
+        x = np.repeat(self.positions(self.solver.close(self.solver.robot.home))[:, None], len(cells), axis=1)
         distance = np.abs(cells).max(axis=1)
         x[:, distance > _MAX_CELLS_FROM_HOME] = np.nan
         steps = int(distance[distance <= _MAX_CELLS_FROM_HOME].max(initial=0))
@@ -161,8 +151,7 @@ class LoopArrays:
                 if step < steps:
                     x, found = self._newton(x + np.einsum("van,an->vn", G, _CELL / steps * cells.T))
                     x[:, ~found] = np.nan
-        for k, cell in enumerate(cells.tolist()):
-            self._cells[tuple(cell)] = x[:, k], G[:, :, k]
+        return [(x[:, k], G[:, :, k]) for k in range(len(cells))]
 
     def _newton(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return closed positions (nv, N), started at `x`, and where that worked (N,)."""
@@ -210,7 +199,7 @@ class LoopArrays:
         """Return how to eliminate at home and near it; None where the passive Jacobian has no inverse."""
         if not self._ends or 3 * len(self._ends) != len(self.passive):
             return None
-        home = self._positions(self.solver.close(self.solver.robot.home))
+        home = self.positions(self.solver.close(self.solver.robot.home))
         passive = self._passive(self.entries(compute_frames(self.joints, home[:, None])))
         J = self._dense(passive, len(self.passive))[0]
         return None if np.linalg.cond(J) > ILL else Elimination.plan(set(passive), J)
@@ -236,12 +225,10 @@ class LoopArrays:
         for k, ends in enumerate(self._ends):
             for end, sign in zip(ends, (1.0, -1.0), strict=True):
                 place = transform_point(at, end.joint, end.local)
-                for index in end.carriers:
-                    joint, z = self._by_index[index], at.axis[index]
-                    column = sign * (z if joint.slides else compute_cross_product(z, place - at.origin[index]))
+                for joint, column, _ in yield_columns(at, (self._by_index[j] for j in end.carriers), place):
                     for r in range(3):
-                        before = found.get((3 * k + r, joint.v))
-                        found[3 * k + r, joint.v] = column[r] if before is None else before + column[r]
+                        before = found.get((3 * k + r, joint.v), 0.0)
+                        found[3 * k + r, joint.v] = before + sign * column[r]
         return found
 
     def gap(self, at: Frames) -> np.ndarray:
@@ -254,26 +241,16 @@ class LoopArrays:
         """Return the points `p_A` of all loops, each (3, N) [m]."""
         return [transform_point(at, a.joint, a.local) for a, _ in self._ends]
 
-    def _gap_acceleration(self, at: Frames, moving: FrameMotion) -> np.ndarray:
+    def gap_acceleration(self, at: Frames, moving: FrameMotion) -> np.ndarray:
         """Return the gaps' accelerations (3 * loops, N) [m/s^2]."""
-        zero = np.zeros_like(at.origin[0])
 
         def of(end: _Ends) -> np.ndarray:
-            j = end.joint
-            arm = transform_point(at, j, end.local) - at.origin[j]
-            w = moving.turning[j]
-            total: Vector = add_vectors(
-                moving.acceleration[j],
-                add_vectors(
-                    compute_cross_product(moving.spinning_up[j], arm),
-                    compute_cross_product(w, compute_cross_product(w, arm)),
-                ),
-            )
-            return zero if total is None else total
+            total = compute_point_acceleration(at, moving, end.joint, transform_point(at, end.joint, end.local))
+            return np.zeros_like(at.origin[0]) if total is None else total
 
         return np.concatenate([of(a) - of(b) for a, b in self._ends])
 
-    def _positions(self, q: np.ndarray) -> np.ndarray:
+    def positions(self, q: np.ndarray) -> np.ndarray:
         """Return Pinocchio's configuration (nq,) as one position a joint (nv,)."""
         x = np.empty(self.solver.model.nv)
         for joint in self.joints:
@@ -286,5 +263,7 @@ class LoopArrays:
 def _end(model: pin.Model, frame: int) -> _Ends:
     item = model.frames[frame]
     return _Ends(
-        item.parentJoint, item.placement.translation.copy(), tuple(model.supports[item.parentJoint].tolist()[1:])
+        item.parentJoint,
+        remove_rounding(item.placement.translation),
+        tuple(model.supports[item.parentJoint].tolist()[1:]),
     )

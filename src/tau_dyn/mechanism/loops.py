@@ -1,25 +1,16 @@
-"""The closed loops solved one sample at a time, and the passive bearings in them.
+"""The closed loops solved one sample at a time, and the passive bearings in them; all in world axes, all loops at once.
 
-What a loop says, as numbers: the gap between its two points, the gap's Jacobian, and its acceleration at rest.
-
-Pinocchio gives each joint's column of the tree's Jacobian as the spatial motion `(v_o, w)` seen at the world's origin; a point
-`p` of a link then moves with `v_o + w x p`, summed over the joints that carry the link. All in world axes, all loops at once.
-
-The closed loops solved: from actuated positions, speeds and accelerations to those of the whole tree.
-
-A loop k says that two points of the tree coincide, `c_k(q) = p_A(q) - p_B(q) = 0`. With `J_c = dc/dv_tree`, split into
-actuated and passive columns,
+A loop k says that two points of the tree coincide, `c_k(q) = p_A(q) - p_B(q) = 0`. Pinocchio gives each joint's column of the
+tree's Jacobian as the motion `(v_o, w)` seen at the world's origin, so a point moves with `v_o + w x p`. With `J_c = dc/dv_tree`,
+split into actuated and passive columns,
 
     v_tree = G v_a,   G = [1; -J_p^+ J_a] S,   a_tree = G a_a + g_0,   g_0 = [0; -J_p^+ gamma],
 
 where `gamma` is the constraint's acceleration at zero joint acceleration and `S` holds the travel of the joints per reading of
 their drives (`Robot.drive_scale`). Closure is by Newton on the passive joints, started
 where `G` points from the last configuration; the inverse of `J_p` is kept while it converges well. The first configuration is
-reached by continuation from the robot's home, which selects the assembly mode. `loops.py` has `c`, `J_c` and `gamma`;
-`loop_arrays.py` closes many samples at once.
+reached by continuation from the robot's home, which selects the assembly mode. `loop_arrays.py` closes many samples at once.
 Reference: Khalil & Dombre 2002, ch. 7; Featherstone 2008, ch. 8.
-
-The passive bearings of a mechanism with loops, and how fast each turns per actuated speed.
 
 A bearing lies between two bodies with mass. So passive hinges that follow each other through links without mass are one
 (a universal joint), and a cut ball is one. A chain with a passive slide in it only says where a body is (a Gantry-Tau's

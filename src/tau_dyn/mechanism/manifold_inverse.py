@@ -19,6 +19,8 @@ A pose out of reach is given up when its gap stops shrinking. Reference: Merlet 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from tau_dyn.mechanism import frames as chain_points, rod_dimensions
@@ -26,7 +28,7 @@ from tau_dyn.mechanism.chain_inverse import NewtonChain, RootChain
 from tau_dyn.mechanism.kinematics import CommandedCoordinates
 from tau_dyn.mechanism.legs import Legs
 from tau_dyn.mechanism.poses import Poses, StraightWay, measure_turns, turn_rotations
-from tau_dyn.mechanism.rod_dimensions import Plate, compute_equation_rows
+from tau_dyn.mechanism.rod_dimensions import Plate, RodDimensions, compute_equation_rows
 from tau_dyn.mechanism.small_systems import (
     Move,
     NewtonRules,
@@ -62,7 +64,7 @@ class ManifoldInverse:
         by_q = rods.gap_by_q(rods.robot.home[None], rods.home)[0] * self._unit
         self.idle = rods.na - int(np.linalg.matrix_rank(by_q, tol=_RANK * np.linalg.norm(by_q)))
         self._weight = np.concatenate([np.zeros(self._turns), _DAMPING / self._unit**2])
-        self._near = rod_dimensions.measure_rail_distances(rods.numbers)
+        self._near = [_measure_rail(rods.numbers, k) for k in range(rods.n)]
         self._far = np.where(rods.numbers.slides >= 0, np.inf, rods.lengths) + (
             np.zeros(rods.n) if rods.translates else np.linalg.norm(self._local, axis=1)
         )
@@ -267,3 +269,26 @@ class CommandedInverse(ManifoldInverse):
         for x in (q, position, rotation):
             x[~closed] = np.nan
         return q, Poses(position, rotation)
+
+
+def _measure_rail(numbers: RodDimensions, k: int) -> Callable[[np.ndarray], np.ndarray] | None:
+    """Return the distance (N,) [m] of places (N, 3) to all that rod k's point A can reach, limits aside.
+
+    A point at rest, on one slide (a line) or on one turn (a circle) has one; None for longer chains.
+    """
+    carrier, local = numbers.carried.carrier[k], numbers.carried.local[k]
+    if carrier < 0:
+        return lambda place: np.linalg.norm(place - local, axis=1)
+    joint = numbers.joints[carrier]
+    if joint.parent >= 0:
+        return None
+    axis, point = joint.direction / np.linalg.norm(joint.direction), joint.rotation @ local
+    centre = joint.origin + (point if joint.slides else axis * (axis @ point))
+    radius = 0.0 if joint.slides else float(np.linalg.norm(point - axis * (axis @ point)))
+
+    def distance(place: np.ndarray) -> np.ndarray:
+        along = (place - centre) @ axis
+        across = np.linalg.norm(place - centre - along[:, None] * axis, axis=1)
+        return across if joint.slides else np.hypot(across - radius, along)
+
+    return distance

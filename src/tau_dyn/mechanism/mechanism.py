@@ -37,12 +37,11 @@ class _Shelves(threading.local):
     """A thread's shelves, one a robot."""
 
     def __init__(self) -> None:
-        self.of = lru_cache(maxsize=_MAX_ROBOTS)(_make_shelf)
+        self.of = lru_cache(maxsize=_MAX_ROBOTS)(self._make_shelf)
 
-
-def _make_shelf(owner: object) -> dict[str, object]:
-    """Return an empty shelf."""
-    return {}
+    @staticmethod
+    def _make_shelf(owner: object) -> dict[str, object]:
+        return {}
 
 
 _SHELVES = _Shelves()
@@ -372,6 +371,17 @@ class Mechanism(ABC):
                     "bad_sample", f"sample {row + 1} of the motion holds {x[row]}; all must be finite numbers"
                 )
         return checked
+
+
+def require_tool_frame(robot: Robot) -> int:
+    """Return the index of the tool's frame.
+
+    Raises:
+        InputError: The robot has none.
+    """
+    if robot.tool_frame is None:
+        raise InputError("unsupported", f"{robot.source}: the robot file has no frame named tool")
+    return robot.tool_frame
 
 
 def compute_perpendicular_axes(direction: np.ndarray) -> np.ndarray:

@@ -1,8 +1,6 @@
 """Kinematics of a plate on legs: forward by spheres or Newton on SE(3), inverse leg by leg, derivatives of the gaps.
 
-Reads a recognised robot's geometry from its tree: actuated chains, the points that they carry, rods and their lengths.
-
-Kinematics of a plate on legs: forward by spheres or Newton on SE(3), inverse leg by leg, derivatives of the gaps.
+A recognised robot's geometry is read from its tree: actuated chains, the points that they carry, rods and their lengths.
 """
 
 from __future__ import annotations
@@ -276,8 +274,7 @@ class PlateOnLegs(Legs, Kinematics):
         rate = np.einsum("nkia,na->nki", self.base_jacobian(q), v) - twist[:, None, :3] - np.cross(w[:, None], r)
         joints, carried, qt = self.numbers.joints, self.numbers.carried, q.T
         places = frames.compute_points(joints, carried, qt)
-        at = frames.compute_joint_frames(joints, qt)
-        pushed = frames.compute_accelerations(joints, carried, at, places, v.T).transpose(2, 0, 1)
+        pushed = frames.compute_accelerations(joints, carried, qt, v.T).transpose(2, 0, 1)
         pushed = pushed - np.cross(w[:, None], np.cross(w[:, None], r))
         d = places.transpose(2, 0, 1) - self.plate_points(plate)
         right = np.sum(rate**2, axis=2) + np.sum(d * pushed, axis=2)

@@ -2,7 +2,8 @@ r"""Poses of a tool in the world, actuated positions as users give them, and wha
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,12 @@ class Poses(NamedTuple):
     def take(self, index: np.ndarray | slice) -> Poses:
         """Return the poses at an index, a mask or a slice."""
         return Poses(self.position[index], self.rotation[index])
+
+    @classmethod
+    def join(cls, parts: Sequence[Poses]) -> Poses:
+        """Return the poses of all parts, one after the other; of no parts, none."""
+        position, rotation = [p.position for p in parts], [p.rotation for p in parts]
+        return cls(np.concatenate([np.zeros((0, 3)), *position]), np.concatenate([np.zeros((0, 3, 3)), *rotation]))
 
     def after(self, placement: pin.SE3) -> Poses:
         """Return the poses (N) of a frame that sits at `placement` in this one."""
@@ -266,14 +273,14 @@ def refuse_beyond_limits(robot: Robot, found: InverseResult, limits: bool) -> In
     code = np.where(bad, JOINT_LIMIT, found.code).astype(np.int8)
     allowed = np.where(bad[:, None], np.nan, q)
     lost = np.where(bad, np.nan, 1.0)
-    return InverseResult(
-        allowed,
-        code,
-        found.position_error * lost,
-        found.orientation_error * lost,
-        culprit.astype(str),
-        q,
-        found.rotation,
+    return replace(
+        found,
+        q=allowed,
+        code=code,
+        position_error=found.position_error * lost,
+        orientation_error=found.orientation_error * lost,
+        culprit=culprit.astype(str),
+        unlimited=q,
     )
 
 

@@ -16,7 +16,7 @@ arm by arm, `<arm>.length`, `.origin_x`, `.direction_x`: what its plate and cart
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -26,7 +26,7 @@ from tau_dyn.exceptions import UnknownName
 from tau_dyn.mechanism.frames import (
     Carried,
     ChainJoint,
-    Placed,
+    JointFrame,
     combine_rotated,
     compute_cross_product,
     compute_joint_frames,
@@ -239,7 +239,7 @@ def set_dimensions(numbers: RodDimensions, values: Mapping[str, float]) -> RodDi
 
 def compute_gap_columns(
     numbers: RodDimensions,
-    at: Sequence[Placed],
+    at: Sequence[JointFrame],
     q: np.ndarray,
     places: np.ndarray,
     unit: np.ndarray,
@@ -313,7 +313,7 @@ def compute_leg_rates(numbers: RodDimensions, q: np.ndarray) -> np.ndarray:
 
 
 def compute_closure_by_q(
-    numbers: RodDimensions, q: np.ndarray, points: np.ndarray, d: Sequence[np.ndarray]
+    numbers: RodDimensions, q: np.ndarray, points: np.ndarray, d: Sequence[np.ndarray] | np.ndarray
 ) -> np.ndarray:
     """Return the derivative of `(|d|^2 - L^2) / 2` by the positions, `d . dA/dq - L dL/dq` (n, na, N).
 
@@ -330,33 +330,6 @@ def compute_closure_by_q(
     for k in np.flatnonzero(numbers.slides >= 0).tolist():
         out[k, numbers.slides[k]] -= numbers.gains[k] * _reach(numbers, k, q)
     return out
-
-
-def measure_rail_distances(numbers: RodDimensions) -> list[Callable[[np.ndarray], np.ndarray] | None]:
-    """Return for each rod the distance (N,) [m] of places (N, 3) to all that its point A can reach, limits aside.
-
-    A point at rest, on one slide (a line) or on one turn (a circle) has one; None for longer chains.
-    """
-    return [_rail(numbers, k) for k in range(len(numbers.names))]
-
-
-def _rail(numbers: RodDimensions, k: int) -> Callable[[np.ndarray], np.ndarray] | None:
-    carrier, local = numbers.carried.carrier[k], numbers.carried.local[k]
-    if carrier < 0:
-        return lambda place: np.linalg.norm(place - local, axis=1)
-    joint = numbers.joints[carrier]
-    if joint.parent >= 0:
-        return None
-    axis, point = joint.direction / np.linalg.norm(joint.direction), joint.rotation @ local
-    centre = joint.origin + (point if joint.slides else axis * (axis @ point))
-    radius = 0.0 if joint.slides else float(np.linalg.norm(point - axis * (axis @ point)))
-
-    def distance(place: np.ndarray) -> np.ndarray:
-        along = (place - centre) @ axis
-        across = np.linalg.norm(place - centre - along[:, None] * axis, axis=1)
-        return across if joint.slides else np.hypot(across - radius, along)
-
-    return distance
 
 
 def _along(numbers: RodDimensions, k: int) -> float:
@@ -377,7 +350,7 @@ def _stretch(numbers: RodDimensions, k: int, q: np.ndarray) -> np.ndarray:
 
 
 def _by_axis(
-    joint: ChainJoint, q: np.ndarray, pushed: np.ndarray, place: np.ndarray, here: Placed, parent: np.ndarray
+    joint: ChainJoint, q: np.ndarray, pushed: np.ndarray, place: np.ndarray, here: JointFrame, parent: np.ndarray
 ) -> np.ndarray:
     r"""Return the gap's derivative (3, N) by a turn's axis `d`: `u . (J_l(q d) q e_k x (A - o))`.
 

@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism.loops import Constraints, LoopSolver, compute_turning_rates, find_passive_pairs
-from tau_dyn.mechanism.mechanism import Mechanism
+from tau_dyn.mechanism.mechanism import Mechanism, require_tool_frame
 from tau_dyn.robot import Robot
 
 
@@ -82,10 +82,7 @@ class SamplewiseTree(Mechanism):
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """Return the tool's position (N, 3) [m]; see `Mechanism.tool_position`."""
         (q,) = self._checked(q)
-        frame = self.robot.tool_frame
-        if frame is None:
-            raise InputError("unsupported", f"{self.robot.source}: the robot file has no frame named tool")
-        out = np.empty((len(q), 3))
+        frame, out = require_tool_frame(self.robot), np.empty((len(q), 3))
         for k in range(len(q)):
             pin.framesForwardKinematics(self.model, self.data, self.solver.close(q[k]))
             out[k] = self.data.oMf[frame].translation
@@ -162,9 +159,7 @@ class SamplewiseTree(Mechanism):
 
     def _tool_of_tree(self, q: np.ndarray) -> np.ndarray:
         """Return the tool's velocity per tree velocity (3, nv) at a tree's configuration (nq,)."""
-        frame = self.robot.tool_frame
-        if frame is None:
-            raise InputError("unsupported", f"{self.robot.source}: the robot file has no frame named tool")
+        frame = require_tool_frame(self.robot)
         axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         jacobian = pin.computeFrameJacobian(self.model, self.data, q, frame, axes)
         return jacobian.reshape(6, self.model.nv)[:3]  # eigenpy hands a single column out as a vector

@@ -1,29 +1,17 @@
-"""Closed forms of plates.
+"""Closed forms of plates: three spheres for one that only translates, and arms of parallel rods. Samples last.
 
-A translating plate on three rods: spheres around the points A intersected in closed form; samples last.
-
-The plate keeps its rotation, so each rod ends at `T + r_k` with constant `r_k`, and `|A_k - r_k - T| = L_k`: three
-spheres (thesis (4.9); Coope 2000). They meet in two points, mirrored in the plane of the centres; `side` says on which
-side of it the plate is, seen along `(C_2 - C_1) x (C_3 - C_1)`, which is the thesis' configuration `c`. Guideways may
-have any direction: `q` enters through A alone.
-
-Forward kinematics of a plate that only translates: trilateration, with Gauss-Newton where there are more than three rods.
-
-Of the two points in which three spheres meet the one on home's side of the centres' plane is taken, always: the sides are
-apart, and the way from one to the other leads through the plane, where the plate is singular. Blocks of samples stay in
-the processor's cache.
-
-Kinematics in closed form where the rods of an arm stay parallel: rotation and position one after the other.
+A plate that keeps its rotation ends each rod at `T + r_k` with constant `r_k`, and `|A_k - r_k - T| = L_k`: three spheres
+(thesis (4.9); Coope 2000), with Gauss-Newton where there are more rods. They meet in two points, mirrored in the plane of the
+centres; `side` says on which side of it the plate is, seen along `(C_2 - C_1) x (C_3 - C_1)`: the thesis' configuration `c`.
+Home's side is taken, since the way from one to the other leads through a singularity.
 
 Rods of one arm that are equally long and parallel carry over their arm's rotation to the plate: `A_kj - A_k1 = R (B_kj -
 B_k1)` for all of them. So the rotation that turns the plate's vectors into the arms' (Kabsch 1976) is the plate's, and
 with it known each arm counts as one rod of a translating plate. This is the thesis' implicit 5-DOF kinematics of the F1
 type at `q4 = -q5`, (4.26) forward and (4.25) inverse, and as well the nominal complete Gantry-Tau; forward also the Delta.
-`defect` says how far the vectors are from each other: zero where the closed form is exact, else it is a start for Newton
-or a check of it.
-
-The inverse finds an arm's turns from the plate's rotation: one turn by the angle between vectors, two as the first two of
-three successive turns (Paden-Kahan subproblem 1 twice; Murray, Li & Sastry 1994, ch. 3.3), and its slide from a sphere.
+`defect` says how far the vectors are from each other: zero where the closed form is exact. The inverse finds an arm's turns
+from the plate's rotation: one by the angle between vectors, two as the first two of three successive turns (Paden-Kahan
+subproblem 1 twice; Murray, Li & Sastry 1994, ch. 3.3), and its slide from a sphere.
 """
 
 from __future__ import annotations
@@ -36,9 +24,18 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import frames, rod_dimensions
-from tau_dyn.mechanism.frames import ChainJoint, compute_cross_product, list_path, skew
+from tau_dyn.mechanism.frames import ChainJoint, compute_cross_product, list_path
 from tau_dyn.mechanism.legs import Legs
-from tau_dyn.mechanism.poses import NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR, Poses, require_poses, require_positions
+from tau_dyn.mechanism.poses import (
+    NOT_A_NUMBER,
+    OK,
+    OUT_OF_REACH,
+    SINGULAR,
+    Poses,
+    require_poses,
+    require_positions,
+    turn_rotations,
+)
 from tau_dyn.mechanism.small_systems import solve_with_lapack
 
 
@@ -273,7 +270,8 @@ def _find_turns(rods: Legs, arm: list[int], path: list[ChainJoint], rotation: np
     turned = parent.T @ turned @ second.rotation.T
     axis = second.direction / np.linalg.norm(second.direction)
     angle = _find_angle(first, (first.rotation @ axis)[None], (turned @ axis)[:, None])
-    left = first.rotation.T @ np.swapaxes(_turn(first, angle), 1, 2) @ turned
+    back = turn_rotations(-angle[:, None] * first.direction, np.eye(3)[None])
+    left = first.rotation.T @ back @ turned
     across = np.linalg.svd(axis[None])[2][1:]
     return [angle, _find_angle(second, across, across @ np.swapaxes(left, 1, 2))]
 
@@ -285,13 +283,6 @@ def _find_angle(joint: ChainJoint, vectors: np.ndarray, wanted: np.ndarray) -> n
     sine = np.sum(np.cross(vectors, wanted) @ n, axis=1)
     cosine = np.sum(vectors * wanted, axis=(1, 2)) - np.sum((vectors @ n) * (wanted @ n), axis=1)
     return np.arctan2(sine, cosine) / gain
-
-
-def _turn(joint: ChainJoint, q: np.ndarray) -> np.ndarray:
-    """Return `Exp(q d)` (N, 3, 3), by Rodrigues' formula."""
-    gain = float(np.linalg.norm(joint.direction))
-    K, angle = skew(joint.direction / gain), (gain * q)[:, None, None]
-    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * (K @ K)
 
 
 def _find_slides(

@@ -20,6 +20,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dgetrf, dgetri
 
 ILL = 1e8
@@ -305,7 +306,7 @@ Move = Callable[[np.ndarray], None]
 
 
 def iterate_newton(
-    sound: np.ndarray, advance: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, Move]], rules: NewtonRules
+    sound: ArrayLike, advance: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, Move]], rules: NewtonRules
 ) -> np.ndarray:
     """Take damped Newton steps on many samples, each until it closes and rests, or its gap stops shrinking.
 
@@ -317,7 +318,8 @@ def iterate_newton(
     Returns:
         Which samples are closed (N,).
     """
-    n, left = len(sound), np.flatnonzero(sound)
+    left = np.flatnonzero(sound)
+    n = np.size(sound)
     closed, smallest, since, last = np.zeros(n, bool), np.full(n, np.inf), np.zeros(n, int), np.full(n, np.inf)
     for _ in range(rules.rounds):
         if not left.size:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
 
 import numpy as np
 
@@ -228,12 +229,10 @@ def _fits(robot: Robot, found: InverseResult, limits: bool) -> np.ndarray:
 
 
 def _put(found: InverseResult, index: np.ndarray, tried: InverseResult, taken: np.ndarray) -> InverseResult:
-    fields = []
-    for name in ("q", "code", "position_error", "orientation_error", "culprit", "rotation"):
-        old = getattr(found, name).copy()
-        if old.dtype.kind == "U":
-            old = old.astype(object)
-        old[index] = getattr(tried, name)[taken]
-        fields.append(old.astype(str) if old.dtype == object else old)
-    q, code, position, orientation, culprit, rotation = fields
-    return InverseResult(q, code, position, orientation, culprit, q, rotation)
+    """Return answers with those at an index replaced by what was taken of others."""
+    both = {}
+    for field in fields(found):
+        old, new = getattr(found, field.name), getattr(tried, field.name)
+        both[field.name] = old.astype(np.promote_types(old.dtype, new.dtype))  # names may be longer
+        both[field.name][index] = new[taken]
+    return InverseResult(**both)

@@ -1,7 +1,7 @@
-r"""Kinematics of any tree with loops: a serial arm, a plate with joints of its own, a planar mechanism, a wrist on a plate.
+"""Kinematics of any tree with loops: a serial arm, a plate with joints of its own, a planar mechanism, a wrist on a plate.
 
 Its closure is the tool's deviation from where the joints put it, so `G_x = -1` and `G_q = J`. At the robot file's dimensions
-`tree_pose.py` places the tool and `tree_inverse.py` inverts; at others `tree_closure.py` closes the loops and gives derivatives.
+`tree_pose.py` places the tool and `tree_inverse.py` inverts; at others `tree_geometry/closure.py` closes the loops.
 """
 
 from __future__ import annotations

@@ -1,19 +1,14 @@
-"""Poses of a tree and Newton on its joints.
+"""The tool of any tree with loops, and Newton on all joints at once: loops and tool closed, orientation as near as it goes.
 
-Kinematics of any tree with loops: a serial arm, a plate with joints of its own, a planar mechanism, a wrist on a plate.
-
-The loops are closed at `q` (`loop_arrays.py`) and the tool frame is read off; its Jacobian is `J_tree G`. The inverse is
-`tree_pose.py`. Reference: Siciliano et al. 2009, ch. 3.
-
-Newton on all joints of a tree at once: its loops and the tool's position closed, the orientation as near as it goes.
+The loops are closed at `q` (`loop_arrays.py`) and the tool frame is read off; its Jacobian is `J_tree G`. The inverse solves
 
     J_loops dx = -c,   J_p dx = p_wanted - p,   minimise |J_r dx - log(R_wanted R')|
 
 with `x` the positions of all joints, actuated and passive. No loop is closed for itself on the way, so a pose out of reach
 costs as little as one in reach: its gap stops shrinking and it is given up. Actuators that can move without the tool idle
-towards the start. Orientation in the null space of position: Siciliano et al. 2009, ch. 3.5. What motion costs falls with the
-square of the turn that is left, which keeps convergence quadratic near singularities such as a straight elbow: Yamashita &
-Fukushima 2001. Arrays of joints have samples last.
+towards the start. What motion costs falls with the square of the turn that is left, which keeps convergence quadratic near
+singularities such as a straight elbow. Arrays of joints have samples last. Reference: Siciliano et al. 2009, ch. 3; Yamashita &
+Fukushima 2001.
 """
 
 from __future__ import annotations
@@ -23,12 +18,14 @@ import numpy as np
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.mechanism.frames import (
     Frames,
-    compute_cross_product,
     compute_frames,
     compute_motion,
+    compute_point_acceleration,
     list_joints,
     multiply_by_rotation,
+    remove_rounding,
     transform_point,
+    yield_columns,
 )
 from tau_dyn.mechanism.loop_arrays import ClosedLoops, LoopArrays
 from tau_dyn.mechanism.loops import LoopSolver
@@ -73,6 +70,7 @@ class TreePose:
         self.loops = LoopArrays(LoopSolver(robot), joints)
         frame = robot.model.frames[robot.tool_frame]
         self._joint, self.tool = int(frame.parentJoint), frame.placement
+        self._turn, self._local = (remove_rounding(x) for x in (self.tool.rotation, self.tool.translation))
         carrying = robot.model.supports[self._joint].tolist()[1:]
         self.carriers = [joint for joint in joints if joint.index in carrying]
 
@@ -113,7 +111,7 @@ class TreePose:
 
     def pose_of(self, at: Frames) -> Poses:
         """Return the tool's poses where the joints are."""
-        rotation = multiply_by_rotation(at.rotation[self._joint], self.tool.rotation)
+        rotation = multiply_by_rotation(at.rotation[self._joint], self._turn)
         return Poses(self.place_of(at).T.copy(), np.moveaxis(rotation, 2, 0).copy())
 
     def pose_at(self, x: np.ndarray) -> Poses:
@@ -122,20 +120,26 @@ class TreePose:
 
     def place_of(self, at: Frames) -> np.ndarray:
         """Return the tool's positions (3, N) [m]."""
-        return transform_point(at, self._joint, self.tool.translation)
+        return transform_point(at, self._joint, self._local)
+
+    def twist(self, at: Frames) -> np.ndarray:
+        """Return the tool's twist by all joints (N, 6, nv)."""
+        place = self.place_of(at)
+        out = np.zeros_like(place, shape=(place.shape[1], 6, self.robot.model.nv))
+        for joint, linear, angular in yield_columns(at, self.carriers, place):
+            out[:, :3, joint.v] = linear.T
+            if angular is not None:
+                out[:, 3:, joint.v] = angular.T
+        return out
 
     def jacobian(self, closed: ClosedLoops) -> np.ndarray:
         """Return the tool's twist per actuated velocity (N, 6, na), linear first, in world axes at the tool's origin."""
         place = self.place_of(closed.at)
         out = np.zeros((6, closed.G.shape[1], place.shape[1]))
-        for joint in self.carriers:
-            z: np.ndarray = closed.at.axis[joint.index]
-            if joint.slides:
-                out[:3] += z[:, None] * closed.G[joint.v][None]
-            else:
-                arm: np.ndarray = place - closed.at.origin[joint.index]
-                out[:3] += compute_cross_product(z, arm)[:, None] * closed.G[joint.v][None]
-                out[3:] += z[:, None] * closed.G[joint.v][None]
+        for joint, linear, angular in yield_columns(closed.at, self.carriers, place):
+            out[:3] += linear[:, None] * closed.G[joint.v][None]
+            if angular is not None:
+                out[3:] += angular[:, None] * closed.G[joint.v][None]
         return out.transpose(2, 0, 1)
 
     def acceleration(self, closed: ClosedLoops, v: np.ndarray) -> np.ndarray:
@@ -143,18 +147,10 @@ class TreePose:
         rates = np.einsum("van,na->vn", closed.G, v)
         a = self.loops.accelerations(closed, rates, np.zeros((self.robot.na, len(v))))
         moving = compute_motion(self.joints, closed.at, rates, a, np.zeros(3))
-        j = self._joint
-        arm = transform_point(closed.at, j, self.tool.translation) - closed.at.origin[j]
-        w, dw = moving.turning[j], moving.spinning_up[j]
-        linear = np.zeros_like(arm)
-        for term in (
-            moving.acceleration[j],
-            compute_cross_product(dw, arm),
-            compute_cross_product(w, compute_cross_product(w, arm)),
-        ):
-            linear = linear if term is None else linear + term
-        angular = np.zeros_like(arm) if dw is None else dw
-        return np.concatenate([linear, angular]).T
+        place = self.place_of(closed.at)
+        linear = compute_point_acceleration(closed.at, moving, self._joint, place)
+        parts = (linear, moving.spinning_up[self._joint])
+        return np.concatenate([np.zeros_like(place) if x is None else x for x in parts]).T
 
 
 _NEWTON_BLOCK = 512  # samples at a time; arrays stay in the processor's cache
@@ -186,7 +182,7 @@ class TreeNewton:
         near = np.random.default_rng(0).uniform(-_NEARBY, _NEARBY, (6, self.robot.na))
         x = self.close_loops(np.vstack([self.robot.home, self.robot.home + near]))
         at = compute_frames(engine.joints, x[:, np.isfinite(x).all(axis=0)])
-        whole = np.concatenate([self._closure(at), self._twist(at)[:, 3:]], axis=1)
+        whole = np.concatenate([self._closure(at), self._fold(engine.twist(at))[:, 3:]], axis=1)
         _, s, vt = np.linalg.svd(whole)
         ranks = np.sum(s > _IDLE * s.max(axis=1, initial=0.0, keepdims=True), axis=1)
         null = vt[np.argmax(ranks), ranks.max() :]
@@ -268,7 +264,7 @@ class TreeNewton:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the step (N, nv), the largest gap (N,) [m] and the tool's errors (N, 2)."""
         at = compute_frames(self.engine.joints, x)
-        here, C, T = self.engine.pose_of(at), self._closure(at), self._twist(at)[:, 3:]
+        here, C, T = self.engine.pose_of(at), self._closure(at), self._fold(self.engine.twist(at))[:, 3:]
         away = here.position - poses.position
         gap = np.concatenate(
             [*[(transform_point(at, *a) - transform_point(at, *b)).T for a, b in self._ends], away], axis=1
@@ -289,7 +285,7 @@ class TreeNewton:
 
     def _closure(self, at: Frames) -> np.ndarray:
         """Return the derivatives of loops and tool position by all joints (N, 3 * loops + 3, nv)."""
-        twist = self._twist(at)
+        twist = self._fold(self.engine.twist(at))
         C = np.zeros((len(twist), 3 * len(self._ends) + 3, twist.shape[2]))
         for (r, c), value in self.engine.loops.entries(at).items():
             C[:, r, c] = value
@@ -304,17 +300,3 @@ class TreeNewton:
             J[:, :, self._followers] = 0.0
         J[:, :, self._rests] = 0.0
         return J
-
-    def _twist(self, at: Frames) -> np.ndarray:
-        """Return the tool's twist by all joints (N, 6, nv)."""
-        engine = self.engine
-        place = engine.place_of(at)
-        out = np.zeros((place.shape[1], 6, self.robot.model.nv))
-        for joint in engine.carriers:
-            z: np.ndarray = at.axis[joint.index]
-            if joint.slides:
-                out[:, :3, joint.v] = z.T
-            else:
-                arm: np.ndarray = place - at.origin[joint.index]
-                out[:, :3, joint.v], out[:, 3:, joint.v] = compute_cross_product(z, arm).T, z.T
-        return self._fold(out)

@@ -6,13 +6,13 @@ from html import escape
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial.transform import Rotation
 
 from tau_dyn.modes import ModeShape, ShapesOnRobot
 from tau_dyn.view.palette import NAMED, ROLES, escape_html, format_legend, format_panel, map_to_colours
 from tau_dyn.view.results import Cloud, Content, ErrorVectors, Findings, Uncertainty
-from tau_dyn.view.scene import Window, compute_link_pose, convert_to_wxyz
+from tau_dyn.view.scene import Window, compute_link_pose
 
 MEASURED, OWN = "measured", "robot file's springs"
 _REACH = 0.07
@@ -120,14 +120,8 @@ class _Body:
             handle.position, handle.wxyz = compute_link_pose(now[0], now[-1])
             return
         middle = now.mean(axis=0)
-        handle.position, handle.wxyz = middle, _turn(self._rest - self._middle, now - middle)
-
-
-def _turn(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return the turn that takes points (n, 3) nearest to others (Kabsch), as quaternion (4,) w x y z."""
-    u, _, vt = np.linalg.svd(before.T @ after)
-    sign = np.sign(np.linalg.det(u @ vt)) or 1.0
-    return convert_to_wxyz(pin.Quaternion(vt.T @ np.diag([1.0, 1.0, sign]) @ u.T))
+        turn = Rotation.align_vectors(now - middle, self._rest - self._middle)[0]  # nearest, by Kabsch's method
+        handle.position, handle.wxyz = middle, turn.as_quat(scalar_first=True)
 
 
 def _faces(points: np.ndarray) -> np.ndarray | None:
@@ -308,12 +302,9 @@ class UncertaintyPanel:
         with viewer.server.gui.add_folder("how well masses are known"):
             if len(value):
                 viewer.server.gui.add_html(format_legend("standard error [%], logarithmic", value))
-            rows = "".join(f"<div>{escape(k)}: {_percent(v)}</div>" for k, v in percent.items())
+            said = {k: f"{v:.2g} %" if np.isfinite(v) else "not determined" for k, v in percent.items()}
+            rows = "".join(f"<div>{escape(k)}: {v}</div>" for k, v in said.items())
             viewer.server.gui.add_html(format_panel(rows))
-
-
-def _percent(value: float) -> str:
-    return f"{value:.2g} %" if np.isfinite(value) else "not determined"
 
 
 def _spacing(points: np.ndarray) -> float:

@@ -16,7 +16,7 @@ from tau_dyn.robot import Robot
 from tau_dyn.view.palette import NAMED, QUIET, Rgb
 from tau_dyn.view.shapes import Shape
 
-Placed = list[tuple[np.ndarray, np.ndarray]]
+ShapePoses = list[tuple[np.ndarray, np.ndarray]]
 """Position (3,) [m] and quaternion (4,) w x y z in the world, of each shape."""
 
 
@@ -29,7 +29,7 @@ class Placer:
         self._solver = LoopSolver(robot)
         self._local = [s.local for s in self.shapes]
 
-    def __call__(self, q: np.ndarray) -> Placed:
+    def __call__(self, q: np.ndarray) -> ShapePoses:
         """Return where each shape is at actuated positions (na,).
 
         Raises:
@@ -101,7 +101,7 @@ class RobotFigure:
             for k, (s, paint) in enumerate(zip(self._shapes, self._own, strict=True))
         ]
 
-    def move(self, placed: Placed) -> None:
+    def move(self, placed: ShapePoses) -> None:
         """Move all shapes."""
         for handle, (position, turn) in zip(self.handles, placed, strict=True):
             handle.position, handle.wxyz = position, turn
@@ -178,7 +178,7 @@ def light_scene(scene: Any, shadows: bool) -> None:
     scene.add_light_ambient("/daylight", intensity=0.55)
 
 
-def compute_outline(shapes: Sequence[Shape], placed: Placed) -> np.ndarray:
+def compute_outline(shapes: Sequence[Shape], placed: ShapePoses) -> np.ndarray:
     """Return the corners (n, 3) [m] of shapes where they are."""
     return np.concatenate([_corners(s, p, w) for s, (p, w) in zip(shapes, placed, strict=True)])
 

@@ -23,6 +23,7 @@ import numpy as np
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml
 from tau_dyn.mechanism import Rods
+from tau_dyn.results import to_plain
 
 MAX_ERROR_SIZE = 0.5
 """[m or rad] Larger errors are a slip of units."""
@@ -43,6 +44,12 @@ class ActuatorError:
     along: float = 0.0
     across: float | None = None
     axes: tuple[float, float, float] | None = None
+
+    def to_dict(self) -> dict[str, float]:
+        """Return the error as it stands in an errors file."""
+        if self.axes is not None:
+            return dict(zip(_AXES, self.axes, strict=True))
+        return {"along": self.along} | ({} if self.across is None else {"across": self.across})
 
     def ellipsoid(self, direction: np.ndarray) -> np.ndarray:
         """Return `M` (3, 3) [m] for a guideway's unit direction (3,): the error is `M w` with `|w| <= 1`."""
@@ -95,14 +102,7 @@ class ErrorBounds:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the errors as they stand in an errors file."""
-        rods = {n: {"length": r.length, "base": r.base, "plate": r.plate} for n, r in self.rods.items()}
-        return {"actuators": {j: _as_dict(a) for j, a in self.actuators.items()}, "rods": rods}
-
-
-def _as_dict(error: ActuatorError) -> dict[str, float]:
-    if error.axes is not None:
-        return dict(zip(_AXES, error.axes, strict=True))
-    return {"along": error.along} | ({} if error.across is None else {"across": error.across})
+        return to_plain({"actuators": self.actuators, "rods": self.rods})
 
 
 def build_isotropic_error(size: float) -> ActuatorError:

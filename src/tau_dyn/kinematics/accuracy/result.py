@@ -24,7 +24,7 @@ from tau_dyn.kinematics.accuracy.study import (
 from tau_dyn.kinematics.accuracy.worst_case import draw
 from tau_dyn.kinematics.assumptions import Guideway, Orientation, Parallelism
 from tau_dyn.mechanism import Kinematics, Poses, get_robot
-from tau_dyn.results import Shown
+from tau_dyn.results import Shown, to_plain
 from tau_dyn.robot import Robot
 
 CLOUD = 600
@@ -69,10 +69,8 @@ class Measured:
 
     def to_dict(self) -> dict[str, Any]:
         """Return what a result file holds of it."""
-        return {
-            "guideways": [g.to_dict() for g in self.guideways], "parallelism": [p.to_dict() for p in self.parallel],
-            "loads": self.loads, "orientation": None if self.orientation is None else self.orientation.to_dict(),
-        }  # fmt: skip
+        checks = {"guideways": self.guideways, "parallelism": self.parallel, "loads": self.loads}
+        return to_plain({**checks, "orientation": self.orientation})
 
 
 class MethodSummary(NamedTuple):

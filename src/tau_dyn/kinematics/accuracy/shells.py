@@ -122,7 +122,7 @@ def compute_shell_heights(device: LegsDevice, state: State) -> np.ndarray:
 
 MAX_FIXED_POINT_STEPS = 200  # of the fixed-point iteration; it converges linearly or not at all
 _MAX_BOUND_RATIO = 0.25
-"""Share of the shortest rod beyond which a bound is no longer sought."""
+"""Share of the shortest rod up to which a bound is sought."""
 _SAFE = 1 + 1e-9  # factor that outweighs rounding, so that the bound stays one
 
 

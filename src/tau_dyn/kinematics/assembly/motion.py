@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism import Poses, Rods
+from tau_dyn.mechanism import Poses, Rods, StraightWay
 
 _NOISE = 1e-10
 """Smallest singular value, as a share of the largest, below which a determinant has no sign."""
@@ -158,12 +158,12 @@ def advance(rods: Rods, start: Sample, goal: Poses, limits: Limits, reach: float
     way = float(measure_pose_distances(start.plate, goal, limits.scale)[0])
     if way == 0:
         return [], True
-    end = min(1.0, reach / way)
+    end, line = min(1.0, reach / way), StraightWay(start.plate, goal)
     done, step, motion = 0.0, limits.longest / way, []
     here = start
     while done < end:
         step = min(step, end - done)
-        there = _next(rods, here, interpolate_pose(start.plate, goal, done + step), limits)
+        there = _next(rods, here, line.at(done + step), limits)
         if there is None:
             step /= 2
             if step * way < _MIN_STEP_RATIO * limits.longest:
@@ -178,13 +178,6 @@ def measure_pose_distances(a: Poses, b: Poses, scale: float) -> np.ndarray:
     """Return the distances (N,) of poses (N) from one pose: metres over `scale` plus radians."""
     chord = np.linalg.norm(a.rotation - b.rotation, axis=(1, 2)) / np.sqrt(8)  # sin of half the angle between them
     return np.linalg.norm(a.position - b.position, axis=1) / scale + 2 * np.arcsin(np.minimum(chord, 1.0))
-
-
-def interpolate_pose(a: Poses, b: Poses, share: float) -> Poses:
-    """Return the pose at a share of the way from one single pose to another."""
-    turn = Rotation.from_matrix(a.rotation[0].T @ b.rotation[0]).as_rotvec()
-    rotation = a.rotation[0] @ Rotation.from_rotvec(share * turn).as_matrix()
-    return Poses(a.position + share * (b.position - a.position), rotation[None])
 
 
 def measure_rod_distance(rods: Rods, q: np.ndarray, plate: Poses) -> float:
@@ -296,7 +289,9 @@ def find_reachable_modes(
         )
     if not 0 <= home < modes.n_samples:
         raise InputError("invalid_value", f"home is one of the {modes.n_samples} modes; there is no number {home}")
-    kept = _limits(rods, limits, clearance)
+    everywhere = np.full(rods.na, np.inf)
+    lower, upper = (rods.robot.lower, rods.robot.upper) if limits else (-everywhere, everywhere)
+    kept = Limits(lower, upper, clearance, float(rods.lengths.mean()))  # poses are measured in rods' lengths
     states = solve_configuration_states(rods, np.repeat(q[None], modes.n_samples, axis=0), modes)
     samples = [sample_at(rods, q, modes.take(slice(k, k + 1))) for k in range(modes.n_samples)]
     out = []
@@ -356,7 +351,7 @@ class _Tree:
             self.samples.append(sample)
         if motion:
             self.q = np.concatenate([self.q, [s.q for s in motion]])
-            self.plate = _joined([self.plate, *(s.plate for s in motion)])
+            self.plate = Poses.join([self.plate, *(s.plate for s in motion)])
         return self.samples[parent]
 
     def holds(self, sample: Sample, scale: float) -> Sample | None:
@@ -386,19 +381,8 @@ def _random_pose(rods: Rods, home: Sample, mode: Sample, rng: np.random.Generato
     return Poses(position, rotation[None])
 
 
-def _limits(rods: Rods, keep: bool, clearance: float) -> Limits:
-    """Return the limits of a search; poses are measured in rods' lengths."""
-    everywhere = np.full(rods.na, np.inf)
-    lower, upper = (rods.robot.lower, rods.robot.upper) if keep else (-everywhere, everywhere)
-    return Limits(lower, upper, clearance, float(rods.lengths.mean()))
-
-
 def _answer(verdict: str, why: str, samples: list[Sample]) -> Reach:
     """Put a motion's samples into arrays."""
     if not samples:
-        return Reach(verdict, why, np.zeros((0, 0)), Poses(np.zeros((0, 3)), np.zeros((0, 3, 3))))
-    return Reach(verdict, why, np.array([s.q for s in samples]), _joined([s.plate for s in samples]))
-
-
-def _joined(poses: list[Poses]) -> Poses:
-    return Poses(np.concatenate([p.position for p in poses]), np.concatenate([p.rotation for p in poses]))
+        return Reach(verdict, why, np.zeros((0, 0)), Poses.join([]))
+    return Reach(verdict, why, np.array([s.q for s in samples]), Poses.join([s.plate for s in samples]))

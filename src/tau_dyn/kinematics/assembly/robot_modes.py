@@ -22,6 +22,8 @@ from tau_dyn.kinematics.assembly.modes import AssemblyModes, find_assembly_modes
 from tau_dyn.mechanism import (
     Frames,
     Kinematics,
+    Move,
+    NewtonRules,
     Poses,
     Rods,
     TreePose,
@@ -33,6 +35,7 @@ from tau_dyn.mechanism import (
     get_robot,
     get_rods,
     intersect_spheres,
+    iterate_newton,
     require_positions,
 )
 from tau_dyn.robot import Robot
@@ -41,10 +44,8 @@ _BATCH = 100  # starts at a time
 _MAX_STARTS = 3000  # of one set of actuated positions
 _MIN_TIMES_MET = 10  # of each mode before the search ends, as `tree_inverse.py`
 _MAX_MODES = 200  # more are a continuum
-_ITERATIONS = 60  # Newton's steps from one start; nearly all that arrive do within 40
-_STEP = 0.5  # [m or rad] largest step of a passive joint
 _DAMPING = 1e-2  # of the squared gap, by that of the largest entry of J_p
-_CLOSED = 1e-10  # [m]
+_RULES = NewtonRules(60, 60, 0.5, 1e-10, 1e-10)  # nearly all starts that arrive do within 40 steps [m or rad]
 _EQUALITY_TOLERANCE = 1e-6  # [m] and of rotation matrices' entries
 _REGULAR = 1e-7  # singular value relative to the largest below which a passive motion leaves the loops closed
 _SLIDE = 2.0  # [m] range of a passive slide without limits
@@ -101,11 +102,7 @@ def search_tree_modes(engine: TreePose, q: np.ndarray, *, seed: int = 0) -> Tree
             if n_starts >= 2 * _BATCH:
                 break
     kept = [p for p, ok in zip(poses, regular, strict=True) if ok]
-    tool = Poses(
-        np.concatenate([np.zeros((0, 3)), *(p.position for p in kept)]),
-        np.concatenate([np.zeros((0, 3, 3)), *(p.rotation for p in kept)]),
-    )
-    return TreeModes(tool, n_starts, len(poses) - len(kept))
+    return TreeModes(Poses.join(kept), n_starts, len(poses) - len(kept))
 
 
 def _draw_starts(engine: TreePose, rng: np.random.Generator) -> np.ndarray:
@@ -125,9 +122,8 @@ def _draw_starts(engine: TreePose, rng: np.random.Generator) -> np.ndarray:
 def _close(engine: TreePose, x: np.ndarray) -> np.ndarray:
     """Return those columns of positions (nv, N) that Newton's steps brought to closed loops."""
     x, passive = x.copy(), engine.loops.passive
-    left = np.arange(x.shape[1])
-    closed = np.zeros(x.shape[1], bool)
-    for _ in range(_ITERATIONS):
+
+    def advance(left: np.ndarray) -> tuple[np.ndarray, np.ndarray, Move]:
         at = compute_frames(engine.joints, x[:, left])
         gap, J = engine.loops.gap(at).T, engine.loops.jacobian(at)
         square = np.einsum("nij,nij->n", J, J)
@@ -135,15 +131,13 @@ def _close(engine: TreePose, x: np.ndarray) -> np.ndarray:
         damping = np.maximum(_DAMPING * np.sum(gap**2, axis=1), 1e-14 * square)
         normal = JT @ J + damping[:, None, None] * np.eye(len(passive))
         step = -np.linalg.solve(normal, JT @ gap[:, :, None])[:, :, 0]
-        size = np.abs(step).max(axis=1)
-        done = (np.abs(gap).max(axis=1) < _CLOSED) & (size < _CLOSED)
-        closed[left[done]] = True
-        step *= np.minimum(1.0, _STEP / np.maximum(size, 1e-300))[:, None]
-        x[np.ix_(passive, left)] += step.T
-        left = left[~done & np.isfinite(size)]
-        if not left.size:
-            break
-    return x[:, closed]
+
+        def move(share: np.ndarray) -> None:
+            x[np.ix_(passive, left)] += (share[:, None] * step).T
+
+        return np.abs(gap).max(axis=1), np.abs(step).max(axis=1), move
+
+    return x[:, iterate_newton(np.ones(x.shape[1], bool), advance, _RULES)]
 
 
 def _rank(engine: TreePose, x: np.ndarray) -> np.ndarray:
@@ -225,7 +219,7 @@ def _list_leg_modes(legs: Rods, q: np.ndarray) -> tuple[Poses, bool, str]:
     except InputError as fault:
         if fault.code != "unsupported":
             raise
-        return Poses(np.zeros((0, 3)), np.zeros((0, 3, 3))), False, str(fault)
+        return Poses.join([]), False, str(fault)
     complex_ones = len(modes.real) - modes.n_real
     return (
         legs.tool_poses(select_real_poses(modes)),

@@ -43,15 +43,6 @@ class PeriodicError:
     p_value: float
     aliases: tuple[float, ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return what a result file holds of it."""
-        return {
-            "period": self.period,
-            "amplitude": self.amplitude,
-            "p_value": self.p_value,
-            "aliases": list(self.aliases),
-        }
-
 
 def find_strongest_period(q: np.ndarray, e: np.ndarray) -> PeriodicError | None:
     """Return the strongest cycle of `e` (N,) [m] over positions `q` (N,) [m]; None with too few points or no scatter."""
@@ -196,9 +187,7 @@ class Guideway:
             "residual": {"mean": float(self.sizes.mean()), "std": float(self.sizes.std(ddof=1)), "max": float(self.sizes.max())},
             "within_95_percent": {"along": along, "across": across},
             "direction": self.direction, "scale_error": scale, "scale_error_stderr": scale_stderr,
-            "bow": self.bow._asdict(), "shape_p_value": self.shape,
-            "cycle": None if self.cycle is None else self.cycle.to_dict(),
-            "backlash": None if self.backlash is None else self.backlash._asdict(),
+            "bow": self.bow, "shape_p_value": self.shape, "cycle": self.cycle, "backlash": self.backlash,
         }  # fmt: skip
 
 

@@ -60,7 +60,7 @@ class Parallelism:
 
     def to_dict(self) -> dict[str, Any]:
         """Return what a result file holds of it."""
-        return asdict(self) | {"joints": list(self.joints), "sentence": self.sentence}
+        return asdict(self) | {"sentence": self.sentence}
 
 
 def check_parallelism(lines: Sequence[Guideway]) -> list[Parallelism]:
@@ -162,8 +162,7 @@ class Orientation:
             "turn": {"max": float(self.sizes.max()), "rms": float(np.sqrt(np.mean(self.sizes**2)))},
             "euler_zyz_range_deg": dict(zip(("alpha", "beta", "gamma"), np.ptp(euler, axis=0), strict=True)),
             "euler_near_pole": self.near_pole,
-            "across": None if self.across is None else self.across._asdict(),
-            "along": None if self.along is None else self.along._asdict(), "rest_rms": self.rest,
+            "across": self.across, "along": self.along, "rest_rms": self.rest,
         }  # fmt: skip
 
 

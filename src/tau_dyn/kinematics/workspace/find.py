@@ -96,9 +96,9 @@ def _explored(
         step = _suitable(machine, judge, turn, lower, upper)
     for _ in range(_GROWTH):
         recorder = _Recorder(judge, turn)
-        found = classify_lattice(
-            build_lattice(lower, upper, _beside(machine, lower, upper, step), step), recorder, seed=seed
-        )
+        # half a step beside home, so that limits at round places around home lie between points
+        beside = machine.home_place + np.where(upper > lower, step / 2, 0.0)
+        found = classify_lattice(build_lattice(lower, upper, beside, step), recorder, seed=seed)
         below, above = _touched(found.inside)
         if machine.by_position:
             below &= lower > judge.demands.surroundings.lower
@@ -108,11 +108,6 @@ def _explored(
         room = 0.25 * (upper - lower)
         lower, upper = lower - room * below, upper + room * above
     return found, recorder
-
-
-def _beside(machine: WorkspaceModel, lower: np.ndarray, upper: np.ndarray, step: float) -> np.ndarray:
-    """Return a place half a step beside home, so that limits at round places around home lie between points."""
-    return machine.home_place + np.where(upper > lower, step / 2, 0.0)
 
 
 def _touched(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

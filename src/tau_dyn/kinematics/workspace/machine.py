@@ -6,7 +6,6 @@ be brought to every position nearby (a 3-PRS), its commanded coordinates, turns 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -98,24 +97,6 @@ def _list_moving(kinematics: Kinematics) -> list[int]:
     return [k for k in range(J.shape[1]) if np.abs(J[:, k]).max(initial=0.0) > _STILL]
 
 
-@dataclass(eq=False)
-class _Known:
-    """Places whose positions were found, to start the next ones nearby."""
-
-    place: list[np.ndarray] = field(default_factory=list)
-    q: list[np.ndarray] = field(default_factory=list)
-
-    def add(self, place: np.ndarray, q: np.ndarray) -> None:
-        if len(place):
-            self.place.append(place)
-            self.q.append(q)
-
-    def near(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the positions of the nearest known places, and how far those are (N,) [m]."""
-        away, index = cKDTree(np.concatenate(self.place)).query(place)
-        return np.concatenate(self.q)[index], away
-
-
 class WorkspaceModel:
     """Any mechanism; its inverse kinematics are home's carried on from neighbour to neighbour.
 
@@ -145,8 +126,7 @@ class WorkspaceModel:
         self.axes, self.units, self.by_position = ("x", "y", "z"), ("m", "m", "m"), True
         self.scale, self.home_place = np.ones(3), self.home.position[0]
         self._set_coordinates()
-        self._known, self._widest = _Known(), 0.0
-        self._known.add(self.home_place[None], self.robot.home[None])
+        self._known, self._widest = (self.home_place[None], self.robot.home[None]), 0.0
         at_home = self.rates(self.robot.home[None], self.home).actuators
         square = at_home.shape[1] == at_home.shape[2]
         self._sign = float(np.sign(np.linalg.det(at_home))[0]) if square else 0.0
@@ -156,7 +136,9 @@ class WorkspaceModel:
         moves = _list_moving(self.kinematics)
         linear = [k for k in moves if k < 3]
         at_home = self.kinematics.jacobian(self.robot.home[None])[0]
-        self.length = _measure_lever(at_home[:, self._turns] if commands_positions(self.kinematics) else at_home)
+        J = at_home[:, self._turns] if commands_positions(self.kinematics) else at_home
+        turn = float(np.linalg.norm(J[3:]))
+        self.length = float(np.linalg.norm(J[:3])) / turn or 1.0 if turn > _STILL else 1.0
         self._rows = linear if self.robot.na <= max(len(linear), 3) else moves
         self._set_places()
 
@@ -197,11 +179,14 @@ class WorkspaceModel:
         q, code = np.full((n, self.robot.na), np.nan), np.full(n, "out of reach", dtype=object)
         tried, turned = np.full(n, np.inf), 0.0
         if n > 1:
-            self._widest = max(self._widest, _measure_spacing(place))
+            away, _ = cKDTree(place).query(place[:2000], k=2)
+            self._widest = max(self._widest, float(np.median(away[:, 1])))
         reach = 2.0 * self._widest if n > 1 else np.inf
         for _ in range(_MAX_WAVES):
             lost = np.flatnonzero(code != "")
-            start, away = self._known.near(place[lost])
+            known_place, known_q = self._known
+            away, index = cKDTree(known_place).query(place[lost])
+            start = known_q[index]
             go = (away < reach) & (away < 0.99 * tried[lost])
             if not go.any():
                 break
@@ -237,7 +222,7 @@ class WorkspaceModel:
         better = same | (ok & (code[index] == "out of reach"))
         q[index[better]] = found[better]
         code[index[better]] = np.where(same[better], "", "branch change")
-        self._known.add(place[index][same], found[same])
+        self._known = tuple(np.concatenate(x) for x in zip(self._known, (place[index][same], found[same]), strict=True))
         return float(np.max(turned[same], initial=0.0))
 
     def _solve_commanded(self, poses: Poses, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -403,17 +388,3 @@ def _place_body(body: Body, at: Frames | None) -> PlacedSolid:
         return build_standing_solid(body.shape, body.placement)
     rotation = np.ascontiguousarray(np.moveaxis(at.rotation[body.joint], 2, 0))
     return move_solid(body, rotation, at.origin[body.joint].T)
-
-
-def _measure_spacing(places: np.ndarray) -> float:
-    """Return the distance [m] at which places (N, 3) stand from each other, inf for one alone."""
-    if len(places) < 2:
-        return np.inf
-    away, _ = cKDTree(places).query(places[:2000] if len(places) > 2000 else places, k=2)
-    return float(np.median(away[:, 1]))
-
-
-def _measure_lever(J: np.ndarray) -> float:
-    """Return how far a tool moves per turn [m] with twists (6, n), 1 where nothing turns it."""
-    turn = float(np.linalg.norm(J[3:]))
-    return float(np.linalg.norm(J[:3])) / turn or 1.0 if turn > _STILL else 1.0

@@ -143,7 +143,8 @@ def _joined(a: int, b: int, bodies: list[Body], solids: list[PlacedSolid], machi
     if bodies[a].rod < 0:
         return bodies[a].joint == bodies[b].joint
     if bodies[b].rod >= 0:
-        return _share_an_end(solids[a], solids[b])
+        apart = np.linalg.norm(_ends(solids[a])[:, None] - _ends(solids[b])[None], axis=2)
+        return bool(apart.min() < 1e-3)
     holders = machine.holders(bodies[a].rod)
     if bodies[b].joint in holders:
         return True
@@ -158,10 +159,6 @@ def _rides(a: Body, b: Body, machine: WorkspaceModel) -> bool:
     """Return whether a joint lies between two links."""
     parents = machine.robot.model.parents
     return a.rod < 0 and (parents[a.joint] == b.joint or parents[b.joint] == a.joint)
-
-
-def _share_an_end(a: PlacedSolid, b: PlacedSolid) -> bool:
-    return bool(np.linalg.norm(_ends(a)[:, None] - _ends(b)[None], axis=2).min() < 1e-3)
 
 
 def _ends(rod: PlacedSolid) -> np.ndarray:
@@ -288,17 +285,14 @@ class PoseChecker:
 
         for wall in walls:
             left = np.flatnonzero(free)
-            note(find_touched_obstacle(wall, _at(moving, left), len(left)), "obstacle", wall.name)
+            some = [solid.take(left) for solid in moving]
+            note(find_touched_obstacle(wall, some, len(left)), "obstacle", wall.name)
         for pair in self.pairs:
             left = np.flatnonzero(free)
             if len(left):
                 some = {k: solids[k].take(left) for k in (pair.first, pair.second)}
                 hit = np.broadcast_to(pair.touches(some, self.demands.clearance), len(left))
                 note(hit, "collision", pair.name)
-
-
-def _at(solids: list[PlacedSolid], index: np.ndarray) -> list[PlacedSolid]:
-    return [solid.take(index) for solid in solids]
 
 
 def _of_solver(reason: str) -> tuple[str, str]:

@@ -179,7 +179,7 @@ class Tilt(NamedTuple):
             "tilt_deg": np.rad2deg(self.angle),
             "every_way_deg": float(np.rad2deg(self.angle.min())),
             "best_way_deg": float(np.rad2deg(self.angle.max())),
-            "limited_by": list(self.reason),
+            "limited_by": self.reason,
         }
 
 
@@ -260,7 +260,7 @@ class Study(Shown):
             **self.workspace.to_dict(),
             **self.catalogue.to_dict(),
             "sections": [self._section(s) for s in self.sections],
-            "tilt": None if self.tilt is None else self.tilt.to_dict(),
+            "tilt": self.tilt,
             "cloud": self._cloud(),
         }
 
@@ -279,7 +279,8 @@ class Study(Shown):
         kinds = {code: kind for code, kind, _ in self.workspace.reasons.items()}
         solved = ~np.isin(s.code, [c for c, kind in kinds.items() if kind == "out of reach"])
         cell = float(np.diff(s.u[:2])[0] * np.diff(s.v[:2])[0]) if min(s.code.shape) > 1 else 0.0
-        ends = [[float(x[0]), float(x[-1])] if len(x) else None for x in _extents(s)]
+        extents = s.u[s.inside.any(axis=1)], s.v[s.inside.any(axis=0)]
+        ends = [[float(x[0]), float(x[-1])] if len(x) else None for x in extents]
         return {
             "across": s.name,
             "area_m2": s.area,
@@ -287,10 +288,6 @@ class Study(Shown):
             "extent": dict(zip((s.axes[s.across], s.axes[s.up]), ends, strict=True)),
             "points": int(s.code.size),
         }
-
-
-def _extents(s: Section) -> list[np.ndarray]:
-    return [s.u[s.inside.any(axis=1)], s.v[s.inside.any(axis=0)]]
 
 
 def study_workspace(

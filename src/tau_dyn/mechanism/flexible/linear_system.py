@@ -1,18 +1,14 @@
-"""Linear systems with named inputs and outputs, and drives as such.
-
-Position-controlled drives as linear systems: `q_J = q_ref_J`, late and through a first-order lag.
-
-The thesis' closed drives, (6.11), are `G_a(q) = q^-d b / (1 - a q^-1)` at 4 ms. Sampling `1 / (T s + 1)` with a held input
-gives one step of that `q^-d` by itself, so the pure delay is `d - 1` steps and `T = -dt / ln a`. The robot does not push the
-drives away: its motion has no effect on them.
-
-Linear systems with named inputs and outputs, in continuous time and sampled exactly.
+"""Linear systems with named inputs and outputs, in continuous time and sampled exactly, and position-controlled drives as such.
 
     x' = A x + B u(t - T),   y = C x + D u(t - T)
 
 Inputs are held between samples (zero-order hold), each late by its own delay; then sampling is exact, by the matrix exponential.
 What a log shows at sample k is the output at `k dt`, before the input of that instant has acted, unless `D` passes it on at once.
 Reference: Astrom & Wittenmark 1997, Computer-Controlled Systems, ch. 2.
+
+The thesis' closed drives, (6.11), are `G_a(q) = q^-d b / (1 - a q^-1)` at 4 ms. Sampling `1 / (T s + 1)` with a held input
+gives one step of that `q^-d` by itself, so the pure delay is `d - 1` steps and `T = -dt / ln a`. The robot does not push the
+drives away: its motion has no effect on them.
 """
 
 from __future__ import annotations

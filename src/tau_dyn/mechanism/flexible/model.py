@@ -1,9 +1,13 @@
-"""A robot whose springs may yield: linearised about a pose, its natural modes and its state space.
+"""A robot whose springs may yield: linearised about a pose, its natural modes, static compliance and state space.
 
-What a flexible robot does near a pose: natural modes, static compliance, and a state space to simulate.
+With `z = [a; s]`, the actuated positions and the springs' deflections, the mechanism is an ordinary rigid one whose loops
+close as ever, and virtual work gives
 
-In deviations from rest, `z = [a; s]` (actuators, springs), `M z'' + D z' + K z = [tau; 0] + J_f' f`; the tool moves by `J z`.
-With the actuators' motion `a(t)` given, the springs obey
+    M(z) z'' + h(z, z') + [0; k s + d s'] = [tau; 0] + J_f' f.
+
+At rest with the actuators held, the springs sag until `h_s + k s = 0`. About that point `M` is the mechanism's mass matrix,
+`D` the dampers, and `K` the springs plus the change of the weight's share, `dh/dz`, by central differences; the tool moves by
+`J z`. With the actuators' motion `a(t)` given, the springs obey
 
     M_ss s'' + D_ss s' + K_ss s = -M_sa a'' - K_sa a + J_fs' f.
 
@@ -14,22 +18,8 @@ Accelerations of the input are no input one wants to log, so they are absorbed: 
     x2' = -M_ss^-1 (D_ss x1' + K_ss x1) + M_ss^-1 (J_fs' f - (K_sa + K_ss F) a),
 
 which is exact. An accelerometer is a second-order low-pass on the true acceleration, which makes its signal finite even where
-a drive's speed jumps.
-
-A robot whose springs may yield: linearised about a pose in actuated and spring coordinates.
-
-With `z = [q_a; s]`, the actuated positions and the springs' deflections, the mechanism is an ordinary rigid one whose loops
-close as ever, and virtual work gives
-
-    M(z) z'' + h(z, z') + [0; k s + d s'] = [tau; 0] + J_f' f.
-
-At rest with the actuators held, the springs sag until `h_s + k s = 0`. About that point `M` is the mechanism's mass matrix,
-`D` the dampers, and `K` the springs plus the change of the weight's share, `dh/dz`, by central differences. `flexible_model.py`
-says what follows from the three.
-
-Springs are `<tau_dyn:spring>` elements on passive joints of any robot file; for every other purpose the robot is rigid.
-Reference: Khalil & Dombre 2002, ch. 7; Wittbrodt, Adamiec-Wojcik & Wojciech 2006, Dynamics of Flexible Multibody Systems
-(rigid finite elements), ch. 3.
+a drive's speed jumps. Springs are `<tau_dyn:spring>` elements on passive joints; for every other purpose the robot is rigid.
+Reference: Khalil & Dombre 2002, ch. 7; Wittbrodt, Adamiec-Wojcik & Wojciech 2006 (rigid finite elements), ch. 3.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 """Loops of a tree closed at other dimensions than the robot file's, and how the tool moves with dimensions and joints.
 
-How a tree's points move with its joints and with its geometric parameters, and how the loops pass both on to the tool.
-
 A parameter of joint j moves all that the joint carries: `origin` shifts it along its parent's axes, a rotation vector
 `r` turns it about the joint's origin at `R_j J_r(r) dr` (`J_r`: right Jacobian of the rotation group; Chirikjian 2012).
 With loops `c(x_a, x_p, theta) = 0`,
@@ -10,8 +8,6 @@ With loops `c(x_a, x_p, theta) = 0`,
 
 (implicit function theorem; thesis (4.14), Khalil & Dombre 2002, ch. 7 and 11). Arrays have components first and samples
 last.
-
-Loops of a tree closed at other geometries than the robot file's, many samples at once.
 
 The nominal closure (`mechanism/loop_arrays.py`) gives the assembly mode and the start; Newton steps on the passive
 joints do the rest. Two kinds of deficiency belong to a mechanism and not to a configuration: a rod between two ball
@@ -39,6 +35,7 @@ from tau_dyn.mechanism import (
     compute_frames,
     measure_column_lengths,
     transform_point,
+    yield_columns,
 )
 from tau_dyn.mechanism.tree_geometry.dimensions import Knob, TreeNumbers, TreeShape
 
@@ -73,9 +70,8 @@ def compute_gap_by_position(shape: TreeShape, numbers: TreeNumbers, at: Frames) 
     out = np.zeros((3 * shape.n_loops, shape.robot.model.nv, n))
     for k, (end, place) in enumerate(zip(shape.ends, _places(shape, numbers, at), strict=True)):
         rows = slice(3 * (k // 2), 3 * (k // 2) + 3)
-        for index in end.carriers:
-            joint = numbers.joints[index - 1]
-            out[rows, joint.v] += _sign(k) * _swept(numbers, at, index, place)
+        for joint, column, _ in yield_columns(at, (numbers.joints[index - 1] for index in end.carriers), place):
+            out[rows, joint.v] += _sign(k) * column
     return out
 
 
@@ -154,19 +150,10 @@ def _sign(end: int) -> float:
     return 1.0 if end % 2 == 0 else -1.0
 
 
-def _swept(numbers: TreeNumbers, at: Frames, index: int, place: np.ndarray) -> np.ndarray:
-    """Return how a point (3, N) moves with a joint's position."""
-    axis = at.axis[index]
-    return axis if numbers.joints[index - 1].slides else compute_cross_product(axis, place - at.origin[index])
-
-
 def _tool_by_position(shape: TreeShape, numbers: TreeNumbers, at: Frames, tool: np.ndarray) -> np.ndarray:
     out = np.zeros((6, shape.robot.model.nv, tool.shape[1]))
-    for index in shape.tool.carriers:
-        joint = numbers.joints[index - 1]
-        out[:3, joint.v] = _swept(numbers, at, index, tool)
-        if not joint.slides:
-            out[3:, joint.v] = at.axis[index]
+    for joint, linear, angular in yield_columns(at, (numbers.joints[index - 1] for index in shape.tool.carriers), tool):
+        out[:3, joint.v], out[3:, joint.v] = linear, 0.0 if angular is None else angular
     return out
 
 

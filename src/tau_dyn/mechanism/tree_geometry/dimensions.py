@@ -1,14 +1,10 @@
 """A tree with loops, taken apart: its dimensions as named parameters, what each of them moves, and the tree at given values.
 
-A tree with loops, taken apart for calibration: what each geometric parameter moves, and the numbers at given values.
-
 Joint j sits at `origin` [m] in its parent link's frame, turned by the robot file's rotation times `exp([r]x)`:
 `<joint>.rx ry rz` is a small rotation vector in the joint's own axes [rad], zero in the file. An actuated joint moves
 by `gain * q + offset`. Loops join points of two links: `<link>.anchor_x..`, or `<rod>.length` where the link is a rod
 that hangs on passive turns, so that only the distance from those to the point matters. Reference: Mooring, Roth &
 Driels 1991, ch. 2; Khalil & Dombre 2002, ch. 11.
-
-Names, nominal values and freedom of a tree's geometric parameters.
 
 Left out of a fit unless asked for (`free=False`): what another parameter does just as well (a turn of a revolute joint
 about its own axis is its offset, a shift of a slide along itself likewise), the axes of a universal joint, gear ratios,
