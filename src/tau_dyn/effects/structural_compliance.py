@@ -203,6 +203,12 @@ class StructuralCompliance(JointwiseDisplacement):
         return [*({"frequency": float(f), "damping": d} for d in _DAMPING for f in found), *_several(proposed, {})]
 
     @classmethod
+    def of_resonances(cls, scene: Scene, joints: tuple[str, ...]) -> StructuralCompliance:
+        """Return the effect with all proposed modes on these joints; there must be one mode."""
+        plain = cls(joints, [scene.units[scene.index(joint)] for joint in joints])
+        return plain.with_settings(**cls.proposal(scene, joints))
+
+    @classmethod
     def proposal(cls, scene: Scene, joints: tuple[str, ...]) -> dict[str, float]:
         """Return the settings that hold all proposed modes as they are proposed; there must be one."""
         return _around(scene.resonances[:MAX_MODES], _whole(scene) if len(joints) > 1 else {})[1]
