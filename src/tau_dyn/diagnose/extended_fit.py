@@ -17,11 +17,10 @@ from tau_dyn.diagnose.null_model import build_smooth_columns
 from tau_dyn.diagnose.result import Gain, OutputErrors, WholeErrors
 from tau_dyn.effects import Effect
 from tau_dyn.estimate import (
-    BLOCK_S,
-    ROUNDING,
     Estimate,
     PhysicalConstraints,
     Regression,
+    assign_blocks,
     scale_columns,
     solve_least_squares,
 )
@@ -196,7 +195,7 @@ def _sum_blocks(channel: Channel, residuals: Sequence[np.ndarray]) -> tuple[np.n
     """Return sums of squares and counts (blocks, m) over 2 s blocks of the part used for nothing else."""
     squares, counts = [], []
     for run, e, mask in zip(channel.runs, residuals, channel.masks(TEST), strict=True):
-        number = ((run.t - run.t[0]) / BLOCK_S + ROUNDING).astype(int)
+        number = assign_blocks(run.t - run.t[0])
         for b in np.unique(number[mask.any(axis=1)]):
             rows = number == b
             squares.append(np.sum(np.where(mask[rows], e[rows], 0.0) ** 2, axis=0))

@@ -95,6 +95,19 @@ class Estimate:
         return p.stderr is not None and p.stderr < MAX_RELATIVE_STDERR * abs(p.value)
 
 
+def attach_stderr(parameters: Parameters, base: BaseParameters, stderr: np.ndarray) -> Parameters:
+    """Attach standard errors to the parameters that are base parameters by themselves, and say where each value came from."""
+    known = base.by_name(stderr)
+    shared = {name for k, name in enumerate(base.names) if name not in known and base.depends_on(k)}
+    origin = dict.fromkeys(known, "identified") | dict.fromkeys(shared, "one of many splits with the same forces")
+    return parameters.update(
+        {
+            p.name: {"stderr": known.get(p.name), "origin": origin.get(p.name, p.origin), "split": p.name in shared}
+            for p in parameters
+        }
+    )
+
+
 _TOLERANCE = 1e-6
 """Relative part of a weight that may be off: base combinations are known to about 1e-9, published ones are often rounded."""
 

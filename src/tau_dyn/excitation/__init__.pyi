@@ -1,6 +1,7 @@
 """Motions designed for identification: the most information within the limits, and what they will tell before anything moves."""
 
 from .design import ExcitationDesign as ExcitationDesign, design_motion as design_motion
+from .exchange import choose_by_exchange as choose_by_exchange
 from .information import CRITERIA as CRITERIA
 from .prediction import (
     InformationPrediction as InformationPrediction,

@@ -16,7 +16,11 @@ from .fitted_model import (
     build_model as build_model,
     build_physical_constraints as build_physical_constraints,
 )
-from .gate import get_measured_signals as get_measured_signals
+from .gate import (
+    find_unsure_samples as find_unsure_samples,
+    get_measured_signals as get_measured_signals,
+    widen as widen,
+)
 from .identification import identify as identify
 from .log_integrity import (
     check_against_robot as check_against_robot,

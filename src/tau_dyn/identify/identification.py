@@ -74,8 +74,7 @@ def identify(
         InputError: A log, the model or a choice is at fault.
         CannotAnswer: The logs determine nothing.
     """
-    given, judged = get_log_list(logs), get_log_list(holdout)
-    asked = choices or Choices()
+    asked, given, judged = choices or Choices(), get_log_list(logs), get_log_list(holdout)
     warnings: list[str] = []  # what was doubtful on the way; where no answer comes, often the reason
     try:
         fitted = asked.apply(build_model(robot, model))
@@ -84,8 +83,9 @@ def identify(
         gains = asked.gains(fitted.robot.actuated)
         train, held, doubled = drop_repeated_logs(given, judged)
         require_forces(fitted.robot, [*train, *held])
+        factors = {joint: factor for joint, (factor, _) in gains.items()}
         how: dict[str, Any] = {
-            "factors": {joint: factor for joint, (factor, _) in gains.items()},
+            "factors": factors,
             "engine": engine or BlockExecutor(count_cores()),
             "progress": progress,
         }
@@ -113,20 +113,16 @@ def identify(
         warnings += settled.warnings
 
         progress("held-out errors")
-        if held:
-            late = offset.seconds if offset is not None and offset.corrected else 0.0
-            errors = _judge_held_out(held_out.shifted(late) if late else held_out, settled)
-        elif judged:
+        if judged and not held:
             errors = _Judged(None, None, "no held-out log was left")
         else:
-            errors = _judge_last_part(settled.built, solver)
+            errors = _judge_held_out(held_out, settled, offset) if held else _judge_last_part(settled.built, solver)
         warnings += errors.warnings
         _refuse_if_nothing_determined(settled.estimate)
     except CannotAnswer as fault:
         fault.warnings = tuple(dict.fromkeys(warnings))
         raise
-    estimate = settled.estimate
-    trained = build_force_errors(settled.built.regression, estimate.theta)
+    trained, estimate = build_force_errors(settled.built.regression, settled.estimate.theta), settled.estimate
     warnings += list_unjudged_joint_warnings(trained, errors.errors)
     warnings += list_held_out_warnings(trained, errors.errors if held else None)
     warnings += [*list_estimate_warnings(estimate), *list_inertia_scale_warnings(estimate, fitted.parameters)]
@@ -187,9 +183,11 @@ class _Judged(NamedTuple):
     warnings: tuple[str, ...] = ()
 
 
-def _judge_held_out(held_out: Data, settled: Settled) -> _Judged:
+def _judge_held_out(held_out: Data, settled: Settled, offset: ForceOffset | None) -> _Judged:
     """Return the errors on logs of their own, prepared as those that were fitted; none where all are too short for that."""
     alike = replace(held_out, preparation=settled.built.regression.preparation)
+    if offset is not None and offset.corrected:
+        alike = alike.shifted(offset.seconds)
     try:
         built = alike.build(held_out.model.with_parameters(settled.estimate.parameters))
     except TooShort as fault:
