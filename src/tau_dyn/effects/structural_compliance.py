@@ -21,10 +21,9 @@ from typing import Any
 import numpy as np
 from scipy import signal
 
-from tau_dyn.effects.displacement import JointwiseDisplacement
-from tau_dyn.effects.effect import PlausibleRange, build_slide_and_hinge_ranges
+from tau_dyn.effects.effect import PlausibleRange, build_slide_and_hinge_ranges, format_amount, spell_unit
+from tau_dyn.effects.jointwise import JointwiseDisplacement
 from tau_dyn.effects.motion import JointMotion, Motion, Scene
-from tau_dyn.effects.words import format_amount, spell_unit
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters
 

@@ -8,7 +8,7 @@ speeds within the noise) or that the user excludes, *before* the low-pass `F` th
 
 so that `y = W theta` stays exact and nothing leaks out of a reversal into its neighbourhood (normalised convolution,
 Knutsson & Westin 1993). Samples where less than half of the filter's weight is left are masked; the rest are decimated. The gate
-itself stands in `gate.py`.
+itself stands in `preparation.py`.
 """
 
 from __future__ import annotations
@@ -21,16 +21,20 @@ import numpy as np
 from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion, name_effect_in_errors
 from tau_dyn.estimate import Preparation, Regression, RegressionRun
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.gate import (
+from tau_dyn.identify.preparation import (
+    Kept,
+    choose_from_long,
+    choose_preparation,
     compute_gate,
     find_excluded_samples,
     get_measured_signals,
     hold_closed,
+    keep_long,
     refuse_jumps,
     refuse_missing_campaign,
     refuse_missing_temperature,
+    refuse_short,
 )
-from tau_dyn.identify.preparation import Kept, choose_from_long, choose_preparation, keep_long, refuse_short
 from tau_dyn.log import (
     MIN_SEGMENT_SAMPLES,
     Log,
