@@ -1,7 +1,6 @@
 """Motions designed for identification: the most information within the limits, and what they will tell before anything moves."""
 
 from .design import ExcitationDesign as ExcitationDesign, design_motion as design_motion
-from .exchange import choose_by_exchange as choose_by_exchange
 from .information import CRITERIA as CRITERIA
 from .prediction import (
     InformationPrediction as InformationPrediction,
@@ -9,3 +8,4 @@ from .prediction import (
     estimate_log_noise as estimate_log_noise,
     predict as predict,
 )
+from .search import choose_by_exchange as choose_by_exchange

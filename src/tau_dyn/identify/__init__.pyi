@@ -31,7 +31,6 @@ from .preparation import (
     Kept as Kept,
     Preparation as Preparation,
     TooShort as TooShort,
-    choose_from_long as choose_from_long,
     choose_preparation as choose_preparation,
     count_information as count_information,
     find_unsure_samples as find_unsure_samples,
@@ -40,6 +39,7 @@ from .preparation import (
     list_crumbs as list_crumbs,
     list_information_warnings as list_information_warnings,
     refuse_short as refuse_short,
+    select_long as select_long,
     widen as widen,
 )
 from .regression import (

@@ -144,12 +144,12 @@ class Kept(NamedTuple):
         return [pieces[k] for k in self.index]
 
 
-def choose_from_long(pieces: Sequence[AnyPiece], choose: Callable[[list[AnyPiece]], Preparation]) -> Preparation:
-    """Choose filters from the pieces that are long enough to show a band, and from those of any lower rate."""
+def select_long(pieces: Sequence[AnyPiece]) -> list[AnyPiece]:
+    """Return the pieces by which filters are chosen: long enough to show a band, or of a lower rate than those."""
     longest = max(piece.n_samples / piece.rate_hz for piece in pieces)
     long = [piece for piece in pieces if piece.n_samples / piece.rate_hz >= BAND_SHARE * longest]
     slowest_hz = min(piece.rate_hz for piece in long)
-    return choose([piece for piece in pieces if piece in long or piece.rate_hz < 0.99 * slowest_hz])
+    return [piece for piece in pieces if piece in long or piece.rate_hz < 0.99 * slowest_hz]
 
 
 def keep_long(

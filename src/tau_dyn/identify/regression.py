@@ -23,7 +23,6 @@ from tau_dyn.estimate import Preparation, Regression, RegressionRun
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.preparation import (
     Kept,
-    choose_from_long,
     choose_preparation,
     compute_gate,
     find_excluded_samples,
@@ -34,6 +33,7 @@ from tau_dyn.identify.preparation import (
     refuse_missing_campaign,
     refuse_missing_temperature,
     refuse_short,
+    select_long,
 )
 from tau_dyn.log import (
     MIN_SEGMENT_SAMPLES,
@@ -96,7 +96,7 @@ def build_regression_of_pieces(
     """Build the regression on even stretches, and say which of them are long enough for it; see `build_regression`."""
     if not pieces:
         raise InputError("missing_input", "no log was given")
-    preparation = preparation or choose_from_long(pieces, lambda long: choose_preparation(model.robot, long, exclude))
+    preparation = preparation or choose_preparation(model.robot, select_long(pieces), exclude)
     kept = keep_long(pieces, preparation.force_cutoff_hz, preparation.factor)
     pieces = kept.of(pieces)
     names = list(dict.fromkeys([*campaigns, *(piece.name for piece in pieces)]))
