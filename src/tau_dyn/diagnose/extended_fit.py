@@ -26,10 +26,10 @@ from tau_dyn.estimate import (
 )
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameters
+from tau_dyn.results import Z95
 
 _DRAWS = 1000  # bootstrap draws of an interval; its ends vary by a few per cent of its width
 _INTERVAL = (2.5, 97.5)
-_Z95 = 1.959964  # 97.5 % quantile of the normal distribution
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +185,7 @@ def compute_gain(
         changed, _ = _sum_blocks(channel, [one - other for one, other in zip(before, after, strict=True)])
         x = float(changed[:, which].sum())
         noise = max(float(a.sum()) - (1 - shown.share) ** 2 * x, 1e-12 * float(b.sum()))
-        s = shown.share + _Z95 * shown.stderr * np.array([-1.0, 1.0])
+        s = shown.share + Z95 * shown.stderr * np.array([-1.0, 1.0])
         ends = 100 * (1 - np.sqrt((noise + (1 - s) ** 2 * x) / (noise + s**2 * x)))
         low, high = min(*ends, reduction), max(*ends, reduction)
     return Gain(rms_before, rms_after, reduction, (float(low), float(high)))

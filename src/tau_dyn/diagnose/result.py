@@ -13,7 +13,7 @@ from tau_dyn.identify import Preparation
 from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter
-from tau_dyn.results import Shown, to_plain
+from tau_dyn.results import Z95, Shown, to_plain
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,6 @@ class Gain:
 Verdict = Literal["named", "nothing_found", "cannot_tell", "unexplained"]
 Choice = Literal["extended", "refitted", "neither"]
 Status = Literal["confirmed", "suspected", "parameter"]
-_Z95 = 1.959964  # 97.5 % quantile of the normal distribution
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,5 +336,5 @@ _TOLD = (
 
 
 def _row(p: Parameter) -> dict[str, Any]:
-    ci95 = None if p.stderr is None else [p.value - _Z95 * p.stderr, p.value + _Z95 * p.stderr]
+    ci95 = None if p.stderr is None else [p.value - Z95 * p.stderr, p.value + Z95 * p.stderr]
     return {"name": p.name, "value": p.value, "unit": p.unit, "stderr": p.stderr, "ci95": ci95}

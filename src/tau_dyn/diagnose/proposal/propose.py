@@ -33,7 +33,7 @@ from tau_dyn.diagnose.proposal.plan import (
     get_required_signals,
 )
 from tau_dyn.diagnose.result import Diagnosis
-from tau_dyn.diagnose.stepwise_selection import MIN_2LOGL_DIFFERENCE
+from tau_dyn.diagnose.unknown_structure import MIN_2LOGL_DIFFERENCE
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.excitation import choose_by_exchange
 from tau_dyn.log import Log
