@@ -269,3 +269,38 @@ def find_shared_signals(motions: Sequence[Motion]) -> frozenset[str]:
 def compute_fast_speeds(v: np.ndarray) -> np.ndarray:
     """Return the speed that each joint exceeds in 2 % of the samples (na,), of speeds (n, na)."""
     return np.quantile(np.abs(v), _FASTEST, axis=0)
+
+
+class EffectColumns(Sequence[np.ndarray]):
+    """An effect's columns (n, m, k) of each run, made when first asked for: most are tried on the training logs alone."""
+
+    def __init__(self, channel: Channel, effect: Effect) -> None:
+        """Make nothing yet."""
+        self._channel, self._effect = channel, effect
+        self._made: dict[int, np.ndarray] = {}
+
+    def __len__(self) -> int:
+        """Return the number of runs."""
+        return len(self._channel.runs)
+
+    def __getitem__(self, run: int) -> np.ndarray:  # type: ignore[override]  # slices are of no use here
+        """Return the columns of one run."""
+        if run >= len(self):
+            raise IndexError(run)
+        if run not in self._made:
+            self._made[run] = self._channel.run_columns(self._effect, run)
+        return self._made[run]
+
+
+class ColumnCache:
+    """Columns of effects on one channel, made once."""
+
+    def __init__(self, channel: Channel) -> None:
+        """Start empty."""
+        self.channel = channel
+        self._made: dict[tuple, EffectColumns] = {}
+
+    def columns(self, effect: Effect) -> EffectColumns:
+        """Return an effect's exact columns."""
+        key = (effect.name, effect.joints, tuple(sorted(effect.settings.items())), effect.label)
+        return self._made.setdefault(key, EffectColumns(self.channel, effect))

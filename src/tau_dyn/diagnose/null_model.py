@@ -29,7 +29,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy import fft, linalg, ndimage, sparse
 
-from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.channel import Channel, ColumnCache
 from tau_dyn.effects import Effect, StructuralCompliance
 from tau_dyn.estimate import Autoregression, Whitener, fit_autoregression, solve_scaled
 from tau_dyn.log import compute_attenuation, find_true_runs
@@ -111,41 +111,6 @@ PRIOR_WEIGHT_BLOCKS = 10.0
 MIN_UNABSORBED_SHARE = 1e-4
 """Part of a column's square that the baseline leaves, below which the baseline's refit absorbs it. It is not smaller
 because encoder noise sits in the baseline's columns: a smooth copy of one of them would be left with that noise, and find it."""
-
-
-class EffectColumns(Sequence[np.ndarray]):
-    """An effect's columns (n, m, k) of each run, made when first asked for: most are tried on the training logs alone."""
-
-    def __init__(self, channel: Channel, effect: Effect) -> None:
-        """Make nothing yet."""
-        self._channel, self._effect = channel, effect
-        self._made: dict[int, np.ndarray] = {}
-
-    def __len__(self) -> int:
-        """Return the number of runs."""
-        return len(self._channel.runs)
-
-    def __getitem__(self, run: int) -> np.ndarray:  # type: ignore[override]  # slices are of no use here
-        """Return the columns of one run."""
-        if run >= len(self):
-            raise IndexError(run)
-        if run not in self._made:
-            self._made[run] = self._channel.run_columns(self._effect, run)
-        return self._made[run]
-
-
-class ColumnCache:
-    """Columns of effects on one channel, made once."""
-
-    def __init__(self, channel: Channel) -> None:
-        """Start empty."""
-        self.channel = channel
-        self._made: dict[tuple, EffectColumns] = {}
-
-    def columns(self, effect: Effect) -> EffectColumns:
-        """Return an effect's exact columns."""
-        key = (effect.name, effect.joints, tuple(sorted(effect.settings.items())), effect.label)
-        return self._made.setdefault(key, EffectColumns(self.channel, effect))
 
 
 @dataclass(frozen=True, eq=False)
@@ -392,16 +357,8 @@ def scan_periods(
 ) -> np.ndarray:
     """Return what periods of one joint's effects explain of white residuals (R, d), as (g, d).
 
-    Args:
-        effects: One effect with each of its settings.
-        whiten: What made the residuals white.
-        joint: Number of the joint.
-        white: The residuals.
-        q: Its positions (n,) [m or rad].
-        v: Its speeds (n,).
-        cutoff_hz: The low-pass [Hz].
-        terms: What a unit amplitude is; by default a force of the position.
-        scale: Factor of each sample (n, 1).
+    The joint has positions `q` (n,) [m or rad] and speeds `v` (n,); a unit amplitude is `terms`, by default a force of the
+    position, times a factor `scale` (n, 1).
     """
     u, mask = select_output_rows(whiten, joint, white)
     periods = np.array([effect.settings["period"] for effect in effects])

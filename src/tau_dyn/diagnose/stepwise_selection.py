@@ -29,8 +29,8 @@ from tau_dyn.diagnose.candidate_scan import (
     rescore_group,
     scan_causes,
 )
-from tau_dyn.diagnose.channel import TRAIN, Channel
-from tau_dyn.diagnose.null_model import ColumnCache, NullModel, fit_noise_models
+from tau_dyn.diagnose.channel import TRAIN, Channel, ColumnCache
+from tau_dyn.diagnose.null_model import NullModel, fit_noise_models
 from tau_dyn.diagnose.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, find_structure
 from tau_dyn.effects import Effect
 from tau_dyn.estimate import scale_columns
