@@ -12,8 +12,8 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
-from tau_dyn.diagnose.channel import TRAIN, Channel
-from tau_dyn.diagnose.null_model import ColumnCache, NullModel
+from tau_dyn.diagnose.channel import TRAIN, Channel, ColumnCache
+from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion, Scene
 from tau_dyn.estimate import Autoregression, RegressionRun
 from tau_dyn.parameters import Parameter, Parameters

@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tau_dyn.diagnose.null_model import ColumnCache, NullModel, fit_noise_models
+from tau_dyn.diagnose.channel import ColumnCache
+from tau_dyn.diagnose.null_model import NullModel, fit_noise_models
 from tau_dyn.estimate import Autoregression
 
 

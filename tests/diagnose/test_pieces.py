@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.testing import assert_array_equal
 
-from tau_dyn.diagnose.channel import find_directions, mask_filter_edges
+from tau_dyn.diagnose.measured_channel import find_directions, mask_filter_edges
 from tau_dyn.log import compute_edge_samples, lowpass
 
 

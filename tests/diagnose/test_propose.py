@@ -12,11 +12,8 @@ from raising import raises_code
 from tau_dyn.diagnose import Diagnosis, Finding, diagnose, propose_motion
 from tau_dyn.diagnose.proposal.design import (
     Setting,
-    build_effect_columns,
     build_planned_motion,
-    build_refitted_columns,
-    compute_effect_force,
-    compute_gram_matrix,
+    compute_columns,
     flatten_noise_spectrum,
 )
 from tau_dyn.diagnose.proposal.plan import (
@@ -26,9 +23,10 @@ from tau_dyn.diagnose.proposal.plan import (
     build_discrimination_plan,
     find_design_goal,
 )
-from tau_dyn.diagnose.proposal.propose import build_candidate_pieces, optimise_by_exchange
+from tau_dyn.diagnose.proposal.propose import build_candidate_pieces
 from tau_dyn.effects import DriveGain, QuadraticDrag, Stribeck
 from tau_dyn.estimate import Autoregression, fit_autoregression
+from tau_dyn.excitation import choose_by_exchange
 from tau_dyn.identify import build_model
 from tau_dyn.log import Log, lowpass
 from tau_dyn.parameters import Parameter, Parameters
@@ -143,13 +141,14 @@ def test_lambda_is_what_least_squares_leaves(confused):
     plan = build_discrimination_plan(
         setting, DesignGoal(((suspect, "stribeck"),)), build_design_scene(setting, [motion], frozenset())
     )
-    (found,) = plan.strengths(compute_gram_matrix(setting, motion, counts, plan.things))
+    (found,) = plan.strengths(plan.gram([(motion, counts)]))
     used, sigma = counts[:, 0], np.sqrt(setting.noise[0].variance)
-    B = build_refitted_columns(model, ())(motion)[used, 0] / sigma
-    x = compute_effect_force(setting, (drag,), suspect.values)(motion)[used, 0, 0] / sigma
+    B = compute_columns(setting, motion, (), ())[used, 0] / sigma
+    x = compute_columns(setting, motion, (), [((drag,), suspect.values)])[used, 0, -1] / sigma
     left = []
     for effect in plan.lines[0].instead.groups[0]:
-        A = np.column_stack([B, build_effect_columns(setting, effect)(motion)[used, 0] / sigma])
+        own = compute_columns(setting, motion, (), [((effect,), None)])[used, 0, -len(effect.parameters) :]
+        A = np.column_stack([B, own / sigma])
         A = A / np.maximum(np.linalg.norm(A, axis=0), 1e-300)
         amplitude = np.linalg.lstsq(A, x, rcond=1e-10)[0]
         if amplitude[-1] > 0:
@@ -173,10 +172,10 @@ def test_the_exchange_finds_the_best_combination(confused):
     plan = build_discrimination_plan(
         setting, DesignGoal(pairs), build_design_scene(setting, [m for m, _ in motions], frozenset())
     )
-    grams = np.array([compute_gram_matrix(setting, m, counts, plan.things) for m, counts in motions])
+    grams = np.array([plan.gram([piece]) for piece in motions])
     most = plan.most(grams)
     every = [plan.merit(grams[i] + grams[j], most) for i in range(8) for j in range(i, 8)]
-    first, second = optimise_by_exchange(plan, grams, 2)
+    first, second = choose_by_exchange(lambda total: plan.merit(total, 2 * most), grams, 2)
     assert plan.merit(grams[first] + grams[second], most) > 0.98 * max(every) > 1.5 * np.median(every)
 
 

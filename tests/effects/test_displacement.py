@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from tau_dyn.effects import AsymmetricFriction, DisplacementEffect, Motion
-from tau_dyn.effects.displacement import differentiate_columns
+from tau_dyn.effects.jointwise import differentiate_columns
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import load_robot

@@ -60,8 +60,7 @@ def search_of(model: Model, criterion: str, box: np.ndarray | None = None) -> Mo
     """Return a small search whose bounds are all near."""
     series = Series(model.robot.home, compute_reach(model), 6.0, 4, 2)
     bounds = Bounds.of(model, compute_reach(model), 0.4 * compute_top_speed(model), 0.8 * compute_top_speed(model), box)
-    waves = series.waves(series.period * np.arange(48) / 48)
-    path = _generic(model, series, waves, np.random.default_rng(3))
+    path = _generic(model, series, 48, np.random.default_rng(3))
     information = _information(model, Noise.given(model.robot, [5.0], [5e-6]), 1.0, path)
     prior = information.prior
     return MotionSearch(series, information, bounds, CRITERIA[criterion], prior, 1000.0, 48, time.monotonic() + 60)

@@ -7,12 +7,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.estimate import REACH, compute_accelerations
-from tau_dyn.identify import build_model, choose_preparation
+from tau_dyn.identify import build_model, choose_preparation, find_unsure_samples, widen
 from tau_dyn.identify.full_rate import (
     INERTIA_EVERY,
     SIGN_THRESHOLD_RATIO,
     _inertia as inertia_of,
-    _sure as sure_of,
     build_full_rate_equations,
 )
 from tau_dyn.log import Log, compute_edge_samples
@@ -78,12 +77,12 @@ def test_a_sign_is_sure_out_of_reach_of_slow_samples_and_jumps() -> None:
     v = np.ones((30, 2))
     v[10, 0] = 0.1  # slow
     v[20:, 0] = -1.0  # turns between 19 and 20
-    sure = sure_of(v, np.array([0.2, 0.2]))
+    sure = ~widen(find_unsure_samples(v, np.array([0.2, 0.2])), REACH)
     expected = np.ones(30, bool)
     expected[10 - REACH : 10 + REACH + 1] = expected[20 - REACH : 20 + REACH + 1] = False
     assert_array_equal(sure[:, 0], expected)
     assert sure[:, 1].all()
-    assert_array_equal(sure_of(np.full((5, 1), 0.2), np.array([0.2])), np.ones((5, 1), bool))
+    assert not find_unsure_samples(np.full((5, 1), 0.21), np.array([0.2])).any()
 
 
 @pytest.mark.parametrize("n", [1, 2, INERTIA_EVERY, INERTIA_EVERY + 1, 57])

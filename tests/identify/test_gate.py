@@ -9,8 +9,7 @@ from raising import raises_code
 
 from tau_dyn.effects import EFFECTS, Motion
 from tau_dyn.identify import Preparation, choose_preparation
-from tau_dyn.identify.gate import compute_gate, find_excluded_samples, hold_closed
-from tau_dyn.identify.preparation import MIN_SEGMENT_SAMPLES
+from tau_dyn.identify.preparation import MIN_SEGMENT_SAMPLES, compute_gate, find_excluded_samples, hold_closed
 from tau_dyn.log import Log, compute_noise_gain, estimate_encoder_noise, find_motion_band
 from tau_dyn.model import Model
 

@@ -7,7 +7,7 @@ import pytest
 
 from tau_dyn.effects import Motion, ReducerCoupling
 from tau_dyn.identify import Preparation, build_regression
-from tau_dyn.identify.gate import compute_travel
+from tau_dyn.identify.preparation import compute_travel
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 

@@ -22,7 +22,7 @@ from tau_dyn.compare.read import ComparedSide
 from tau_dyn.compare.run import CircumstanceDifference, InputChange, list_differences, list_input_changes
 from tau_dyn.exceptions import InputError
 from tau_dyn.message_codes import format_warnings
-from tau_dyn.results import Shown
+from tau_dyn.results import Shown, to_plain
 
 Determined = Literal["both", "first", "second", "neither"]
 
@@ -68,10 +68,7 @@ class Change:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON form."""
-        interval = None if self.ci95 is None else list(self.ci95)
-        row = {"name": self.name, "unit": self.unit, "a": self.a, "b": self.b, "difference": self.difference}
-        row |= {"stderr": self.stderr, "ci95": interval, "p_value": self.p_value, "changed": self.changed}
-        return {**row, "determined_by": self.determined_by, "combination": self.combination}
+        return to_plain(self) | to_plain({"difference": self.difference, "ci95": self.ci95})
 
 
 @dataclass(frozen=True)
@@ -103,8 +100,7 @@ class FindingChange:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON form."""
-        row = {"cause": self.cause, "joints": list(self.joints), "a": self.a, "b": self.b, "what": self.what}
-        return {**row, "gain_a": _gain(self.gain_a), "gain_b": _gain(self.gain_b)}
+        return to_plain(self) | {"what": self.what, "gain_a": _gain(self.gain_a), "gain_b": _gain(self.gain_b)}
 
 
 class ErrorChange(NamedTuple):
@@ -116,11 +112,6 @@ class ErrorChange(NamedTuple):
     b: float
     ci95_a: tuple[float, float] | None = None
     ci95_b: tuple[float, float] | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form."""
-        intervals = {"ci95_a": _list(self.ci95_a), "ci95_b": _list(self.ci95_b)}
-        return {"name": self.name, "unit": self.unit, "a": self.a, "b": self.b, **intervals}
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,29 +164,21 @@ class Comparison(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON result."""
-        return {
-            "kinds": [self.a.kind, self.b.kind],
+        told = {
+            "kinds": (self.a.kind, self.b.kind),
             "n_compared": len(self.compared),
             "determined_by_neither": [c.name for c in self.neither],
-            "changes": [c.to_dict() for c in self.changes],
-            "only_a": list(self.only_a),
-            "only_b": list(self.only_b),
-            "errors": [e.to_dict() for e in self.errors],
-            "findings": [f.to_dict() for f in self.findings],
-            "input_changes": [i.to_dict() for i in self.inputs],
-            "configuration_changes": [d.to_dict() for d in self.configuration],
-            "version_changes": [d.to_dict() for d in self.versions],
-            "number_changes": [d.to_dict() for d in self.numbers],
-            **format_warnings(self.warnings),
+            "input_changes": self.inputs,
+            "configuration_changes": self.configuration,
+            "version_changes": self.versions,
+            "number_changes": self.numbers,
         }
+        alike = ("changes", "only_a", "only_b", "errors", "findings")
+        return to_plain(told | {key: getattr(self, key) for key in alike}) | format_warnings(self.warnings)
 
 
 def _gain(gain: tuple[float, float, float] | None) -> dict[str, Any] | None:
     return None if gain is None else {"reduction_percent": gain[0], "ci95": [gain[1], gain[2]]}
-
-
-def _list(interval: tuple[float, float] | None) -> list[float] | None:
-    return None if interval is None else list(interval)
 
 
 SIGNIFICANCE_LEVEL = 0.05

@@ -8,7 +8,7 @@ compared whatever base each has chosen: `a + b` of one is the same as `b + a`, t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any, NamedTuple
@@ -160,13 +160,13 @@ def read_combinations(content: Mapping[str, Any]) -> Combinations:
         TypeError: An entry is of the wrong kind.
         ValueError: A text is no number, or the correlation is no table.
     """
-    entries = list(_dicts(content.get("base_parameters")))
-    names = {str(x["name"]) for x in [*_dicts(content.get("parameters")), *entries] if "name" in x}
+    entries = list(pick_dicts(content.get("base_parameters")))
+    names = {str(x["name"]) for x in [*pick_dicts(content.get("parameters")), *entries] if "name" in x}
     rows = dict(_row(x, names) for x in entries)
     matrix = np.asarray(content["correlation"], float) if rows and content.get("correlation") else None
     if matrix is not None and (matrix.shape != 2 * (len(rows),) or not np.isfinite(matrix).all()):
         matrix = None
-    fixed = {str(x["name"]): float(x["value"]) for x in _dicts(content.get("fixed_parameters"))}
+    fixed = {str(x["name"]): float(x["value"]) for x in pick_dicts(content.get("fixed_parameters"))}
     return Combinations(rows, matrix, fixed)
 
 
@@ -181,5 +181,6 @@ def _row(entry: Mapping[str, Any], names: set[str]) -> tuple[str, BaseParameterC
     return lead, BaseParameterCombination(text, weights, held)
 
 
-def _dicts(items: Any) -> Iterable[dict[str, Any]]:
+def pick_dicts(items: Any) -> list[dict[str, Any]]:
+    """Return the mappings of a list; none of anything else."""
     return [x for x in items if isinstance(x, dict)] if isinstance(items, list) else []

@@ -14,7 +14,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tau_dyn.compare.quantity import Combinations, MeasuredQuantity, build_measured_quantity, read_combinations
+from tau_dyn.compare.quantity import (
+    Combinations,
+    MeasuredQuantity,
+    build_measured_quantity,
+    pick_dicts,
+    read_combinations,
+)
 from tau_dyn.compare.run import RESULT, RUN, RecordedRun, is_run, read_run
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
@@ -101,7 +107,7 @@ def _of_model(path: Path, digest: str) -> ComparedSide:
     values = {
         p.name: build_measured_quantity(p.value, p.stderr, p.unit, prior=p.prior_stderr) for p in model.parameters
     }
-    used = [x for key in ("trained_on", "held_out") for x in _dicts(model.provenance.get(key))]
+    used = [x for key in ("trained_on", "held_out") for x in pick_dicts(model.provenance.get(key))]
     logs = frozenset(str(x["sha256"]) for x in used if "sha256" in x)
     fixed = {p.name: p.value for p in model.parameters if not p.free}
     return ComparedSide(path, digest, "model", values, {}, {}, logs, combinations=Combinations(fixed=fixed))
@@ -121,7 +127,7 @@ def _of_result(path: Path, digest: str, data: bytes, run: RecordedRun | None) ->
         raise InputError(
             "mismatch", f"{path}: this result says that its data cannot answer; there is nothing to compare"
         )
-    read = [x for x in _dicts(content.get("inputs")) if "sha256" in x]
+    read = [x for x in pick_dicts(content.get("inputs")) if "sha256" in x]
     try:
         return ComparedSide(
             path,
@@ -147,17 +153,17 @@ def _of_result(path: Path, digest: str, data: bytes, run: RecordedRun | None) ->
 
 def _findings(content: Mapping[str, Any]) -> Iterator[tuple[tuple[str, tuple[str, ...]], str]]:
     """Yield causes with their status; of a check of a log, topics with their severity, the worst last."""
-    for row in _dicts(content.get("findings")):
+    for row in pick_dicts(content.get("findings")):
         if "cause" in row:
             yield _key(row), str(row["status"])
     for severity in ("warning", "fault"):
-        for row in _dicts(content.get("findings")):
+        for row in pick_dicts(content.get("findings")):
             if row.get("severity") == severity:
                 yield (str(row["topic"]), ()), severity
 
 
 def _gains(content: Mapping[str, Any]) -> Iterator[tuple[tuple[str, tuple[str, ...]], tuple[float, float, float]]]:
-    for row in _dicts(content.get("findings")):
+    for row in pick_dicts(content.get("findings")):
         gain = row.get("gain")
         if not isinstance(gain, dict) or gain.get("reduction_percent") is None:
             continue
@@ -176,7 +182,7 @@ def _intervals(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[float, f
         if isinstance(entry, dict) and isinstance(entry.get("relative_ci95"), list):
             if None not in entry["relative_ci95"]:
                 yield f"{part} error", _pair(entry["relative_ci95"])
-    for rung in _dicts(content.get("waterfall")):
+    for rung in pick_dicts(content.get("waterfall")):
         if "models" in content and rung.get("step") == content.get("chosen"):
             yield _RMS, _pair(rung["ci95"])
 
@@ -200,8 +206,8 @@ def _numbers(content: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
 
 def _parameters(content: Mapping[str, Any]) -> Iterator[tuple[str, MeasuredQuantity]]:
     for row in [
-        *_dicts(content.get("parameters")),
-        *(p for x in _dicts(content.get("findings")) for p in x["parameters"]),
+        *pick_dicts(content.get("parameters")),
+        *(p for x in pick_dicts(content.get("findings")) for p in x["parameters"]),
     ]:
         known = {"prior": row.get("nominal_stderr"), "nominal": row.get("nominal")}
         yield (
@@ -213,15 +219,15 @@ def _parameters(content: Mapping[str, Any]) -> Iterator[tuple[str, MeasuredQuant
 
 
 def _modes(content: Mapping[str, Any]) -> Iterator[tuple[str, MeasuredQuantity]]:
-    for k, mode in enumerate(_dicts(content.get("modes")), 1):
+    for k, mode in enumerate(pick_dicts(content.get("modes")), 1):
         yield f"mode {k} frequency", build_measured_quantity(mode["frequency_hz"], mode["frequency_stderr"], "Hz")
         yield f"mode {k} damping", build_measured_quantity(mode["damping_ratio"], mode["damping_stderr"], "")
 
 
 def _calibrated(content: Mapping[str, Any]) -> Iterator[tuple[str, MeasuredQuantity]]:
-    for model in _dicts(content.get("models")):
+    for model in pick_dicts(content.get("models")):
         if model["name"] == content.get("chosen"):
-            for row in _dicts(model.get("parameters")):
+            for row in pick_dicts(model.get("parameters")):
                 yield str(row["name"]), build_measured_quantity(row["value"], row.get("stderr"), row.get("unit", ""))
 
 
@@ -234,14 +240,10 @@ def _errors(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[float, str]
     for part, value in fit.items() if isinstance(fit, dict) else ():
         if isinstance(value, int | float):
             yield f"{part} fit", (float(value), "%")
-    for model in _dicts(content.get("models")):
+    for model in pick_dicts(content.get("models")):
         held = model.get("holdout") if model["name"] == content.get("chosen") else None
         if isinstance(held, dict):
             yield "held-out position error, mean", (float(held["position"]["mean"]), "m")
-    for rung in _dicts(content.get("waterfall")):
+    for rung in pick_dicts(content.get("waterfall")):
         if "models" in content and rung.get("step") == content.get("chosen"):
             yield _RMS, (float(rung["rms"]), "m")
-
-
-def _dicts(items: Any) -> list[dict[str, Any]]:
-    return [x for x in items if isinstance(x, dict)] if isinstance(items, list) else []

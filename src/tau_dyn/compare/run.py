@@ -14,6 +14,7 @@ from typing import Any
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
+from tau_dyn.results import to_plain
 
 RUN, RESULT, REPORT = "run.json", "result.json", "report.html"
 FORMAT = 1  # version of the run folder's layout
@@ -50,19 +51,8 @@ class RecordedRun:
 
     def to_dict(self) -> dict[str, Any]:
         """Return what run.json holds."""
-        return {
-            "run_format": FORMAT,
-            "command": self.command,
-            "command_line": self.command_line,
-            "configuration": dict(self.configuration),
-            "inputs": [{"path": path, "sha256": sha256} for path, sha256 in self.inputs.items()],
-            "versions": dict(self.versions),
-            "seed": self.seed,
-            "started": self.started,
-            "duration_s": self.duration_s,
-            "exit_status": self.exit_status,
-            "files": dict(self.files),
-        }
+        inputs = [{"path": path, "sha256": sha256} for path, sha256 in self.inputs.items()]
+        return {"run_format": FORMAT} | to_plain(self) | {"inputs": inputs}
 
 
 def is_run(folder: Path) -> bool:
@@ -135,7 +125,7 @@ class InputChange:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON form."""
-        return {"a": self.a, "b": self.b, "state": self.state}
+        return to_plain(self, leave_out=("same",)) | {"state": self.state}
 
 
 @dataclass(frozen=True)
@@ -145,10 +135,6 @@ class CircumstanceDifference:
     name: str
     a: Any
     b: Any
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form."""
-        return {"name": self.name, "a": self.a, "b": self.b}
 
 
 def list_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[CircumstanceDifference, ...]:

@@ -299,7 +299,7 @@ def match_settings(fit: GroupTest, ground: NullModel) -> GroupTest:
 def compute_explained(effects: Sequence[Effect], ground: NullModel, both: np.ndarray) -> np.ndarray:
     """Return what each setting explains of each column of white residuals (R, d): (g, d), by the channel's short cuts."""
     channel = ground.channel
-    scanned = channel.scan(effects, ground.whiten, both)
+    scanned = channel.scan(effects, ground.whiten, both) if effects[0].dense else None
     found = np.full((len(effects), both.shape[1]), np.nan) if scanned is None else scanned
     left = np.flatnonzero(np.isnan(found[:, 0]))
     for start in range(0, len(left), _CHUNK):

@@ -15,15 +15,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
-from tau_dyn.effects import Effect, Motion, Scene, StructuralCompliance
-from tau_dyn.estimate import RegressionRun, Whitener
+from tau_dyn.effects import Effect, Motion, Scene
+from tau_dyn.estimate import RegressionRun, Whitener, build_prior_rows
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.log import Log, compute_edge_samples, decimate, lowpass
 from tau_dyn.parameters import Parameters
 
 TRAIN, VALIDATION, TEST = EVERY = (0, 1, 2)
@@ -38,41 +36,38 @@ _MIN_GAPS = (6.0, 4.0, 3.0)
 gives every part something is taken."""
 
 
-def split_by_blocks(
-    runs: Sequence[RegressionRun], held: Sequence[bool], any_held: bool, gap_s: float
-) -> list[np.ndarray]:
+def split_by_blocks(runs: Sequence[RegressionRun], held: Sequence[bool], gap_s: float) -> tuple[np.ndarray, ...]:
     """Return the part of each sample (n,) of each run: `TRAIN`, `VALIDATION`, `TEST`, or -1 beside a border.
 
     Args:
         runs: Stretches of logs.
-        held: Whether a run belongs to a held-out log.
-        any_held: Whether there are held-out logs at all; then the others are trained on as a whole.
+        held: Whether a run belongs to a held-out log; where any does, the others are trained on as a whole.
         gap_s: Time left out on both sides of a border [s].
     """
-    wanted = set(_HELD_OUT if any_held else _SHARED)
+    wanted = set(_HELD_OUT if any(held) else _SHARED)
     for gaps in _MIN_GAPS:
-        found = _divided(runs, held, any_held, gap_s, gaps * gap_s)
+        found = _divided(runs, held, gap_s, gaps * gap_s)
         if wanted <= {int(part) for parts in found for part in np.unique(parts)}:
             break
     return found
 
 
 def _divided(
-    runs: Sequence[RegressionRun], held: Sequence[bool], any_held: bool, gap_s: float, least_s: float
-) -> list[np.ndarray]:
+    runs: Sequence[RegressionRun], held: Sequence[bool], gap_s: float, least_s: float
+) -> tuple[np.ndarray, ...]:
     """Divide as `split_by_blocks`, with blocks of a length of `least_s` [s] or more."""
     found, turn = [], {True: 0, False: 0}
     for run, out in zip(runs, held, strict=True):
-        if any_held and not out:
+        if any(held) and not out:
             found.append(np.full(len(run.t), TRAIN))
             continue
         pattern = _HELD_OUT if out else _SHARED
         parts, turn[out] = _blocks(run.t - run.t[0], pattern, turn[out], gap_s, least_s)
         found.append(parts)
-    return found
+    return tuple(found)
 
 
-def divide_training(runs: Sequence[RegressionRun], parts: Sequence[np.ndarray], gap_s: float) -> list[np.ndarray]:
+def divide_training(runs: Sequence[RegressionRun], parts: Sequence[np.ndarray], gap_s: float) -> tuple[np.ndarray, ...]:
     """Return parts in which the training logs alone are trained on and confirmed on, 3 : 1 in blocks; the rest is left out."""
     found, turn = [], 0
     for run, part in zip(runs, parts, strict=True):
@@ -81,7 +76,7 @@ def divide_training(runs: Sequence[RegressionRun], parts: Sequence[np.ndarray], 
         else:
             inner = np.full(len(run.t), -1)
         found.append(inner)
-    return found
+    return tuple(found)
 
 
 def _blocks(
@@ -155,7 +150,7 @@ class Channel(ABC):
         return None
 
     def scan(self, effects: Sequence[Effect], whiten: Whitener, both: np.ndarray) -> np.ndarray | None:
-        """Return what thousands of settings explain of white residuals (R, d), as (g, d).
+        """Return what thousands of settings of a dense effect explain of white residuals (R, d), as (g, d).
 
         Settings without a short cut are nan; without any at all the answer is None.
         """
@@ -173,82 +168,21 @@ class Channel(ABC):
         """Return the usable samples (R, ...) of one output that belong to these parts, of arrays (n, m, ...) over the runs."""
         return np.concatenate([x[m[:, output], output] for x, m in zip(arrays, self.masks(*parts), strict=True)])
 
-    @cached_property
+    @property
     def free_columns(self) -> list[np.ndarray]:
         """Columns that the baseline may refit (n, m, p'), of each run."""
         return [run.W[:, :, self.parameters.free] for run in self.runs]
 
-    @cached_property
-    def resonance_columns(self) -> list[np.ndarray]:
-        """Columns (n, m, k) of each run of the modes that the scene proposes; k is 0 where there are none."""
-        if not self.scene.resonances:
-            return [np.zeros((*run.y.shape, 0)) for run in self.runs]
-        joints = self.scene.joints
-        proposal = StructuralCompliance.proposal(self.scene, joints)
-        return self.columns(StructuralCompliance(joints, self.scene.units).with_settings(**proposal))
-
-    @cached_property
+    @property
     def target(self) -> list[np.ndarray]:
         """Measurements less what fixed parameters predict (n, m), of each run."""
         fixed = ~self.parameters.free
         return [run.y - run.W[:, :, fixed] @ self.parameters.values[fixed] for run in self.runs]
 
-    @cached_property
+    @property
     def prior(self) -> tuple[np.ndarray, np.ndarray]:
         """What was known beforehand as rows of unit noise: (k, p') and (k,)."""
-        free = [p for p in self.parameters if p.free]
-        known = [(k, p) for k, p in enumerate(free) if p.prior_stderr]
-        rows = np.zeros((len(known), len(free)))
-        for row, (k, p) in zip(rows, known, strict=True):
-            row[k] = 1 / float(p.prior_stderr or 1.0)
-        return rows, np.array([p.value / float(p.prior_stderr or 1.0) for _, p in known])
-
-
-POSE_S = 1.0
-"""Poses held still count one by one, whatever the time between them: each stands for this long [s]."""
-
-
-@dataclass(frozen=True, eq=False)
-class MeasuredSegment:
-    """One even stretch of a log, or its poses held still, with a position that the encoders do not read.
-
-    Attributes:
-        log: The stretch.
-        motion: Motion of the encoders at the log's rate, with what effects feel.
-        measured: Measured outputs (N, m) [m or rad].
-        predicted: What the encoders alone say of them (N, m).
-        usable: Samples that count (N,) or (N, m).
-        cutoff_hz: Low-pass on both sides [Hz]; None for poses.
-        factor: Decimation.
-    """
-
-    log: Log
-    motion: Motion
-    measured: np.ndarray
-    predicted: np.ndarray
-    usable: np.ndarray
-    cutoff_hz: float | None
-    factor: int
-
-    def passed(self, x: np.ndarray) -> np.ndarray:
-        """Return an array (N, ...) as the fit sees it (n, ...): low-passed and decimated."""
-        if self.cutoff_hz is None:
-            return x
-        return decimate(lowpass(x, self.cutoff_hz, self.log.rate_hz), self.factor)
-
-    @property
-    def t(self) -> np.ndarray:
-        """Time of the fit's samples (n,) [s]."""
-        return POSE_S * np.arange(len(self.measured)) if self.cutoff_hz is None else decimate(self.log.t, self.factor)
-
-    def run(self, W: np.ndarray) -> RegressionRun:
-        """Return the baseline's regression with these columns (n, m, p)."""
-        y, usable = self.passed(self.measured - self.predicted), self.usable
-        if self.cutoff_hz is not None:
-            usable = mask_filter_edges(usable, self.cutoff_hz, self.log.rate_hz, self.factor)
-        usable = np.broadcast_to(usable.reshape(len(y), -1), y.shape)
-        signals = {key: decimate(getattr(self.motion, key), self.factor) for key in ("q", "v", "a")}
-        return RegressionRun(self.log.name, self.t, W, y, usable, W, y, signals)
+        return build_prior_rows(Parameters([p for p in self.parameters if p.free]))
 
 
 def name_by_joint(joints: Sequence[str], **arrays: np.ndarray) -> dict[str, np.ndarray]:
@@ -256,12 +190,12 @@ def name_by_joint(joints: Sequence[str], **arrays: np.ndarray) -> dict[str, np.n
     return {f"{key}_{joint}": x[:, k] for key, x in arrays.items() for k, joint in enumerate(joints)}
 
 
-def refuse_scarce(channel: Channel, least: int | Mapping[int, int], short: str, have: str, wanted: str) -> None:
+def refuse_scarce(channel: Channel, least: Sequence[int], short: str, have: str, wanted: str) -> None:
     """Refuse measurements that leave one of the three parts too little.
 
     Args:
         channel: The measurements.
-        least: Usable values that each part needs, one number for all or one for each part.
+        least: Usable values that each part needs.
         short: What is missing, such as `too little is left`; for what is added.
         have: What there is.
         wanted: What to record instead.
@@ -269,10 +203,9 @@ def refuse_scarce(channel: Channel, least: int | Mapping[int, int], short: str, 
     Raises:
         CannotAnswer: A part has fewer.
     """
-    for part, use in _USES.items():
-        needed = least if isinstance(least, int) else least[part]
+    for part, needed in zip(EVERY, least, strict=True):
         if sum(int(mask.sum()) for mask in channel.masks(part)) < needed:
-            raise CannotAnswer("too_little_data", f"{short} to {use}: {have}", wanted)
+            raise CannotAnswer("too_little_data", f"{short} to {_USES[part]}: {have}", wanted)
 
 
 _FASTEST = 0.98  # quantile of the speed that counts as fast
@@ -338,42 +271,36 @@ def compute_fast_speeds(v: np.ndarray) -> np.ndarray:
     return np.quantile(np.abs(v), _FASTEST, axis=0)
 
 
-def find_directions(v: np.ndarray, threshold: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the direction of the last motion that was surely one, and from when on there was any.
+class EffectColumns(Sequence[np.ndarray]):
+    """An effect's columns (n, m, k) of each run, made when first asked for: most are tried on the training logs alone."""
 
-    Args:
-        v: Speeds (N, na) [m/s or rad/s].
-        threshold: Slowest speed with a sure sign (na,).
+    def __init__(self, channel: Channel, effect: Effect) -> None:
+        """Make nothing yet."""
+        self._channel, self._effect = channel, effect
+        self._made: dict[int, np.ndarray] = {}
 
-    Returns:
-        -1 or 1 (N, na), before a joint's first sure motion that of the first, 0 where there is none at all; and whether a
-        sure motion came before (N, na).
-    """
-    sides = [_direction(v[:, k], float(threshold[k])) for k in range(v.shape[1])]
-    return np.column_stack([sign for sign, _ in sides]), np.column_stack([known for _, known in sides])
+    def __len__(self) -> int:
+        """Return the number of runs."""
+        return len(self._channel.runs)
 
-
-def _direction(v: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
-    sure = np.flatnonzero(np.abs(v) >= threshold)
-    if not len(sure):
-        return np.zeros_like(v), np.zeros(len(v), bool)
-    last = np.searchsorted(sure, np.arange(len(v)), side="right") - 1
-    return np.sign(v[sure[np.maximum(last, 0)]]), last >= 0
+    def __getitem__(self, run: int) -> np.ndarray:  # type: ignore[override]  # slices are of no use here
+        """Return the columns of one run."""
+        if run >= len(self):
+            raise IndexError(run)
+        if run not in self._made:
+            self._made[run] = self._channel.run_columns(self._effect, run)
+        return self._made[run]
 
 
-def mask_filter_edges(mask: np.ndarray, cutoff_hz: float, rate_hz: float, factor: int) -> np.ndarray:
-    """Return which samples count, without those at both ends that the low-pass disturbs.
+class ColumnCache:
+    """Columns of effects on one channel, made once."""
 
-    Args:
-        mask: Samples (N, ...) at the log's rate.
-        cutoff_hz: The low-pass [Hz].
-        rate_hz: Rate of the log [Hz].
-        factor: Decimation.
+    def __init__(self, channel: Channel) -> None:
+        """Start empty."""
+        self.channel = channel
+        self._made: dict[tuple, EffectColumns] = {}
 
-    Returns:
-        Samples (n, ...) after decimation.
-    """
-    inner = mask[::factor].copy()
-    edge = int(np.ceil(compute_edge_samples(cutoff_hz, rate_hz) / factor))
-    inner[:edge] = inner[len(inner) - edge :] = False
-    return inner
+    def columns(self, effect: Effect) -> EffectColumns:
+        """Return an effect's exact columns."""
+        key = (effect.name, effect.joints, tuple(sorted(effect.settings.items())), effect.label)
+        return self._made.setdefault(key, EffectColumns(self.channel, effect))

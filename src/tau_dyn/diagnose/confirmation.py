@@ -42,6 +42,7 @@ from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection
 from tau_dyn.diagnose.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, find_structure, list_indistinguishable
 from tau_dyn.effects import Effect
 from tau_dyn.estimate import Whitener, scale_columns
+from tau_dyn.results import Z95
 
 SIGNIFICANCE_LEVEL = 0.02  # of a confirmation, one test on data not used by the selection
 _MIN_EXPECTED_Z = 4.0
@@ -156,7 +157,6 @@ def detect_effect(ground: NullModel, columns: Sequence[Sequence[np.ndarray]], ot
 
 MIN_GAINING_SHARE = 0.5
 """Share of a predicted force that must be true for its prediction to lower the error."""
-Z95 = 1.959964  # 97.5 % quantile of the normal distribution
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,21 +18,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.diagnose.channel import (
-    TRAIN,
-    VALIDATION,
-    Channel,
-    MeasuredSegment,
-    build_scene,
-    find_directions,
-    find_shared_signals,
-    name_by_joint,
-    refuse_scarce,
-    split_by_blocks,
-)
+from tau_dyn.diagnose.channel import TRAIN, VALIDATION, name_by_joint
 from tau_dyn.diagnose.extended_fit import build_extended_regression, fit_extended_model, restrict_to_parts
-from tau_dyn.diagnose.null_model import build_force_terms, compute_period_statistics, select_output_rows
-from tau_dyn.diagnose.preparation import choose_diagnosis_preparation, compute_border_gap_s
+from tau_dyn.diagnose.measured_channel import (
+    MeasuredChannel,
+    MeasuredSegment,
+    build_measured_channel,
+    build_measured_scene,
+    cut_stretches,
+    find_directions,
+)
+from tau_dyn.diagnose.null_model import scan_periods
+from tau_dyn.diagnose.preparation import choose_diagnosis_preparation
 from tau_dyn.effects import (
     EFFECTS,
     Backlash,
@@ -43,7 +40,6 @@ from tau_dyn.effects import (
     JointwiseDisplacement,
     Motion,
     PlausibleRange,
-    Scene,
     format_amount,
 )
 from tau_dyn.estimate import Whitener, solve_least_squares
@@ -131,16 +127,8 @@ def build_deflection_segment(joints: tuple[str, ...], log: Log, preparation: Pre
 
 
 @dataclass(frozen=True, eq=False)
-class DeflectionChannel(Channel):
-    """Deflections; outputs are the joints that have two encoders [m or rad].
-
-    Attributes:
-        pieces: The stretches.
-        preparation: Filters.
-    """
-
-    pieces: tuple[MeasuredSegment, ...]
-    preparation: Preparation
+class DeflectionChannel(MeasuredChannel):
+    """Deflections; outputs are the joints that have two encoders [m or rad]."""
 
     def run_columns(self, effect: Effect, run: int) -> np.ndarray:
         """Return an effect's columns (n, m, k) of one run; see `Channel.run_columns`."""
@@ -150,13 +138,9 @@ class DeflectionChannel(Channel):
 
     def scan(self, effects: Sequence[Effect], whiten: Whitener, both: np.ndarray) -> np.ndarray | None:
         """Scan periods by Fourier transforms over the position; see `null_model.py`."""
-        if not effects[0].dense:
-            return None
         joint = self.scene.index(effects[0].joints[0])
-        u, mask = select_output_rows(whiten, joint, both)
         q, v = (np.concatenate([run.signals[key][:, joint] for run in self.runs]) for key in ("q", "v"))
-        periods = np.array([effect.settings["period"] for effect in effects])
-        return compute_period_statistics(q, v, u, mask, periods, self.preparation.force_cutoff_hz, build_force_terms(q))
+        return scan_periods(effects, whiten, joint, both, q, v, self.scene.cutoff_hz)
 
     def variables(self) -> list[Mapping[str, np.ndarray]]:
         """Return positions, speeds, accelerations, forces and time of each run."""
@@ -187,41 +171,32 @@ def build_deflection_channel(
         InputError: No joint has two encoders, or a log lacks one of them.
         CannotAnswer: Too few measurements for three parts.
     """
-    stretches = [
-        (p, out) for logs, out in ((train, False), (held, True)) for log in logs for p in resample_segments(log)
-    ]
-    joints = list_encoder_pairs(robot, [log for log, _ in stretches])
-    preparation = choose_diagnosis_preparation(robot, [log for log, out in stretches if not out], ())
+    stretches, held_out = cut_stretches(train, held, resample_segments)
+    joints = list_encoder_pairs(robot, stretches)
+    trained = [log for log, out in zip(stretches, held_out, strict=True) if not out]
+    preparation = choose_diagnosis_preparation(robot, trained, ())
     where = [robot.actuated.index(j) for j in joints]
     preparation = replace(preparation, speed_threshold=preparation.speed_threshold[where])
-    pieces = tuple(build_deflection_segment(joints, log, preparation) for log, _ in stretches)
+    pieces = [build_deflection_segment(joints, log, preparation) for log in stretches]
     units = tuple(robot.force_units[k] for k in where)
     lengths = tuple("m" if unit == "N" else "rad" for unit in units)
-    parameters, columns = _zeros(pieces, joints, lengths)
-    runs = tuple(piece.run(W) for piece, W in zip(pieces, columns, strict=True))
-    gap = compute_border_gap_s(preparation.force_cutoff_hz, pieces[0].log.rate_hz)
-    parts = split_by_blocks(runs, [out for _, out in stretches], bool(held), gap)
-    scene = _scene(joints, units, pieces, preparation)
-    channel = DeflectionChannel(
+    return build_measured_channel(
+        DeflectionChannel,
         "deflection",
         joints,
         lengths,
-        parameters,
-        runs,
-        tuple(parts),
-        scene,
-        tuple(_all() if causes is None else causes),
+        _zeros(pieces, joints, lengths),
+        build_measured_scene(joints, units, pieces, preparation.speed_threshold, "load_side"),
+        _all() if causes is None else causes,
         pieces,
-        preparation,
+        held_out,
+        per_parameter=10,
+        refusal=(
+            "too little is left",
+            f"the logs hold {sum(p.log.duration for p in pieces):.3g} s",
+            "record a minute of motion in both directions, over several speeds and loads",
+        ),
     )
-    refuse_scarce(
-        channel,
-        10 * len(parameters),
-        "too little is left",
-        f"the logs hold {sum(p.log.duration for p in pieces):.3g} s",
-        "record a minute of motion in both directions, over several speeds and loads",
-    )
-    return channel
 
 
 def _zeros(
@@ -240,21 +215,6 @@ def _zeros(
         W[:, np.arange(m), start + np.arange(m)] = 1.0
         found.append(W)
     return Parameters(rows), found
-
-
-def _scene(
-    joints: tuple[str, ...], units: tuple[str, ...], pieces: Sequence[MeasuredSegment], preparation: Preparation
-) -> Scene:
-    motions = [p.motion for p in pieces]
-    return build_scene(
-        motions,
-        joints,
-        units,
-        slow=preparation.speed_threshold,
-        cutoff_hz=preparation.force_cutoff_hz,
-        duration=sum(p.log.duration for p in pieces),
-        signals=find_shared_signals(motions) | {"load_side"},
-    )
 
 
 READINGS: tuple[tuple[type[Effect], ...], ...] = (

@@ -21,8 +21,9 @@ from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, CandidateCause, GroupT
 from tau_dyn.diagnose.channel import EVERY, Channel
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.diagnose.result import Finding, Limit, Untestable
-from tau_dyn.diagnose.stepwise_selection import MIN_2LOGL_DIFFERENCE, SelectedCause, StepwiseSelection
+from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection
 from tau_dyn.diagnose.tool_channel import ToolChannel
+from tau_dyn.diagnose.unknown_structure import MIN_2LOGL_DIFFERENCE
 from tau_dyn.effects import Effect, format_quantity
 
 POWER = 0.95  # of the test at the detection limit, by convention

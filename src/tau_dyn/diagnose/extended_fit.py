@@ -17,20 +17,19 @@ from tau_dyn.diagnose.null_model import build_smooth_columns
 from tau_dyn.diagnose.result import Gain, OutputErrors, WholeErrors
 from tau_dyn.effects import Effect
 from tau_dyn.estimate import (
-    BLOCK_S,
-    ROUNDING,
     Estimate,
     PhysicalConstraints,
     Regression,
+    assign_blocks,
     scale_columns,
     solve_least_squares,
 )
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameters
+from tau_dyn.results import Z95
 
 _DRAWS = 1000  # bootstrap draws of an interval; its ends vary by a few per cent of its width
 _INTERVAL = (2.5, 97.5)
-_Z95 = 1.959964  # 97.5 % quantile of the normal distribution
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +185,7 @@ def compute_gain(
         changed, _ = _sum_blocks(channel, [one - other for one, other in zip(before, after, strict=True)])
         x = float(changed[:, which].sum())
         noise = max(float(a.sum()) - (1 - shown.share) ** 2 * x, 1e-12 * float(b.sum()))
-        s = shown.share + _Z95 * shown.stderr * np.array([-1.0, 1.0])
+        s = shown.share + Z95 * shown.stderr * np.array([-1.0, 1.0])
         ends = 100 * (1 - np.sqrt((noise + (1 - s) ** 2 * x) / (noise + s**2 * x)))
         low, high = min(*ends, reduction), max(*ends, reduction)
     return Gain(rms_before, rms_after, reduction, (float(low), float(high)))
@@ -196,7 +195,7 @@ def _sum_blocks(channel: Channel, residuals: Sequence[np.ndarray]) -> tuple[np.n
     """Return sums of squares and counts (blocks, m) over 2 s blocks of the part used for nothing else."""
     squares, counts = [], []
     for run, e, mask in zip(channel.runs, residuals, channel.masks(TEST), strict=True):
-        number = ((run.t - run.t[0]) / BLOCK_S + ROUNDING).astype(int)
+        number = assign_blocks(run.t - run.t[0])
         for b in np.unique(number[mask.any(axis=1)]):
             rows = number == b
             squares.append(np.sum(np.where(mask[rows], e[rows], 0.0) ** 2, axis=0))

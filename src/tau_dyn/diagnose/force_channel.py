@@ -10,9 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from tau_dyn.diagnose.channel import (
-    TEST,
     TRAIN,
-    VALIDATION,
     Channel,
     build_scene,
     find_shared_signals,
@@ -24,9 +22,7 @@ from tau_dyn.diagnose.null_model import (
     LONG,
     WHOLE_TIME,
     build_displacement_terms,
-    build_force_terms,
-    compute_period_statistics,
-    select_output_rows,
+    scan_periods,
 )
 from tau_dyn.diagnose.plausibility import measure_scales
 from tau_dyn.diagnose.preparation import ForceTiming, compute_border_gap_s, find_timing
@@ -79,20 +75,15 @@ class ForceChannel(Channel):
 
     def scan(self, effects: Sequence[Effect], whiten: Whitener, both: np.ndarray) -> np.ndarray | None:
         """Scan periods by Fourier transforms over the position; long ones are left open (nan). See `null_model.py`."""
-        first = effects[0]
-        if not first.dense:
-            return None
-        joint = self.scene.index(first.joints[0])
-        u, mask = select_output_rows(whiten, joint, both)
+        first, joint = effects[0], self.scene.index(effects[0].joints[0])
         q, v, a = (np.concatenate([getattr(m, key)[:, joint] for m in self.thinned]) for key in ("q", "v", "a"))
-        terms = build_force_terms(q)
+        terms, scale = None, 1.0
         if isinstance(first, DisplacementEffect):
-            u = u * np.concatenate([m.signals["inertia"][:, joint, joint] for m in self.thinned])[:, None]
             terms = build_displacement_terms(v, a)
-        periods = np.array([effect.settings["period"] for effect in effects])
-        explained = compute_period_statistics(q, v, u, mask, periods, self.preparation.force_cutoff_hz, terms)
-        explained[periods > np.ptp(q) / LONG] = np.nan
-        return explained
+            scale = np.concatenate([m.signals["inertia"][:, joint, joint] for m in self.thinned])[:, None]
+        found = scan_periods(effects, whiten, joint, both, q, v, self.preparation.force_cutoff_hz, terms, scale)
+        found[[effect.settings["period"] > np.ptp(q) / LONG for effect in effects]] = np.nan
+        return found
 
     def variables(self) -> list[Mapping[str, np.ndarray]]:
         """Return positions, speeds, accelerations, time and temperature of each run."""
@@ -161,7 +152,7 @@ def build_force_channel(
         _with_signals(piece, model, turn, clear_hz, timing) for piece, turn in zip(prepared, turns, strict=True)
     ]
     gap_s = compute_border_gap_s(preparation.force_cutoff_hz, prepared[0].log.rate_hz)
-    parts = split_by_blocks(regression.runs, held, any(held), gap_s)
+    parts = split_by_blocks(regression.runs, held, gap_s)
     campaigns = len({piece.log.name for piece, out in zip(prepared, held, strict=True) if not out})
     thinned = tuple(_thinned(piece) for piece in prepared)
     scene = _scene(model, thinned, regression.runs, parts, preparation, campaigns)
@@ -174,7 +165,7 @@ def build_force_channel(
         regression.units,
         model.parameters,
         regression.runs,
-        tuple(parts),
+        parts,
         scene,
         tuple(cls for cls in EFFECTS.values() if cls.cause),
         tuple(prepared),
@@ -185,7 +176,7 @@ def build_force_channel(
     rank = max(1, compute_determined_rank(regression, parts))
     refuse_scarce(
         channel,
-        {TRAIN: VALUES_PER_COMBINATION * rank, VALIDATION: others, TEST: others},
+        (VALUES_PER_COMBINATION * rank, others, others),
         "too little usable data is left",
         f"the logs hold {sum(p.log.duration for p in prepared):.3g} s",
         "record a minute or more of motion in both directions, over several speeds",

@@ -23,8 +23,8 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, GROUP_LEVEL, CandidateCause, find_nonnegative
-from tau_dyn.diagnose.channel import TRAIN, Channel
-from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, ColumnCache, NullModel, compute_score_test
+from tau_dyn.diagnose.channel import TRAIN, Channel, ColumnCache
+from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_score_test
 from tau_dyn.diagnose.preparation import decimate_log
 from tau_dyn.effects import Effect
 from tau_dyn.identify import PreparedSegment

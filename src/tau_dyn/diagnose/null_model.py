@@ -29,8 +29,8 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy import fft, linalg, ndimage, sparse
 
-from tau_dyn.diagnose.channel import Channel
-from tau_dyn.effects import Effect
+from tau_dyn.diagnose.channel import Channel, ColumnCache
+from tau_dyn.effects import Effect, StructuralCompliance
 from tau_dyn.estimate import Autoregression, Whitener, fit_autoregression, solve_scaled
 from tau_dyn.log import compute_attenuation, find_true_runs
 
@@ -44,22 +44,19 @@ def fit_noise_models(
     channel: Channel, parts: Sequence[int], extra: Sequence[Sequence[np.ndarray]] = ()
 ) -> tuple[Autoregression, ...]:
     """Return the noise model of each output, from samples of these parts, further columns (n, m, k) accounted for."""
-    masks = channel.masks(*parts)
-    variables = channel.variables()
+    masks, variables, target = channel.masks(*parts), channel.variables(), channel.target
+    scene = channel.scene
+    ringing = [StructuralCompliance.of_resonances(scene, scene.joints)] if scene.resonances else []
+    known = [channel.free_columns, *(channel.columns(effect) for effect in ringing), *extra]
     models = []
     for k, output in enumerate(channel.outputs):
         rich = build_smooth_columns(variables, output)
-        columns = [
-            np.concatenate(
-                [c[r][:, k] for c in (channel.free_columns, channel.resonance_columns, *extra)] + [rich[r]], axis=1
-            )
-            for r in range(len(channel.runs))
-        ]
+        columns = [np.concatenate([*(c[r][:, k] for c in known), rich[r]], axis=1) for r in range(len(channel.runs))]
         rows = np.concatenate([x[m[:, k]] for x, m in zip(columns, masks, strict=True)])
-        y = channel.gather(channel.target, k, *parts)
+        y = channel.gather(target, k, *parts)
         theta = solve_scaled(rows, y, 1e-7)
         stretches = []
-        for x, y_run, mask in zip(columns, channel.target, masks, strict=True):
+        for x, y_run, mask in zip(columns, target, masks, strict=True):
             e = y_run[:, k] - x @ theta
             stretches += [e[s] for s in find_true_runs(mask[:, k])]
         still = Autoregression(np.zeros(0), 1.0)  # an output without a usable sample has no rows to whiten
@@ -114,41 +111,6 @@ PRIOR_WEIGHT_BLOCKS = 10.0
 MIN_UNABSORBED_SHARE = 1e-4
 """Part of a column's square that the baseline leaves, below which the baseline's refit absorbs it. It is not smaller
 because encoder noise sits in the baseline's columns: a smooth copy of one of them would be left with that noise, and find it."""
-
-
-class EffectColumns(Sequence[np.ndarray]):
-    """An effect's columns (n, m, k) of each run, made when first asked for: most are tried on the training logs alone."""
-
-    def __init__(self, channel: Channel, effect: Effect) -> None:
-        """Make nothing yet."""
-        self._channel, self._effect = channel, effect
-        self._made: dict[int, np.ndarray] = {}
-
-    def __len__(self) -> int:
-        """Return the number of runs."""
-        return len(self._channel.runs)
-
-    def __getitem__(self, run: int) -> np.ndarray:  # type: ignore[override]  # slices are of no use here
-        """Return the columns of one run."""
-        if run >= len(self):
-            raise IndexError(run)
-        if run not in self._made:
-            self._made[run] = self._channel.run_columns(self._effect, run)
-        return self._made[run]
-
-
-class ColumnCache:
-    """Columns of effects on one channel, made once."""
-
-    def __init__(self, channel: Channel) -> None:
-        """Start empty."""
-        self.channel = channel
-        self._made: dict[tuple, EffectColumns] = {}
-
-    def columns(self, effect: Effect) -> EffectColumns:
-        """Return an effect's exact columns."""
-        key = (effect.name, effect.joints, tuple(sorted(effect.settings.items())), effect.label)
-        return self._made.setdefault(key, EffectColumns(self.channel, effect))
 
 
 @dataclass(frozen=True, eq=False)
@@ -380,6 +342,27 @@ def build_force_terms(q: np.ndarray) -> list[Term]:
 def build_displacement_terms(v: np.ndarray, a: np.ndarray) -> list[Term]:
     """Return the terms of a displacement's acceleration along speeds and accelerations (n,)."""
     return [(a, lambda w: 1j * w), (v**2, lambda w: -(w**2))]
+
+
+def scan_periods(
+    effects: Sequence[Effect],
+    whiten: Whitener,
+    joint: int,
+    white: np.ndarray,
+    q: np.ndarray,
+    v: np.ndarray,
+    cutoff_hz: float,
+    terms: Sequence[Term] | None = None,
+    scale: np.ndarray | float = 1.0,
+) -> np.ndarray:
+    """Return what periods of one joint's effects explain of white residuals (R, d), as (g, d).
+
+    The joint has positions `q` (n,) [m or rad] and speeds `v` (n,); a unit amplitude is `terms`, by default a force of the
+    position, times a factor `scale` (n, 1).
+    """
+    u, mask = select_output_rows(whiten, joint, white)
+    periods = np.array([effect.settings["period"] for effect in effects])
+    return compute_period_statistics(q, v, u * scale, mask, periods, cutoff_hz, terms or build_force_terms(q))
 
 
 def select_output_rows(whiten: Whitener, output: int, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

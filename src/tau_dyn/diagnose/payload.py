@@ -137,7 +137,7 @@ def compare_with_trusted(robot: Robot, trusted: Parameters, estimate: Estimate) 
     unknown = [
         names.index(n) for n in drives if trusted[n].origin == NOT_GIVEN or trusted[n].origin.startswith("within")
     ]
-    refits = [_refit(estimate, [run.W[:, :, k] for run in estimate.regression.runs])[rows] for k in unknown]
+    refits = [estimate.refit([run.W[:, :, k] for run in estimate.regression.runs])[rows] for k in unknown]
     select = _complement(refits, len(rows))
     select = select @ np.eye(base.rank)[rows]
     E = select @ E
@@ -237,20 +237,7 @@ def _force_scale(difference: BaseParameterDifference, joint: int) -> np.ndarray:
     names = estimate.regression.parameters.names
     theta = np.where(np.isin(names, estimate.base.names), estimate.theta, 0.0)
     weight = np.arange(len(estimate.sigma)) == joint
-    return difference.select @ _refit(estimate, [(run.W @ theta) * weight for run in estimate.regression.runs])
-
-
-def _refit(estimate: Estimate, forces: Sequence[np.ndarray]) -> np.ndarray:
-    """Return what the fit's least squares make of forces (n, m) of each run: base parameters (all,)."""
-    base, runs = estimate.base, estimate.regression.runs
-    names = estimate.regression.parameters.names
-    kept = [names.index(base.names[k]) for k in base.kept]
-    weight = [(1 / estimate.sigma) * np.ones(run.usable.shape) for run in runs]
-    W = np.concatenate([(run.W[:, :, kept] * w[:, :, None])[run.usable] for run, w in zip(runs, weight, strict=True)])
-    y = np.concatenate([(f * w)[run.usable] for run, f, w in zip(runs, forces, weight, strict=True)])
-    norm = np.linalg.norm(W, axis=0)
-    unit = np.where(norm > 0, norm, 1.0)
-    return np.linalg.lstsq(W / unit, y, rcond=1e-10)[0] / unit
+    return difference.select @ estimate.refit([(run.W @ theta) * weight for run in estimate.regression.runs])
 
 
 def _complement(directions: Sequence[np.ndarray], n: int) -> np.ndarray:

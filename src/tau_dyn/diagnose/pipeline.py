@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS
 from tau_dyn.diagnose.channel import EVERY, Channel
 from tau_dyn.diagnose.claims import Claims, Recommendation, Waterfall, recommend, select_confirmed, select_supported
-from tau_dyn.diagnose.confirmation import build_unexplained, confirm_all, confirm_within_training
+from tau_dyn.diagnose.confirmation import ConfirmationResults, build_unexplained, confirm_all, confirm_within_training
 from tau_dyn.diagnose.deflection_channel import build_deflection_channel
 from tau_dyn.diagnose.detection_limits import compute_detection_limits, find_alias_periods, leave_period_open
 from tau_dyn.diagnose.extended_fit import EvaluatedFit, estimate_noise_floor
@@ -136,58 +137,109 @@ def diagnose_channel(
         case: Of forces, the fitted baseline behind the channel.
     """
     rng = np.random.default_rng(seed)
-    physics = case and case.physics
-    noise = case and NoiseOnlyBootstrap(lambda: [case.noise_only(rng) for _ in range(N_BOOTSTRAP_DRAWS)])
+    physics, nominal = (case.physics, model.parameters.values) if case else (None, None)
+    spoiled = _describe_spoiled(warnings) if case else ""
     progress("looking for causes")
-    hunt = select_causes(channel, rng, progress, sift=noise.reject_artefacts if noise else None)
-    structure = None
-    if channel.has_unnamed_structures:
-        draws = hunt.ground.draw_null_residuals(N_NULL_DRAWS, rng)
-        structure = find_structure(hunt.ground, draws, FAMILY_LEVEL)
-    if noise:
-        hunt, structure = _reject_artefacts(noise, hunt, structure)
+    noise = case and NoiseOnlyBootstrap(lambda: [case.noise_only(rng) for _ in range(N_BOOTSTRAP_DRAWS)])
+    hunt, structure = _search(channel, rng, progress, noise)
     progress("confirming")
     tests = confirm_all(hunt, structure)
     if case and noise:
         gap_s = compute_border_gap_s(case.preparation.force_cutoff_hz, case.channel.prepared[0].log.rate_hz)
         tests = confirm_within_training(hunt, tests, gap_s, rng, noise)
-    claims = select_confirmed(hunt, tests.causes, physics)
-    spoiled = _describe_spoiled(warnings) if case else ""
-    claims = claims.reject_all(spoiled) if spoiled else claims
     periods = find_alias_periods(hunt)
+    claims = _doubt(select_confirmed(hunt, tests.causes, physics), periods, spoiled)
+    progress("measuring the gain")
+    claims, bars = select_supported(hunt, claims, rng, nominal, physics)
+    found = _Found(hunt, claims, bars, tests, periods, spoiled)
+    findings, unexplained = _tell(found, model, case, rng)
+    return _answer(found, findings, unexplained, model, case, rng, seed=seed, how=how, warnings=warnings)
+
+
+class _Found(NamedTuple):
+    """What search, confirmation and measurement left: `spoiled` says why nothing of it may be confirmed, or is empty."""
+
+    hunt: StepwiseSelection
+    claims: Claims
+    bars: Waterfall
+    tests: ConfirmationResults
+    periods: Sequence[tuple[float, ...]]
+    spoiled: str
+
+
+def _search(
+    channel: Channel, rng: np.random.Generator, progress: Progress, noise: NoiseOnlyBootstrap | None
+) -> tuple[StepwiseSelection, Structure | None]:
+    """Return the causes that the training part shows, and a structure without a name beside them."""
+    hunt = select_causes(channel, rng, progress, sift=noise.reject_artefacts if noise else None)
+    structure = None
+    if channel.has_unnamed_structures:
+        draws = hunt.ground.draw_null_residuals(N_NULL_DRAWS, rng)
+        structure = find_structure(hunt.ground, draws, FAMILY_LEVEL)
+    return _reject_artefacts(noise, hunt, structure) if noise else (hunt, structure)
+
+
+def _doubt(claims: Claims, periods: Sequence[tuple[float, ...]], spoiled: str) -> Claims:
+    """Return the claims without what a spoiled log or an open period forbids."""
+    claims = claims.reject_all(spoiled) if spoiled else claims
     for k, fitting in enumerate(periods):
         claims = claims.judge(k, "several periods fit alike") if len(fitting) > 1 else claims
-    progress("measuring the gain")
-    nominal = model.parameters.values if case else None
-    claims, bars = select_supported(hunt, claims, rng, nominal, physics)
-    before, after = bars.fits[0], bars.fits[-1]
-    findings = build_findings(hunt, claims, bars, rng)
+    return claims
+
+
+def _tell(
+    found: _Found, model: Model, case: FittedBaseline | None, rng: np.random.Generator
+) -> tuple[list[Finding], tuple[Unexplained, ...]]:
+    """Return what is said of every cause, of parameters off their nominal values, and of what has no name."""
+    hunt, channel, after = found.hunt, found.hunt.channel, found.bars.fits[-1]
     findings = [
         leave_period_open(channel, one, finding, fitting) if len(fitting) > 1 else finding
-        for one, finding, fitting in zip(hunt.found, findings, periods, strict=True)
+        for one, finding, fitting in zip(
+            hunt.found, build_findings(hunt, found.claims, found.bars, rng), found.periods, strict=True
+        )
     ]
-    aliased = [finding for finding, fitting in zip(findings, periods, strict=True) if len(fitting) > 1]
-    unexplained = build_unexplained(hunt, tests.structure)
+    unexplained = build_unexplained(hunt, found.tests.structure)
     if case:
-        findings = [add_band_note(finding, case.clear_hz) for finding in findings]
         changed = find_parameter_changes(model, model.parameters, after.parameters, after.estimate)
-        findings += [replace(f, status="suspected", why_not_confirmed=spoiled) if spoiled else f for f in changed]
-        sizes = measure_net_forces(hunt.library, claims.kept, after.parameters)
+        if found.spoiled:
+            changed = [replace(f, status="suspected", why_not_confirmed=found.spoiled) for f in changed]
+        findings = [*(add_band_note(finding, case.clear_hz) for finding in findings), *changed]
+        sizes = measure_net_forces(hunt.library, found.claims.kept, after.parameters)
         unexplained = demote_companions(unexplained, channel.outputs, after.errors.rms, sizes.max(axis=0, initial=0.0))
-    if spoiled:
+    if found.spoiled:
         unexplained = tuple(replace(u, status="suspected") for u in unexplained)
-    limits, untestable = compute_detection_limits(hunt, [f.cause for f in findings])
+    return findings, unexplained
+
+
+def _answer(
+    found: _Found,
+    findings: Sequence[Finding],
+    unexplained: tuple[Unexplained, ...],
+    model: Model,
+    case: FittedBaseline | None,
+    rng: np.random.Generator,
+    *,
+    seed: int,
+    how: str,
+    warnings: Sequence[str],
+) -> Diagnosis:
+    """Return the diagnosis: its verdict, what it rests on, and which model to use."""
+    hunt, claims, bars, spoiled = found.hunt, found.claims, found.bars, found.spoiled
+    channel, before, after = hunt.channel, bars.fits[0], bars.fits[-1]
+    aliased = [finding for finding, fitting in zip(findings, found.periods, strict=False) if len(fitting) > 1]
     verdict = "cannot_tell" if spoiled else _judge(findings, unexplained, aliased)
-    use = Recommendation("neither", spoiled) if spoiled else recommend(hunt, claims, bars, rng)
+    sentence = f"These data name no cause: {spoiled}."
+    if not spoiled:
+        errors = before.errors, after.errors
+        sentence = describe_diagnosis(channel, verdict, findings, aliased, unexplained, errors)
     experiments = (f.experiment for f in aliased or findings if f.experiment and verdict == "cannot_tell")
-    experiment = _MEND if spoiled else next(experiments, "")
+    limits, untestable = compute_detection_limits(hunt, [f.cause for f in findings])
+    use = Recommendation("neither", spoiled) if spoiled else recommend(hunt, claims, bars, rng)
     floor = estimate_noise_floor(channel, after, np.random.default_rng(seed))
-    preparation = case and case.preparation
+    settings = {"noise_draws": N_NULL_DRAWS, "family_level": FAMILY_LEVEL, "causes_tried": len(hunt.last)}
     return Diagnosis(
         verdict=verdict,
-        sentence=f"These data name no cause: {spoiled}."
-        if spoiled
-        else describe_diagnosis(channel, verdict, findings, aliased, unexplained, (before.errors, after.errors)),
+        sentence=sentence,
         channel=channel.name,
         outputs=channel.outputs,
         units=channel.units,
@@ -206,16 +258,11 @@ def diagnose_channel(
         how=how,
         warnings=tuple(dict.fromkeys((*warnings, *use.warnings))),
         seed=seed,
-        experiment=experiment,
+        experiment=_MEND if spoiled else next(experiments, ""),
         recommendation=use.choice,
         recommendation_why=use.why,
-        preparation=preparation,
-        settings={
-            **({"preparation": preparation.to_dict()} if preparation else {}),
-            "noise_draws": N_NULL_DRAWS,
-            "family_level": FAMILY_LEVEL,
-            "causes_tried": len(hunt.last),
-        },
+        preparation=case and case.preparation,
+        settings=({"preparation": case.preparation.to_dict()} if case else {}) | settings,
     )
 
 

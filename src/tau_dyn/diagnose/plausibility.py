@@ -18,8 +18,7 @@ from itertools import product
 import numpy as np
 from scipy import stats
 
-from tau_dyn.diagnose.channel import TRAIN, VALIDATION
-from tau_dyn.diagnose.null_model import ColumnCache
+from tau_dyn.diagnose.channel import TRAIN, VALIDATION, ColumnCache
 from tau_dyn.diagnose.result import Unexplained
 from tau_dyn.diagnose.stepwise_selection import SelectedCause
 from tau_dyn.effects import Effect, JointScales, Motion, Scene, format_quantity, spell_unit

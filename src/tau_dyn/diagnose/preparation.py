@@ -28,10 +28,10 @@ from tau_dyn.identify import (
     Kept,
     Preparation,
     TooShort,
-    choose_from_long,
     choose_preparation,
     keep_long,
     refuse_short,
+    select_long,
 )
 from tau_dyn.log import (
     MIN_SEGMENT_SAMPLES,
@@ -113,8 +113,8 @@ def keep_diagnosable(
     """
     if not train:
         raise refuse_short(logs, MIN_SEGMENT_SAMPLES / min((log.rate_hz for log in logs), default=1.0))
-    long: list[Log] = []
-    plain = choose_from_long(train, lambda found: choose_preparation(robot, long.extend(found) or found, exclude))
+    long = select_long(train)
+    plain = choose_preparation(robot, long, exclude)
     lowest_hz = min(plain.force_cutoff_hz, clear_cutoff(robot, long), smooth_cutoff(robot, long))
     kept = keep_long(train, lowest_hz, plain.factor)
     try:

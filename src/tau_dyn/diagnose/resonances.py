@@ -84,12 +84,7 @@ def _of_structure(channel: Channel) -> bool:
     if len(scene.joints) < 2:
         return False
     alone = [(joint,) for joint in scene.joints]
-    effects = [
-        StructuralCompliance(g, [scene.units[scene.index(j)] for j in g]).with_settings(
-            **StructuralCompliance.proposal(scene, g)
-        )
-        for g in (*alone, scene.joints)
-    ]
+    effects = [StructuralCompliance.of_resonances(scene, g) for g in (*alone, scene.joints)]
     nothing, *singles, whole = _missed(channel, [None, *effects])
     return nothing - min(singles) < ALONE * (nothing - whole)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -13,7 +13,7 @@ from tau_dyn.identify import Preparation
 from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter
-from tau_dyn.results import Shown
+from tau_dyn.results import Z95, Shown, to_plain
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,21 +58,18 @@ class OutputErrors:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
-        out = {
-            "rms_per_joint": dict(zip(self.outputs, map(float, self.rms), strict=True)),
-            "relative_error_percent": self.relative_error_percent,
-            "relative_ci95": list(self.relative_ci95),
+        found = self._told(self.rms, self.relative_error_percent) | {"relative_ci95": list(self.relative_ci95)}
+        if self.all_samples is None:
+            return found
+        return found | {
+            "used_share": self.used_share,
+            "used_share_per_joint": dict(zip(self.outputs, self.used_shares, strict=True)),
+            "all_samples": self._told(self.all_samples.rms, self.all_samples.relative_error_percent),
         }
-        if self.all_samples is not None:
-            out |= {
-                "used_share": self.used_share,
-                "used_share_per_joint": dict(zip(self.outputs, self.used_shares, strict=True)),
-                "all_samples": {
-                    "rms_per_joint": dict(zip(self.outputs, map(float, self.all_samples.rms), strict=True)),
-                    "relative_error_percent": self.all_samples.relative_error_percent,
-                },
-            }
-        return out
+
+    def _told(self, rms: np.ndarray, percent: float) -> dict[str, Any]:
+        rows = dict(zip(self.outputs, map(float, rms), strict=True))
+        return {"rms_per_joint": rows, "relative_error_percent": percent}
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,15 +94,10 @@ class Gain:
     reduction_percent: float
     ci95: tuple[float, float]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the contract's form."""
-        return {**asdict(self), "ci95": list(self.ci95)}
-
 
 Verdict = Literal["named", "nothing_found", "cannot_tell", "unexplained"]
 Choice = Literal["extended", "refitted", "neither"]
 Status = Literal["confirmed", "suspected", "parameter"]
-_Z95 = 1.959964  # 97.5 % quantile of the normal distribution
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,24 +169,10 @@ class Finding:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
-        return {
-            "cause": self.cause,
-            "joints": list(self.joints),
-            "status": self.status,
-            "score": self.score,
-            "p_value": self.p_value,
-            "parameters": [_row(p) for p in self.parameters],
-            "gain": None if self.gain is None else self.gain.to_dict(),
-            "indistinguishable_from": list(self.indistinguishable_from),
-            "equation": self.equation,
-            "sentence": self.sentence,
-            "experiment": self.experiment,
-            "channel": self.channel,
-            "why_not_confirmed": self.why_not_confirmed or None,
-            "confirmation": None
-            if self.confirmation is None
-            else {"share": self.confirmation[0], "stderr": self.confirmation[1]},
-        }
+        shown = self.confirmation and dict(zip(("share", "stderr"), self.confirmation, strict=True))
+        changed = {"why_not_confirmed": self.why_not_confirmed or None, "confirmation": shown}
+        changed["parameters"] = [_row(p) for p in self.parameters]
+        return to_plain(self, leave_out=("effects", "signature")) | changed
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,15 +201,7 @@ class Unexplained:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
-        return {
-            "joint": self.joint,
-            "depends_on": list(self.depends_on),
-            "indistinguishable_from": [list(variables) for variables in self.indistinguishable_from],
-            "share_of_residual_variance": self.share_of_residual_variance,
-            "suggested_formula": self.suggested_formula or None,
-            "p_value": self.p_value,
-            "status": self.status,
-        }
+        return to_plain(self, leave_out=("signature",)) | {"suggested_formula": self.suggested_formula or None}
 
 
 @dataclass(frozen=True)
@@ -245,7 +215,7 @@ class Limit:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
-        return {key: x for key, x in asdict(self).items() if key != "cause"}
+        return to_plain(self, leave_out=("cause",))
 
 
 @dataclass(frozen=True)
@@ -347,30 +317,24 @@ class Diagnosis(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's JSON result, without what the command adds (version, inputs)."""
-        return {
+        told = {
             "seed": self.seed,
             "status": "cannot_answer" if self.verdict == "cannot_tell" else "ok",
             **format_warnings(self.warnings),
-            "verdict": self.verdict,
-            "sentence": self.sentence,
-            "channel": self.channel,
             "experiment": self.experiment or None,
-            "recommendation": self.recommendation,
-            "recommendation_why": self.recommendation_why,
-            "baseline": self.baseline.to_dict(),
-            "extended": self.extended.to_dict(),
-            "noise_floor": self.noise_floor.to_dict(),
-            "waterfall": [step.to_dict() for step in self.waterfall],
-            "findings": [finding.to_dict() for finding in self.findings],
-            "unexplained": [item.to_dict() for item in self.unexplained],
-            "detection_limits": {limit.cause: limit.to_dict() for limit in self.limits},
-            "untestable": [asdict(item) for item in self.untestable],
-            "simulation": None if self.simulation is None else dict(self.simulation),
-            "divided": {"how": self.how, "seconds": list(self.n_parts)},
-            "settings": dict(self.settings),
+            "detection_limits": {limit.cause: limit for limit in self.limits},
+            "divided": {"how": self.how, "seconds": self.n_parts},
         }
+        return to_plain(told | {key: getattr(self, key) for key in _TOLD})
+
+
+_TOLD = (
+    "verdict", "sentence", "channel", "recommendation", "recommendation_why", "baseline", "extended", "noise_floor",
+    "waterfall", "findings", "unexplained", "untestable", "simulation", "settings",
+)  # fmt: skip
+"""What a diagnosis tells as it is."""
 
 
 def _row(p: Parameter) -> dict[str, Any]:
-    ci95 = None if p.stderr is None else [p.value - _Z95 * p.stderr, p.value + _Z95 * p.stderr]
+    ci95 = None if p.stderr is None else [p.value - Z95 * p.stderr, p.value + Z95 * p.stderr]
     return {"name": p.name, "value": p.value, "unit": p.unit, "stderr": p.stderr, "ci95": ci95}

@@ -29,9 +29,9 @@ from tau_dyn.diagnose.candidate_scan import (
     rescore_group,
     scan_causes,
 )
-from tau_dyn.diagnose.channel import TRAIN, Channel
-from tau_dyn.diagnose.null_model import ColumnCache, NullModel, fit_noise_models
-from tau_dyn.diagnose.unknown_structure import Structure, find_structure
+from tau_dyn.diagnose.channel import TRAIN, Channel, ColumnCache
+from tau_dyn.diagnose.null_model import NullModel, fit_noise_models
+from tau_dyn.diagnose.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, find_structure
 from tau_dyn.effects import Effect
 from tau_dyn.estimate import scale_columns
 
@@ -120,8 +120,6 @@ def _step(effect: Effect, ground: NullModel, limits: Sequence[dict[str, float]])
 SEARCH_MARGIN = 5.0
 """Factor by which plausible ranges are widened inside the search: a law beyond it only resembles the true one, and would keep
 it from being found; one closer by is judged at the end, by its final amplitude."""
-MIN_2LOGL_DIFFERENCE = 8.0
-"""Difference of merit (twice the log-likelihood) below which two causes are not told apart: odds of 50 to 1."""
 TAKEOVER_2LOGL_MARGIN = 4.0
 """Merit by which another cause takes over one joint of several: that all joints share one cause is likelier beforehand."""
 

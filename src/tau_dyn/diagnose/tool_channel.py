@@ -14,22 +14,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from tau_dyn.diagnose.channel import (
+from tau_dyn.diagnose.channel import name_by_joint
+from tau_dyn.diagnose.measured_channel import (
     POSE_S,
-    Channel,
+    MeasuredChannel,
     MeasuredSegment,
-    build_scene,
+    build_measured_channel,
+    build_measured_scene,
+    cut_stretches,
     find_directions,
-    find_shared_signals,
-    name_by_joint,
-    refuse_scarce,
-    split_by_blocks,
 )
-from tau_dyn.diagnose.preparation import choose_diagnosis_preparation, compute_border_gap_s
+from tau_dyn.diagnose.preparation import choose_diagnosis_preparation
 from tau_dyn.effects import EFFECTS, GUIDE_ACROSS, SENSITIVITY, SIDE_FORCE, DisplacementEffect, Effect, Motion, Scene
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import MIN_RATE_HZ, Preparation, get_measured_signals
@@ -151,7 +149,7 @@ _DEPENDENT = 1e-6  # relative norm that is left of a dependent column by roundin
 
 
 @dataclass(frozen=True, eq=False)
-class ToolChannel(Channel):
+class ToolChannel(MeasuredChannel):
     """Tool positions; outputs are the tool's coordinates in the robot's base frame [m].
 
     Attributes:
@@ -174,7 +172,7 @@ class ToolChannel(Channel):
         piece = self.pieces[run]
         return piece.passed(effect.tool_columns(piece.motion, piece.jacobian))
 
-    @cached_property
+    @property
     def thinned(self) -> tuple[Motion, ...]:
         """The motions at the regression's rate."""
         found = []
@@ -220,32 +218,35 @@ def build_tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] =
         InputError: A log has no tool, or the robot file has none.
         CannotAnswer: Too few measurements for three parts.
     """
-    stretches = [(piece, out) for logs, out in ((train, False), (held, True)) for log in logs for piece in cut(log)]
+    robot = model.robot
+    stretches, held_out = cut_stretches(train, held, cut)
     if not stretches:
         raise InputError("missing_input", "no log was given")
-    if model.robot.tool_frame is None:
-        raise InputError("unsupported", f"{model.robot.source}: the robot file has no frame named tool")
-    moving = [log for log, _ in stretches if not is_static(log)]
-    preparation = choose_diagnosis_preparation(model.robot, moving, ()) if moving else None
-    pieces = align_tool_frame([build_tool_segment(model, log, preparation) for log, _ in stretches])
-    scene = _scene(model, pieces, preparation)
-    parameters, columns = _baseline(scene, pieces)
-    runs = tuple(piece.run(W) for piece, W in zip(pieces, columns, strict=True))
-    out = [out for _, out in stretches]
-    gap = compute_border_gap_s(preparation.force_cutoff_hz, moving[0].rate_hz) if preparation else 0.0
-    parts = tuple(split_by_blocks(runs, out, any(out), gap))
+    if robot.tool_frame is None:
+        raise InputError("unsupported", f"{robot.source}: the robot file has no frame named tool")
+    moving = [log for log in stretches if not is_static(log)]
+    preparation = choose_diagnosis_preparation(robot, moving, ()) if moving else None
+    pieces = align_tool_frame([build_tool_segment(model, log, preparation) for log in stretches])
+    slow = preparation.speed_threshold if preparation else np.zeros(robot.na)
+    scene = build_measured_scene(robot.actuated, robot.force_units, pieces, slow, "tool")
     displacing = [cls for cls in EFFECTS.values() if cls.cause and issubclass(cls, DisplacementEffect)]
-    causes = tuple(restrict_to_group(group, cls) for cls in displacing for group in cls.groups(scene) or [()])
-    units = ("m",) * len(OUTPUTS)
-    channel = ToolChannel("tool", OUTPUTS, units, parameters, runs, parts, scene, causes, tuple(pieces))
-    refuse_scarce(
-        channel,
-        3 * len(parameters),
-        "too few tool positions are left",
-        f"{sum(len(run.t) for run in runs)} in all",
-        "measure a hundred poses or more, spread over the workspace and approached from both directions",
+    return build_measured_channel(
+        ToolChannel,
+        "tool",
+        OUTPUTS,
+        ("m",) * len(OUTPUTS),
+        _baseline(scene, pieces),
+        scene,
+        [restrict_to_group(group, cls) for cls in displacing for group in cls.groups(scene) or [()]],
+        pieces,
+        held_out,
+        per_parameter=3,
+        refusal=(
+            "too few tool positions are left",
+            f"{sum(len(p.t) for p in pieces)} in all",
+            "measure a hundred poses or more, spread over the workspace and approached from both directions",
+        ),
     )
-    return channel
 
 
 def restrict_to_group(group: tuple[str, ...], cls: type[Effect]) -> type[Effect]:
@@ -282,16 +283,3 @@ def _baseline(scene: Scene, pieces: Sequence[ToolSegment]) -> tuple[Parameters, 
             Q = np.column_stack([Q, left / np.linalg.norm(left)])
     parameters = Parameters(Parameter(names[k][0], 0.0, names[k][1], origin="baseline") for k in keep)
     return parameters, [W[:, :, keep] for W in found]
-
-
-def _scene(model: Model, pieces: Sequence[ToolSegment], preparation: Preparation | None) -> Scene:
-    motions = [p.motion for p in pieces]
-    return build_scene(
-        motions,
-        model.robot.actuated,
-        model.robot.force_units,
-        slow=preparation.speed_threshold if preparation else np.zeros(model.robot.na),
-        cutoff_hz=preparation.force_cutoff_hz if preparation else np.inf,
-        duration=sum(float(p.t[-1] - p.t[0]) for p in pieces),
-        signals=find_shared_signals(motions) | {"tool"},
-    )

@@ -103,7 +103,8 @@ def list_dependences(values: Sequence[Values], output: str) -> list[Dependence]:
 
 
 MIN_2LOGL_DIFFERENCE = 8.0
-"""Difference of merit (twice the log-likelihood) below which two sets of variables are not told apart."""
+"""Difference of merit (twice the log-likelihood) below which two causes, or two sets of variables, are not told apart: odds of
+50 to 1."""
 _MAX_INDISTINGUISHABLE = 6  # structures that a result names; more do not help
 _PAIR_PRICE = 4.0
 """What a second variable, or another joint's direction, has to explain more, in twice the log-likelihood, beside its freedom."""

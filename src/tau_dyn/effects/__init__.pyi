@@ -1,6 +1,5 @@
 """Physics that a rigid model leaves out, siblings of one family in a file."""
 
-from .backlash import Backlash as Backlash
 from .catalogue import (
     EFFECTS as EFFECTS,
     FRICTION_MODELS as FRICTION_MODELS,
@@ -10,22 +9,25 @@ from .catalogue import (
     read_effects as read_effects,
     register as register,
 )
-from .displacement import DisplacementEffect as DisplacementEffect, JointwiseDisplacement as JointwiseDisplacement
-from .drive import Armature as Armature, DriveGain as DriveGain, ReducerCoupling as ReducerCoupling
 from .effect import (
     Effect as Effect,
     PlausibleRange as PlausibleRange,
     describe_ranges as describe_ranges,
+    format_amount as format_amount,
+    format_quantity as format_quantity,
     name_effect_in_errors as name_effect_in_errors,
+    spell_unit as spell_unit,
 )
 from .friction import (
     AsymmetricFriction as AsymmetricFriction,
     CoulombAsymmetry as CoulombAsymmetry,
+    QuadraticDrag as QuadraticDrag,
+    Stribeck as Stribeck,
     SymmetricFriction as SymmetricFriction,
     TorqueOffset as TorqueOffset,
     ViscousAsymmetry as ViscousAsymmetry,
+    ViscousCurvature as ViscousCurvature,
 )
-from .geometry import GRAVITY_TURN as GRAVITY_TURN, GravityDirection as GravityDirection, PinionScale as PinionScale
 from .guideways import (
     GUIDE_ACROSS as GUIDE_ACROSS,
     SENSITIVITY as SENSITIVITY,
@@ -35,14 +37,27 @@ from .guideways import (
     GuidewayCompliance as GuidewayCompliance,
     GuidewayNonparallel as GuidewayNonparallel,
 )
-from .hysteresis import STATE as STATE, Hysteresis as Hysteresis
-from .joint_compliance import JointCompliance as JointCompliance
-from .jointwise import JointwiseEffect as JointwiseEffect
+from .jointwise import (
+    DisplacementEffect as DisplacementEffect,
+    JointwiseDisplacement as JointwiseDisplacement,
+    JointwiseEffect as JointwiseEffect,
+)
+from .lost_motion import (
+    STATE as STATE,
+    Backlash as Backlash,
+    Hysteresis as Hysteresis,
+    JointCompliance as JointCompliance,
+)
 from .motion import JointMotion as JointMotion, JointScales as JointScales, Motion as Motion, Scene as Scene
-from .passive_joint_friction import PassiveJointFriction as PassiveJointFriction
 from .periodic import CyclicRipple as CyclicRipple, TransmissionError as TransmissionError
-from .position_friction import PositionFriction as PositionFriction
-from .speed_friction import QuadraticDrag as QuadraticDrag, Stribeck as Stribeck, ViscousCurvature as ViscousCurvature
+from .robot_file import (
+    GRAVITY_TURN as GRAVITY_TURN,
+    Armature as Armature,
+    DriveGain as DriveGain,
+    GravityDirection as GravityDirection,
+    PinionScale as PinionScale,
+    ReducerCoupling as ReducerCoupling,
+)
 from .structural_compliance import StructuralCompliance as StructuralCompliance
 from .timing import (
     Delay as Delay,
@@ -53,6 +68,7 @@ from .timing import (
 from .varying_friction import (
     FrictionChange as FrictionChange,
     LoadFriction as LoadFriction,
+    PassiveJointFriction as PassiveJointFriction,
+    PositionFriction as PositionFriction,
     ThermalDrift as ThermalDrift,
 )
-from .words import format_amount as format_amount, format_quantity as format_quantity, spell_unit as spell_unit

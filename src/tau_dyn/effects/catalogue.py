@@ -14,29 +14,31 @@ from collections.abc import Collection, Iterable
 from inspect import isabstract
 from typing import TypeVar
 
-from tau_dyn.effects.backlash import Backlash
-from tau_dyn.effects.displacement import DisplacementEffect
-from tau_dyn.effects.drive import Armature, DriveGain, ReducerCoupling
 from tau_dyn.effects.effect import Effect
 from tau_dyn.effects.friction import (
     AsymmetricFriction,
     CoulombAsymmetry,
+    QuadraticDrag,
+    Stribeck,
     SymmetricFriction,
     TorqueOffset,
     ViscousAsymmetry,
+    ViscousCurvature,
 )
-from tau_dyn.effects.geometry import GravityDirection, PinionScale
 from tau_dyn.effects.guideways import CartTilt, GuidewayCompliance, GuidewayNonparallel
-from tau_dyn.effects.hysteresis import Hysteresis
-from tau_dyn.effects.joint_compliance import JointCompliance
-from tau_dyn.effects.jointwise import JointwiseEffect
-from tau_dyn.effects.passive_joint_friction import PassiveJointFriction
+from tau_dyn.effects.jointwise import DisplacementEffect, JointwiseEffect
+from tau_dyn.effects.lost_motion import Backlash, Hysteresis, JointCompliance
 from tau_dyn.effects.periodic import CyclicRipple, TransmissionError
-from tau_dyn.effects.position_friction import PositionFriction
-from tau_dyn.effects.speed_friction import QuadraticDrag, Stribeck, ViscousCurvature
+from tau_dyn.effects.robot_file import Armature, DriveGain, GravityDirection, PinionScale, ReducerCoupling
 from tau_dyn.effects.structural_compliance import StructuralCompliance
 from tau_dyn.effects.timing import Delay, DriveLag
-from tau_dyn.effects.varying_friction import FrictionChange, LoadFriction, ThermalDrift
+from tau_dyn.effects.varying_friction import (
+    FrictionChange,
+    LoadFriction,
+    PassiveJointFriction,
+    PositionFriction,
+    ThermalDrift,
+)
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.robot import Robot
 

@@ -1,4 +1,4 @@
-"""What every effect answers: its force per unit parameter along a motion, and what a person should know about it.
+"""What every effect answers: its force per unit parameter along a motion, and what a person should know about it, in words.
 
 An effect is written once and used three times. Identification asks for its columns at `sign(v)`, feedforward at a
 smoothed sign, and the simulator at +1 and -1, choosing between the two by whether the plant moves, sticks or reverses.
@@ -7,6 +7,8 @@ it is linear; what it is not linear in (a Stribeck speed, a ripple's period) are
 
 Diagnosis tries effects that name a `cause` of the contract, on groups of joints (`groups`) and a grid of settings (`grid`). It
 confirms no amplitude outside of the plausible ranges, which each effect states with their source.
+
+Amounts stand as people say them: `1.80 ± 0.20 N`, `20.9 mm`, `0.52 ms`, with the standard error behind `±`.
 """
 
 from __future__ import annotations
@@ -15,15 +17,74 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import isfinite
+from math import floor, isfinite, log10
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
 from tau_dyn.effects.motion import JointScales, Motion, Scene
-from tau_dyn.effects.words import format_amount, format_quantity, spell_unit
 from tau_dyn.exceptions import InputError
-from tau_dyn.parameters import Parameters
+from tau_dyn.parameters import Parameter, Parameters
+
+_PREFIXES = {
+    "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm")),
+    "m/s": ((1.0, "m/s"), (1e-3, "mm/s"), (1e-6, "µm/s")),
+    "s": ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")),
+    "rad": ((1.0, "rad"), (1e-3, "mrad"), (1e-6, "µrad")),
+    "rad/s": ((1.0, "rad/s"), (1e-3, "mrad/s")),
+    "m/N": ((1.0, "m/N"), (1e-6, "µm/N"), (1e-9, "nm/N")),
+    "N/m": ((1e9, "GN/m"), (1e6, "MN/m"), (1e3, "kN/m"), (1.0, "N/m")),
+    "N m/rad": ((1e9, "GN m/rad"), (1e6, "MN m/rad"), (1e3, "kN m/rad"), (1.0, "N m/rad")),
+    "rad/(N m)": ((1.0, "rad/(N m)"), (1e-6, "µrad/(N m)"), (1e-9, "nrad/(N m)")),
+}
+
+
+def format_amount(parameter: Parameter) -> str:
+    """Return a parameter's value with its standard error, where it has one, and its unit."""
+    return format_quantity(parameter.value, parameter.unit, parameter.stderr)
+
+
+def format_quantity(value: float, unit: str, stderr: float | None = None) -> str:
+    """Return a value [unit] to the digits that its standard error leaves, or to three."""
+    unit = "" if unit == "1" else unit
+    scale, unit = _prefixed(max(abs(value), stderr or 0.0), unit)
+    value = value / scale
+    if stderr is None or not stderr > 0 or not isfinite(stderr):
+        return f"{value:.3g} {unit}".strip()
+    stderr = stderr / scale
+    decimals = 1 - floor(log10(stderr))
+    decimals = max(0, decimals - 1 if round(stderr, decimals) >= 10.0 ** (2 - decimals) else decimals)
+    if decimals > 7:
+        return f"{value:.3g} ± {stderr:.2g} {unit}".strip()
+    return f"{value:.{decimals}f} ± {stderr:.{decimals}f} {unit}".strip()
+
+
+def format_percent(parameter: Parameter) -> str:
+    """Return a parameter that is a share, with its standard error, in per cent."""
+    return format_quantity(100 * parameter.value, "%", None if parameter.stderr is None else 100 * parameter.stderr)
+
+
+def spell_unit(unit: str, force: str) -> str:
+    """Return a unit with its letters F, V and Q written out for a joint whose force unit is given."""
+    position = "m" if force == "N" else "rad"
+    if " " in force:
+        unit = unit.replace("/F", "/(F)")
+    letters = {"F": force, "V": f"{position}/s", "Q": position}
+    return "".join(letters.get(c, c) for c in unit)
+
+
+def describe_one_sided(friction: str, half: Parameter) -> str:
+    """Return by how much a friction of one direction exceeds the other's, of which the parameter is half the difference."""
+    way = "forward" if half.value >= 0 else "backward"
+    more = format_quantity(2 * abs(half.value), half.unit, None if half.stderr is None else 2 * half.stderr)
+    return f"{friction} {more} higher when moving {way} than the other way"
+
+
+def _prefixed(size: float, unit: str) -> tuple[float, str]:
+    """Return the factor and the unit that leave a number from one up, where there is one."""
+    rows = _PREFIXES.get(unit, ())
+    return next((row for row in rows if size >= row[0]), rows[-1] if size > 0 and rows else (1.0, unit))
+
 
 REFERENCES = {
     "coulomb": "the joint's Coulomb friction",

@@ -1,23 +1,23 @@
-"""Coulomb and viscous friction of the drives, the same in both directions or not, and constant forces.
+"""Friction of the drives as a law of the joint's own speed: Coulomb and viscous, one-sided, and curves over the speed.
 
-    symmetric    tau = Fc sign(v) + Fv v
-    asymmetric   tau = +Fc_pos + Fv_pos v for v > 0,   -Fc_neg + Fv_neg v for v < 0
-
-As causes beside symmetric friction: `coulomb_asymmetry = (Fc_pos - Fc_neg) / 2` and `viscous_asymmetry = (Fv_pos - Fv_neg) / 2`,
-which multiplies `|v|`. The first is a constant force, so data never tell it from `torque_offset`. Where the sign is smoothed,
-the two directions' laws are mixed in proportion. Reference: Dressler 2012, (6.8)-(6.9) and Table 6.1; Khalil & Dombre 2002, 9.6.
+A one-sided friction is half the difference of both directions' coefficients; that of Coulomb friction is a constant force, so
+data never tell it from `torque_offset`. Where the sign is smoothed, the two directions' laws are mixed in proportion. A Stribeck
+power is 1 in some texts and 2 in others; a setting here. The viscous curvature is in proportion to the speed well below the knee
+and to its `power` well above it: the Carreau law of a lubricant that thins (power below 1; at 0 it levels off) or of drag that
+sets in (power 1.5). Reference: Dressler 2012, (6.8)-(6.9) and Table 6.1; Khalil & Dombre 2002, 9.6; Stribeck 1902;
+Armstrong-Helouvry, Dupont & Canudas de Wit 1994; Carreau 1972; Bair & Winer 1979 and Bittencourt & Gunnarsson 2012 for geared
+joints.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from tau_dyn.effects.effect import PlausibleRange
+from tau_dyn.effects.effect import PlausibleRange, describe_one_sided, format_amount, format_quantity, spell_unit
 from tau_dyn.effects.jointwise import JointwiseEffect
-from tau_dyn.effects.motion import JointMotion
-from tau_dyn.effects.words import describe_one_sided
+from tau_dyn.effects.motion import JointMotion, Scene
 from tau_dyn.parameters import Parameter
 
 
@@ -111,3 +111,137 @@ class ViscousAsymmetry(JointwiseEffect):
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return how much more viscous friction one direction has."""
         return describe_one_sided("viscous friction", values["viscous_asymmetry"])
+
+
+_POWERS = {1.0: 1.0, 2.0: 3**0.5}
+"""Powers tried, and how many times the speed makes the peak about as wide as with the first."""
+
+
+class Stribeck(JointwiseEffect):
+    """A friction peak at low speed."""
+
+    name = "stribeck"
+    cause = True
+    equation = "tau += stribeck sign(v) exp(-(|v| / speed)^power)"
+    reference = "Stribeck 1902; Armstrong-Helouvry, Dupont & Canudas de Wit 1994"
+    reveals = "constant-speed strokes from very slow to fast, in both directions"
+    mistaken_for = ("hysteresis", "quadratic_drag", "backlash")
+    # Breakaway friction reaches three times the friction in motion (Armstrong-Helouvry, Dupont & Canudas de Wit 1994)
+    plausible = (PlausibleRange("stribeck", 0.0, 3.0, of="coulomb"),)
+    quantities = (("stribeck", "F"),)
+    nonnegative = True
+    speed_law = True
+    defaults = {"speed": 0.02, "power": 1.0}
+    refined = ("speed",)
+    open_ends = {"speed": "both"}
+    setting_units = {"speed": "V"}
+    positive = ("speed", "power")
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return the decaying sign."""
+        return [joint.sign * np.exp(-((np.abs(joint.v) / self.settings["speed"]) ** self.settings["power"]))]
+
+    def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
+        """Return the peak and where 5 % of it are left."""
+        gone = format_quantity(
+            3 ** (1 / self.settings["power"]) * self.settings["speed"], spell_unit("V", self.units[joint])
+        )
+        return f"a Stribeck peak of {format_amount(values['stribeck'])}, of which 5 % are left at {gone}"
+
+    @classmethod
+    def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
+        """Return speeds from half the slowest that is seen up to a third of the fast ones, a factor 1.6 apart, with both powers.
+
+        What decays with the square of the speed is as wide at 1.7 times the speed.
+        """
+        k = scene.index(joints[0])
+        low, high = 0.5 * scene.slow[k], scene.fast[k] / 3
+        if not 0 < low < high:  # zero: a joint that stands still
+            return []
+        count = 1 + int(np.ceil(np.log(high / low) / np.log(1.6)))
+        speeds = np.geomspace(low, high, count)
+        return [{"speed": float(wide * x), "power": power} for power, wide in _POWERS.items() for x in speeds]
+
+
+class QuadraticDrag(JointwiseEffect):
+    """A force against the motion, of the speed squared."""
+
+    name = "quadratic_drag"
+    cause = True
+    equation = "tau += quadratic_drag v |v|"
+    reference = "Hoerner 1965; Armstrong-Helouvry, Dupont & Canudas de Wit 1994"
+    reveals = "constant-speed strokes up to the highest speed, in both directions"
+    mistaken_for = ("stribeck", "viscous_asymmetry", "thermal_drift")
+    # At full speed drag reaches a few times the other friction, as in fans and oil baths
+    plausible = (PlausibleRange("quadratic_drag", 0.0, 3.0, of="drag"),)
+    quantities = (("quadratic_drag", "F/(V)^2"),)
+    sentence = "a drag of {quadratic_drag} times the speed squared"
+    nonnegative = True
+    speed_law = True
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return `v |v|`."""
+        return [joint.v * np.abs(joint.v)]
+
+
+_MEMORY_PERIODS = 4.0
+"""Periods of the low-pass' cutoff over which a step is smeared, two to each side."""
+_KNEE_AT_SPEED = 0.2
+"""Share of the fast speeds from which a knee is seen at speed, whatever happens at starts and reversals."""
+_KNEES = {0.0: (0.04, 0.1, 0.25, 0.6), 0.5: (0.03, 0.1), 1.5: (0.1,)}
+"""Power -> knees tried, as shares of the fast speeds. Beyond them the law is a straight line or a step, which the baseline has;
+of a power 0.5 with a knee further up the curve is that of power 0."""
+
+
+class ViscousCurvature(JointwiseEffect):
+    """Friction whose growth with speed levels off or speeds up."""
+
+    name = "viscous_curvature"
+    cause = True
+    equation = "tau += viscous_curvature sign(v) x (1 + x^2)^((power - 1) / 2), x = |v| / knee"
+    reference = "Carreau 1972; Bittencourt & Gunnarsson 2012"
+    reveals = "constant-speed strokes at ten speeds or more up to the highest, in both directions"
+    mistaken_for = ("quadratic_drag", "stribeck", "thermal_drift", "viscous_asymmetry")
+    # Of geared joints at speed all friction is less than the largest force; the viscous part is up to all of it
+    plausible = (PlausibleRange("viscous_curvature", 0.0, 1.0, of="force"),)
+    quantities = (("viscous_curvature", "F"),)
+    nonnegative = True
+    speed_law = True
+    defaults = {"knee": 0.1, "power": 0.0}
+    setting_units = {"knee": "V"}
+    positive = ("knee",)
+    refined = ("knee",)
+    open_ends = {"knee": "both"}
+
+    def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
+        """Let the friction act on these joints; see `Effect.__init__`.
+
+        A low knee of a power other than zero is no edge: below it the law is the plain power.
+        """
+        super().__init__(joints, units, label=label, **settings)
+        self.open_ends = {"knee": "both" if self.settings["power"] == 0 else "high"}
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return the curved law."""
+        x = np.abs(joint.v) / self.settings["knee"]
+        return [joint.sign * x * (1 + x**2) ** ((self.settings["power"] - 1) / 2)]
+
+    def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
+        """Return the part of the friction that is not in proportion to the speed, and from which speed."""
+        how, knee = "more" if self.settings["power"] > 1 else "less", self.setting("knee", joint)
+        size = format_amount(values["viscous_curvature"])
+        return f"viscous friction of {size} that grows {how} than the speed does above {knee}"
+
+    @classmethod
+    def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
+        """Return knees below the fast speeds for each power; none for a joint that stands still.
+
+        Friction that levels off to a constant (power 0) at a low knee differs from Coulomb friction at starts and reversals
+        alone. Where those pass it within the low-pass' memory, it is not told from their own transient.
+        """
+        k = scene.index(joints[0])
+        fast, least = float(scene.fast[k]), 0.0
+        if scene.hard is not None and np.isfinite(scene.cutoff_hz):
+            least = min(_MEMORY_PERIODS * float(scene.hard[k]) / scene.cutoff_hz, _KNEE_AT_SPEED * fast)
+        rows = [{"knee": share * fast, "power": p} for p, shares in _KNEES.items() for share in shares if fast > 0]
+        return [row for row in rows if row["power"] != 0 or row["knee"] > least]

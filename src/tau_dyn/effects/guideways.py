@@ -22,11 +22,9 @@ from abc import abstractmethod
 
 import numpy as np
 
-from tau_dyn.effects.displacement import DisplacementEffect
-from tau_dyn.effects.effect import PlausibleRange
-from tau_dyn.effects.jointwise import JointParameters
+from tau_dyn.effects.effect import PlausibleRange, format_amount, format_quantity
+from tau_dyn.effects.jointwise import DisplacementEffect, JointParameters
 from tau_dyn.effects.motion import Motion, Scene
-from tau_dyn.effects.words import format_amount, format_quantity
 from tau_dyn.parameters import Parameters
 
 SENSITIVITY = "cart_sensitivity"

@@ -1,16 +1,26 @@
-"""Effects that act on each of their joints by its own motion: their columns laid out, and their words, joint by joint."""
+"""Effects laid out joint by joint, and those that come between an encoder and its load: it is not where the encoder says.
+
+    deflection = encoder - load = displacement @ parameters,     q_load = q - deflection
+
+Positive: the load stays behind, as a spring's under a positive force. In the force channel the load moves by
+`a - deflection''`, `v - deflection'` and weighs as at `q_load`, so the actuator adds
+`tau = -M(q) deflection'' - D deflection' - dg/dq deflection` with `D` the growth of friction with speed; in the tool channel the
+tool is at `T(q_load) = T(q) - J deflection`. Both are first order in a deflection of micrometres; what `M` changes over it is
+left out. The second derivative is numerical, on a motion's even clock: without one (a single simulator step, poses held still)
+there is no force. The simulator adds effects of what the encoder reads to the recorded position.
+"""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
 
-from tau_dyn.effects.effect import Effect
-from tau_dyn.effects.motion import JointMotion, Motion
-from tau_dyn.effects.words import format_amount, format_percent, format_quantity, spell_unit
+from tau_dyn.effects.effect import Effect, format_amount, format_percent, format_quantity, spell_unit
+from tau_dyn.effects.motion import JointMotion, Motion, Scene
+from tau_dyn.log import differentiate
 from tau_dyn.parameters import Parameter, Parameters
 
 
@@ -80,3 +90,100 @@ class JointwiseEffect(JointParameters):
             for m, column in enumerate(self.per_joint(JointMotion.of(motion, index))):
                 out[:, index, n * k + m] = column
         return out
+
+
+_MIN_SAMPLES = 5  # samples that a derivative of fourth order takes
+
+
+class DisplacementEffect(Effect):
+    """An effect stated as what the encoder reads beyond the load's position, linear in its parameters."""
+
+    needs = ("inertia", "damping", "weight_gradient")
+
+    @abstractmethod
+    def displacement(self, motion: Motion) -> np.ndarray:
+        """Return encoder minus load per unit parameter (N, na, p) [m or rad] along a motion."""
+
+    def columns(self, motion: Motion) -> np.ndarray:
+        """Return force per unit parameter (N, na, p); none without a clock."""
+        made = self.displacement(motion)
+        speed = differentiate_columns(made, motion.t)
+        return (
+            compute_load_force(motion, self._indices(motion), made, speed, differentiate_columns(speed, motion.t))
+            if speed.any()
+            else speed
+        )
+
+    def tool_columns(self, motion: Motion, tool_jacobian: np.ndarray) -> np.ndarray:
+        """Return the tool's displacement per unit parameter (N, 3, p) [m], in base axes.
+
+        Args:
+            motion: Motion of the encoders.
+            tool_jacobian: Tool velocity per actuated speed (N, 3, na).
+        """
+        made = self.displacement(motion)
+        out = np.zeros((len(made), 3, made.shape[2]))
+        for k in self._indices(motion):  # the others are zero
+            out -= tool_jacobian[:, :, k, None] * made[:, None, k]
+        return out
+
+
+def compute_load_force(
+    motion: Motion, joints: Sequence[int], displacement: np.ndarray, speed: np.ndarray, acceleration: np.ndarray
+) -> np.ndarray:
+    """Return the force (N, na, p) that loads' displacement, its speed and acceleration (N, na, p) take off the actuators.
+
+    Only the columns of `joints`, by their places among the actuated ones, are looked at.
+    """
+    inertia, gradient, damping = (motion.signal(name) for name in ("inertia", "weight_gradient", "damping"))
+    N, na, p = displacement.shape
+    force = np.zeros((na, p, N))  # samples last: sums over them are long, and filters like it
+    for k in joints:
+        force[k] -= damping[:, k] * speed[:, k].T
+    for k in joints:
+        made, moved = (np.ascontiguousarray(x[:, k].T) for x in (displacement, acceleration))
+        for i in range(na):
+            force[i] -= inertia[:, i, k] * moved + gradient[:, i, k] * made
+    return force.transpose(2, 0, 1)
+
+
+def differentiate_columns(x: np.ndarray, t: np.ndarray | None) -> np.ndarray:
+    """Return the time derivative of (N, ...) on an even clock (N,) [s], as positions are differentiated.
+
+    Zeros without a clock or of too few samples.
+    """
+    if t is None or len(t) < _MIN_SAMPLES or not np.any(x):
+        return np.zeros(x.shape)
+    return differentiate(x, float(t[-1] - t[0]) / (len(t) - 1), accuracy=4)
+
+
+SEEN_DIRECTLY = frozenset({"tool", "load_side"})
+"""Signals that show where the load is: a measured tool, an encoder behind the drive."""
+
+
+class JointwiseDisplacement(DisplacementEffect, JointwiseEffect):
+    """What an encoder reads beyond its load, joint by joint; `per_joint` is a displacement [m or rad].
+
+    Attributes:
+        hidden: Why forces alone cannot show it; empty where they can.
+    """
+
+    hidden: ClassVar[str] = ""
+
+    @property
+    def measured(self) -> bool:
+        """The encoder's reading is off, and not the robot."""
+        return True
+
+    def displacement(self, motion: Motion) -> np.ndarray:
+        """Return encoder minus load per unit parameter (N, na, p) [m or rad]."""
+        return JointwiseEffect.columns(self, motion)
+
+    @classmethod
+    def untestable(cls, scene: Scene) -> tuple[str, str] | None:
+        """Return what the logs lack; where the load is measured directly, no force has to be explained by it."""
+        direct = bool(SEEN_DIRECTLY & scene.signals)
+        if cls.hidden and not direct:
+            return cls.hidden, cls.reveals
+        missing = [s for s in cls.needs if s not in scene.signals and not (direct and s in DisplacementEffect.needs)]
+        return (f"the logs give no {missing[0]}", cls.reveals) if missing else None

@@ -17,11 +17,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from tau_dyn.effects.displacement import JointwiseDisplacement, compute_load_force
-from tau_dyn.effects.effect import PlausibleRange, build_slide_and_hinge_ranges
-from tau_dyn.effects.jointwise import JointwiseEffect
+from tau_dyn.effects.effect import PlausibleRange, build_slide_and_hinge_ranges, format_amount
+from tau_dyn.effects.jointwise import JointwiseDisplacement, JointwiseEffect, compute_load_force
 from tau_dyn.effects.motion import JointMotion, Motion, Scene
-from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameter
 
 MIN_PERIODS = 4.0

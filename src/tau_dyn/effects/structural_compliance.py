@@ -21,10 +21,9 @@ from typing import Any
 import numpy as np
 from scipy import signal
 
-from tau_dyn.effects.displacement import JointwiseDisplacement
-from tau_dyn.effects.effect import PlausibleRange, build_slide_and_hinge_ranges
+from tau_dyn.effects.effect import PlausibleRange, build_slide_and_hinge_ranges, format_amount, spell_unit
+from tau_dyn.effects.jointwise import JointwiseDisplacement
 from tau_dyn.effects.motion import JointMotion, Motion, Scene
-from tau_dyn.effects.words import format_amount, spell_unit
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -201,6 +200,12 @@ class StructuralCompliance(JointwiseDisplacement):
         steps = int(np.ceil(np.log(max(highest / _MIN_FREQUENCY_HZ, 1.0)) / np.log(_STEP)))
         found = np.geomspace(_MIN_FREQUENCY_HZ, highest, steps) if steps > 1 else []
         return [*({"frequency": float(f), "damping": d} for d in _DAMPING for f in found), *_several(proposed, {})]
+
+    @classmethod
+    def of_resonances(cls, scene: Scene, joints: tuple[str, ...]) -> StructuralCompliance:
+        """Return the effect with all proposed modes on these joints; there must be one mode."""
+        plain = cls(joints, [scene.units[scene.index(joint)] for joint in joints])
+        return plain.with_settings(**cls.proposal(scene, joints))
 
     @classmethod
     def proposal(cls, scene: Scene, joints: tuple[str, ...]) -> dict[str, float]:

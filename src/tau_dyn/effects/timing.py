@@ -24,9 +24,8 @@ from typing import ClassVar
 import numpy as np
 from scipy.signal import lfilter
 
-from tau_dyn.effects.effect import Effect, PlausibleRange
+from tau_dyn.effects.effect import Effect, PlausibleRange, format_amount
 from tau_dyn.effects.motion import Motion, Scene
-from tau_dyn.effects.words import format_amount
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters
 

@@ -1,14 +1,19 @@
-"""Friction that follows something beside the speed: the load carried, the temperature, the campaign.
-
-    load_friction     tau += load_friction |load| sign(v)
-    thermal_drift     tau += (thermal_coulomb sign(v) + thermal_viscous v) (T_lag - reference),   lag dT_lag/dt = T - T_lag
-    friction_change   tau += [campaign = number] (coulomb_change sign(v) + viscous_change v)
+"""Friction that follows more than the joint's speed: load, temperature, campaign, place, passive bearings.
 
 For a cart, `load` is the force that its rod puts across the guideway; for a hinge, the rigid-body torque that its reducer
-transmits (`Mechanism.guide_load`); the model's masses give it, not the data. `T_lag` starts in equilibrium at the first sample;
-without a clock the temperature given is taken for it. The reference only moves Coulomb and viscous friction. A campaign is one
-log, numbered from zero in the order given. Reference: Hamon, Gautier & Garrec 2010; Dressler 2012, 6.2; Bittencourt &
-Gunnarsson 2012.
+transmits (`Mechanism.guide_load`); the model's masses give it, not the data. The temperature's lag starts in equilibrium at the
+first sample; without a clock the temperature given is taken for it. Its reference only moves Coulomb and viscous friction. A
+campaign is one log, numbered from zero in the order given.
+
+Friction of the place is a sum of Legendre polynomials, nearly independent of each other where the joint visits its range evenly;
+P_0 is Coulomb friction itself. Beyond the range it stays as at its end.
+
+A passive bearing turns with `w = P v`, `P` from the loops (`Mechanism.passive_rates`); by virtual work the motors add `P'` times
+its friction, with one pair of coefficients for all bearings. `w / |w|` reverses with the bearing, not with a joint: when all
+carts move alike, no rod turns. There the direction is noise; identification leaves such samples out (`other_speeds`), a smoothed
+sign (feedforward) fades with the fastest joint's, and the simulator takes the force at the current speed, so that it brakes but
+cannot hold. Reference: Hamon, Gautier & Garrec 2010; Dressler 2012, 6.2; Bittencourt & Gunnarsson 2012; Khalil & Dombre 2002, 9.6
+and ch. 10 (virtual work).
 """
 
 from __future__ import annotations
@@ -16,13 +21,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.polynomial import legendre
 from scipy.signal import lfilter
 
-from tau_dyn.effects.effect import PlausibleRange
+from tau_dyn.effects.effect import Effect, PlausibleRange, format_amount, format_quantity, spell_unit
 from tau_dyn.effects.jointwise import JointwiseEffect
-from tau_dyn.effects.motion import JointMotion, Scene
-from tau_dyn.effects.words import format_amount, format_quantity
-from tau_dyn.parameters import Parameter
+from tau_dyn.effects.motion import JointMotion, Motion, Scene
+from tau_dyn.parameters import Parameter, Parameters
 
 
 class LoadFriction(JointwiseEffect):
@@ -143,3 +148,140 @@ class FrictionChange(JointwiseEffect):
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
         """Return that one log has nothing to differ from."""
         return ("there is only one log", cls.reveals) if scene.campaigns < 2 else super().untestable(scene)
+
+
+_DEGREES = (2, 5, 8, 12)
+_SECONDS = 3.0
+"""Motion that each term needs, to see its part of the way in both directions more than once."""
+
+
+class PositionFriction(JointwiseEffect):
+    """Coulomb friction as a polynomial of the position."""
+
+    name = "position_friction"
+    cause = True
+    equation = "tau += sign(v) sum_k position_friction_k P_k((q - middle) / half), k = 1 .. degree"
+    reference = "Dressler 2012, 6.2; Khalil & Dombre 2002, 9.6"
+    reveals = "slow constant-speed strokes over the whole range, in both directions"
+    mistaken_for = ("load_friction", "thermal_drift", "cyclic_ripple", "passive_joint_friction")
+    # Friction stays positive at each place
+    plausible = (PlausibleRange("position_friction", -1.0, 1.0, of="coulomb"),)
+    quantities = ()
+    defaults = {"middle": 0.0, "half": 1.0, "degree": 2}
+    setting_units = {"middle": "Q", "half": "Q"}
+    positive = ("half",)
+    whole = ("degree",)
+
+    @property
+    def terms(self) -> tuple[tuple[str, str], ...]:
+        """One amplitude a degree, from one up."""
+        return tuple((f"position_friction_{k}", "F") for k in range(1, int(self.settings["degree"]) + 1))
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return the sign times each polynomial."""
+        P = self._polynomials(joint.q)
+        return [joint.sign * P[:, k] for k in range(P.shape[1])]
+
+    def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
+        """Return where friction is lowest and highest, relative to its mean over the range."""
+        q = self.settings["middle"] + self.settings["half"] * np.linspace(-1, 1, 201)
+        friction = self._polynomials(q) @ np.array([p.value for p in values.values()])
+        force, place = self.units[joint], spell_unit("Q", self.units[joint])
+        low, high = int(np.argmin(friction)), int(np.argmax(friction))
+        return (
+            f"friction {format_quantity(float(friction[high] - friction[low]), force)} higher at "
+            f"{format_quantity(float(q[high]), place)} than at {format_quantity(float(q[low]), place)}"
+        )
+
+    def lookalikes(self) -> list[Effect]:
+        """Return viscous friction that differs along the way in the same manner: `v` in place of `sign(v)`."""
+        return [_PositionDrag(self.joints, self.units.values(), label=self.label, **self.settings)]
+
+    def _polynomials(self, q: np.ndarray) -> np.ndarray:
+        x = np.clip((q - self.settings["middle"]) / self.settings["half"], -1, 1)
+        return legendre.legvander(x, int(self.settings["degree"]))[:, 1:]
+
+    @classmethod
+    def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
+        """Return laws from a parabola to one with three waves over the range that is often travelled.
+
+        Where the joint hardly ever was, a polynomial of its own would say anything.
+        """
+        low, high = scene.range_of(joints[0])
+        if not low < high:
+            return []
+        degrees = [n for n in _DEGREES if n == _DEGREES[0] or n * _SECONDS <= scene.duration]
+        return [{"middle": (low + high) / 2, "half": (high - low) / 2, "degree": n} for n in degrees]
+
+
+class _PositionDrag(PositionFriction):
+    """Viscous friction as a polynomial of the position; too rare to be a cause, and a look-alike of one."""
+
+    name = "position_drag"
+    cause = False
+    equation = "tau += v sum_k position_friction_k P_k((q - middle) / half), k = 1 .. degree"
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return the speed times each polynomial."""
+        P = self._polynomials(joint.q)
+        return [joint.v * P[:, k] for k in range(P.shape[1])]
+
+
+class PassiveJointFriction(Effect):
+    """Viscous and Coulomb friction of all passive bearings, which share their coefficients."""
+
+    name = "passive_joint_friction"
+    cause = True
+    equation = "tau += sum over passive bearings P' (viscous w + coulomb w / |w|), w = P v"
+    reference = "Khalil & Dombre 2002, ch. 10"
+    reveals = "motions in which the rods turn much beside ones in which all carts move alike, in both directions"
+    mistaken_for = ("viscous_asymmetry", "coulomb_asymmetry", "load_friction")
+    # From instrument bearings to preloaded cardan joints
+    plausible = (PlausibleRange("coulomb", 0.0, 10.0, "N m"), PlausibleRange("viscous", 0.0, 30.0, "N m/(rad/s)"))
+    needs = ("passive",)
+    nonnegative = True
+
+    @property
+    def parameters(self) -> Parameters:
+        """The coefficients that all bearings share, at zero."""
+        rows = (("viscous", "N m/(rad/s)"), ("coulomb", "N m"))
+        return Parameters(Parameter(f"passive.{key}{self.label}", 0.0, u, 0.0, origin=self.name) for key, u in rows)
+
+    @classmethod
+    def groups(cls, scene: Scene) -> list[tuple[str, ...]]:
+        """Return all joints together: bearings load every one of them."""
+        return [scene.joints] if "passive" in scene.signals else []
+
+    @classmethod
+    def untestable(cls, scene: Scene) -> tuple[str, str] | None:
+        """Return that there are no passive joints, where so."""
+        return None if "passive" in scene.signals else ("the robot has no loops and so no passive joints", cls.reveals)
+
+    def columns(self, motion: Motion) -> np.ndarray:
+        """Return force per unit parameter (N, na, 2)."""
+        self._indices(motion)
+        P = motion.signal("passive")
+        w = np.einsum("nbxa,na->nbx", P, motion.v)
+        speed = np.sqrt(np.sum(w**2, axis=2, keepdims=True))
+        fading = np.max(np.abs(motion.sign), axis=1)[:, None, None]
+        direction = np.divide(w, speed, out=np.zeros_like(w), where=speed > 0) * fading
+        return np.stack([np.einsum("nbxa,nbx->na", P, x) for x in (w, direction)], axis=2)
+
+    def describe(self, parameters: Parameters) -> str:
+        """Return both coefficients in words."""
+        viscous, coulomb = (format_amount(p) for p in parameters.select(self.parameters.names))
+        return f"friction of {coulomb} and {viscous} in every joint without a motor"
+
+    def other_speeds(self, motion: Motion) -> list[tuple[np.ndarray, list[int]]]:
+        """Return each bearing's speed as the joints' speeds that would turn it so: `|w| / |P|`.
+
+        A bearing with one axis has a sign to lose. With more, the direction is unsure where `|w|` is within the noise.
+        """
+        found = []
+        joints = list(range(motion.v.shape[1]))
+        for P in np.moveaxis(motion.signal("passive"), 1, 0):
+            size = np.sqrt(np.sum(P**2, axis=(1, 2)))
+            w = np.einsum("nxa,na->nx", P, motion.v)
+            rate = np.sqrt(np.sum(w**2, axis=1)) if P[:, 1:].any() else w[:, 0]
+            found.append((np.divide(rate, size, out=np.zeros_like(rate), where=size > 0), joints))
+        return found

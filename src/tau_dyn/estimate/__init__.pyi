@@ -6,7 +6,7 @@ from .base_parameters import (
     find_base as find_base,
     read_expression as read_expression,
 )
-from .covariance import BLOCK_S as BLOCK_S, Whitener as Whitener
+from .covariance import Whitener as Whitener, assign_blocks as assign_blocks
 from .estimate import (
     MAX_RELATIVE_STDERR as MAX_RELATIVE_STDERR,
     Estimate as Estimate,
@@ -51,16 +51,14 @@ from .regression import (
     StreamedData as StreamedData,
     SufficientStatistics as SufficientStatistics,
 )
-from .robust_loss import (
-    LOSSES as LOSSES,
-    compute_robust_weights as compute_robust_weights,
-    compute_tuning_constant as compute_tuning_constant,
-    estimate_distance_scale as estimate_distance_scale,
-)
 from .weights import (
+    LOSSES as LOSSES,
     build_prior_rows as build_prior_rows,
     compute_bisquare_weights as compute_bisquare_weights,
     compute_robust_covariance_factor as compute_robust_covariance_factor,
+    compute_robust_weights as compute_robust_weights,
+    compute_tuning_constant as compute_tuning_constant,
+    estimate_distance_scale as estimate_distance_scale,
     estimate_robust_scale as estimate_robust_scale,
     scale_columns as scale_columns,
     solve_scaled as solve_scaled,

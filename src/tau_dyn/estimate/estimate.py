@@ -7,7 +7,7 @@ side has chosen.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,11 +17,16 @@ from tau_dyn.estimate.autoregression import Autoregression
 from tau_dyn.estimate.base_parameters import BaseParameters
 from tau_dyn.estimate.covariance import select_larger_stderr
 from tau_dyn.estimate.regression import Regression
+from tau_dyn.estimate.weights import build_prior_rows, solve_scaled
 from tau_dyn.exceptions import CannotAnswer, UnknownName
 from tau_dyn.parameters import Parameters
 
 MAX_RELATIVE_STDERR = 0.30
 """Relative standard error below which a parameter counts as determined."""
+
+
+_REFIT_TOLERANCE = 1e-10
+"""Relative singular value below which a direction of a refit is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +89,20 @@ class Estimate:
         """Return measured minus predicted for each run (n, m)."""
         return self.regression.residuals(self.theta)
 
+    def refit(self, outputs: Sequence[np.ndarray]) -> np.ndarray:
+        """Return what these least squares make of further outputs (n, m) of each run: base parameters (r,).
+
+        Parameters measured beforehand are held as they are in the estimate.
+        """
+        base, parameters, rows, targets = self.base, self.regression.parameters, [], []
+        kept = [parameters.names.index(base.names[c]) for c in base.kept]
+        for run, x in zip(self.regression.runs, outputs, strict=True):
+            rows.append((run.W[:, :, kept] / self.sigma[:, None])[run.usable])
+            targets.append((x / self.sigma)[run.usable])
+        known, _ = build_prior_rows(parameters.select(base.names))
+        y = np.concatenate([*targets, np.zeros(len(known))])
+        return solve_scaled(np.concatenate([*rows, known[:, base.kept]]), y, _REFIT_TOLERANCE)
+
     def identifiable(self, name: str) -> bool:
         """Return whether some motion could show this parameter by itself."""
         base = self.structural or self.base
@@ -93,6 +112,19 @@ class Estimate:
         """Return whether these data tell the parameter to within 30 % of its value."""
         p = self.parameters[name]
         return p.stderr is not None and p.stderr < MAX_RELATIVE_STDERR * abs(p.value)
+
+
+def attach_stderr(parameters: Parameters, base: BaseParameters, stderr: np.ndarray) -> Parameters:
+    """Attach standard errors to the parameters that are base parameters by themselves, and say where each value came from."""
+    known = base.by_name(stderr)
+    shared = {name for k, name in enumerate(base.names) if name not in known and base.depends_on(k)}
+    origin = dict.fromkeys(known, "identified") | dict.fromkeys(shared, "one of many splits with the same forces")
+    return parameters.update(
+        {
+            p.name: {"stderr": known.get(p.name), "origin": origin.get(p.name, p.origin), "split": p.name in shared}
+            for p in parameters
+        }
+    )
 
 
 _TOLERANCE = 1e-6

@@ -17,11 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.estimate.covariance import estimate_score_covariance, select_larger_stderr
-from tau_dyn.estimate.estimate import Estimate
+from tau_dyn.estimate.estimate import Estimate, attach_stderr
 from tau_dyn.estimate.physical_consistency import PhysicalConstraints, solve_consistent
 from tau_dyn.estimate.weights import build_prior_rows
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.parameters import Parameters
 
 MIN_RECIPROCAL_CONDITION = 1e-8
 """Reciprocal condition of `J` at unit scale below which instruments tell the parameters apart no more."""
@@ -111,7 +110,7 @@ def estimate_of(
     stderr = select_larger_stderr(coloured, scattered)
     return replace(
         first,
-        parameters=_with_stderr(first, held.parameters.values, stderr),
+        parameters=attach_stderr(held.parameters, first.base, stderr),
         beta=first.base.combine(held.parameters.select(first.base.names).values),
         beta_plain=solution.beta,
         cov=coloured,
@@ -164,14 +163,3 @@ def _known(first: Estimate) -> tuple[np.ndarray, np.ndarray]:
     """Return what was measured beforehand as rows of unit noise: base columns (k, r) and values (k,)."""
     rows, values = build_prior_rows(first.regression.parameters.select(first.base.names))
     return rows[:, first.base.kept], values
-
-
-def _with_stderr(first: Estimate, values: np.ndarray, stderr: np.ndarray) -> Parameters:
-    """Return the first estimate's parameters with other values and standard errors."""
-    known = first.base.by_name(stderr)
-    changes = {
-        p.name: {"value": float(x), "stderr": known.get(p.name)}
-        for p, x in zip(first.parameters, values, strict=True)
-        if p.free
-    }
-    return first.parameters.update(changes)

@@ -19,7 +19,7 @@ import numpy as np
 
 from tau_dyn.estimate.base_parameters import BaseParameters, find_base
 from tau_dyn.estimate.covariance import Scores, estimate_covariance, select_larger_stderr
-from tau_dyn.estimate.estimate import Estimate
+from tau_dyn.estimate.estimate import Estimate, attach_stderr
 from tau_dyn.estimate.physical_consistency import PhysicalConstraints, solve_consistent
 from tau_dyn.estimate.regression import Regression, RegressionRows
 from tau_dyn.estimate.weights import build_prior_rows
@@ -77,7 +77,7 @@ def solve_least_squares(
     stderr = select_larger_stderr(certainty.autoregressive, certainty.clustered)
     return Estimate(
         regression=regression,
-        parameters=_with_stderr(constrained.parameters, base, stderr),
+        parameters=attach_stderr(constrained.parameters, base, stderr),
         base=base,
         beta=base.combine(constrained.parameters.select(base.names).values),
         beta_plain=beta,
@@ -184,16 +184,3 @@ def _gain_rows(
         mine = np.flatnonzero(rows.index == k)
         found.append(gains.get(output, 0.0) * (weighted[mine].T @ y[mine])[None])
     return np.concatenate(found)
-
-
-def _with_stderr(parameters: Parameters, base: BaseParameters, stderr: np.ndarray) -> Parameters:
-    """Attach standard errors to the parameters that are base parameters by themselves, and say where each value came from."""
-    known = base.by_name(stderr)
-    shared = {name for k, name in enumerate(base.names) if name not in known and base.depends_on(k)}
-    origin = dict.fromkeys(known, "identified") | dict.fromkeys(shared, "one of many splits with the same forces")
-    return parameters.update(
-        {
-            p.name: {"stderr": known.get(p.name), "origin": origin.get(p.name, p.origin), "split": p.name in shared}
-            for p in parameters
-        }
-    )

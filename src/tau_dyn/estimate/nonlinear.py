@@ -21,7 +21,7 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from tau_dyn.estimate.robust_loss import (
+from tau_dyn.estimate.weights import (
     LOSSES,
     compute_loss,
     compute_loss_covariance_factor,

@@ -200,8 +200,7 @@ class Preparation:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers for JSON."""
-        out = asdict(self)
-        return out | {"speed_threshold": self.speed_threshold.tolist(), "exclude": list(self.exclude)}
+        return asdict(self) | {"speed_threshold": self.speed_threshold.tolist(), "exclude": list(self.exclude)}
 
 
 AS_RECORDED = Preparation(inf, inf, inf, np.zeros(0), 0.0)

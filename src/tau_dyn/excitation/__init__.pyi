@@ -8,3 +8,4 @@ from .prediction import (
     estimate_log_noise as estimate_log_noise,
     predict as predict,
 )
+from .search import choose_by_exchange as choose_by_exchange

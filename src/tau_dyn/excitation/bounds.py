@@ -8,7 +8,7 @@ are functions of q alone, differenced joint by joint.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import LoopArrays, LoopSolver, list_joints
 from tau_dyn.model import Model
+from tau_dyn.robot import Robot
 from tau_dyn.simulate import MotionProfile, compute_condition_bound
 
 MARGIN = 0.05
@@ -137,13 +138,7 @@ class Bounds:
             parts += [off - 1, -off - 1]
         return np.hstack(parts)
 
-    @cached_property
-    def _closer(self) -> tuple[LoopSolver, LoopArrays | None]:
-        solver = LoopSolver(self.model.robot)
-        joints = list_joints(solver.model)
-        return solver, None if joints is None else LoopArrays(solver, joints)
-
-    @cached_property
+    @property
     def _limited(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return indices into configuration and velocity of the passive joints with a range, and its middle and half."""
         model, robot = self.model.robot.model, self.model.robot
@@ -161,7 +156,7 @@ class Bounds:
     def _passive(self, q: np.ndarray, slopes: bool) -> Excess:
         """Return how far passive joints are from the ends of their ranges."""
         index_q, index_v, middle, half = self._limited
-        solver, arrays = self._closer
+        solver, arrays = _build_closer(self.model.robot)
         if arrays is not None:
             closed = arrays.close(q)
             place, slope = closed.x[index_v].T, np.moveaxis(closed.G[index_v], 2, 0)
@@ -172,6 +167,14 @@ class Bounds:
         off = (place - middle) / half
         by = [(0, j, np.sign(off) * slope[:, :, j] / half) for j in range(q.shape[1])] if slopes else []
         return Excess("passive joints", np.abs(off) - 1, by)
+
+
+@lru_cache(maxsize=2)
+def _build_closer(robot: Robot) -> tuple[LoopSolver, LoopArrays | None]:
+    """Return what closes a robot's loops, one by one and many at once."""
+    solver = LoopSolver(robot)
+    joints = list_joints(solver.model)
+    return solver, None if joints is None else LoopArrays(solver, joints)
 
 
 def _symmetric(name: str, kind: int, x: np.ndarray, limit: np.ndarray) -> Excess:

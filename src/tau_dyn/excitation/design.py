@@ -17,7 +17,7 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError, LoopClosureError, UnknownName
 from tau_dyn.excitation.bounds import Bounds
-from tau_dyn.excitation.information import CRITERIA, Criterion, Information, compute_information_matrix
+from tau_dyn.excitation.information import CRITERIA, Information, compute_information_matrix
 from tau_dyn.excitation.prediction import InformationPrediction, Noise, predict
 from tau_dyn.excitation.search import MotionSearch, Series, Stopped
 from tau_dyn.model import Model
@@ -172,9 +172,22 @@ def design_motion(
     _refuse(criterion, trials, duration)
     model, rng = model.steady(), np.random.default_rng(seed)
     bounds = _bounds(model, speed, acceleration, box, condition)
-    ask = _Request(model, bounds, CRITERIA[criterion], noise, rate_hz, fast_hz, begun + seconds, progress)
     layout = lay_out(bounds, duration, fast_hz, strokes)
-    search, noise = _search(ask, layout, rng)
+    samples = max(_FEWEST_SAMPLES, _GRID * layout.series.harmonics)
+    first = _generic(model, layout.series, samples, rng)
+    noise = noise or Noise.typical(model, model.torque(*first), rate_hz)
+    information = _information(model, noise, fast_hz, first)
+    search = MotionSearch(
+        layout.series,
+        information,
+        bounds,
+        CRITERIA[criterion],
+        information.prior + _of_strokes(information, layout.after, noise.rate_hz),
+        noise.rate_hz,
+        samples,
+        begun + seconds,
+        progress,
+    )
     progress(f"{trials} random motions")
     start, value, finished = _searched(search, rng, trials)
     if search.best is None or start is None:
@@ -182,11 +195,14 @@ def design_motion(
             "unreachable", f"{model.robot.source}: no motion around home was found within the limits in {seconds:g} s"
         )
     progress("predicting")
-    chosen, random = (build_full_motion(model, layout, x) for x in (search.best, start))
+    motions = [build_full_motion(model, layout, x) for x in (search.best, start)]
     taken = time.monotonic() - begun
-    told, before = _errors(model, (chosen, random), noise, seed)
+    try:
+        told, before = (predict(model, motion, noise, seed, driven=True) for motion in motions)
+    except KeyboardInterrupt:  # who will not wait for the simulation
+        told, before = (predict(model, motion, noise, seed) for motion in motions)
     return ExcitationDesign(
-        replace(chosen, notes=_notes(search, criterion, value, finished, taken)),
+        replace(motions[0], notes=_notes(search, criterion, value, finished, taken)),
         told,
         before,
         criterion,
@@ -196,31 +212,6 @@ def design_motion(
         finished,
         noise,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Request:
-    """What was asked, checked.
-
-    Attributes:
-        model: The model without effects that a single state does not determine.
-        bounds: What the motion may not do.
-        criterion: What is made small.
-        noise: Of forces and encoders, where it was given.
-        rate_hz: Rate of the log to come, where no noise was given [Hz].
-        fast_hz: Nothing in the periodic part is faster [Hz].
-        deadline: When the search stops, on the monotonic clock [s].
-        progress: Called with a sentence now and then.
-    """
-
-    model: Model
-    bounds: Bounds
-    criterion: Criterion
-    noise: Noise | None
-    rate_hz: float
-    fast_hz: float
-    deadline: float
-    progress: Callable[[str], None]
 
 
 def _refuse(criterion: str, trials: int, duration: float) -> None:
@@ -247,22 +238,6 @@ def _bounds(
     return Bounds.of(model, compute_reach(model), fastest, quickest, corners, condition)
 
 
-def _search(ask: _Request, layout: MotionLayout, rng: np.random.Generator) -> tuple[MotionSearch, Noise]:
-    """Return the search, ready to start, and the noise that it assumes."""
-    model, series = ask.model, layout.series
-    samples = max(_FEWEST_SAMPLES, _GRID * series.harmonics)
-    waves = series.waves(series.period * np.arange(samples) / samples)
-    first = _generic(model, series, waves, rng)
-    noise = ask.noise or Noise.typical(model, model.torque(*first), ask.rate_hz)
-    information = _information(model, noise, ask.fast_hz, first)
-    strokes = 0.0 if layout.after is None else _of_strokes(information, layout.after, noise.rate_hz)
-    added = information.prior + strokes
-    search = MotionSearch(
-        series, information, ask.bounds, ask.criterion, added, noise.rate_hz, samples, ask.deadline, ask.progress
-    )
-    return search, noise
-
-
 def _searched(search: MotionSearch, rng: np.random.Generator, trials: int) -> tuple[np.ndarray | None, float, bool]:
     """Search until it settles, time is up or the user had enough.
 
@@ -283,20 +258,9 @@ def _searched(search: MotionSearch, rng: np.random.Generator, trials: int) -> tu
     return start, value, finished
 
 
-def _errors(
-    model: Model, motions: tuple[Trajectory, Trajectory], noise: Noise, seed: int
-) -> tuple[InformationPrediction, InformationPrediction]:
-    """Return what both motions will tell, driven in simulation; without it where the user will not wait."""
-    one, other = motions
-    try:
-        return predict(model, one, noise, seed, driven=True), predict(model, other, noise, seed, driven=True)
-    except KeyboardInterrupt:
-        return predict(model, one, noise, seed), predict(model, other, noise, seed)
-
-
-def _generic(model: Model, series: Series, waves: MotionProfile, rng: np.random.Generator) -> MotionProfile:
-    """Return a random path (n, na) that the loops allow."""
-    x = series.random(rng)
+def _generic(model: Model, series: Series, samples: int, rng: np.random.Generator) -> MotionProfile:
+    """Return a random path (samples, na) that the loops allow."""
+    x, waves = series.random(rng), series.waves(series.period * np.arange(samples) / samples)
     for _ in range(60):
         path = series.path(waves, x)
         try:
@@ -319,7 +283,9 @@ def _information(model: Model, noise: Noise, fast_hz: float, path: MotionProfile
     return Information.of(model, noise.weighing(model, force_hz), 2 / position_hz, slow, path)
 
 
-def _of_strokes(information: Information, motion: Trajectory, rate_hz: float) -> np.ndarray:
+def _of_strokes(information: Information, motion: Trajectory | None, rate_hz: float) -> np.ndarray | float:
+    if motion is None:
+        return 0.0
     step = max(1, motion.n_samples // 2000)
     few = motion.every(step)
     return compute_information_matrix(information.rows(MotionProfile(few.q, few.v, few.a))) * rate_hz * step / RATE_HZ

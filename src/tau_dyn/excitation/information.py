@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -146,11 +145,11 @@ class Information:
         scale = compute_parameter_scales(values, [p.unit for p in rows], W[:, base.kept], tau)
         return cls(model, base, sigma, window_s, slow, scale)
 
-    @cached_property
+    @property
     def _kept(self) -> np.ndarray:
         return np.flatnonzero(self.model.parameters.free)[self.base.kept]
 
-    @cached_property
+    @property
     def prior(self) -> np.ndarray:
         """Information that is there beforehand (r, r): parameters measured by other means."""
         rows = [self.model.parameters[self.base.names[k]].prior_stderr for k in self.base.kept]

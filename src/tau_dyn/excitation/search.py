@@ -9,7 +9,10 @@ any number of whole periods, and contains nothing above its highest harmonic (Sw
 
 an augmented Lagrangian with exact gradients, each round by L-BFGS; multipliers and `mu` grow until what is left of the bounds
 is within the margin's slack. The last step is to scale the motion about home until every bound holds on a fine grid. The search
-may be stopped at any time; the best motion that keeps all bounds is what it hands back. Reference: Nocedal & Wright 2006, ch. 17.
+may be stopped at any time; the best motion that keeps all bounds is what it hands back.
+
+Where a motion is put together of pieces, their information adds up, and one piece is exchanged at a time until nothing helps.
+Reference: Nocedal & Wright 2006, ch. 17; Fedorov 1972 (exchange).
 """
 
 from __future__ import annotations
@@ -17,7 +20,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg import null_space
@@ -47,7 +49,7 @@ class Series:
     harmonics: int
     periods: int
 
-    @cached_property
+    @property
     def free(self) -> np.ndarray:
         """Directions that start at rest (2 harmonics, 2 harmonics - 2); sines first, then cosines."""
         h = np.arange(1, self.harmonics + 1)
@@ -268,3 +270,28 @@ class MotionSearch:
 
 def _kept(found: list[Excess]) -> bool:
     return all(float(e.values.max()) <= 1e-9 for e in found)
+
+
+_SWEEPS = 5  # of the exchange over all places; bounds the time
+
+
+def choose_by_exchange(merit: Callable[[np.ndarray], float], information: np.ndarray, number: int) -> list[int]:
+    """Return the pieces, with repetition, whose information adds up to the largest merit.
+
+    Args:
+        merit: What is made large, of an information matrix (r, r): determined parameters, or causes told apart.
+        information: Information of each piece (n, r, r).
+        number: How many pieces are chosen.
+    """
+    merits = [merit(number * one) for one in information]
+    chosen, best = [int(np.argmax(merits))] * number, max(merits)
+    for _ in range(_SWEEPS):
+        before = best
+        for slot in range(number):
+            rest = sum((information[k] for j, k in enumerate(chosen) if j != slot), np.zeros_like(information[0]))
+            found = [merit(rest + one) for one in information]
+            if max(found) > best * (1 + 1e-9):
+                chosen[slot], best = int(np.argmax(found)), max(found)
+        if best <= before * (1 + 1e-3):
+            break
+    return chosen

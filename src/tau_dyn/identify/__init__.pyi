@@ -16,7 +16,6 @@ from .fitted_model import (
     build_model as build_model,
     build_physical_constraints as build_physical_constraints,
 )
-from .gate import get_measured_signals as get_measured_signals
 from .identification import identify as identify
 from .log_integrity import (
     check_against_robot as check_against_robot,
@@ -32,13 +31,16 @@ from .preparation import (
     Kept as Kept,
     Preparation as Preparation,
     TooShort as TooShort,
-    choose_from_long as choose_from_long,
     choose_preparation as choose_preparation,
     count_information as count_information,
+    find_unsure_samples as find_unsure_samples,
+    get_measured_signals as get_measured_signals,
     keep_long as keep_long,
     list_crumbs as list_crumbs,
     list_information_warnings as list_information_warnings,
     refuse_short as refuse_short,
+    select_long as select_long,
+    widen as widen,
 )
 from .regression import (
     PreparedSegment as PreparedSegment,

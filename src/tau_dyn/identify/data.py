@@ -17,9 +17,8 @@ from scipy.interpolate import CubicSpline
 from tau_dyn.estimate import ROUNDING, Preparation, Regression
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.fitted_model import scale_outputs
-from tau_dyn.identify.gate import SATURATION_RATIO
 from tau_dyn.identify.log_integrity import check_integrity
-from tau_dyn.identify.preparation import list_crumbs, refuse_short
+from tau_dyn.identify.preparation import SATURATION_RATIO, list_crumbs, refuse_short
 from tau_dyn.identify.regression import build_regression_of_pieces
 from tau_dyn.identify.streaming import (
     BlockExecutor,

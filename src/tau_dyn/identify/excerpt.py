@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.gate import find_excluded_samples, find_unsure_samples, widen
-from tau_dyn.identify.preparation import choose_preparation
+from tau_dyn.identify.preparation import choose_preparation, find_excluded_samples, find_unsure_samples, widen
 from tau_dyn.log import (
     MIN_SEGMENT_SAMPLES,
     Log,

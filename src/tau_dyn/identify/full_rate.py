@@ -37,7 +37,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 from scipy.fft import next_fast_len
-from scipy.ndimage import binary_dilation
 
 from tau_dyn.estimate import (
     REACH,
@@ -55,7 +54,7 @@ from tau_dyn.estimate import (
     solve_instrumental_variables,
 )
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.identify.gate import find_excluded_samples, get_measured_signals
+from tau_dyn.identify.preparation import find_excluded_samples, find_unsure_samples, get_measured_signals, widen
 from tau_dyn.log import Log, compute_edge_samples, differentiate, estimate_encoder_noise, lowpass
 from tau_dyn.model import Model
 
@@ -163,9 +162,9 @@ def build_full_rate_equations(model: Model, log: Log, preparation: Preparation) 
     v = differentiate(q, log.dt, accuracy=4)
     signals = get_measured_signals(log, joints, q, v, preparation.speed_threshold)
     W = _columns(model, log, q, v, compute_accelerations(raw, log.dt), signals)
-    keep = _sure(v, SIGN_THRESHOLD_RATIO * preparation.speed_threshold)
-    flagged = find_excluded_samples(log, joints, model.robot.effort_limit, preparation.exclude)
-    keep &= ~np.asarray(binary_dilation(flagged, np.ones((2 * REACH + 1, 1), bool)), dtype=bool)
+    shut = find_unsure_samples(v, SIGN_THRESHOLD_RATIO * preparation.speed_threshold)
+    shut |= find_excluded_samples(log, joints, model.robot.effort_limit, preparation.exclude)
+    keep = ~widen(shut, REACH)  # an acceleration reaches so far
     edge = compute_edge_samples(preparation.position_cutoff_hz, rate)
     keep[:edge] = keep[len(keep) - edge :] = False
     return FullRate(log, raw, (q, v), signals, log.joint("tau", joints), W, _inertia(model, q), keep)
@@ -173,13 +172,6 @@ def build_full_rate_equations(model: Model, log: Log, preparation: Preparation) 
 
 def _columns(model: Model, log: Log, q: np.ndarray, v: np.ndarray, a: np.ndarray, signals: Mapping) -> np.ndarray:
     return model.columns(model.motion(q, v, a, np.sign(v), t=log.t, signals=signals))
-
-
-def _sure(v: np.ndarray, threshold: np.ndarray) -> np.ndarray:
-    """Return where each joint's sign is sure (n, m), out of the acceleration's reach of where it is not."""
-    slow = np.abs(v) < threshold
-    slow[1:] |= np.sign(v[1:]) != np.sign(v[:-1])
-    return ~np.asarray(binary_dilation(slow, np.ones((2 * REACH + 1, 1), bool)), dtype=bool)
 
 
 def _inertia(model: Model, q: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ descriptions the data cannot tell apart.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -75,22 +75,13 @@ def identify(
         CannotAnswer: The logs determine nothing.
     """
     given, judged = get_log_list(logs), get_log_list(holdout)
-    asked = choices or Choices()
     warnings: list[str] = []  # what was doubtful on the way; where no answer comes, often the reason
     try:
-        fitted = asked.apply(build_model(robot, model))
-        if not fitted.parameters.free.any():
-            raise InputError("bad_option", "every parameter is fixed; nothing is left to estimate")
-        gains = asked.gains(fitted.robot.actuated)
-        train, held, doubled = drop_repeated_logs(given, judged)
-        require_forces(fitted.robot, [*train, *held])
-        how: dict[str, Any] = {
-            "factors": {joint: factor for joint, (factor, _) in gains.items()},
-            "engine": engine or BlockExecutor(count_cores()),
-            "progress": progress,
-        }
-        data = Data.of(fitted, train, preparation=preparation, exclude=exclude, **how)
-        held_out = Data.of(fitted, held, campaigns=tuple(log.name for log in train), **how)
+        how = {"engine": engine or BlockExecutor(count_cores()), "progress": progress}
+        data, held_out, gains, doubled = _gather_data(
+            choices or Choices(), build_model(robot, model), given, judged, preparation, exclude, how
+        )
+        fitted, train, held = data.model, data.logs, held_out.logs
         _refuse_in_blocks(estimator, data)
         warnings += [*data.warnings(), *held_out.warnings(), *fitted.robot.warnings, *doubled]
 
@@ -113,20 +104,13 @@ def identify(
         warnings += settled.warnings
 
         progress("held-out errors")
-        if held:
-            late = offset.seconds if offset is not None and offset.corrected else 0.0
-            errors = _judge_held_out(held_out.shifted(late) if late else held_out, settled)
-        elif judged:
-            errors = _Judged(None, None, "no held-out log was left")
-        else:
-            errors = _judge_last_part(settled.built, solver)
+        errors = _judge_held_out(held_out, settled, offset) if judged else _judge_last_part(settled.built, solver)
         warnings += errors.warnings
         _refuse_if_nothing_determined(settled.estimate)
     except CannotAnswer as fault:
         fault.warnings = tuple(dict.fromkeys(warnings))
         raise
-    estimate = settled.estimate
-    trained = build_force_errors(settled.built.regression, estimate.theta)
+    trained, estimate = build_force_errors(settled.built.regression, settled.estimate.theta), settled.estimate
     warnings += list_unjudged_joint_warnings(trained, errors.errors)
     warnings += list_held_out_warnings(trained, errors.errors if held else None)
     warnings += [*list_estimate_warnings(estimate), *list_inertia_scale_warnings(estimate, fitted.parameters)]
@@ -142,9 +126,39 @@ def identify(
         warnings=tuple(dict.fromkeys(warnings)),
         equivalent=list_equivalent_models(estimate, fitted.robot.actuated),
         seed=seed,
-        logs=tuple(train),
+        logs=train,
         force_offset=offset,
     )
+
+
+class _Gathered(NamedTuple):
+    """Data to train on and to judge on, each joint's force factor and its deviation, and what is said of repeated logs."""
+
+    data: Data
+    held_out: Data
+    gains: Mapping[str, tuple[float, float]]
+    doubled: Sequence[str]
+
+
+def _gather_data(
+    choices: Choices,
+    model: Model,
+    given: Sequence[Log | Recording],
+    judged: Sequence[Log | Recording],
+    preparation: Preparation | None,
+    exclude: tuple[str, ...],
+    how: Mapping[str, Any],
+) -> _Gathered:
+    """Return the data of the model that was asked for; nothing of it is computed yet."""
+    fitted = choices.apply(model)
+    if not fitted.parameters.free.any():
+        raise InputError("bad_option", "every parameter is fixed; nothing is left to estimate")
+    gains = choices.gains(fitted.robot.actuated)
+    train, held, doubled = drop_repeated_logs(given, judged)
+    require_forces(fitted.robot, [*train, *held])
+    how = {**how, "factors": {joint: factor for joint, (factor, _) in gains.items()}}
+    data = Data.of(fitted, train, preparation=preparation, exclude=exclude, **how)
+    return _Gathered(data, Data.of(fitted, held, campaigns=tuple(log.name for log in train), **how), gains, doubled)
 
 
 def _settled_or_scarce(built: BuiltData, solver: Estimator) -> Settled:
@@ -187,9 +201,13 @@ class _Judged(NamedTuple):
     warnings: tuple[str, ...] = ()
 
 
-def _judge_held_out(held_out: Data, settled: Settled) -> _Judged:
+def _judge_held_out(held_out: Data, settled: Settled, offset: ForceOffset | None) -> _Judged:
     """Return the errors on logs of their own, prepared as those that were fitted; none where all are too short for that."""
+    if not held_out.logs:
+        return _Judged(None, None, "no held-out log was left")
     alike = replace(held_out, preparation=settled.built.regression.preparation)
+    if offset is not None and offset.corrected:
+        alike = alike.shifted(offset.seconds)
     try:
         built = alike.build(held_out.model.with_parameters(settled.estimate.parameters))
     except TooShort as fault:

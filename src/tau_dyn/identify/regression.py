@@ -8,7 +8,7 @@ speeds within the noise) or that the user excludes, *before* the low-pass `F` th
 
 so that `y = W theta` stays exact and nothing leaks out of a reversal into its neighbourhood (normalised convolution,
 Knutsson & Westin 1993). Samples where less than half of the filter's weight is left are masked; the rest are decimated. The gate
-itself stands in `gate.py`.
+itself stands in `preparation.py`.
 """
 
 from __future__ import annotations
@@ -21,16 +21,20 @@ import numpy as np
 from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion, name_effect_in_errors
 from tau_dyn.estimate import Preparation, Regression, RegressionRun
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.gate import (
+from tau_dyn.identify.preparation import (
+    Kept,
+    choose_preparation,
     compute_gate,
     find_excluded_samples,
     get_measured_signals,
     hold_closed,
+    keep_long,
     refuse_jumps,
     refuse_missing_campaign,
     refuse_missing_temperature,
+    refuse_short,
+    select_long,
 )
-from tau_dyn.identify.preparation import Kept, choose_from_long, choose_preparation, keep_long, refuse_short
 from tau_dyn.log import (
     MIN_SEGMENT_SAMPLES,
     Log,
@@ -92,7 +96,7 @@ def build_regression_of_pieces(
     """Build the regression on even stretches, and say which of them are long enough for it; see `build_regression`."""
     if not pieces:
         raise InputError("missing_input", "no log was given")
-    preparation = preparation or choose_from_long(pieces, lambda long: choose_preparation(model.robot, long, exclude))
+    preparation = preparation or choose_preparation(model.robot, select_long(pieces), exclude)
     kept = keep_long(pieces, preparation.force_cutoff_hz, preparation.factor)
     pieces = kept.of(pieces)
     names = list(dict.fromkeys([*campaigns, *(piece.name for piece in pieces)]))

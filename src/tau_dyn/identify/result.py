@@ -14,7 +14,7 @@ from tau_dyn.log import Log, Recording
 from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.results import Shown
+from tau_dyn.results import Z95, Shown
 from tau_dyn.robot import NOMINAL_MASS_STDERR
 
 
@@ -83,9 +83,6 @@ def _errors(
 
 def _percent(squares: float, power: float) -> float:
     return float(100 * np.sqrt(squares / power)) if power > 0 else 0.0
-
-
-_Z95 = 1.959964  # 97.5 % quantile of the normal distribution
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +212,7 @@ def _uncertainty(value: float, stderr: float | None, p: Parameter | None) -> dic
     lower, upper = (p.lower, p.upper) if p is not None else (-inf, inf)
     return {
         "stderr": stderr,
-        "ci95": [max(lower, value - _Z95 * stderr), min(upper, value + _Z95 * stderr)],
+        "ci95": [max(lower, value - Z95 * stderr), min(upper, value + Z95 * stderr)],
         "determined": bool(stderr < MAX_RELATIVE_STDERR * abs(value)),
     }
 

@@ -35,7 +35,7 @@ from tau_dyn.estimate import (
     SufficientStatistics,
 )
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify.preparation import choose_from_long, choose_preparation, keep_long, list_crumbs
+from tau_dyn.identify.preparation import choose_preparation, keep_long, list_crumbs, select_long
 from tau_dyn.identify.regression import prepare_segment
 from tau_dyn.log import (
     ROOM_TEMPERATURE,
@@ -286,13 +286,10 @@ def build_stream_regression(
     pieces = tuple(piece for log in recordings for piece in _pieces(log))
     if not pieces:
         raise InputError("too_little_data", f"{recordings[0].name} has no stretch of 10 samples without a gap")
-    wanted = list_channels(model, exclude)
-
-    def choose(long: list[EvenSegment | InMemorySegment]) -> Preparation:
+    if preparation is None:
+        wanted, long = list_channels(model, exclude), select_long(pieces)
         surveyed = [log for piece in long for log in piece.survey(wanted, SURVEYED // len(long))]
-        return choose_preparation(model.robot, surveyed, exclude)
-
-    preparation = preparation or choose_from_long(pieces, choose)
+        preparation = choose_preparation(model.robot, surveyed, exclude)
     kept = keep_long(pieces, preparation.force_cutoff_hz, preparation.factor)
     pieces = tuple(kept.of(pieces))
     names = list(dict.fromkeys([*campaigns, *(piece.name for piece in pieces)]))

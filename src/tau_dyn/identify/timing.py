@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tau_dyn.effects import Delay
-from tau_dyn.estimate import Estimate, PhysicalConstraints, Regression, build_prior_rows, solve_least_squares
+from tau_dyn.estimate import Estimate, PhysicalConstraints, Regression, solve_least_squares
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.identify.excerpt import Excerpt, compute_clipped_power
 from tau_dyn.identify.regression import prepare_segment
@@ -379,19 +379,9 @@ def estimate_offset(
 def widen_by_offset(estimate: Estimate, columns: Sequence[np.ndarray], offset: ForceOffset) -> Estimate:
     """Return the estimate with intervals that hold for any offset within its standard error.
 
-    The base parameters move by `W^+ (-dF/dt)` a second of offset, in weighted rows.
+    The base parameters move by a refit of `-dF/dt` a second of offset.
     """
-    base, parameters = estimate.base, estimate.regression.parameters
-    kept = [parameters.names.index(base.names[c]) for c in base.kept]
-    rows, target = [], []
-    for run, x in zip(estimate.regression.runs, columns, strict=True):
-        use = run.usable
-        rows.append((run.W[:, :, kept] / estimate.sigma[:, None])[use])
-        target.append((x / estimate.sigma)[use])
-    known, _ = build_prior_rows(parameters.select(base.names))  # what was measured beforehand does not move
-    W = np.concatenate([*rows, known[:, base.kept]])
-    norm = np.where((size := np.linalg.norm(W, axis=0)) > 0, size, 1.0)
-    slope = np.linalg.lstsq(W / norm, np.concatenate([*target, np.zeros(len(known))]), rcond=1e-10)[0] / norm
+    base, slope = estimate.base, estimate.refit(columns)
     more = np.outer(slope, slope) * offset.stderr**2
     wider = replace(estimate, cov=estimate.cov + more, scatter=estimate.scatter + more)
     alone = base.by_name(wider.stderr)

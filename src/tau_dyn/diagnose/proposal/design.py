@@ -14,21 +14,30 @@ Nothing is low-passed here but the noise model: what is white in the diagnosed b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import solve_toeplitz
-from scipy.ndimage import binary_dilation
 
 from tau_dyn.diagnose.candidate_scan import find_nonnegative
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, compute_score_statistics
+from tau_dyn.diagnose.preparation import smooth_cutoff
 from tau_dyn.diagnose.result import Diagnosis, TimeTrace
 from tau_dyn.effects import Effect, Motion
 from tau_dyn.estimate import Autoregression, RegressionRun, Whitener, fit_autoregression
-from tau_dyn.identify import get_measured_signals
-from tau_dyn.log import Log, compute_attenuation, decimate, differentiate, find_true_runs, lowpass
+from tau_dyn.identify import find_unsure_samples, get_measured_signals, widen
+from tau_dyn.log import (
+    Log,
+    compute_attenuation,
+    decimate,
+    differentiate,
+    find_true_runs,
+    lowpass,
+    resample_segments,
+)
 from tau_dyn.model import COMPUTED, Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.simulate import Trajectory
@@ -42,10 +51,11 @@ _MIN_RATE_HZ = 80.0
 _IN_BAND = 0.28
 """Share of the rate up to which neither low-pass weakens a residual."""
 _MAX_ORDER = 8  # of the autoregressive model of the residual, selected below it
+_LOOKED_AT_S = 120.0  # [s] of the logs by which motions are judged; bounds time
 _OF_PLACE = ("inertia", "weight_gradient", "passive")
 
-Thing = Callable[[Motion], np.ndarray]
-"""Columns (N, na, k) along a motion."""
+Thing = tuple[tuple[Effect, ...], Parameters | None]
+"""Effects whose columns are judged one by one, or, at given values, as the one column of their force together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,92 +134,81 @@ def flatten_noise_spectrum(noise: Autoregression) -> Autoregression:
     return Autoregression(phi, float(c[0]))
 
 
-def build_planned_motion(setting: Setting, trajectory: Trajectory) -> tuple[Motion, np.ndarray]:
-    """Return the motion (n samples at the rows' rate) of a plan, without computed signals, and which samples count (n, na)."""
-    log = Log(trajectory.t, {f"q_{j}": trajectory.q[:, k] for k, j in enumerate(trajectory.joints)}, trajectory.name)
-    return _thinned(setting, log, trajectory.q, trajectory.v, trajectory.a)
+class DesignMotion(NamedTuple):
+    """A motion at the rows' rate with all that effects feel, and which samples count (n, na)."""
+
+    motion: Motion
+    counts: np.ndarray
 
 
-def build_measured_motion(setting: Setting, log: Log, smooth_hz: float) -> tuple[Motion, np.ndarray]:
-    """Return the same of an even stretch of a log, its positions low-passed at `smooth_hz` [Hz]."""
-    rate = log.rate_hz
-    q = lowpass(log.joint("q", setting.model.robot.actuated), min(smooth_hz, setting.cutoff_hz, 0.4 * rate), rate)
-    v = differentiate(q, log.dt, accuracy=4)
-    return _thinned(setting, log, q, v, differentiate(v, log.dt, accuracy=4))
+def build_planned_motion(setting: Setting, planned: Trajectory, needs: Iterable[str] = ()) -> DesignMotion:
+    """Return a planned motion with the computed signals wanted."""
+    log = Log(planned.t, {f"q_{j}": planned.q[:, k] for k, j in enumerate(planned.joints)}, planned.name)
+    return _thin(setting, log, planned.q, planned.v, planned.a, needs, None)
 
 
-def _thinned(setting: Setting, log: Log, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[Motion, np.ndarray]:
-    joints, step = setting.model.robot.actuated, max(1, round(log.rate_hz / setting.rate_hz))
-    signals = {k: x[::step] for k, x in get_measured_signals(log, joints, q, v, setting.threshold).items()}
-    unsure = np.abs(v) < setting.threshold
-    unsure[1:] |= np.sign(v[1:]) != np.sign(v[:-1])
-    half = int(np.ceil(setting.window_s * log.rate_hz))
-    counts = np.logical_not(binary_dilation(unsure, np.ones((2 * half + 1, 1), bool)))
-    return Motion.of(joints, q[::step], v[::step], a[::step], t=log.t[::step], signals=signals), counts[::step]
+def build_measured_motions(setting: Setting, logs: Iterable[Log], needs: Iterable[str]) -> list[DesignMotion]:
+    """Return the measured motions with the computed signals wanted, at most two minutes of them."""
+    stretches, found = [piece for log in logs for piece in resample_segments(log)], []
+    smooth_hz = smooth_cutoff(setting.model.robot, stretches) if stretches else 0.0
+    for log in stretches:
+        rate = log.rate_hz
+        q = lowpass(log.joint("q", setting.model.robot.actuated), min(smooth_hz, setting.cutoff_hz, 0.4 * rate), rate)
+        v = differentiate(q, log.dt, accuracy=4)
+        most = max(16, int(_LOOKED_AT_S * setting.rate_hz / len(stretches)))
+        found.append(_thin(setting, log, q, v, differentiate(v, log.dt, accuracy=4), needs, most))
+    return found
 
 
-def add_computed_signals(setting: Setting, motion: Motion, needs: Iterable[str]) -> Motion:
-    """Return a motion with the loads and forces that effects feel, at the refitted baseline.
+def _thin(
+    setting: Setting, log: Log, q: np.ndarray, v: np.ndarray, a: np.ndarray, needs: Iterable[str], most: int | None
+) -> DesignMotion:
+    """Return at most so many samples at the rows' rate, with loads and forces at the refitted baseline.
 
     What depends on the place alone is computed at every fourth sample and interpolated.
     """
-    assert motion.t is not None
-    few = np.unique(np.append(np.arange(0, len(motion.t), 4), len(motion.t) - 1))
-    still = np.zeros((len(few), motion.q.shape[1]))
-    places = {
-        name: COMPUTED[name](setting.model.mechanism, motion.q[few], still, still)
-        for name in _OF_PLACE
-        if name in needs
-    }
-    found = {name: np.asarray(CubicSpline(motion.t[few], x)(motion.t)) for name, x in places.items()}
-    signals = {**motion.signals, **found}
-    return setting.model.motion(motion.q, motion.v, motion.a, motion.sign, t=motion.t, signals=signals, needs=needs)
+    joints, step = setting.model.robot.actuated, max(1, round(log.rate_hz / setting.rate_hz))
+    measured = get_measured_signals(log, joints, q, v, setting.threshold)
+    counts = ~widen(find_unsure_samples(v, setting.threshold), int(np.ceil(setting.window_s * log.rate_hz)))
+    part = slice(None, None if most is None else most * step, step)
+    q, v, a, t, counts = (x[part] for x in (q, v, a, log.t, counts))
+    few = np.unique(np.append(np.arange(0, len(t), 4), len(t) - 1))
+    still, mechanism = np.zeros((len(few), q.shape[1])), setting.model.mechanism
+    places = {name: COMPUTED[name](mechanism, q[few], still, still) for name in _OF_PLACE if name in needs}
+    signals = {name: x[part] for name, x in measured.items()}
+    signals |= {name: np.asarray(CubicSpline(t[few], x)(t)) for name, x in places.items()}
+    return DesignMotion(setting.model.motion(q, v, a, np.sign(v), t=t, signals=signals, needs=needs), counts)
 
 
-def compute_gram_matrix(setting: Setting, motion: Motion, counts: np.ndarray, things: Sequence[Thing]) -> np.ndarray:
-    """Return the Gram matrix of white rows of all columns of all things, in their order."""
+def compute_columns(setting: Setting, motion: Motion, others: Sequence[Effect], things: Sequence[Thing]) -> np.ndarray:
+    """Return columns (N, na, k): of the model's free parameters and of other effects, refitted anyway, then of all things."""
+    made = [setting.model.columns(motion)[:, :, setting.model.parameters.free], *(e.columns(motion) for e in others)]
+    for effects, values in things:
+        each = [_weaken(setting, effect, motion) for effect in effects]
+        if values is None:
+            made += each
+        else:
+            amplitudes = (values.select(effect.parameters.names).values for effect in effects)
+            made.append(np.sum([c @ x for c, x in zip(each, amplitudes, strict=True)], axis=0)[:, :, None])
+    return np.concatenate(made, axis=2)
+
+
+def _weaken(setting: Setting, effect: Effect, motion: Motion) -> np.ndarray:
+    """Return an effect's columns; what repeats faster than the low-pass shows is weakened."""
+    made = effect.columns(motion)
+    if not effect.dense:
+        return made
+    f = effect.local_frequency(motion)[:, :, None]  # type: ignore[attr-defined]
+    return made / compute_attenuation(f, setting.highest_hz)
+
+
+def compute_gram_matrix(setting: Setting, motion: Motion, counts: np.ndarray, W: np.ndarray) -> np.ndarray:
+    """Return the Gram matrix of white rows of columns (N, na, k) along a motion."""
     assert motion.t is not None
-    W, blank = np.concatenate([thing(motion) for thing in things], axis=2), np.zeros(counts.shape)
+    blank = np.zeros(counts.shape)
     rows = Whitener.of([RegressionRun("plan", motion.t, W, blank, counts, W, blank, {})], [counts], setting.noise)([W])
     rate = (len(motion.t) - 1) / float(motion.t[-1] - motion.t[0])
     return rows.T @ rows * (setting.rate_hz / rate)  # the noise belongs to the rows' rate, which a log meets nearly
-
-
-def build_refitted_columns(model: Model, others: Sequence[Effect]) -> Thing:
-    """Return the columns that are refitted anyway: the model's free ones, and those of causes that are sure."""
-    free = model.parameters.free
-
-    def columns(motion: Motion) -> np.ndarray:
-        return np.concatenate(
-            [model.columns(motion)[:, :, free], *(effect.columns(motion) for effect in others)], axis=2
-        )
-
-    return columns
-
-
-def build_effect_columns(setting: Setting, effect: Effect) -> Thing:
-    """Return an effect's columns; what repeats faster than the low-pass shows is weakened."""
-
-    def columns(motion: Motion) -> np.ndarray:
-        made = effect.columns(motion)
-        if not effect.dense:
-            return made
-        f = effect.local_frequency(motion)[:, :, None]  # type: ignore[attr-defined]
-        return made / compute_attenuation(f, setting.highest_hz)
-
-    return columns
-
-
-def compute_effect_force(setting: Setting, effects: Sequence[Effect], values: Parameters) -> Thing:
-    """Return the force of effects at fitted values, as one column."""
-    things = [build_effect_columns(setting, e) for e in effects]
-    amplitudes = [values.select(e.parameters.names).values for e in effects]
-
-    def columns(motion: Motion) -> np.ndarray:
-        shares = [thing(motion) @ x for thing, x in zip(things, amplitudes, strict=True)]
-        return np.sum(shares, axis=0)[:, :, None]
-
-    return columns
 
 
 _RANK = 1e-10  # ratio of eigenvalues; less is rounding

@@ -16,12 +16,11 @@ from tau_dyn.diagnose.channel import build_scene
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE
 from tau_dyn.diagnose.proposal.design import (
     AlternativeCause,
+    DesignMotion,
     SchurComplement,
     Setting,
     Thing,
-    build_effect_columns,
-    build_refitted_columns,
-    compute_effect_force,
+    compute_columns,
     compute_gram_matrix,
     compute_imitating_amplitudes,
 )
@@ -184,14 +183,6 @@ _IMITATED = 0.5  # share of a column's power left beside an alternative, below w
 
 
 @dataclass(frozen=True, eq=False)
-class DesignMotion:
-    """A motion at the rows' rate with all that effects feel, and which samples count (n, na)."""
-
-    motion: Motion
-    counts: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class Contrast:
     """One line of the question: how much of the columns is left beside all else and, if there is one, a rival.
 
@@ -222,19 +213,29 @@ class DiscriminationDesign:
         setting: The diagnosis behind it.
         question: What is open.
         scene: What measured and candidate motions offer together.
-        things: Makers of columns; the first makes those that are refitted anyway.
-        lines: What is judged.
-        p: Number of columns refitted anyway.
-        n: Number of further columns.
+        things: What is judged, column after column.
+        lines: How it is judged.
     """
 
     setting: Setting
     question: DesignGoal
     scene: Scene
-    things: tuple[Thing, ...]
-    lines: tuple[Contrast, ...]
-    p: int
-    n: int
+    things: tuple[Thing, ...] = ()
+    lines: tuple[Contrast, ...] = ()
+
+    @property
+    def n_refitted(self) -> int:
+        """Number of columns refitted anyway."""
+        others = sum(len(effect.parameters) for effect in self.question.others)
+        return int(np.sum(self.setting.model.parameters.free)) + others
+
+    def gram(self, motions: Sequence[DesignMotion]) -> np.ndarray:
+        """Return the Gram matrix of white rows of all columns along motions."""
+        setting, total = self.setting, np.zeros(())
+        for motion, counts in motions:
+            W = compute_columns(setting, motion, self.question.others, self.things)
+            total = total + compute_gram_matrix(setting, motion, counts, W)
+        return total
 
     def schur(self, total: np.ndarray) -> SchurComplement:
         """Return what is left of a Gram matrix's columns beside those refitted anyway, prior knowledge counted."""
@@ -243,7 +244,7 @@ class DiscriminationDesign:
         total = total.copy()
         index = np.arange(len(free))
         total[index, index] += known
-        return SchurComplement.of(total, self.p)
+        return SchurComplement.of(total, self.n_refitted)
 
     def strengths(self, total: np.ndarray) -> np.ndarray:
         """Return each line's strength along a motion whose rows have this Gram matrix."""
@@ -294,7 +295,7 @@ def build_design_scene(setting: Setting, motions: Sequence[Motion], signals: fro
 
 def build_discrimination_plan(setting: Setting, question: DesignGoal, scene: Scene) -> DiscriminationDesign:
     """Return the plan that tells suspects from their rivals."""
-    plan = _empty(setting, question, scene)
+    plan = DiscriminationDesign(setting, question, scene)
     for suspect, rival in question.pairs:
         plan = _with_pair(plan, suspect, rival, None)
     return plan
@@ -307,8 +308,7 @@ def add_mirrored_contrasts(plan: DiscriminationDesign, recorded: Sequence[Design
     """
     if not plan.question.pairs:
         return plan
-    total = np.sum([compute_gram_matrix(plan.setting, p.motion, p.counts, plan.things) for p in recorded], axis=0)
-    schur = plan.schur(total)
+    schur = plan.schur(plan.gram(recorded))
     for line, (suspect, rival) in zip(plan.lines, plan.question.pairs, strict=True):
         if line.instead is None or any(s.cause == rival for s, _ in plan.question.pairs):
             continue
@@ -322,7 +322,7 @@ def add_mirrored_contrasts(plan: DiscriminationDesign, recorded: Sequence[Design
 
 def build_detection_plan(setting: Setting, question: DesignGoal, scene: Scene) -> DiscriminationDesign:
     """Return the plan that shows causes, each on each group of joints at the setting in the middle of its grid."""
-    plan = _empty(setting, question, scene)
+    plan = DiscriminationDesign(setting, question, scene)
     for cls in question.causes:
         groups = cls.groups(scene)
         alone = [g for g in groups if len(g) == 1]
@@ -330,35 +330,31 @@ def build_detection_plan(setting: Setting, question: DesignGoal, scene: Scene) -
             grid = cls.grid(scene, joints)
             if grid and cls.untestable(scene) is None:
                 effect = _built(cls, scene, joints, grid[len(grid) // 2])
-                plan, columns = _added(plan, build_effect_columns(setting, effect), len(effect.parameters))
+                plan, columns = _added(plan, (effect,))
                 plan = replace(plan, lines=(*plan.lines, Contrast(cls.name, "", columns, None)))
     return plan
 
 
-def _empty(setting: Setting, question: DesignGoal, scene: Scene) -> DiscriminationDesign:
-    p = int(np.sum(setting.model.parameters.free)) + sum(len(e.parameters) for e in question.others)
-    return DiscriminationDesign(
-        setting, question, scene, (build_refitted_columns(setting.model, question.others),), (), p, 0
-    )
-
-
-def _added(plan: DiscriminationDesign, thing: Thing, k: int) -> tuple[DiscriminationDesign, np.ndarray]:
-    """Return the plan with k more columns, and where they are after those refitted anyway."""
-    return replace(plan, things=(*plan.things, thing), n=plan.n + k), np.arange(plan.n, plan.n + k)
+def _added(
+    plan: DiscriminationDesign, effects: tuple[Effect, ...], values: Parameters | None = None
+) -> tuple[DiscriminationDesign, np.ndarray]:
+    """Return the plan with effects, per unit or at values, and where their columns are after those refitted anyway."""
+    sizes = [1 if v is not None else sum(len(e.parameters) for e in es) for es, v in (*plan.things, (effects, values))]
+    return replace(plan, things=(*plan.things, (effects, values))), np.arange(sum(sizes[:-1]), sum(sizes))
 
 
 def _with_pair(
     plan: DiscriminationDesign, suspect: CauseHypothesis, rival: str, found: CauseHypothesis | None
 ) -> DiscriminationDesign:
     """Return the plan with one more pair; where the rival itself was `found`, its settings are tried as they are, too."""
-    plan, x = _added(plan, compute_effect_force(plan.setting, suspect.effects, suspect.values), 1)
+    plan, x = _added(plan, suspect.effects, suspect.values)
     if not rival:
         return replace(plan, lines=(*plan.lines, Contrast(suspect.cause, "", x, None)))
     groups, columns = [], []
     for options in _options(EFFECTS[rival], plan.scene, suspect, found):
         places = []
         for effect in options:
-            plan, where = _added(plan, build_effect_columns(plan.setting, effect), len(effect.parameters))
+            plan, where = _added(plan, (effect,))
             places.append(where)
         groups.append(options)
         columns.append(tuple(places))

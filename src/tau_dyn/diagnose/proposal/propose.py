@@ -18,18 +18,10 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL
-from tau_dyn.diagnose.preparation import smooth_cutoff
-from tau_dyn.diagnose.proposal.design import (
-    Setting,
-    add_computed_signals,
-    build_measured_motion,
-    build_planned_motion,
-    compute_gram_matrix,
-)
+from tau_dyn.diagnose.proposal.design import DesignMotion, Setting, build_measured_motions, build_planned_motion
 from tau_dyn.diagnose.proposal.plan import (
     Contrast,
     DesignGoal,
-    DesignMotion,
     DiscriminationDesign,
     add_mirrored_contrasts,
     build_design_scene,
@@ -41,9 +33,10 @@ from tau_dyn.diagnose.proposal.plan import (
     get_required_signals,
 )
 from tau_dyn.diagnose.result import Diagnosis
-from tau_dyn.diagnose.stepwise_selection import MIN_2LOGL_DIFFERENCE
+from tau_dyn.diagnose.unknown_structure import MIN_2LOGL_DIFFERENCE
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.log import Log, resample_segments
+from tau_dyn.excitation import choose_by_exchange
+from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.simulate import (
     Trajectory,
@@ -173,8 +166,6 @@ PIECE_S = 14.0
 _MIN_DURATION_S = 6.0  # [s] of the shortest motion that is proposed
 _REST_S = 0.5  # [s] of rest between two motions
 _STILL_S = 0.1  # the move between two pieces that end and start at home
-_LOOKED_AT_S = 120.0  # [s] of the logs by which motions are judged; bounds time
-_SWEEPS = 5  # of the exchange over all motions; bounds the time
 
 
 def propose_motion(
@@ -218,8 +209,8 @@ def propose_motion(
     pieces = build_candidate_pieces(diagnosis.extended_model, length, trials, rng)
     progress("what they show")
     needs = get_required_signals(question)
-    recorded = _measured(setting, logs, needs)
-    offered = [_prepared(setting, piece, needs) for piece in pieces]
+    recorded = build_measured_motions(setting, logs, needs)
+    offered = [build_planned_motion(setting, piece, needs) for piece in pieces]
     scene = build_design_scene(setting, [*(p.motion for p in offered), *(p.motion for p in recorded)], signals)
     plan = (
         build_discrimination_plan(setting, question, scene)
@@ -228,35 +219,17 @@ def propose_motion(
     )
     if recorded:
         plan = add_mirrored_contrasts(plan, recorded)
-    grams = np.array([compute_gram_matrix(setting, p.motion, p.counts, plan.things) for p in offered])
+    grams = np.array([plan.gram([piece]) for piece in offered])
     plan = _answerable(plan, grams, question)
     progress("choosing")
-    chosen = optimise_by_exchange(plan, grams, number)
-    motion = concatenate([pieces[k] for k in sorted(chosen)], rest=_REST_S, rate_hz=1000.0, name="proposed")
-    whole = _prepared(setting, motion, needs)
-    new = plan.strengths(compute_gram_matrix(setting, whole.motion, whole.counts, plan.things))
-    old = _of_measured(setting, plan, recorded, motion.duration)
-    kinds = ", ".join(pieces[k].name for k in sorted(chosen))
+    most = number * plan.most(grams)
+    chosen = sorted(choose_by_exchange(lambda total: plan.merit(total, most), grams, number))
+    motion = concatenate([pieces[k] for k in chosen], rest=_REST_S, rate_hz=1000.0, name="proposed")
+    new = plan.strengths(plan.gram([build_planned_motion(setting, motion, needs)]))
+    old = _of_measured(plan, recorded, motion.duration)
+    kinds = ", ".join(pieces[k].name for k in chosen)
     made = f"put together of {kinds}, the best of {len(pieces)} random pieces by exchange"
     return replace(motion, notes=(*list_motion_notes(plan, question, new, old), made))
-
-
-def optimise_by_exchange(plan: DiscriminationDesign, grams: np.ndarray, number: int) -> list[int]:
-    """Return the pieces (with repetition) whose sum has the largest merit, by exchanging one at a time until nothing helps."""
-    most = number * plan.most(grams)
-    merits = [plan.merit(number * one, most) for one in grams]
-    chosen = [int(np.argmax(merits))] * number
-    best = max(merits)
-    for _ in range(_SWEEPS):
-        before = best
-        for slot in range(number):
-            rest = sum((grams[k] for j, k in enumerate(chosen) if j != slot), np.zeros_like(grams[0]))
-            found = [plan.merit(rest + one, most) for one in grams]
-            if max(found) > best * (1 + 1e-9):
-                chosen[slot], best = int(np.argmax(found)), max(found)
-        if best <= before * (1 + 1e-3):
-            break
-    return chosen
 
 
 def _signals(model: Model) -> frozenset[str]:
@@ -267,37 +240,12 @@ def _signals(model: Model) -> frozenset[str]:
     )
 
 
-def _prepared(setting: Setting, trajectory: Trajectory, needs: frozenset[str]) -> DesignMotion:
-    motion, counts = build_planned_motion(setting, trajectory)
-    return DesignMotion(add_computed_signals(setting, motion, needs), counts)
-
-
-def _measured(setting: Setting, logs: Iterable[Log], needs: frozenset[str]) -> list[DesignMotion]:
-    """Return the measured motions, at most two minutes of them."""
-    stretches = [piece for log in logs for piece in resample_segments(log)]
-    if not stretches:
-        return []
-    smooth_hz, found = smooth_cutoff(setting.model.robot, stretches), []
-    for log in stretches:
-        motion, counts = build_measured_motion(setting, log, smooth_hz)
-        n = max(16, int(_LOOKED_AT_S * setting.rate_hz / len(stretches)))
-        arrays = {key: x[:n] for key, x in motion.signals.items()}
-        part = replace(
-            motion, **{key: getattr(motion, key)[:n] for key in ("q", "v", "a", "sign", "t")}, signals=arrays
-        )
-        found.append(DesignMotion(add_computed_signals(setting, part, needs), counts[:n]))
-    return found
-
-
-def _of_measured(
-    setting: Setting, plan: DiscriminationDesign, recorded: Sequence[DesignMotion], duration: float
-) -> np.ndarray | None:
+def _of_measured(plan: DiscriminationDesign, recorded: Sequence[DesignMotion], duration: float) -> np.ndarray | None:
     """Return strengths of the measured motion, in the time that the proposal takes [s]."""
     if not recorded:
         return None
-    total = np.sum([compute_gram_matrix(setting, p.motion, p.counts, plan.things) for p in recorded], axis=0)
-    took = sum(float(p.motion.t[-1] - p.motion.t[0]) for p in recorded if p.motion.t is not None)
-    return plan.strengths(total * (duration / took))
+    took = sum(float(motion.t[-1] - motion.t[0]) for motion, _ in recorded if motion.t is not None)
+    return plan.strengths(plan.gram(recorded) * (duration / took))
 
 
 def _answerable(plan: DiscriminationDesign, grams: np.ndarray, question: DesignGoal) -> DiscriminationDesign:

@@ -1,13 +1,15 @@
-"""Drives that are not as the robot file says: another rotor, another torque constant, a motor that two joints share.
+"""Drives and geometry that are not as the robot file says: rotors, torque constants, a shared motor, encoders' scales, gravity.
 
-    armature           tau += armature_error a
-    drive_gain         tau_log = (1 + gain_error) tau
-    reducer_coupling   tau_i += F, tau_j += F,   F = inertia (a_i + a_j) + viscous (v_i + v_j) + coulomb sign(v_i + v_j)
+Where nobody gives a drive's inertia the baseline estimates it (`identify/fitted_model.py`); where the file gives it, a gear ratio
+may be forgotten in its square. A gain scales all masses and all friction alike, so only a mass known by other means tells it.
+Robot wrists often share a motor (joints 5 and 6 of the Staubli TX40), which turns with the sum of two joints. Forces see masses
+scaled by a wrong pinion, which a refit absorbs; only lengths measured otherwise show it.
 
-Where nobody gives a drive's inertia the baseline estimates it (`identify/drive_inertia.py`); where the file gives it, a gear
-ratio may be forgotten in its square. A gain scales all masses and all friction alike, so only a mass known by other means tells
-it. Robot wrists often share a motor (joints 5 and 6 of the Staubli TX40), which turns with the sum of two joints. Reference:
-Gautier & Khalil 1990; Gautier & Briot 2014; Gautier & Venture 2013.
+Gravity is turned about two unit axes across it (the base's x and y where it points along z, see `compute_perpendicular_axes`) by
+small angles [rad]; the base is turned the other way. Its forces come from the fitted masses (`Mechanism.gravity_turn`), to first
+order, so up to 0.2 rad; a robot on a wall is an error of the file. Where all hinges about a horizontal axis have free first
+moments the refit absorbs a turn about that axis. Reference: Gautier & Khalil 1990; Gautier & Briot 2014; Gautier & Venture 2013;
+Dressler 2012, (4.13) and (5.6); Khalil & Dombre 2002, 9.4; Atkeson, An & Hollerbach 1986.
 """
 
 from __future__ import annotations
@@ -16,10 +18,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from tau_dyn.effects.effect import Effect, PlausibleRange
-from tau_dyn.effects.jointwise import JointwiseEffect
+from tau_dyn.effects.effect import Effect, PlausibleRange, format_amount, spell_unit
+from tau_dyn.effects.jointwise import JointwiseDisplacement, JointwiseEffect
 from tau_dyn.effects.motion import JointMotion, Motion, Scene, list_joint_pairs
-from tau_dyn.effects.words import format_amount, spell_unit
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -136,3 +137,65 @@ class ReducerCoupling(Effect):
         out = np.zeros_like(motion.v, shape=(*motion.v.shape, 3))
         out[:, i], out[:, j] = force, force
         return out
+
+
+class PinionScale(JointwiseDisplacement):
+    """Positions that are read too long or too short by a factor."""
+
+    name = "pinion_scale"
+    cause = True
+    equation = "encoder - load = pinion_scale q"
+    reference = "Dressler 2012, (4.13) and (5.6)"
+    reveals = "the tool or the load side measured over the whole range"
+    mistaken_for = ("guideway_nonparallel", "rod_length", "link_mass")
+    # A pinion or belt pitch off by 1 % is a wrong part
+    plausible = (PlausibleRange("pinion_scale", -0.01, 0.01),)
+    quantities = (("pinion_scale", "1"),)
+    sentence = "positions read too long by {pinion_scale}"
+    hidden = "a scale of the positions acts on forces as scaled masses do; the refit absorbs it"
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return the position."""
+        return [joint.q]
+
+
+GRAVITY_TURN = "gravity_turn"
+"""Signal (N, na, 2) [N/rad or N m/rad]: forces at rest per turn of gravity about each of two axes across it."""
+
+
+class GravityDirection(Effect):
+    """A turn of gravity against the robot's base, on all joints."""
+
+    name = "gravity_direction"
+    cause = True
+    equation = "tau += G(phi x g) tilt, G(g) the forces at rest under gravity g"
+    reference = "Khalil & Dombre 2002, 9.4; Atkeson, An & Hollerbach 1986"
+    reveals = (
+        "slow motion over the whole workspace, joints with a vertical axis included, or a spirit level on the base"
+    )
+    mistaken_for = ("torque_offset", "coulomb_asymmetry", "link_mass", "position_friction")
+    # A floor is off by some mrad, a stand by up to 0.2 rad; more is another mounting, which is no small error
+    plausible = (PlausibleRange("tilt", -0.2, 0.2, "rad"),)
+    needs = (GRAVITY_TURN,)
+
+    @property
+    def parameters(self) -> Parameters:
+        """The turns about both axes, at zero."""
+        return Parameters(Parameter(f"base.tilt_{axis}{self.label}", 0.0, "rad", origin=self.name) for axis in "xy")
+
+    @classmethod
+    def groups(cls, scene: Scene) -> list[tuple[str, ...]]:
+        """Return all joints together."""
+        return [scene.joints]
+
+    def columns(self, motion: Motion) -> np.ndarray:
+        """Return force per radian of each turn (N, na, 2)."""
+        out, turned = np.zeros((*motion.v.shape, 2)), motion.signal(GRAVITY_TURN)
+        for k in self._indices(motion):
+            out[:, k] = turned[:, k]
+        return out
+
+    def describe(self, parameters: Parameters) -> str:
+        """Return the turns."""
+        x, y = parameters.select(self.parameters.names)
+        return f"gravity turned by {format_amount(x)} and {format_amount(y)} about x and y: the base is not level"
