@@ -52,6 +52,7 @@ def build_mjcf(model: Model) -> Exported:
     bodies = _bodies(world, model, joints)
     shapes = _draw(model, [world, *bodies])
     _tie(root, model, [world, *bodies])
+    _couple(root, model)
     actuator = SubElement(root, "actuator")
     for joint, limit in zip(robot.actuated, robot.effort_limit, strict=True):
         more = {"ctrlrange": _numbers([-limit, limit])} if np.isfinite(limit) else {}
@@ -151,6 +152,15 @@ def _tie(root: Element, model: Model, bodies: list[Element]) -> None:
                 bodies[end.parentJoint], "site", name=end.name, pos=_numbers(end.placement.translation), size="0.005"
             )
         SubElement(equality, "connect", name=f"{ends[0].name}_{ends[1].name}", site1=ends[0].name, site2=ends[1].name)
+
+
+def _couple(root: Element, model: Model) -> None:
+    """Add the joints that follow others."""
+    equality = root.find("equality")
+    for joint, mimic in model.robot.mimics.items():
+        equality = SubElement(root, "equality") if equality is None else equality
+        law = {"polycoef": _numbers([mimic.offset, mimic.multiplier, 0, 0, 0])}
+        SubElement(equality, "joint", {"joint1": joint, "joint2": mimic.joint, **law})
 
 
 def _home(model: Model, joints: list[Joint], world: Element) -> list[float]:
