@@ -19,7 +19,6 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -39,6 +38,7 @@ from tau_dyn.robot import Robot, find_robot, load_robot, load_robot_from_urdf, r
 EXACT = 1e-9  # relative, of forces and regressors [and m]
 LEFT_PERCENT = 1.0  # of the force, after identification from filtered positions
 DAMPING = 0.7  # [N m s/rad or N s/m] in MuJoCo's log
+NOISE = 1e-3  # of each force's root mean square
 N_STATES = 30
 RATE_HZ, DURATION_S, HARMONICS = 200.0, 10.0, 4
 DISABLED = ("CONTACT", "SPRING", "LIMIT", "FRICTIONLOSS", "EQUALITY")
@@ -214,6 +214,7 @@ def make_log(robot: Robot, reference: mujoco.MjModel | None) -> Log:
         tau = build_mechanism(robot).inverse_dynamics(q, v, a) + DAMPING * v
     else:
         tau = compute_mujoco_forces(reference, robot, q, v, a, DAMPING)
+    tau = tau + NOISE * np.sqrt(np.mean(tau**2, axis=0)) * rng.normal(size=tau.shape)
     channels = {f"q_{j}": q[:, k] for k, j in enumerate(robot.actuated)}
     return Log(t, channels | {f"tau_{j}": tau[:, k] for k, j in enumerate(robot.actuated)}, name="mujoco")
 
@@ -247,7 +248,6 @@ def study(case: Case) -> tuple[str, str]:
         reference = load_in_mujoco(case, robot)
     except ValueError:
         reference = None
-    checks: list[tuple[str, Callable[[], str]]] = []
     found: dict[str, float] = {"fk": compare_tool(case, robot, reference)}
     found["regressor"] = compare_regressor(case, robot, reference)
     result = identify(robot, make_log(robot, reference), model="symmetric")
@@ -255,7 +255,6 @@ def study(case: Case) -> tuple[str, str]:
     found["urdf"], found["mjcf"] = compare_export(result.model)
     limits = {"fk": EXACT, "regressor": EXACT, "identify": LEFT_PERCENT, "urdf": EXACT, "mjcf": EXACT}
     wrong = [name for name, value in found.items() if not value <= limits[name]]
-    del checks
     by = "MuJoCo" if reference is not None and not robot.loops else "ours"
     row = f"{robot.na:3d} joints, tool {robot.tool:18.18s} log by {by}: " + ", ".join(f"{k} {x:.2g}" for k, x in found.items())
     return row, "pass" if not wrong else f"wrong: {', '.join(wrong)}"

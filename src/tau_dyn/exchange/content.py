@@ -61,6 +61,24 @@ def build_body(link: LinkInertia, model: Model) -> BodyInertia:
     return BodyInertia(mass, centre, about_origin - shifted)
 
 
+def raise_moments(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return principal moments (3,) and axes (3, 3), in columns, the smaller moments raised to where a body may have them.
+
+    None where the inertia (3, 3) is a body's: its largest moment is at most the sum of the others. Estimates may miss that, by the
+    solver's rounding or by more, and programs that simulate take nothing else.
+    """
+    moments, axes = np.linalg.eigh(inertia)
+    lack = moments[2] * (1 + _MARGIN) - moments[0] - moments[1]
+    if lack <= 0 and moments[0] > 0:
+        return None
+    moments[:2] = np.maximum(moments[:2] + max(lack, 0.0) / 2, _MARGIN * moments[2])
+    axes[:, 2] *= np.linalg.det(axes)
+    return moments, axes
+
+
+_MARGIN = 1e-9  # relative, far above the rounding of a program's own check
+
+
 def compute_friction(model: Model, joint: str) -> dict[str, float]:
     """Return a joint's `coulomb` [N or N m] and `viscous` friction, each the mean of both directions."""
     found = {}

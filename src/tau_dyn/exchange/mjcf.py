@@ -23,12 +23,14 @@ from tau_dyn.exchange.content import (
     format_header,
     list_nominal_parameters,
     list_omitted_effects,
+    raise_moments,
     split,
 )
 from tau_dyn.mechanism import Joint, LoopSolver, list_joints
 from tau_dyn.model import Model
 
 _SEEN_ONLY = {"contype": "0", "conaffinity": "0", "mass": "0"}
+_ROUNDED = 1e-6  # relative, of an interior-point solver's inertia
 _MIN_INERTIA = {"mass": "1e-9", "inertia": "1e-12"}
 
 
@@ -49,7 +51,8 @@ def build_mjcf(model: Model) -> Exported:
     SubElement(root, "compiler", angle="radian", autolimits="true", boundmass="1e-9", boundinertia="1e-12")
     SubElement(root, "option", gravity=_numbers(robot.model.gravity.linear))
     world = SubElement(root, "worldbody")
-    bodies = _bodies(world, model, joints)
+    raised: list[str] = []
+    bodies = _bodies(world, model, joints, raised)
     shapes = _draw(model, [world, *bodies])
     _tie(root, model, [world, *bodies])
     _couple(root, model)
@@ -66,11 +69,11 @@ def build_mjcf(model: Model) -> Exported:
         for name in robot.parameters.names
         if name.endswith(".gravity_mass") and robot.parameters[name].value
     )
-    return Exported(text, (*list_omitted_effects(model), *extra, *shapes), list_nominal_parameters(model), split(model))
+    return Exported(text, (*list_omitted_effects(model), *extra, *raised, *shapes), list_nominal_parameters(model), split(model))
 
 
-def _bodies(world: Element, model: Model, joints: list[Joint]) -> list[Element]:
-    """Return the bodies by joint index less one, each inside its parent's."""
+def _bodies(world: Element, model: Model, joints: list[Joint], raised: list[str]) -> list[Element]:
+    """Return the bodies by joint index less one, each inside its parent's; `raised` takes what is said of inertias."""
     robot, found = model.robot, [world]
     inertias = {link.joint_id: link for link in robot.links}
     names = {f.parentJoint: f.name for f in reversed(robot.model.frames.tolist()) if f.type == pin.FrameType.BODY}
@@ -81,13 +84,26 @@ def _bodies(world: Element, model: Model, joints: list[Joint]) -> list[Element]:
         SubElement(body, "joint", _joint(model, joint))
         if joint.index in inertias:
             carried = build_body(inertias[joint.index], model)
-            full = _numbers(carried.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
-            SubElement(body, "inertial", pos=_numbers(carried.centre), mass=_numbers([carried.mass]), fullinertia=full)
+            said, sentence = _inertia(carried.inertia, inertias[joint.index].link)
+            raised += [sentence] if sentence else []
+            SubElement(body, "inertial", pos=_numbers(carried.centre), mass=_numbers([carried.mass]), **said)
         else:
             least = _MIN_INERTIA["inertia"]
             SubElement(body, "inertial", pos="0 0 0", mass=_MIN_INERTIA["mass"], diaginertia=f"{least} {least} {least}")
         found.append(body)
     return found[1:]
+
+
+def _inertia(inertia: np.ndarray, link: str) -> tuple[dict[str, str], str]:
+    """Return an inertia's attributes, by its axes where moments are raised to a body's, and a sentence where by much."""
+    admitted = raise_moments(inertia)
+    if admitted is None:
+        return {"fullinertia": _numbers(inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])}, ""
+    moments, axes = admitted
+    much = np.abs(axes * moments @ axes.T - inertia).max() > _ROUNDED * np.abs(inertia).max()
+    turn = pin.Quaternion(axes)
+    said = {"diaginertia": _numbers(moments), "quat": _numbers([turn.w, turn.x, turn.y, turn.z])}
+    return said, f"{link}: no body has its inertia, so MJCF holds larger moments in place of the smallest" if much else ""
 
 
 def _joint(model: Model, joint: Joint) -> dict[str, str]:
