@@ -152,7 +152,8 @@ class FolderOutput(Output):
 
 _A_XACRO = "(a xacro is code: it evaluates Python)"
 RobotName = Annotated[
-    str, Parameter(help=f"A .urdf, .urdf.xacro or MJCF .xml file, or a short name that `tau-dyn robots` lists {_A_XACRO}")
+    str,
+    Parameter(help=f"A .urdf, .urdf.xacro or MJCF .xml file, or a short name that `tau-dyn robots` lists {_A_XACRO}"),
 ]
 
 
@@ -210,7 +211,9 @@ class RobotOptions:
         pairs = {text: text.partition("=") for text in self.package}
         for text, (name, _, folder) in pairs.items():
             if not name or not folder:
-                raise InputError("bad_option", f"--package {text}: write NAME=DIR, such as ur_description=src/ur_description")
+                raise InputError(
+                    "bad_option", f"--package {text}: write NAME=DIR, such as ur_description=src/ur_description"
+                )
         return {name: folder for name, _, folder in pairs.values()}
 
     def _load_calibrated(self, path: Path, given: dict[str, str]) -> Robot:

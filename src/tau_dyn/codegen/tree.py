@@ -81,7 +81,9 @@ class Tree:
         """
         if robot.mimics:
             listed = ", ".join(robot.mimics)
-            raise InputError("unsupported", f"{robot.source}: {listed} follow other joints; code is written of joints that do not")
+            raise InputError(
+                "unsupported", f"{robot.source}: {listed} follow other joints; code is written of joints that do not"
+            )
         model, data = robot.model, robot.model.createData()
         pin.computeJointJacobians(model, data, pin.neutral(model))
         value = value or (lambda name: robot.parameters[name].value)

@@ -62,18 +62,20 @@ def build_body(link: LinkInertia, model: Model) -> BodyInertia:
 
 
 def raise_moments(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return principal moments (3,) and axes (3, 3), in columns, the smaller moments raised to where a body may have them.
+    """Return principal moments (3,) and axes (3, 3), in columns, of the next inertia that a body may have.
 
-    None where the inertia (3, 3) is a body's: its largest moment is at most the sum of the others. Estimates may miss that, by the
-    solver's rounding or by more, and programs that simulate take nothing else.
+    None where the inertia (3, 3) is a body's: its mass spreads by `s = trace / 2 - moment >= 0` along each axis, so no moment is
+    negative or above the sum of the others. Estimates may miss that, by the solver's rounding or by more, and programs that
+    simulate take nothing else.
     """
     moments, axes = np.linalg.eigh(inertia)
-    lack = moments[2] * (1 + _MARGIN) - moments[0] - moments[1]
-    if lack <= 0 and moments[0] > 0:
+    spread = moments.sum() / 2 - moments
+    least = _MARGIN * np.abs(spread).max()
+    if spread.min() >= least:
         return None
-    moments[:2] = np.maximum(moments[:2] + max(lack, 0.0) / 2, _MARGIN * moments[2])
+    spread = np.maximum(spread, least)
     axes[:, 2] *= np.linalg.det(axes)
-    return moments, axes
+    return spread.sum() - spread, axes
 
 
 _MARGIN = 1e-9  # relative, far above the rounding of a program's own check

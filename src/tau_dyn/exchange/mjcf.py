@@ -69,7 +69,9 @@ def build_mjcf(model: Model) -> Exported:
         for name in robot.parameters.names
         if name.endswith(".gravity_mass") and robot.parameters[name].value
     )
-    return Exported(text, (*list_omitted_effects(model), *extra, *raised, *shapes), list_nominal_parameters(model), split(model))
+    return Exported(
+        text, (*list_omitted_effects(model), *extra, *raised, *shapes), list_nominal_parameters(model), split(model)
+    )
 
 
 def _bodies(world: Element, model: Model, joints: list[Joint], raised: list[str]) -> list[Element]:
@@ -103,7 +105,7 @@ def _inertia(inertia: np.ndarray, link: str) -> tuple[dict[str, str], str]:
     much = np.abs(axes * moments @ axes.T - inertia).max() > _ROUNDED * np.abs(inertia).max()
     turn = pin.Quaternion(axes)
     said = {"diaginertia": _numbers(moments), "quat": _numbers([turn.w, turn.x, turn.y, turn.z])}
-    return said, f"{link}: no body has its inertia, so MJCF holds larger moments in place of the smallest" if much else ""
+    return said, f"{link}: no body has its inertia, so MJCF holds the next that one may have" if much else ""
 
 
 def _joint(model: Model, joint: Joint) -> dict[str, str]:

@@ -46,7 +46,9 @@ def build_urdf(model: Model) -> Exported:
     _write_drives(root, model)
     _write_gravity_mass(root, model)
     _remove(root, f"{{{_OURS}}}estimated_inertias")
-    SubElement(root, f"{{{_OURS}}}estimated_inertias")  # data fit forces, not bodies: a loader should not ask for sound ones
+    SubElement(
+        root, f"{{{_OURS}}}estimated_inertias"
+    )  # data fit forces, not bodies: a loader should not ask for sound ones
     for prefix, space in (("drake", _DRAKE), ("tau_dyn", _OURS)):
         ElementTree.register_namespace(prefix, space)
     ElementTree.indent(root)

@@ -169,7 +169,9 @@ def build_model(robot: Robot, model: str | Path | Model) -> Model:
         InputError: The model file is of a robot with other actuated joints or parameters.
     """
     if isinstance(model, str) and model in FRICTION_MODELS:
-        return free_drive_inertias(_with_friction_of_file(Model.of(robot, build_friction_model(model, robot.actuated, robot.force_units))))
+        return free_drive_inertias(
+            _with_friction_of_file(Model.of(robot, build_friction_model(model, robot.actuated, robot.force_units)))
+        )
     if not isinstance(model, Model):
         if isinstance(model, str) and not Path(model).suffix:
             build_friction_model(model, robot.actuated, robot.force_units)  # says which names there are

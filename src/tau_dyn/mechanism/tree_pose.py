@@ -182,7 +182,10 @@ class TreeNewton:
         ends = [(model.frames[loop.frame_a], model.frames[loop.frame_b]) for loop in self.robot.loops]
         self._ends = [[(int(f.parentJoint), f.placement.translation.copy()) for f in pair] for pair in ends]
         self._active = self.robot.active_v
-        self._share, self._rests = self.robot.coupling[0], np.zeros(0, int) if self.robot.loops else self.robot.passive_v
+        self._share, self._rests = (
+            self.robot.coupling[0],
+            np.zeros(0, int) if self.robot.loops else self.robot.passive_v,
+        )
         self._followers = [model.joints[model.getJointId(j)].idx_v for j in self.robot.mimics]
         self.home = self.close_loops(self.robot.home[None])
         # home may be singular (a straight wrist), which idles nothing elsewhere: the smallest null space near by counts

@@ -204,7 +204,8 @@ class _Reader:
             element, name = joint.find("dynamics"), joint.get("name", "")
             if element is not None and name in self.joints:
                 values = [
-                    self.number(element, key) if element.get(key) is not None else 0.0 for key in ("damping", "friction")
+                    self.number(element, key) if element.get(key) is not None else 0.0
+                    for key in ("damping", "friction")
                 ]
                 if any(values):
                     found[name] = JointFriction(*values)
@@ -282,10 +283,16 @@ class _Reader:
                 raise InputError("robot_structure", f"{self.where}: <constraint name='{name}'> lacks <{side}>")
             place, turn, along = (
                 self._numbers(e, key, 3) if e is not None and e.get(key) is not None else default
-                for e, key, default in ((origin, "xyz", (0.0,) * 3), (origin, "rpy", (0.0,) * 3), (axis, "xyz", (1.0, 0.0, 0.0)))
+                for e, key, default in (
+                    (origin, "xyz", (0.0,) * 3),
+                    (origin, "rpy", (0.0,) * 3),
+                    (axis, "xyz", (1.0, 0.0, 0.0)),
+                )
             )
             if not any(along):
-                raise InputError("robot_structure", f"{self.where}: <constraint name='{name}'>: its {side}_axis is zero")
+                raise InputError(
+                    "robot_structure", f"{self.where}: <constraint name='{name}'>: its {side}_axis is zero"
+                )
             axes = build_rotation(turn) @ combine_axes(along)
             ends.append((self.link_of(link, "link"), [axes @ point + place for point in _POINTS[kind]]))
         (a, points_a), (b, points_b) = ends

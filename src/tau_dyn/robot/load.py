@@ -26,8 +26,9 @@ from tau_dyn.robot.semantics import find_srdf, read_passive_joints
 from tau_dyn.robot.stock import StockRobot, find_described_robot
 
 TOOL_NAMES = ("tool", "tool0", "tcp", "hand_tcp", "ee_link", "end_effector", "attachment_site", "flange")
-"""Usual names of a tool frame, our own files', ROS-Industrial's, and those of common arms. The first that exists counts; where none
-does, the first that a single frame's name ends in, as `panda_hand_tcp` does."""
+"""Usual names of a tool frame, our own files', ROS-Industrial's, and those of common arms.
+
+The first that exists counts; where none does, the first that a single frame's name ends in, as `panda_hand_tcp` does."""
 FITTED = '<tau_dyn:estimated_inertias xmlns:tau_dyn="urn:tau_dyn"/>'
 """Element of a robot file whose inertias data gave; they need not be those of bodies."""
 MAX_DEGREES_OF_FREEDOM = 300
@@ -264,10 +265,13 @@ def _resolve_mimics(model: pin.Model, notes: Annotations, actuated: tuple[str, .
         if name in actuated or not all(k < model.njoints for k in ids):
             continue
         if any(model.joints[k].nv != 1 for k in ids):
-            raise InputError("robot_structure", f"{where}: the <mimic> of '{name}' needs joints of one degree of freedom")
+            raise InputError(
+                "robot_structure", f"{where}: the <mimic> of '{name}' needs joints of one degree of freedom"
+            )
         if notes.loops and leader not in actuated:
             raise InputError(
-                "unsupported", f"{where}: joint '{name}' follows '{leader}', which has no motor; in a robot with loops it must"
+                "unsupported",
+                f"{where}: joint '{name}' follows '{leader}', which has no motor; in a robot with loops it must",
             )
         found[name] = Mimic(leader, share, offset)
     return found
@@ -282,7 +286,8 @@ def _sum_friction(
         if joint in notes.friction and mimic.joint in actuated:
             before, more = found.get(mimic.joint, JointFriction(0.0, 0.0)), notes.friction[joint]
             found[mimic.joint] = JointFriction(
-                before.viscous + mimic.multiplier**2 * more.viscous, before.coulomb + abs(mimic.multiplier) * more.coulomb
+                before.viscous + mimic.multiplier**2 * more.viscous,
+                before.coulomb + abs(mimic.multiplier) * more.coulomb,
             )
     return found
 

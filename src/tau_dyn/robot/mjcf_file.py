@@ -22,9 +22,7 @@ from tau_dyn.robot.rotations import build_rotation
 
 _MAX_BYTES = 32 * 2**20  # of an included file, as of any robot file
 _MAX_INCLUDED = 100  # files
-_MOTORS = (
-    "motor position velocity intvelocity damper cylinder muscle adhesion plugin dcmotor pid orientation".split()
-)
+_MOTORS = "motor position velocity intvelocity damper cylinder muscle adhesion plugin dcmotor pid orientation".split()
 _TURNS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 _MAIN = "main"
 
@@ -242,7 +240,9 @@ def _include(element: Element, folder: Path, where: str, seen: list[Path], level
         try:
             text = read_bytes(path, _MAX_BYTES)
         except OSError as fault:
-            raise InputError("cannot_read", f"{where}: <include file='{child.get('file', '')}'> cannot be read") from fault
+            raise InputError(
+                "cannot_read", f"{where}: <include file='{child.get('file', '')}'> cannot be read"
+            ) from fault
         element[k : k + 1] = list(_parse(text, str(path)))
 
 

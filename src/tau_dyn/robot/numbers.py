@@ -113,7 +113,8 @@ def check_names(elements: Iterable[Any], where: str) -> None:
         if name and not name.isprintable():
             tag = element.tag if isinstance(element, Element) else element.tagName
             raise InputError(
-                "robot_structure", f"{where}: <{tag} name={name[:60]!r}>: a name holds no line breaks or control characters"
+                "robot_structure",
+                f"{where}: <{tag} name={name[:60]!r}>: a name holds no line breaks or control characters",
             )
 
 
@@ -172,7 +173,9 @@ def check_inertia(mass: float, moments: Iterable[float], place: str) -> None:
     if low < -_ROUNDING * high - _NO_MOMENT:
         raise InputError("robot_structure", f"{said}; none is negative in any body: {remedy}")
     if high > (1 + _ROUNDING) * (low + middle) + _NO_MOMENT:
-        raise InputError("robot_structure", f"{said}; in any body the largest is at most the sum of the others: {remedy}")
+        raise InputError(
+            "robot_structure", f"{said}; in any body the largest is at most the sum of the others: {remedy}"
+        )
     if not mass and high > _NO_MOMENT:
         raise InputError("robot_structure", f"{said}, and its mass is zero; give it one")
 
@@ -182,7 +185,13 @@ _NO_MOMENT = 1e-9  # [kg m^2] that of a grain
 
 
 def _check(
-    parent: Element, tag: str, names: tuple[str, ...], count: int, place: str, required: bool = False, most: float = MAX_NUMBER
+    parent: Element,
+    tag: str,
+    names: tuple[str, ...],
+    count: int,
+    place: str,
+    required: bool = False,
+    most: float = MAX_NUMBER,
 ) -> None:
     element = parent.find(tag)
     if element is None:

@@ -1,7 +1,7 @@
 """Robots of other people's packages by name: `example-robot-data` (`ur5`) and `robot_descriptions` (`ur5e_description`).
 
-The second clones repositories when one of its modules is imported. Here none is: a module's text says which file of which repository
-it means, and the robot is there where that repository is in the cache.
+The second clones repositories when one of its modules is imported. Here none is: a module's text says which file of which
+repository it means, and the robot is there where that repository is in the cache.
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ def list_stock_robots() -> dict[str, Path]:
     except PackageNotFoundError:
         return found
     urdfs = [file for file in listed if file.suffix == ".urdf" and "robots" in file.parts]
-    for file in sorted(urdfs, key=lambda file: not file.stem.endswith("_robot")):  # ur3.urdf beside ur3_robot.urdf is a part
+    for file in sorted(
+        urdfs, key=lambda file: not file.stem.endswith("_robot")
+    ):  # ur3.urdf beside ur3_robot.urdf is a part
         found.setdefault(file.stem.removesuffix("_robot"), Path(str(file.locate())))
     return found
 
