@@ -157,7 +157,9 @@ def compare_tool(case: Case, robot: Robot, reference: mujoco.MjModel | None) -> 
                 data.qpos[reference.jnt_qposadr[j]] = share[row] @ q[k] + offset[row]
             mujoco.mj_kinematics(reference, data)
             last = reference.body_jntadr[body] + reference.body_jntnum[body] - 1
-            anchored = data.xanchor[last] if reference.body_jntnum[body] else data.xpos[body]
+            anchored = data.xpos[body].copy()
+            if reference.body_jntnum[body]:
+                anchored += data.xmat[body].reshape(3, 3) @ reference.jnt_pos[last]
             theirs[k] = data.site_xpos[site] if site >= 0 else anchored
         return float(np.abs(ours - theirs).max())
     model = robot.model if robot.loops else pin.buildModelFromXML(robot.urdf)

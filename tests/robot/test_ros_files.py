@@ -73,7 +73,10 @@ def test_plain_urdf_loads_without_xacro(write, tmp_path):
     """Start-up pays for what is used."""
     path = tmp_path / "r.urdf"
     path.write_text(write.two_link())
-    code = f"import sys; from tau_dyn.robot import load_robot; load_robot({str(path)!r}); print({{'xacro', 'tau_dyn.robot._restricted_xacro'}} & set(sys.modules))"
+    code = (
+        f"import sys; from tau_dyn.robot import load_robot; load_robot({str(path)!r}); "
+        "print({'xacro', 'tau_dyn.robot._restricted_xacro'} & set(sys.modules))"
+    )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
     assert said.stdout.split() == ["set()"]
 
@@ -90,9 +93,8 @@ def test_ros2_control_names_the_motors(write):
 
 def follow(write, more: str = "") -> str:
     """Return two links of which the second follows the first at -0.5 times its angle and 0.2 rad."""
-    return write.two_link().replace(
-        '<joint name="elbow" type="revolute">', f'<joint name="elbow" type="revolute"><mimic joint="shoulder" multiplier="-0.5" offset="0.2"/>{more}'
-    )  # fmt: skip
+    elbow, rule = '<joint name="elbow" type="revolute">', '<mimic joint="shoulder" multiplier="-0.5" offset="0.2"/>'
+    return write.two_link().replace(elbow, elbow + rule + more)
 
 
 def test_a_mimicked_joint_adds_its_force_by_virtual_work(write):
@@ -142,7 +144,7 @@ def test_friction_of_the_file_is_nominal(write):
 
 @pytest.mark.parametrize(("kind", "axis"), [("spherical", "0 1 0"), ("revolute", "0 0 1")])
 def test_a_proposed_constraint_closes_a_loop(write, kind, axis):
-    """urdfdom's pull request 264: as a ball, or as a hinge, which is two balls on its axis."""
+    """A proposal to urdfdom (pull request 264): as a ball, or as a hinge, which is two balls on its axis."""
     text = write.four_bar()
     start, end = (
         text.index("<drake:ball_constraint>"),

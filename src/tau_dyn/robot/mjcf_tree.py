@@ -13,8 +13,8 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.robot.mjcf_bodies import BodyMass, Shape, bound_mass, read_inertial, read_shape, sum_shapes
-from tau_dyn.robot.mjcf_file import STILL, Item, MjcfFile, Pose, turn_about
+from tau_dyn.robot.mjcf_bodies import BodyMass, Geom, bound_mass, read_inertial, read_shape, sum_shapes
+from tau_dyn.robot.mjcf_file import STILL, Item, MjcfFile, Transform, turn_about
 from tau_dyn.robot.rotations import compute_rpy
 
 _GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2] Pinocchio's
@@ -50,8 +50,8 @@ class Place:
     """A body or site: its link, its frame in that link's, and in the world where all joints are at their reference."""
 
     link: str
-    inside: Pose
-    world: Pose
+    inside: Transform
+    world: Transform
     mocap: bool = False
 
 
@@ -143,7 +143,7 @@ class MjcfTree:
                     name = found.get("name") or found.get("prefix") or found.get("model") or ""
                     raise InputError("unsupported", f"{where}: <{tag} '{name}'> is not read; write its bodies out")
 
-    def _inside(self, element: Element, frame: Pose, child_class: str) -> Iterator[tuple[Element, Pose, str]]:
+    def _inside(self, element: Element, frame: Transform, child_class: str) -> Iterator[tuple[Element, Transform, str]]:
         """Yield the elements in a body, with the `<frame>` that each stands in and its class."""
         for child in element:
             if child.tag == "frame":
@@ -152,7 +152,7 @@ class MjcfTree:
             else:
                 yield child, frame, child_class
 
-    def _add_body(self, element: Element, parent: Place, frame: Pose, child_class: str, *, moving: bool) -> None:
+    def _add_body(self, element: Element, parent: Place, frame: Transform, child_class: str, *, moving: bool) -> None:
         child_class = element.get("childclass", child_class)
         item = self.file.item(element, child_class)
         name = element.get("name") or f"body{len(self.bodies)}"
@@ -177,10 +177,10 @@ class MjcfTree:
                 continue
             last -= 1
             link = self._own(name) if last == 0 else self._own(f"{name}_{joint.get('name')}_link")
-            origin = inside @ Pose(np.eye(3), anchor) @ _move(kind, np.zeros(3), axis, -reference)
+            origin = inside @ Transform(np.eye(3), anchor) @ _move(kind, np.zeros(3), axis, -reference)
             self._add_link(link, joint.get("name"), kind, parent_link, origin)
             self._describe_joint(joint, kind, axis, reference)
-            inside, parent_link = Pose(np.eye(3), -anchor), link
+            inside, parent_link = Transform(np.eye(3), -anchor), link
         moves = any(kind for _, kind, *_ in rows)
         if not moves:
             parent_link, origin, inside = self._own(name), inside, STILL
@@ -194,7 +194,7 @@ class MjcfTree:
                 self._add_body(child, place, own, its_class, moving=moving or moves)
 
     def _list_joints(
-        self, element: Element, frame: Pose, child_class: str, body: str
+        self, element: Element, frame: Transform, child_class: str, body: str
     ) -> list[tuple[Item, str, np.ndarray, np.ndarray]]:
         """Return a joint as hinges and slides: item, kind (none for one held still), anchor and axis in the body's frame."""
         item = self.file.item(element, child_class)
@@ -227,7 +227,7 @@ class MjcfTree:
         value = joint.number("ref", 0.0)
         return value if (kind or joint.get("type", "hinge")) == "slide" else joint.angle(value)
 
-    def _add_link(self, link: str, joint: str, kind: str, parent: str, origin: Pose) -> None:
+    def _add_link(self, link: str, joint: str, kind: str, parent: str, origin: Transform) -> None:
         SubElement(self.root, "link", name=link)
         types = {"fixed": "fixed", "hinge": "revolute", "slide": "prismatic"}
         element = SubElement(self.root, "joint", name=joint, type=types[kind])
@@ -258,7 +258,7 @@ class MjcfTree:
         if any(item.numbers("stiffness", "0")):
             self.left_out.setdefault("springs of joints", []).append(name)
 
-    def _add_mass(self, item: Item, parts: list[tuple[Element, Pose, str]], place: Place, moving: bool) -> None:
+    def _add_mass(self, item: Item, parts: list[tuple[Element, Transform, str]], place: Place, moving: bool) -> None:
         link, compiler = self.root.find(f"link[@name='{place.link}']"), self.file.compiler
         if link is None:
             raise InputError("robot_structure", f"{item.where}: no name of a body")
@@ -290,7 +290,7 @@ class MjcfTree:
         if item.number("gravcomp", 0.0):
             self.left_out.setdefault("gravity compensation of bodies", []).append(item.get("name"))
 
-    def _add_site(self, element: Element, place: Place, frame: Pose, child_class: str) -> None:
+    def _add_site(self, element: Element, place: Place, frame: Transform, child_class: str) -> None:
         name = element.get("name")
         if not name:
             return
@@ -328,15 +328,15 @@ def _iterate_joints(element: Element, child_class: str) -> Iterator[tuple[Elemen
             yield from _iterate_joints(child, child.get("childclass", child_class))
 
 
-def _move(kind: str, anchor: np.ndarray, axis: np.ndarray, position: float) -> Pose:
+def _move(kind: str, anchor: np.ndarray, axis: np.ndarray, position: float) -> Transform:
     """Return a joint's motion of its body (hinge or slide) from its reference, in the body's frame."""
     if kind == "slide":
-        return Pose(np.eye(3), position * axis)
+        return Transform(np.eye(3), position * axis)
     turn = turn_about(axis, position)
-    return Pose(turn, anchor - turn @ anchor)
+    return Transform(turn, anchor - turn @ anchor)
 
 
-def _draw(link: Element, shape: Shape, inside: Pose) -> None:
+def _draw(link: Element, shape: Geom, inside: Transform) -> None:
     """Add a shape to a link's picture; URDF has no capsule, whose tube alone is drawn, and no ellipsoid."""
     group = int(shape.item.number("group", 0.0))
     if group > _SHOWN_GROUPS or shape.kind not in ("box", "sphere", "cylinder", "capsule"):
