@@ -168,6 +168,7 @@ class RobotOptions:
         tool: Tool frame, if not tool, tool0, tcp, ee_link, flange or the tree's only leaf
         package: Folder of a ROS package, if not around the file, in AMENT_PREFIX_PATH or ROS_PACKAGE_PATH
         srdf: An SRDF that names passive joints, if not the one of the same name beside the file
+        fitted_inertias: Accept inertias that no body has, as those fitted to forces
         no_xacro: Accept plain URDF only; refuse xacro files, for they run code. Built-in robots are xacro files too
     """
 
@@ -176,6 +177,7 @@ class RobotOptions:
     tool: Annotated[str | None, Parameter(metavar="FRAME")] = None
     package: Annotated[tuple[str, ...], Parameter(metavar="NAME=DIR")] = ()
     srdf: Annotated[Path | None, Parameter(metavar="FILE")] = None
+    fitted_inertias: bool = False
     no_xacro: bool = False
 
     def load(self, robot: str | Path) -> Robot:
@@ -194,7 +196,7 @@ class RobotOptions:
             return self._load_calibrated(Path(robot), given)
         return load_robot(
             str(robot), actuated=self.actuated or None, tool=self.tool, xacro=not self.no_xacro,
-            packages=self._read_packages(), srdf=self.srdf, **given,
+            packages=self._read_packages(), srdf=self.srdf, fitted_inertias=self.fitted_inertias, **given,
         )  # fmt: skip
 
     def _read_packages(self) -> dict[str, str]:

@@ -87,6 +87,24 @@ def build_carried_model(model: Model, *, drives: bool) -> Model:
     for _, _, both in _list_pairs(model, drives):
         values |= dict.fromkeys(both, float(np.mean([model.effect_parameters[n].value for n in both])))
     return model.with_values(values)
+def raise_moments(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return principal moments (3,) and axes (3, 3), in columns, of the next inertia that a body may have.
+
+    None where the inertia (3, 3) is a body's: its mass spreads by `s = trace / 2 - moment >= 0` along each axis, so no moment is
+    negative or above the sum of the others. Estimates may miss that, by the solver's rounding or by more, and programs that
+    simulate take nothing else.
+    """
+    moments, axes = np.linalg.eigh(inertia)
+    spread = moments.sum() / 2 - moments
+    least = _MARGIN * np.abs(spread).max()
+    if spread.min() >= least:
+        return None
+    spread = np.maximum(spread, least)
+    axes[:, 2] *= np.linalg.det(axes)
+    return spread.sum() - spread, axes
+
+
+_MARGIN = 1e-9  # relative, far above the rounding of a program's own check
 
 
 def _list_unknown(model: Model, drives: bool) -> list[Effect]:

@@ -24,6 +24,7 @@ from tau_dyn.exchange.content import (
     format_header,
     list_nominal_parameters,
     list_omissions,
+    raise_moments,
     read_joint_law,
     split,
 )
@@ -41,6 +42,7 @@ leaves so little of a loop's acceleration. Its defaults, 20 ms and 0.9, open loo
 _SEEN_ONLY = {"contype": "0", "conaffinity": "0", "mass": "0"}
 _LIGHT = 1e-9  # kg, of bodies without mass
 _MIN_INERTIAL = {"pos": "0 0 0", "mass": f"{_LIGHT:g}", "diaginertia": "1e-12 1e-12 1e-12"}
+_ROUNDED = 1e-6  # relative, of an interior-point solver's inertia
 
 
 def build_mjcf(model: Model) -> Exported:
@@ -63,10 +65,12 @@ def build_mjcf(model: Model) -> Exported:
     SubElement(root, "compiler", angle="radian", autolimits="true", boundmass="1e-9", boundinertia="1e-12")
     SubElement(root, "option", gravity=_numbers(robot.model.gravity.linear), timestep=_numbers([TIMESTEP_S]))
     world = SubElement(root, "worldbody")
-    bodies = _bodies(world, carried, joints)
+    raised: list[str] = []
+    bodies = _bodies(world, carried, joints, raised)
     _add_weights(bodies, model)
     shapes = _draw(model, [world, *bodies])
     _tie(root, model, [world, *bodies])
+    _couple(root, model)
     actuator = SubElement(root, "actuator")
     for joint, limit in zip(robot.actuated, robot.effort_limit, strict=True):
         more = {"ctrlrange": _numbers([-limit, limit])} if np.isfinite(limit) else {}
@@ -82,11 +86,11 @@ def build_mjcf(model: Model) -> Exported:
     SubElement(key, "key", name="home", qpos=_numbers(_home(model, joints, world)))
     ElementTree.indent(root)
     text = '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
-    return Exported(text, (*left_out, *shapes), carried, list_nominal_parameters(model), split(model))
+    return Exported(text, (*left_out, *raised, *shapes), carried, list_nominal_parameters(model), split(model))
 
 
-def _bodies(world: Element, model: Model, joints: list[Joint]) -> list[Element]:
-    """Return the bodies by joint index less one, each inside its parent's."""
+def _bodies(world: Element, model: Model, joints: list[Joint], raised: list[str]) -> list[Element]:
+    """Return the bodies by joint index less one, each inside its parent's; `raised` takes what is said of inertias."""
     robot, found = model.robot, [world]
     inertias = {link.joint_id: link for link in robot.links}
     names = {f.parentJoint: f.name for f in reversed(robot.model.frames.tolist()) if f.type == pin.FrameType.BODY}
@@ -97,12 +101,25 @@ def _bodies(world: Element, model: Model, joints: list[Joint]) -> list[Element]:
         SubElement(body, "joint", _joint(model, joint))
         if joint.index in inertias:
             carried = build_body(inertias[joint.index], model)
-            full = _numbers(carried.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
-            SubElement(body, "inertial", pos=_numbers(carried.centre), mass=_numbers([carried.mass]), fullinertia=full)
+            said, sentence = _inertia(carried.inertia, inertias[joint.index].link)
+            raised += [sentence] if sentence else []
+            SubElement(body, "inertial", pos=_numbers(carried.centre), mass=_numbers([carried.mass]), **said)
         else:
             SubElement(body, "inertial", _MIN_INERTIAL)
         found.append(body)
     return found[1:]
+
+
+def _inertia(inertia: np.ndarray, link: str) -> tuple[dict[str, str], str]:
+    """Return an inertia's attributes, by its axes where moments are raised to a body's, and a sentence where by much."""
+    admitted = raise_moments(inertia)
+    if admitted is None:
+        return {"fullinertia": _numbers(inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])}, ""
+    moments, axes = admitted
+    much = np.abs(axes * moments @ axes.T - inertia).max() > _ROUNDED * np.abs(inertia).max()
+    turn = pin.Quaternion(axes)
+    said = {"diaginertia": _numbers(moments), "quat": _numbers([turn.w, turn.x, turn.y, turn.z])}
+    return said, f"{link}: no body has its inertia, so MJCF holds the next that one may have" if much else ""
 
 
 def _joint(model: Model, joint: Joint) -> dict[str, str]:
@@ -187,6 +204,15 @@ def _tie(root: Element, model: Model, bodies: list[Element]) -> None:
             )
         a, b = (end.name for end in ends)
         SubElement(equality, "connect", {"name": f"{a}_{b}", "site1": a, "site2": b, **_STIFF})
+
+
+def _couple(root: Element, model: Model) -> None:
+    """Add the joints that follow others."""
+    equality = root.find("equality")
+    for joint, mimic in model.robot.mimics.items():
+        equality = SubElement(root, "equality") if equality is None else equality
+        law = {"polycoef": _numbers([mimic.offset, mimic.multiplier, 0, 0, 0])}
+        SubElement(equality, "joint", {"joint1": joint, "joint2": mimic.joint, **law})
 
 
 def _home(model: Model, joints: list[Joint], world: Element) -> list[float]:

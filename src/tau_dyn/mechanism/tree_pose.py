@@ -294,7 +294,7 @@ class TreeNewton:
         return C
 
     def _fold(self, J: np.ndarray) -> np.ndarray:
-        """Return derivatives by all joints (N, m, nv) with those of followers added to what they follow, and none of what rests."""
+        """Return derivatives by all joints (N, m, nv) with followers added to what they follow; none of what rests."""
         if self._followers:
             J[:, :, self._active] += J[:, :, self._followers] @ self._share[self._followers]
             J[:, :, self._followers] = 0.0

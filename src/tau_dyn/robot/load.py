@@ -26,8 +26,11 @@ from tau_dyn.robot.semantics import find_srdf, read_passive_joints
 from tau_dyn.robot.stock import StockRobot, find_described_robot
 
 TOOL_NAMES = ("tool", "tool0", "tcp", "hand_tcp", "ee_link", "end_effector", "attachment_site", "flange")
-"""Usual names of a tool frame, our own files', ROS-Industrial's, and those of common arms. The first that exists counts; where none
-does, the first that a single frame's name ends in, as `panda_hand_tcp` does."""
+"""Usual names of a tool frame, our own files', ROS-Industrial's, and those of common arms.
+
+The first that exists counts; where none does, the first that a single frame's name ends in, as `panda_hand_tcp` does."""
+FITTED = '<tau_dyn:estimated_inertias xmlns:tau_dyn="urn:tau_dyn"/>'
+"""Element of a robot file whose inertias data gave; they need not be those of bodies."""
 MAX_DEGREES_OF_FREEDOM = 300
 """Degrees of freedom of a tree; Pinocchio's preparations for one take a second at 300 and a minute at 1000."""
 
@@ -41,6 +44,7 @@ def load_robot(
     xacro: bool = True,
     packages: Mapping[str, str | Path] | None = None,
     srdf: str | Path | None = None,
+    fitted_inertias: bool = False,
     **arguments: object,
 ) -> Robot:
     """Load a robot from a file or by its short name.
@@ -53,6 +57,7 @@ def load_robot(
         xacro: Whether a xacro may be evaluated; False takes plain URDF only, for a file from people you do not trust.
         packages: Folders of ROS packages by name, before those that are found (`packages.py`).
         srdf: An SRDF that names passive joints; by default the one beside the file, of the same name.
+        fitted_inertias: Accept inertias that no body has, as those that were fitted to forces.
         **arguments: xacro arguments, such as `prototype="l1"`.
 
     Raises:
@@ -63,6 +68,8 @@ def load_robot(
     described = find_described_robot(str(robot)) or StockRobot(path)
     given = {k: str(v) for k, v in {**described.arguments, **arguments}.items()}
     urdf = expand(path, given, evaluate=xacro, packages={**described.packages, **(packages or {})})
+    if fitted_inertias:
+        urdf = re.sub(r"</robot>\s*$", f"{FITTED}</robot>", urdf)
     semantics = Path(srdf) if srdf is not None else find_srdf(path)
     return load_robot_from_urdf(
         urdf,

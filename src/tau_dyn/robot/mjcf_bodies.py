@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.robot.mjcf_file import Item, Pose, turn_z_to
+from tau_dyn.robot.mjcf_file import Item, Transform, turn_z_to
 
 _DENSITY = 1000.0  # [kg/m^3] MuJoCo's default, of water
 _FLAT = ("plane", "hfield")
@@ -25,16 +25,16 @@ class BodyMass(NamedTuple):
     inertia: np.ndarray
 
 
-class Shape(NamedTuple):
+class Geom(NamedTuple):
     """A geom: its element, kind, half sizes (3,) [m] and pose in the body's frame."""
 
     item: Item
     kind: str
     size: np.ndarray
-    pose: Pose
+    pose: Transform
 
 
-def read_shape(item: Item, frame: Pose) -> Shape:
+def read_shape(item: Item, frame: Transform) -> Geom:
     """Return a geom that stands in a frame of its body; a capsule's or cylinder's `size` is radius, radius, half length.
 
     Raises:
@@ -44,18 +44,18 @@ def read_shape(item: Item, frame: Pose) -> Shape:
     if item.get("mesh") and kind != "mesh":
         kind = "mesh"  # a primitive fitted to a mesh, whose size the mesh's file tells
     if kind not in _SIZES:
-        return Shape(item, kind, np.zeros(3), frame @ item.pose())
+        return Geom(item, kind, np.zeros(3), frame @ item.pose())
     pose, n = item.pose(), _SIZES[kind]
     given = np.abs(item.numbers("size", "0 0 0"))
     if item.get("fromto") and kind != "sphere":
         ends = item.numbers("fromto", "", 6)
         along = ends[:3] - ends[3:]  # MuJoCo lays the shape's z axis so
         length = float(np.linalg.norm(along))
-        pose = Pose(turn_z_to(along / length) if length else np.eye(3), (ends[:3] + ends[3:]) / 2)
+        pose = Transform(turn_z_to(along / length) if length else np.eye(3), (ends[:3] + ends[3:]) / 2)
         given = np.array([*[given[0]] * (n - 1), length / 2])
     if len(given) < n:
         raise InputError("robot_structure", f"{item.where}: size='{item.get('size')}' has too few numbers for a {kind}")
-    return Shape(item, kind, np.array([*[given[0]] * (3 - n), *given[:n]]), frame @ pose)
+    return Geom(item, kind, np.array([*[given[0]] * (3 - n), *given[:n]]), frame @ pose)
 
 
 def read_inertial(item: Item) -> BodyMass:
@@ -75,7 +75,7 @@ def read_inertial(item: Item) -> BodyMass:
     return BodyMass(mass, pose.origin, pose.rotation @ inertia @ pose.rotation.T)
 
 
-def sum_shapes(shapes: Iterable[Shape], groups: tuple[float, float], where: str) -> BodyMass:
+def sum_shapes(shapes: Iterable[Geom], groups: tuple[float, float], where: str) -> BodyMass:
     """Return the inertia of a body's shapes whose group lies in a range.
 
     Raises:
@@ -100,7 +100,7 @@ def bound_mass(body: BodyMass, least_mass: float, least_inertia: float, balance:
     return BodyMass(max(body.mass, least_mass), body.centre, axes @ np.diag(moments) @ axes.T)
 
 
-def _weigh(shape: Shape, groups: tuple[float, float], where: str) -> BodyMass | None:
+def _weigh(shape: Geom, groups: tuple[float, float], where: str) -> BodyMass | None:
     item = shape.item
     given = item.number("mass", 0.0) if "mass" in item.values else None
     density = item.number("density", _DENSITY)

@@ -27,26 +27,26 @@ _TURNS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 _MAIN = "main"
 
 
-class Pose(NamedTuple):
+class Transform(NamedTuple):
     """A frame in another one: rotation (3, 3) and origin (3,) [m]."""
 
     rotation: np.ndarray
     origin: np.ndarray
 
-    def __matmul__(self, other: Pose) -> Pose:
+    def __matmul__(self, other: Transform) -> Transform:
         """Return where a frame is that sits at `other` in this one."""
-        return Pose(self.rotation @ other.rotation, self.rotation @ other.origin + self.origin)
+        return Transform(self.rotation @ other.rotation, self.rotation @ other.origin + self.origin)
 
     def place(self, point: np.ndarray) -> np.ndarray:
         """Return where a point (3,) of this frame is."""
         return self.rotation @ point + self.origin
 
-    def invert(self) -> Pose:
+    def invert(self) -> Transform:
         """Return the outer frame in this one."""
-        return Pose(self.rotation.T, -self.rotation.T @ self.origin)
+        return Transform(self.rotation.T, -self.rotation.T @ self.origin)
 
 
-STILL = Pose(np.eye(3), np.zeros(3))
+STILL = Transform(np.eye(3), np.zeros(3))
 """A frame in itself."""
 
 
@@ -93,9 +93,9 @@ class Item:
         found = self.numbers(key, "0 0", 2)
         return found if found[0] < found[1] else None
 
-    def pose(self) -> Pose:
+    def pose(self) -> Transform:
         """Return where the file puts the element."""
-        return Pose(self._rotation(), self.numbers("pos", "0 0 0", 3))
+        return Transform(self._rotation(), self.numbers("pos", "0 0 0", 3))
 
     def _rotation(self) -> np.ndarray:
         key = next((key for key in _TURNS if key in self.values), "")

@@ -168,11 +168,14 @@ def check_inertia(mass: float, moments: Iterable[float], place: str) -> None:
         InputError: It says the moments.
     """
     low, middle, high = sorted(moments)
+    remedy = "correct them, or accept them as fitted with --fitted-inertias"
     said = f"{place}: its principal moments of inertia are {low:.4g}, {middle:.4g} and {high:.4g} kg m^2"
     if low < -_ROUNDING * high - _NO_MOMENT:
-        raise InputError("robot_structure", f"{said}; none is negative in any body")
+        raise InputError("robot_structure", f"{said}; none is negative in any body: {remedy}")
     if high > (1 + _ROUNDING) * (low + middle) + _NO_MOMENT:
-        raise InputError("robot_structure", f"{said}; in any body the largest is at most the sum of the others")
+        raise InputError(
+            "robot_structure", f"{said}; in any body the largest is at most the sum of the others: {remedy}"
+        )
     if not mass and high > _NO_MOMENT:
         raise InputError("robot_structure", f"{said}, and its mass is zero; give it one")
 

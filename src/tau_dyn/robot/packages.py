@@ -1,7 +1,8 @@
 """Where ROS packages lie: what `$(find NAME)` and `package://NAME` mean on a machine with or without ROS.
 
-Looked for in this order: folders given by hand; the folders around the file, up to a `package.xml` and beside it; AMENT_PREFIX_PATH,
-ROS_PACKAGE_PATH and CMAKE_PREFIX_PATH; packages that pip installed. Nothing is imported and no program is called.
+Looked for in this order: folders given by hand; the folders around the file, up to a `package.xml` and beside it; those of
+AMENT_PREFIX_PATH, CMAKE_PREFIX_PATH and ROS_PACKAGE_PATH; packages that pip installed. Nothing is imported and no program
+is called.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Robots of other people's packages by name: `example-robot-data` (`ur5`) and `robot_descriptions` (`ur5e_description`).
 
-The second clones repositories when one of its modules is imported. Here none is: a module's text says which file of which repository
-it means, and the robot is there where that repository is in the cache.
+The second clones repositories when one of its modules is imported. Here none is: a module's text says which file of which
+repository it means, and the robot is there where that repository is in the cache.
 """
 
 from __future__ import annotations
