@@ -110,13 +110,14 @@ def _in_loop(test: Shaker, asked: np.ndarray, disturbing: np.ndarray, dt: float)
     z, s, w = _poles(test, dt)
     # velocity of a mode is Re(x) in the coordinates whose Im is the displacement; its peak gain is about 1 / (2 zeta)
     k = test.gain * 2 * test.damping
-    x = np.zeros(len(z), complex)
-    force, y = np.empty(len(asked)), np.empty((len(asked), len(z)))
-    wdt = w * dt
-    for t in range(len(asked)):
-        y[t] = x.imag
-        force[t] = asked[t] - k * float(x.real.sum())
-        x = z * x + wdt * (force[t] + disturbing[t])
+    A = np.kron(np.diag(z.real), np.eye(2)) + np.kron(np.diag(z.imag), [[0.0, -1.0], [1.0, 0.0]])
+    B, velocities = np.kron(w * dt, [1.0, 0.0]), np.tile([1.0, 0.0], len(z))
+    values, vectors = np.linalg.eig(A - k * np.outer(B, velocities))
+    excited = np.linalg.solve(vectors, B.astype(complex))
+    x = np.zeros((len(asked), len(values)))
+    for pole, gain, vector in zip(values, excited, vectors.T, strict=True):
+        x += np.real(np.outer(lfilter([0, gain], [1, -pole], (asked + disturbing).astype(complex)), vector))
+    force, y = asked - k * (x @ velocities), x[:, 1::2]
     return force, y
 
 

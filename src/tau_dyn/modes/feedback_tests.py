@@ -27,13 +27,13 @@ both sides is chance alone and gives the false-alarm rate, whatever the colours.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import next_fast_len
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import qr, solve_toeplitz, solve_triangular, toeplitz
 from scipy.signal import welch
-from scipy.stats import f as fisher, gamma
+from scipy.stats import chi2, f as fisher
 
 from tau_dyn.modes.record import Record, stack_lags
 
@@ -176,9 +176,14 @@ SEGMENT = 128
 EXCITED_SHARE = 0.05
 """Power density over its maximum from which on a band counts as excited (-13 dB): folded frequencies lie below."""
 TAPER_SHARE = 0.3  # share of the excited band over which W falls to zero at its edges
-KERNEL_LEVEL = 1e-3
-"""Height of the kernel of W^2 over its peak beyond which lags are free of the path from input to output."""
-SPANS = (30, 100, 300)  # lags that are added up, in samples: controllers answer at once, structures ring on
+MAX_LEAK = 0.1  # of a lag's standard deviation: what the path from input to output may put there through the kernel of W^2
+KERNEL_LEVELS = (1e-3, 0.03)
+"""Least and greatest height of that kernel over its peak at the first acausal lag that counts: a path left out by 30 dB over
+the noise, and one that is not seen."""
+SPANS = (10, 30, 100)
+"""Acausal lags that are added up, in samples: controllers answer at once, structures ring on. Longer spans add chance only
+(power study in the results)."""
+PREWHITENING_ORDER = 40  # of the autoregression that levels the residual's spectrum: twenty resonances
 MAX_ACAUSALITY_SAMPLES = 60_000  # samples looked at
 
 
@@ -207,51 +212,79 @@ def find_acausality(residuals: Sequence[np.ndarray], inputs: Sequence[np.ndarray
         inputs: Inputs (N, m) of the same samples.
     """
     found = [
-        _pair([e[:, i] for e in residuals], [u[:, j] for u in inputs], j, i)
+        found
         for j in range(inputs[0].shape[1])
         for i in range(residuals[0].shape[1])
+        for found in _test_pair([e[:, i] for e in residuals], [u[:, j] for u in inputs], j, i)
     ]
-    best = min(found, key=lambda f: f.p_value)
-    return Acausality(min(1.0, best.p_value * len(found)), best.share, best.input, best.output)
+    if not found:
+        return Acausality(1.0, 0.0)
+    return replace(min(found, key=lambda f: f.p_value), p_value=_combine_p_values(np.array([f.p_value for f in found])))
 
 
-def _pair(e: list[np.ndarray], u: list[np.ndarray], j: int, i: int) -> Acausality:
+def _combine_p_values(p: np.ndarray) -> float:
+    """Return the p-value of several tests (k,), however they depend on each other (Cauchy combination, Liu & Xie 2020)."""
+    p = np.clip(p, 1e-300, 0.99)
+    return float(np.arctan2(1.0, np.mean(1 / np.tan(np.pi * p))) / np.pi)
+
+
+def _test_pair(e: list[np.ndarray], u: list[np.ndarray], j: int, i: int) -> list[Acausality]:
+    """Return the tests of all spans of one input and output, with the residual as it is and whitened."""
     x, z = max(zip(u, e, strict=True), key=lambda pair: len(pair[0]))
-    x, z = (
-        x[:MAX_ACAUSALITY_SAMPLES] - x[:MAX_ACAUSALITY_SAMPLES].mean(),
-        z[:MAX_ACAUSALITY_SAMPLES] - z[:MAX_ACAUSALITY_SAMPLES].mean(),
-    )
+    x, z = (v[:MAX_ACAUSALITY_SAMPLES] - v[:MAX_ACAUSALITY_SAMPLES].mean() for v in (x, z))
     n = len(x)
     if n < 400 or not (x.any() and z.any()):
-        return Acausality(1.0, 0.0, j, i)
+        return []
     size = int(next_fast_len(2 * n, real=True) or 2 * n)
     band, gain = compute_whitening(x, size)
-    gap = _kernel_width(band**2, size, n // 8)
-    own = gain * _colour_gain(np.fft.irfft(gain * np.fft.rfft(z, size), size)[:n], size, band)
-    white = np.fft.rfft(x, size) * gain
-    left = np.conj(np.fft.rfft(z, size))
-    tests = [_judge(np.fft.irfft(left * kernel * white, size), n, gap) for kernel in (own, band)]
-    p, share = min(tests)
-    return Acausality(min(1.0, len(tests) * p), share, j, i)
+    white = np.fft.rfft(x, size) * gain * band
+    density = np.mean(np.abs(white) ** 2) / np.mean(band**4) * band**4
+    left = np.fft.rfft(z, size) * np.where(band > 0, gain / np.maximum(band, 1e-12), 0.0)
+    kernel = np.abs(np.fft.irfft(band**2, size))[: n // 8]
+    kernel = np.maximum.accumulate(kernel[::-1])[::-1] / kernel[0]
+    found = []
+    for error in (left, left * np.fft.rfft(_prewhiten(z), size)):
+        r = np.fft.irfft(np.conj(error) * white, size)
+        autocovariance = np.fft.irfft(np.abs(error) ** 2 * density, size) / n
+        found += [Acausality(p, share, j, i) for p, share in _judge(r, autocovariance, kernel, n)]
+    return found
 
 
-def _judge(r: np.ndarray, n: int, gap: int) -> tuple[float, float]:
-    """Return the p-value and share of acausal lags of r[k] = sum_t e_t u_{t+k}, negative lags at the end."""
-    best = (1.0, 0.0)
-    for span in SPANS:
-        far = np.arange(gap + min(span, n // 16) + SPANS[-1], n // 2)
-        if len(far) < 6 * span:
-            continue
-        scale = 1 / (n - far)
-        chance = np.concatenate([r[far] ** 2 * scale, r[len(r) - far] ** 2 * scale])
-        windows = chance[: len(chance) // span * span].reshape(-1, span).sum(axis=1)
-        mean, spread = float(windows.mean()), float(windows.var(ddof=1))
+def _prewhiten(z: np.ndarray) -> np.ndarray:
+    """Return the filter 1, -phi_1, .. of an autoregression of a signal (Yule & Walker)."""
+    size = int(next_fast_len(2 * len(z), real=True) or 2 * len(z))
+    r = np.fft.irfft(np.abs(np.fft.rfft(z, size)) ** 2)[: PREWHITENING_ORDER + 1]
+    r[0] *= 1 + 1e-9  # keeps a noiseless sine solvable
+    return np.r_[1.0, -solve_toeplitz(r[:-1], r[1:])]
+
+
+def _judge(r: np.ndarray, autocovariance: np.ndarray, kernel: np.ndarray, n: int) -> list[tuple[float, float]]:
+    """Return the p-value and share of the acausal lags of every span.
+
+    Args:
+        r: Correlation r[k] = sum_t e_t u_{t+k}, negative lags at the end.
+        autocovariance: Of r along its lags in open loop, by Bartlett's formula.
+        kernel: Height of the path's kernel at each lag over that at lag 0, falling.
+        n: Samples.
+    """
+    sigma = np.sqrt(max(autocovariance[0], 1e-300))
+    level = np.clip(MAX_LEAK * sigma / max(np.abs(r[-(n // 4) :]).max(), abs(r[0])), *KERNEL_LEVELS)
+    gap = int(np.argmax(kernel < level)) or len(kernel)
+    found = []
+    for span in (span for span in SPANS if gap + span <= n // 4):
         lags = np.arange(gap, gap + span)
-        after, before = (float(np.sum(r[k] ** 2 / (n - lags))) for k in (lags, len(r) - lags))
-        if mean > 0 and spread > 0:
-            p = float(gamma.sf(after, mean**2 / spread, scale=spread / mean))
-            best = min(best, (p * len(SPANS), max(after - mean, 0.0) / (after + before)))
-    return best
+        after, before = (float(np.sum(r[k] ** 2 * n / (n - lags))) for k in (lags, len(r) - lags))
+        p = _compute_tail(after, toeplitz(autocovariance[:span]))
+        found.append((p, max(after - span * sigma**2, 0.0) / (after + before)))
+    return found
+
+
+def _compute_tail(x: float, covariance: np.ndarray) -> float:
+    """Return the probability that the sum of squares of normal numbers of this covariance exceeds x (Pearson's three moments)."""
+    square = covariance @ covariance
+    mean, second, third = np.trace(covariance), np.trace(square), float(np.sum(square * covariance))
+    freedom = second**3 / third**2
+    return float(chi2.sf(freedom + (x - mean) * np.sqrt(freedom / second), freedom))
 
 
 def compute_whitening(x: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -281,18 +314,3 @@ def _density(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _step(x: np.ndarray) -> np.ndarray:
     """Return a smooth step from 0 to 1 over x = 0 .. 1."""
     return np.sin(0.5 * np.pi * np.clip(x, 0, 1)) ** 2
-
-
-def _colour_gain(z: np.ndarray, size: int, band: np.ndarray) -> np.ndarray:
-    """Return a smooth gain that levels the spectrum of a signal inside a band."""
-    f, density = _density(z)
-    grid = np.arange(size // 2 + 1) / size
-    level = np.exp(np.interp(grid, f, np.log(np.maximum(density, 1e-4 * density.max()))))
-    return np.where(band > 0, 1 / np.sqrt(level), 0.0)
-
-
-def _kernel_width(spectrum: np.ndarray, size: int, most: int) -> int:
-    """Return the lag beyond which the kernel of a spectrum stays below a share of its peak."""
-    kernel = np.abs(np.fft.irfft(spectrum, size))
-    loud = np.flatnonzero(kernel[: size // 2] > KERNEL_LEVEL * kernel[0])
-    return int(min(loud[-1] + 1, most)) + 2
