@@ -13,15 +13,19 @@ b help, their share of the input's movement whether it matters: innovations that
 that anyone could see. An input that repeats itself exactly answers to nobody's noise. A purely proportional controller that
 acts within the same sample on white noise leaves no trace here; where a loop is known, name its reference.
 
-The second test looks at what a causal model leaves, e = y - G u, whitened in the band that the input excites, by a filter A(f)
-= W(f) / |U(f)| without phase,
+The second test looks at what a causal model leaves, e = y - G u, in the band W that the input excites, by filters without phase,
 
-    r_k = mean_t (A e)_t (A u)_{t+k},        cross-spectrum  (E/U)(f) W(f)^2
+    r_k = sum_t e'_t u'_{t+k},   e' = e / |U|,   u' = W^2 u / |U|,        cross-spectrum  (E/U)(f) W(f)^2
 
 What the model misses of the path from u to y shows at lags k <= 0 and, through the short kernel of W^2, at a few positive ones.
-Disturbances that come back through a controller show beyond, at k > 0: the input follows what is left. r at lags far away on
-both sides is chance alone and gives the false-alarm rate, whatever the colours. References: Sims 1972; Söderström & Stoica
-1989, 11.2.
+Disturbances that come back through a controller show beyond: the input follows what is left. In open loop r_k there are normal
+numbers with Bartlett's covariance, given e:
+
+    E r_k r_{k+l} = (1 - k/N) sum_j c_e'(j) c_u'(j + l)
+
+so a sum of squares over a span of lags is a quadratic form of known moments. Spans, and e as it is (which favours resonances)
+or whitened by a causal autoregression (which favours the whole band), are combined into one p-value. References: Sims 1972;
+Söderström & Stoica 1989, 11.2; Box & Jenkins 1976, 11.1 (Bartlett's formula); Liu & Xie 2020 (Cauchy combination).
 """
 
 from __future__ import annotations
@@ -36,6 +40,7 @@ from scipy.signal import welch
 from scipy.stats import chi2, f as fisher
 
 from tau_dyn.modes.record import Record, stack_lags
+from tau_dyn.modes.state_space import StateSpace
 
 LAGS = (10, 20, 60)  # lengths of the ARX model to choose from; many modes with little noise outlast the short ones
 LEADS = 4
@@ -60,6 +65,8 @@ class Feedback:
         why: The reason, as a sentence.
         input: The input concerned; empty where none is.
         possible: Whether feedback cannot be excluded, so that standard errors have to allow for it.
+        detectable_loop_gain: Loop gain of a constant controller that would be claimed in every second record like this one; nan
+            where that was not worked out.
     """
 
     suspected: bool
@@ -68,10 +75,11 @@ class Feedback:
     why: str
     input: str = ""
     possible: bool = False
+    detectable_loop_gain: float = float("nan")
 
     def to_dict(self) -> dict:
         """Return it for the JSON result."""
-        names = ("suspected", "possible", "p_value", "share", "why")
+        names = ("suspected", "possible", "p_value", "share", "detectable_loop_gain", "why")
         return {name: getattr(self, name) for name in names}
 
 
@@ -176,7 +184,9 @@ SEGMENT = 128
 EXCITED_SHARE = 0.05
 """Power density over its maximum from which on a band counts as excited (-13 dB): folded frequencies lie below."""
 TAPER_SHARE = 0.3  # share of the excited band over which W falls to zero at its edges
-MAX_LEAK = 0.1  # of a lag's standard deviation: what the path from input to output may put there through the kernel of W^2
+MAX_LEAK = (
+    0.1  # of a lag's standard deviation: what the path from input to output may put there through the kernel of W^2
+)
 KERNEL_LEVELS = (1e-3, 0.03)
 """Least and greatest height of that kernel over its peak at the first acausal lag that counts: a path left out by 30 dB over
 the noise, and one that is not seen."""
@@ -184,7 +194,9 @@ SPANS = (10, 30, 100)
 """Acausal lags that are added up, in samples: controllers answer at once, structures ring on. Longer spans add chance only
 (power study in the results)."""
 PREWHITENING_ORDER = 40  # of the autoregression that levels the residual's spectrum: twenty resonances
-MAX_ACAUSALITY_SAMPLES = 60_000  # samples looked at
+MIN_ACAUSALITY_SAMPLES, MAX_ACAUSALITY_SAMPLES = 400, 60_000  # samples needed, and looked at
+ACAUSALITY_SIGNIFICANCE_LEVEL = 1e-3
+"""p-value below which a loop was closed: at most one false alarm in a thousand open-loop tests."""
 
 
 @dataclass(frozen=True)
@@ -196,30 +208,42 @@ class Acausality:
         share: Correlation power at acausal lags beyond chance, over that at all lags up to the same distance.
         input: The number of the input concerned.
         output: The number of the output concerned.
+        detectable_gain: Detection limit: the largest loop gain over the excited band that a controller of constant gain needs
+            to be claimed in every second record like this one, at the pair of the largest; nan where no model is given.
     """
 
     p_value: float
     share: float
     input: int = 0
     output: int = 0
+    detectable_gain: float = float("nan")
 
 
-def find_acausality(residuals: Sequence[np.ndarray], inputs: Sequence[np.ndarray]) -> Acausality:
+def find_acausality(
+    residuals: Sequence[np.ndarray], inputs: Sequence[np.ndarray], model: StateSpace | None = None
+) -> Acausality:
     """Test whether inputs follow residuals.
 
     Args:
         residuals: Measured minus simulated outputs, one (N, p) a record.
         inputs: Inputs (N, m) of the same samples.
+        model: The path from inputs to outputs, for the detection limit.
     """
-    found = [
-        found
-        for j in range(inputs[0].shape[1])
-        for i in range(residuals[0].shape[1])
-        for found in _test_pair([e[:, i] for e in residuals], [u[:, j] for u in inputs], j, i)
-    ]
+    f = np.linspace(0.001, 0.499, 500)
+    H = np.full((len(f), residuals[0].shape[1], inputs[0].shape[1]), np.nan)
+    if model is not None:
+        f = np.union1d(f, np.abs(np.angle(model.poles())) / (2 * np.pi))
+        H = np.abs(model.frequency_response(f / model.dt))
+    found, gains = [], []
+    for i, j in np.ndindex(H.shape[1:]):
+        x, z = max(((u[:, j], e[:, i]) for u, e in zip(inputs, residuals, strict=True)), key=lambda pair: len(pair[0]))
+        tests = _test_pair(x[:MAX_ACAUSALITY_SAMPLES], z[:MAX_ACAUSALITY_SAMPLES], f, H[:, i, j])
+        found += [replace(test, input=j, output=i) for test in tests]
+        gains += [min(test.detectable_gain for test in tests)] if tests else []
     if not found:
         return Acausality(1.0, 0.0)
-    return replace(min(found, key=lambda f: f.p_value), p_value=_combine_p_values(np.array([f.p_value for f in found])))
+    p = _combine_p_values(np.array([test.p_value for test in found]))
+    return replace(min(found, key=lambda test: test.p_value), p_value=p, detectable_gain=max(gains))
 
 
 def _combine_p_values(p: np.ndarray) -> float:
@@ -228,63 +252,65 @@ def _combine_p_values(p: np.ndarray) -> float:
     return float(np.arctan2(1.0, np.mean(1 / np.tan(np.pi * p))) / np.pi)
 
 
-def _test_pair(e: list[np.ndarray], u: list[np.ndarray], j: int, i: int) -> list[Acausality]:
-    """Return the tests of all spans of one input and output, with the residual as it is and whitened."""
-    x, z = max(zip(u, e, strict=True), key=lambda pair: len(pair[0]))
-    x, z = (v[:MAX_ACAUSALITY_SAMPLES] - v[:MAX_ACAUSALITY_SAMPLES].mean() for v in (x, z))
-    n = len(x)
-    if n < 400 or not (x.any() and z.any()):
+def _test_pair(x: np.ndarray, z: np.ndarray, f: np.ndarray, path: np.ndarray) -> list[Acausality]:
+    """Return the tests of all spans of one input x (N,) and residual z (N,), as it is and whitened.
+
+    Args:
+        x: The input.
+        z: What the model leaves of the output.
+        f: Frequencies [cycles a sample].
+        path: Magnitude of the response from input to output there.
+    """
+    n, x, z = len(x), x - x.mean(), z - z.mean()
+    if n < MIN_ACAUSALITY_SAMPLES or not (x.any() and z.any()):
         return []
     size = int(next_fast_len(2 * n, real=True) or 2 * n)
     band, gain = compute_whitening(x, size)
+    highest = path[np.interp(f, np.arange(len(band)) / size, band) > 0.5].max(initial=0.0)
     white = np.fft.rfft(x, size) * gain * band
     density = np.mean(np.abs(white) ** 2) / np.mean(band**4) * band**4
-    left = np.fft.rfft(z, size) * np.where(band > 0, gain / np.maximum(band, 1e-12), 0.0)
+    transform = np.fft.rfft(z, size)
+    plain = transform * np.where(band > 0, gain / np.maximum(band, 1e-12), 0.0)
     kernel = np.abs(np.fft.irfft(band**2, size))[: n // 8]
     kernel = np.maximum.accumulate(kernel[::-1])[::-1] / kernel[0]
     found = []
-    for error in (left, left * np.fft.rfft(_prewhiten(z), size)):
-        r = np.fft.irfft(np.conj(error) * white, size)
+    for error in (plain, plain * np.fft.rfft(_fit_whitening_filter(z), size)):
+        r, fed_back = np.fft.irfft([np.conj(error) * white, np.conj(error) * transform * gain * band], size)
         autocovariance = np.fft.irfft(np.abs(error) ** 2 * density, size) / n
-        found += [Acausality(p, share, j, i) for p, share in _judge(r, autocovariance, kernel, n)]
+        sigma = np.sqrt(max(autocovariance[0], 1e-300))
+        level = np.clip(MAX_LEAK * sigma / max(np.abs(r[-(n // 4) :]).max(), abs(r[0])), *KERNEL_LEVELS)
+        gap = int(np.argmax(kernel < level)) or len(kernel)
+        for span in (span for span in SPANS if gap + span <= n // 4):
+            lags = np.arange(gap, gap + span)
+            power, behind, shift = (np.sum(v**2 * n / (n - lags)) for v in (r[lags], r[-lags], fed_back[lags]))
+            p, critical = _compare_with_chance(power, toeplitz(autocovariance[:span]))
+            excess = max(power - span * sigma**2, 0.0)
+            limit = float(np.sqrt(max(critical - span * sigma**2, 0.0) / max(shift, 1e-300)) * highest)
+            found.append(Acausality(p, float(excess / (power + behind)), detectable_gain=limit))
     return found
 
 
-def _prewhiten(z: np.ndarray) -> np.ndarray:
+def _fit_whitening_filter(z: np.ndarray) -> np.ndarray:
     """Return the filter 1, -phi_1, .. of an autoregression of a signal (Yule & Walker)."""
-    size = int(next_fast_len(2 * len(z), real=True) or 2 * len(z))
-    r = np.fft.irfft(np.abs(np.fft.rfft(z, size)) ** 2)[: PREWHITENING_ORDER + 1]
+    spectrum = np.abs(np.fft.rfft(z, 2 * len(z))) ** 2
+    r = np.fft.irfft(spectrum)[: PREWHITENING_ORDER + 1]
     r[0] *= 1 + 1e-9  # keeps a noiseless sine solvable
     return np.r_[1.0, -solve_toeplitz(r[:-1], r[1:])]
 
 
-def _judge(r: np.ndarray, autocovariance: np.ndarray, kernel: np.ndarray, n: int) -> list[tuple[float, float]]:
-    """Return the p-value and share of the acausal lags of every span.
+def _compare_with_chance(power: float, covariance: np.ndarray) -> tuple[float, float]:
+    """Return the chance that normal numbers of a covariance (k, k) have a sum of squares above `power`, and the critical one.
 
-    Args:
-        r: Correlation r[k] = sum_t e_t u_{t+k}, negative lags at the end.
-        autocovariance: Of r along its lags in open loop, by Bartlett's formula.
-        kernel: Height of the path's kernel at each lag over that at lag 0, falling.
-        n: Samples.
+    Pearson's approximation by the first three moments. The critical power is that of the significance level shared by all tests
+    of a pair.
     """
-    sigma = np.sqrt(max(autocovariance[0], 1e-300))
-    level = np.clip(MAX_LEAK * sigma / max(np.abs(r[-(n // 4) :]).max(), abs(r[0])), *KERNEL_LEVELS)
-    gap = int(np.argmax(kernel < level)) or len(kernel)
-    found = []
-    for span in (span for span in SPANS if gap + span <= n // 4):
-        lags = np.arange(gap, gap + span)
-        after, before = (float(np.sum(r[k] ** 2 * n / (n - lags))) for k in (lags, len(r) - lags))
-        p = _compute_tail(after, toeplitz(autocovariance[:span]))
-        found.append((p, max(after - span * sigma**2, 0.0) / (after + before)))
-    return found
-
-
-def _compute_tail(x: float, covariance: np.ndarray) -> float:
-    """Return the probability that the sum of squares of normal numbers of this covariance exceeds x (Pearson's three moments)."""
     square = covariance @ covariance
-    mean, second, third = np.trace(covariance), np.trace(square), float(np.sum(square * covariance))
+    mean, second, third = np.trace(covariance), np.trace(square), np.sum(square * covariance)
     freedom = second**3 / third**2
-    return float(chi2.sf(freedom + (x - mean) * np.sqrt(freedom / second), freedom))
+    unit = np.sqrt(second / freedom)
+    level = ACAUSALITY_SIGNIFICANCE_LEVEL / (2 * len(SPANS))
+    p = chi2.sf(freedom + (power - mean) / unit, freedom)
+    return float(p), float(mean + unit * (chi2.isf(level, freedom) - freedom))
 
 
 def compute_whitening(x: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
