@@ -35,10 +35,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import next_fast_len
-from scipy.linalg import qr, solve_toeplitz, solve_triangular, toeplitz
+from scipy.linalg import qr, solve_triangular, toeplitz
 from scipy.signal import welch
 from scipy.stats import chi2, f as fisher
 
+from tau_dyn.modes.hankel import fit_autoregression
 from tau_dyn.modes.record import Record, stack_lags
 from tau_dyn.modes.state_space import StateSpace
 
@@ -193,7 +194,6 @@ the noise, and one that is not seen."""
 SPANS = (10, 30, 100)
 """Acausal lags that are added up, in samples: controllers answer at once, structures ring on. Longer spans add chance only
 (power study in the results)."""
-PREWHITENING_ORDER = 40  # of the autoregression that levels the residual's spectrum: twenty resonances
 MIN_ACAUSALITY_SAMPLES, MAX_ACAUSALITY_SAMPLES = 400, 60_000  # samples needed, and looked at
 ACAUSALITY_SIGNIFICANCE_LEVEL = 1e-3
 """p-value below which a loop was closed: at most one false alarm in a thousand open-loop tests."""
@@ -274,7 +274,8 @@ def _test_pair(x: np.ndarray, z: np.ndarray, f: np.ndarray, path: np.ndarray) ->
     kernel = np.abs(np.fft.irfft(band**2, size))[: n // 8]
     kernel = np.maximum.accumulate(kernel[::-1])[::-1] / kernel[0]
     found = []
-    for error in (plain, plain * np.fft.rfft(_fit_whitening_filter(z), size)):
+    whitening = np.r_[1.0, -fit_autoregression([z[:, None]])[0].ravel()]
+    for error in (plain, plain * np.fft.rfft(whitening, size)):
         r, fed_back = np.fft.irfft([np.conj(error) * white, np.conj(error) * transform * gain * band], size)
         autocovariance = np.fft.irfft(np.abs(error) ** 2 * density, size) / n
         sigma = np.sqrt(max(autocovariance[0], 1e-300))
@@ -288,14 +289,6 @@ def _test_pair(x: np.ndarray, z: np.ndarray, f: np.ndarray, path: np.ndarray) ->
             limit = float(np.sqrt(max(critical - span * sigma**2, 0.0) / max(shift, 1e-300)) * highest)
             found.append(Acausality(p, float(excess / (power + behind)), detectable_gain=limit))
     return found
-
-
-def _fit_whitening_filter(z: np.ndarray) -> np.ndarray:
-    """Return the filter 1, -phi_1, .. of an autoregression of a signal (Yule & Walker)."""
-    spectrum = np.abs(np.fft.rfft(z, 2 * len(z))) ** 2
-    r = np.fft.irfft(spectrum)[: PREWHITENING_ORDER + 1]
-    r[0] *= 1 + 1e-9  # keeps a noiseless sine solvable
-    return np.r_[1.0, -solve_toeplitz(r[:-1], r[1:])]
 
 
 def _compare_with_chance(power: float, covariance: np.ndarray) -> tuple[float, float]:
