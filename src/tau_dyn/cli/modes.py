@@ -107,10 +107,10 @@ def modes(
 
 def _project(robot, found):
     """Return the modes on the robot, and a warning where it was asked for and nothing can be drawn."""
-    from tau_dyn.modes import project_shapes_on_robot
-
     if robot is None:
         return None, []
+    from tau_dyn.modes import project_shapes_on_robot
+
     shapes = project_shapes_on_robot(robot, found.modes, found.outputs)
     why = f"no mode is drawn on {robot.name}: outputs are drawn where they are named by axis and place, such as x_tool"
     return shapes, [] if shapes or not found.modes else [why]

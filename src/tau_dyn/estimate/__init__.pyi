@@ -20,14 +20,13 @@ from .instrumental_variables import (
     solve_instrumental_variables as solve_instrumental_variables,
 )
 from .least_squares import solve_least_squares as solve_least_squares
+from .linear_system import LinearSystem as LinearSystem, factor_system as factor_system
 from .nonlinear import (
     Descent as Descent,
     DescentRules as DescentRules,
     LeastSquaresProblem as LeastSquaresProblem,
-    LinearSystem as LinearSystem,
     NonlinearEstimate as NonlinearEstimate,
     descend as descend,
-    factor_system as factor_system,
     fit_nonlinear as fit_nonlinear,
 )
 from .physical_consistency import (

@@ -13,29 +13,35 @@ b help, their share of the input's movement whether it matters: innovations that
 that anyone could see. An input that repeats itself exactly answers to nobody's noise. A purely proportional controller that
 acts within the same sample on white noise leaves no trace here; where a loop is known, name its reference.
 
-The second test looks at what a causal model leaves, e = y - G u, whitened in the band that the input excites, by a filter A(f)
-= W(f) / |U(f)| without phase,
+The second test looks at what a causal model leaves, e = y - G u, in the band W that the input excites, by filters without phase,
 
-    r_k = mean_t (A e)_t (A u)_{t+k},        cross-spectrum  (E/U)(f) W(f)^2
+    r_k = sum_t e'_t u'_{t+k},   e' = e / |U|,   u' = W^2 u / |U|,        cross-spectrum  (E/U)(f) W(f)^2
 
 What the model misses of the path from u to y shows at lags k <= 0 and, through the short kernel of W^2, at a few positive ones.
-Disturbances that come back through a controller show beyond, at k > 0: the input follows what is left. r at lags far away on
-both sides is chance alone and gives the false-alarm rate, whatever the colours. References: Sims 1972; Söderström & Stoica
-1989, 11.2.
+Disturbances that come back through a controller show beyond: the input follows what is left. In open loop r_k there are normal
+numbers with Bartlett's covariance, given e:
+
+    E r_k r_{k+l} = (1 - k/N) sum_j c_e'(j) c_u'(j + l)
+
+so a sum of squares over a span of lags is a quadratic form of known moments. Spans, and e as it is (which favours resonances)
+or whitened by a causal autoregression (which favours the whole band), are combined into one p-value. References: Sims 1972;
+Söderström & Stoica 1989, 11.2; Box & Jenkins 1976, 11.1 (Bartlett's formula); Liu & Xie 2020 (Cauchy combination).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import next_fast_len
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import qr, solve_triangular, toeplitz
 from scipy.signal import welch
-from scipy.stats import f as fisher, gamma
+from scipy.stats import chi2, f as fisher
 
+from tau_dyn.modes.hankel import fit_autoregression
 from tau_dyn.modes.record import Record, stack_lags
+from tau_dyn.modes.state_space import StateSpace
 
 LAGS = (10, 20, 60)  # lengths of the ARX model to choose from; many modes with little noise outlast the short ones
 LEADS = 4
@@ -60,6 +66,8 @@ class Feedback:
         why: The reason, as a sentence.
         input: The input concerned; empty where none is.
         possible: Whether feedback cannot be excluded, so that standard errors have to allow for it.
+        detectable_loop_gain: Loop gain of a constant controller that would be claimed in every second record like this one; nan
+            where that was not worked out.
     """
 
     suspected: bool
@@ -68,10 +76,11 @@ class Feedback:
     why: str
     input: str = ""
     possible: bool = False
+    detectable_loop_gain: float = float("nan")
 
     def to_dict(self) -> dict:
         """Return it for the JSON result."""
-        names = ("suspected", "possible", "p_value", "share", "why")
+        names = ("suspected", "possible", "p_value", "share", "detectable_loop_gain", "why")
         return {name: getattr(self, name) for name in names}
 
 
@@ -176,10 +185,18 @@ SEGMENT = 128
 EXCITED_SHARE = 0.05
 """Power density over its maximum from which on a band counts as excited (-13 dB): folded frequencies lie below."""
 TAPER_SHARE = 0.3  # share of the excited band over which W falls to zero at its edges
-KERNEL_LEVEL = 1e-3
-"""Height of the kernel of W^2 over its peak beyond which lags are free of the path from input to output."""
-SPANS = (30, 100, 300)  # lags that are added up, in samples: controllers answer at once, structures ring on
-MAX_ACAUSALITY_SAMPLES = 60_000  # samples looked at
+MAX_LEAK = (
+    0.1  # of a lag's standard deviation: what the path from input to output may put there through the kernel of W^2
+)
+KERNEL_LEVELS = (1e-3, 0.03)
+"""Least and greatest height of that kernel over its peak at the first acausal lag that counts: a path left out by 30 dB over
+the noise, and one that is not seen."""
+SPANS = (10, 30, 100)
+"""Acausal lags that are added up, in samples: controllers answer at once, structures ring on. Longer spans add chance only
+(power study in the results)."""
+MIN_ACAUSALITY_SAMPLES, MAX_ACAUSALITY_SAMPLES = 400, 60_000  # samples needed, and looked at
+ACAUSALITY_SIGNIFICANCE_LEVEL = 1e-3
+"""p-value below which a loop was closed: at most one false alarm in a thousand open-loop tests."""
 
 
 @dataclass(frozen=True)
@@ -191,67 +208,102 @@ class Acausality:
         share: Correlation power at acausal lags beyond chance, over that at all lags up to the same distance.
         input: The number of the input concerned.
         output: The number of the output concerned.
+        detectable_gain: Detection limit: the largest loop gain over the excited band that a controller of constant gain needs
+            to be claimed in every second record like this one, at the pair of the largest; nan where no model is given.
     """
 
     p_value: float
     share: float
     input: int = 0
     output: int = 0
+    detectable_gain: float = float("nan")
 
 
-def find_acausality(residuals: Sequence[np.ndarray], inputs: Sequence[np.ndarray]) -> Acausality:
+def find_acausality(
+    residuals: Sequence[np.ndarray], inputs: Sequence[np.ndarray], model: StateSpace | None = None
+) -> Acausality:
     """Test whether inputs follow residuals.
 
     Args:
         residuals: Measured minus simulated outputs, one (N, p) a record.
         inputs: Inputs (N, m) of the same samples.
+        model: The path from inputs to outputs, for the detection limit.
     """
-    found = [
-        _pair([e[:, i] for e in residuals], [u[:, j] for u in inputs], j, i)
-        for j in range(inputs[0].shape[1])
-        for i in range(residuals[0].shape[1])
-    ]
-    best = min(found, key=lambda f: f.p_value)
-    return Acausality(min(1.0, best.p_value * len(found)), best.share, best.input, best.output)
+    f = np.linspace(0.001, 0.499, 500)
+    H = np.full((len(f), residuals[0].shape[1], inputs[0].shape[1]), np.nan)
+    if model is not None:
+        f = np.union1d(f, np.abs(np.angle(model.poles())) / (2 * np.pi))
+        H = np.abs(model.frequency_response(f / model.dt))
+    found, gains = [], []
+    for i, j in np.ndindex(H.shape[1:]):
+        x, z = max(((u[:, j], e[:, i]) for u, e in zip(inputs, residuals, strict=True)), key=lambda pair: len(pair[0]))
+        tests = _test_pair(x[:MAX_ACAUSALITY_SAMPLES], z[:MAX_ACAUSALITY_SAMPLES], f, H[:, i, j])
+        found += [replace(test, input=j, output=i) for test in tests]
+        gains += [min(test.detectable_gain for test in tests)] if tests else []
+    if not found:
+        return Acausality(1.0, 0.0)
+    p = _combine_p_values(np.array([test.p_value for test in found]))
+    return replace(min(found, key=lambda test: test.p_value), p_value=p, detectable_gain=max(gains))
 
 
-def _pair(e: list[np.ndarray], u: list[np.ndarray], j: int, i: int) -> Acausality:
-    x, z = max(zip(u, e, strict=True), key=lambda pair: len(pair[0]))
-    x, z = (
-        x[:MAX_ACAUSALITY_SAMPLES] - x[:MAX_ACAUSALITY_SAMPLES].mean(),
-        z[:MAX_ACAUSALITY_SAMPLES] - z[:MAX_ACAUSALITY_SAMPLES].mean(),
-    )
-    n = len(x)
-    if n < 400 or not (x.any() and z.any()):
-        return Acausality(1.0, 0.0, j, i)
+def _combine_p_values(p: np.ndarray) -> float:
+    """Return the p-value of several tests (k,), however they depend on each other (Cauchy combination, Liu & Xie 2020)."""
+    p = np.clip(p, 1e-300, 0.99)
+    return float(np.arctan2(1.0, np.mean(1 / np.tan(np.pi * p))) / np.pi)
+
+
+def _test_pair(x: np.ndarray, z: np.ndarray, f: np.ndarray, path: np.ndarray) -> list[Acausality]:
+    """Return the tests of all spans of one input x (N,) and residual z (N,), as it is and whitened.
+
+    Args:
+        x: The input.
+        z: What the model leaves of the output.
+        f: Frequencies [cycles a sample].
+        path: Magnitude of the response from input to output there.
+    """
+    n, x, z = len(x), x - x.mean(), z - z.mean()
+    if n < MIN_ACAUSALITY_SAMPLES or not (x.any() and z.any()):
+        return []
     size = int(next_fast_len(2 * n, real=True) or 2 * n)
     band, gain = compute_whitening(x, size)
-    gap = _kernel_width(band**2, size, n // 8)
-    own = gain * _colour_gain(np.fft.irfft(gain * np.fft.rfft(z, size), size)[:n], size, band)
-    white = np.fft.rfft(x, size) * gain
-    left = np.conj(np.fft.rfft(z, size))
-    tests = [_judge(np.fft.irfft(left * kernel * white, size), n, gap) for kernel in (own, band)]
-    p, share = min(tests)
-    return Acausality(min(1.0, len(tests) * p), share, j, i)
+    highest = path[np.interp(f, np.arange(len(band)) / size, band) > 0.5].max(initial=0.0)
+    white = np.fft.rfft(x, size) * gain * band
+    density = np.mean(np.abs(white) ** 2) / np.mean(band**4) * band**4
+    transform = np.fft.rfft(z, size)
+    plain = transform * np.where(band > 0, gain / np.maximum(band, 1e-12), 0.0)
+    kernel = np.abs(np.fft.irfft(band**2, size))[: n // 8]
+    kernel = np.maximum.accumulate(kernel[::-1])[::-1] / kernel[0]
+    found = []
+    whitening = np.r_[1.0, -fit_autoregression([z[:, None]])[0].ravel()]
+    for error in (plain, plain * np.fft.rfft(whitening, size)):
+        r, fed_back = np.fft.irfft([np.conj(error) * white, np.conj(error) * transform * gain * band], size)
+        autocovariance = np.fft.irfft(np.abs(error) ** 2 * density, size) / n
+        sigma = np.sqrt(max(autocovariance[0], 1e-300))
+        level = np.clip(MAX_LEAK * sigma / max(np.abs(r[-(n // 4) :]).max(), abs(r[0])), *KERNEL_LEVELS)
+        gap = int(np.argmax(kernel < level)) or len(kernel)
+        for span in (span for span in SPANS if gap + span <= n // 4):
+            lags = np.arange(gap, gap + span)
+            power, behind, shift = (np.sum(v**2 * n / (n - lags)) for v in (r[lags], r[-lags], fed_back[lags]))
+            p, critical = _compare_with_chance(power, toeplitz(autocovariance[:span]))
+            excess = max(power - span * sigma**2, 0.0)
+            limit = float(np.sqrt(max(critical - span * sigma**2, 0.0) / max(shift, 1e-300)) * highest)
+            found.append(Acausality(p, float(excess / (power + behind)), detectable_gain=limit))
+    return found
 
 
-def _judge(r: np.ndarray, n: int, gap: int) -> tuple[float, float]:
-    """Return the p-value and share of acausal lags of r[k] = sum_t e_t u_{t+k}, negative lags at the end."""
-    best = (1.0, 0.0)
-    for span in SPANS:
-        far = np.arange(gap + min(span, n // 16) + SPANS[-1], n // 2)
-        if len(far) < 6 * span:
-            continue
-        scale = 1 / (n - far)
-        chance = np.concatenate([r[far] ** 2 * scale, r[len(r) - far] ** 2 * scale])
-        windows = chance[: len(chance) // span * span].reshape(-1, span).sum(axis=1)
-        mean, spread = float(windows.mean()), float(windows.var(ddof=1))
-        lags = np.arange(gap, gap + span)
-        after, before = (float(np.sum(r[k] ** 2 / (n - lags))) for k in (lags, len(r) - lags))
-        if mean > 0 and spread > 0:
-            p = float(gamma.sf(after, mean**2 / spread, scale=spread / mean))
-            best = min(best, (p * len(SPANS), max(after - mean, 0.0) / (after + before)))
-    return best
+def _compare_with_chance(power: float, covariance: np.ndarray) -> tuple[float, float]:
+    """Return the chance that normal numbers of a covariance (k, k) have a sum of squares above `power`, and the critical one.
+
+    Pearson's approximation by the first three moments. The critical power is that of the significance level shared by all tests
+    of a pair.
+    """
+    square = covariance @ covariance
+    mean, second, third = np.trace(covariance), np.trace(square), np.sum(square * covariance)
+    freedom = second**3 / third**2
+    unit = np.sqrt(second / freedom)
+    level = ACAUSALITY_SIGNIFICANCE_LEVEL / (2 * len(SPANS))
+    p = chi2.sf(freedom + (power - mean) / unit, freedom)
+    return float(p), float(mean + unit * (chi2.isf(level, freedom) - freedom))
 
 
 def compute_whitening(x: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -281,18 +333,3 @@ def _density(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _step(x: np.ndarray) -> np.ndarray:
     """Return a smooth step from 0 to 1 over x = 0 .. 1."""
     return np.sin(0.5 * np.pi * np.clip(x, 0, 1)) ** 2
-
-
-def _colour_gain(z: np.ndarray, size: int, band: np.ndarray) -> np.ndarray:
-    """Return a smooth gain that levels the spectrum of a signal inside a band."""
-    f, density = _density(z)
-    grid = np.arange(size // 2 + 1) / size
-    level = np.exp(np.interp(grid, f, np.log(np.maximum(density, 1e-4 * density.max()))))
-    return np.where(band > 0, 1 / np.sqrt(level), 0.0)
-
-
-def _kernel_width(spectrum: np.ndarray, size: int, most: int) -> int:
-    """Return the lag beyond which the kernel of a spectrum stays below a share of its peak."""
-    kernel = np.abs(np.fft.irfft(spectrum, size))
-    loud = np.flatnonzero(kernel[: size // 2] > KERNEL_LEVEL * kernel[0])
-    return int(min(loud[-1] + 1, most)) + 2

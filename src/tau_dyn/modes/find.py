@@ -21,7 +21,13 @@ import numpy as np
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.log import Log
 from tau_dyn.modes.delay import MAX_DELAY_SAMPLES, ORDERS, DelayChoice, choose_delay, find_response_onset
-from tau_dyn.modes.feedback_tests import Acausality, Feedback, detect_feedback, find_acausality
+from tau_dyn.modes.feedback_tests import (
+    ACAUSALITY_SIGNIFICANCE_LEVEL,
+    Acausality,
+    Feedback,
+    detect_feedback,
+    find_acausality,
+)
 from tau_dyn.modes.methods import METHODS, build_initial_estimator, decompose_pulse_tests, estimate_first_poles
 from tau_dyn.modes.modal import widen_modes
 from tau_dyn.modes.order import MANY_NUMBERS, TOLERANCE, OrderChoice, choose_order, read_whole_number, select_parts
@@ -40,9 +46,8 @@ MAX_ROUNDS, FEW_ROUNDS = 40, 15
 hold more modes than a model and then creep."""
 NEIGHBOURS = 4
 """States by which a model may differ, whose modes standard errors have to allow for if it simulates as well."""
-ACAUSALITY_SIGNIFICANCE_LEVEL = 1e-3
-"""p-value of the acausality test below which a loop was closed: one false alarm in a thousand open-loop tests by design."""
 POSSIBLE = 0.2  # p-value below which feedback cannot be excluded, and standard errors allow for it
+MAX_LOOP_GAIN = 10.0  # loop gains beyond it are rare within a resonance, and the number would say nothing
 WORST_RATIO = 1.15
 """Simulation error of `pbsid` over that of `n4sid` up to which it is believed under feedback: an open-loop fit takes a share of
 a disturbance that comes back through the input. A judgement, not calibrated by a study."""
@@ -239,7 +244,7 @@ def check_candidate(candidate: MethodCandidate, data: PreparedRecords) -> Acausa
     if trial is None:
         return Acausality(1.0, 0.0)
     errors = compute_residuals(trial.model, data.train, SIMULATED)
-    return find_acausality(errors, [delay_inputs(trial.model, r)[trial.model.delay :] for r in data.train])
+    return find_acausality(errors, [delay_inputs(trial.model, r)[trial.model.delay :] for r in data.train], trial.model)
 
 
 def settle(
@@ -256,9 +261,10 @@ def settle(
     found = check_candidate(plain, data)
     follows = found.p_value < ACAUSALITY_SIGNIFICANCE_LEVEL
     named = any(r.reference is not None for r in data.train)
+    before = replace(before, detectable_loop_gain=found.detectable_gain)
     calm = replace(before, possible=found.p_value < POSSIBLE, p_value=found.p_value, share=found.share)
     if not (named or follows or before.suspected):
-        return plain, calm, f"{calm.why}, so n4sid"
+        return plain, calm, f"{calm.why}, so n4sid{_describe_limit(found.detectable_gain)}"
     other = make()
     ratio = np.inf if other is None else other.simulation_errors(data) / plain.simulation_errors(data)
     first = data.train[0]
@@ -280,6 +286,15 @@ def settle(
         return plain, closed, f"{why}, but {lost}, so n4sid; standard errors allow for the loop"
     text = "no input follows what a causal model leaves of the outputs"
     return plain, replace(calm, suspected=False, input="", why=text), f"{text}, and {lost}, so n4sid"
+
+
+def _describe_limit(gain: float) -> str:
+    """Return which loop gain the acausality test would have shown, as the end of a sentence."""
+    if np.isnan(gain):
+        return ""
+    if gain > MAX_LOOP_GAIN:
+        return "; a loop of any usual gain could stay unseen in this record"
+    return f"; a loop gain of {gain:.2g} would be seen in every second record like this one"
 
 
 def choose_error_kind(

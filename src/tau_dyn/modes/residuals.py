@@ -145,13 +145,13 @@ def fit_noise_model(errors: Sequence[np.ndarray]) -> NoiseModel:
     R = np.array([np.sum([v[k:].T @ v[: len(v) - k] for v in few], axis=0) for k in range(most + 1)]) / n
     R = R / size[:, None] / size  # E v_t v_{t-k}'
     R[0] += 1e-9 * np.eye(p)
+    block = np.arange(most)
+    past = np.concatenate([R[:0:-1].swapaxes(1, 2), R])[most + block - block[:, None]]  # R_{j-i}, R_{-k} = R_k'
+    past = past.swapaxes(1, 2).reshape(most * p, most * p)
     best, chosen = np.inf, np.zeros((0, p, p))
     for lags in range(most + 1):
-        past = (
-            np.block([[R[j - i] if j >= i else R[i - j].T for j in range(lags)] for i in range(lags)]) if lags else None
-        )
-        ahead = np.hstack(R[1 : lags + 1]) if lags else np.zeros((p, 0))
-        F = np.zeros((p, 0)) if past is None else np.linalg.solve(past.T, ahead.T).T
+        ahead = R[1 : lags + 1].swapaxes(0, 1).reshape(p, lags * p)
+        F = np.linalg.solve(past[: lags * p, : lags * p].T, ahead.T).T
         score = n * np.linalg.slogdet(R[0] - F @ ahead.T)[1] + lags * p * p * np.log(n)
         if score < best:
             best, chosen = score, F.reshape(p, lags, p).transpose(1, 0, 2)
