@@ -235,9 +235,13 @@ class ArmGeometry(GeometryDefaults):
     tree: TreeGeometry
     laws: tuple[Law | GravityLaw, ...]
 
-    @cached_property
+    @property
     def parameters(self) -> Parameters:
         """The tree's parameters, then the laws', then by what share masses are off that matter to them, and the base's tilt."""
+        return self._parameters
+
+    @cached_property
+    def _parameters(self) -> Parameters:
         masses = [
             Parameter(f"{body}.mass_error", 0.0, "1", prior_stderr=BODY_STDERR, origin="law") for body in self._bodies
         ]

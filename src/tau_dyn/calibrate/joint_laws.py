@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -104,8 +104,17 @@ def _by_joint(q: np.ndarray, joint: int, slope: np.ndarray) -> np.ndarray:
     return out
 
 
+class _JointLaw:
+    """A law of a joint's own position."""
+
+    @property
+    def rods(self) -> tuple[int, ...]:
+        """No rod ends."""
+        return ()
+
+
 @dataclass(frozen=True, eq=False)
-class PeriodicDriveLaw:
+class PeriodicDriveLaw(_JointLaw):
     """A periodic drive error: `e = error_sin sin(2 pi q / error_period) + error_cos cos(..)`, pinions, racks, resolvers.
 
     Attributes:
@@ -121,7 +130,6 @@ class PeriodicDriveLaw:
     period: float
     label: str = ""
     unit: str = "m"
-    rods: ClassVar[tuple[int, ...]] = ()
 
     @property
     def parameters(self) -> Parameters:
@@ -155,7 +163,7 @@ class _LinearLaw:
 
 
 @dataclass(frozen=True)
-class EccentricityLaw(_LinearLaw):
+class EccentricityLaw(_LinearLaw, _JointLaw):
     """An encoder disc or gear that turns off its axis.
 
     Attributes:
@@ -165,7 +173,6 @@ class EccentricityLaw(_LinearLaw):
 
     joint: str
     actuator: int
-    rods: ClassVar[tuple[int, ...]] = ()
 
     @property
     def parameters(self) -> Parameters:
@@ -179,7 +186,7 @@ class EccentricityLaw(_LinearLaw):
 
 
 @dataclass(frozen=True)
-class CouplingLaw(_LinearLaw):
+class CouplingLaw(_LinearLaw, _JointLaw):
     """Motion that another joint's drive passes on, by a gear train in the arm or an encoder against the ground.
 
     Attributes:
@@ -195,7 +202,6 @@ class CouplingLaw(_LinearLaw):
     other: str
     source: int
     ratio: float = 0.0
-    rods: ClassVar[tuple[int, ...]] = ()
 
     @property
     def parameters(self) -> Parameters:
@@ -209,7 +215,7 @@ class CouplingLaw(_LinearLaw):
 
 
 @dataclass(frozen=True, eq=False)
-class DriveComplianceLaw(_LinearLaw):
+class DriveComplianceLaw(_LinearLaw, _JointLaw):
     """A drive that yields to its rods' pull: `e = drive_compliance F . n` along its guideway.
 
     Attributes:
@@ -223,7 +229,6 @@ class DriveComplianceLaw(_LinearLaw):
     actuator: int
     direction: np.ndarray
     loads: Loads
-    rods: ClassVar[tuple[int, ...]] = ()
 
     @property
     def parameters(self) -> Parameters:

@@ -97,9 +97,18 @@ class RodGeometry(GeometryDefaults):
         """Whether the plate turns."""
         return not self.rods.translates
 
-    @cached_property
+    @property
     def parameters(self) -> Parameters:
         """Dimensions, then the laws'."""
+        return self._parameters
+
+    @property
+    def priority(self) -> np.ndarray:
+        """Lengths and laws first, then points of plate and base, joints; the first guideway last: it fixes the base frame."""
+        return self._priority
+
+    @cached_property
+    def _parameters(self) -> Parameters:
         turning = {f"{j.name}.axis_{a}" for j in self._turning.values() for a in AXES}
         rows = [
             replace(p, name=p.name.replace(".axis_", f".{TURN}_"), value=0.0, unit="rad") if p.name in turning else p
@@ -108,8 +117,7 @@ class RodGeometry(GeometryDefaults):
         return Parameters([*rows, *(p for law in self.laws for p in law.parameters)])
 
     @cached_property
-    def priority(self) -> np.ndarray:
-        """Lengths and laws first, then points of plate and base, joints; the first guideway last: it fixes the base frame."""
+    def _priority(self) -> np.ndarray:
         joints = self.rods.numbers.joints
         first = "arm1" if self.rods.numbers.arms else joints[0].name if joints else ""
         return np.array([_rank(name, first) for name in self.parameters.names], int)

@@ -187,14 +187,15 @@ def build_parameters(numbers: RodDimensions) -> Parameters:
     if numbers.arms:
         for arm, length, carrier in zip(numbers.arms, numbers.lengths, numbers.carried.carrier, strict=True):
             joint = numbers.joints[carrier]
-            rows += [_length(arm, length), *_vector(arm, "origin", joint.origin, "m")]
+            rows += [Parameter(f"{arm}.length", float(length), "m"), *_vector(arm, "origin", joint.origin, "m")]
             rows += _vector(arm, "direction", joint.direction, "1")
         return Parameters(rows)
     for joint in numbers.joints:
         rows += _vector(joint.name, "origin", joint.origin, "m")
         rows += _vector(joint.name, "direction" if joint.slides else "axis", joint.direction, "1")
     for k, name in enumerate(numbers.names):
-        rows += [_length(name, numbers.lengths[k]), *_vector(name, "base", numbers.carried.local[k], "m")]
+        rows += [Parameter(f"{name}.length", float(numbers.lengths[k]), "m")]
+        rows += _vector(name, "base", numbers.carried.local[k], "m")
         rows += _vector(name, "plate", numbers.on_plate[k], "m")
     return Parameters(rows)
 
@@ -221,8 +222,7 @@ def set_dimensions(numbers: RodDimensions, values: Mapping[str, float]) -> RodDi
     if numbers.arms:
         joints = list(numbers.joints)
         for arm, carrier in zip(numbers.arms, numbers.carried.carrier, strict=True):
-            moved = {"origin": vector(arm, "origin"), "direction": vector(arm, "direction")}
-            joints[carrier] = joints[carrier]._replace(**moved)
+            joints[carrier] = joints[carrier]._replace(origin=vector(arm, "origin"), direction=vector(arm, "direction"))
         lengths = np.array([values[f"{arm}.length"] for arm in numbers.arms])
         return replace(numbers, joints=tuple(joints), lengths=lengths)
     return replace(
@@ -380,10 +380,6 @@ def _into(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
 def _put(found: dict[tuple[int, str], np.ndarray], rod: int, stem: str, rows: np.ndarray) -> None:
     for axis, row in zip(AXES, rows, strict=True):
         found[rod, f"{stem}_{axis}"] = row
-
-
-def _length(owner: str, value: float) -> Parameter:
-    return Parameter(f"{owner}.length", float(value), "m")
 
 
 def _vector(owner: str, what: str, value: np.ndarray, unit: str) -> list[Parameter]:
