@@ -179,10 +179,13 @@ def compute_cross_product(a: Vector, b: Vector) -> Vector:
     if a is None or b is None:
         return None
     shape = a.shape if a.shape == b.shape else np.broadcast_shapes(a.shape, b.shape)
-    out = np.empty_like(a if a.dtype == object else b, shape=shape, order="C")
-    for k in range(3):
-        np.multiply(a[_AHEAD[k]], b[_BEHIND[k]], out=out[k, ...])
-        out[k, ...] -= a[_BEHIND[k]] * b[_AHEAD[k]]
+    if a.dtype == object or b.dtype == object:
+        out = np.empty_like(a if a.dtype == object else b, shape=shape, order="C")
+    else:
+        out = np.empty(shape, b.dtype)
+    for k, row in enumerate(out if out.ndim > 1 else (out[k, ...] for k in range(3))):
+        np.multiply(a[_AHEAD[k]], b[_BEHIND[k]], out=row)
+        row -= a[_BEHIND[k]] * b[_AHEAD[k]]
     return out
 
 
