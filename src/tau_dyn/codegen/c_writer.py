@@ -23,7 +23,7 @@ STEP, STEPS, ITERATIONS = 0.05, 100, 12
 """Largest step of a drive at once [m or rad], most steps a call, most Newton iterations a step, where loops are solved."""
 
 _FORM: Mapping[str, str] = {
-    "add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}", "neg": "-{}", "abs": "fabs({})",
+    "add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}", "neg": "-{}", "abs": "fabs({})", "floor": "floor({})",
     "sqrt": "sqrt({})", "exp": "exp({})", "log": "log({})", "sin": "sin({})", "cos": "cos({})", "tan": "tan({})",
     "tanh": "tanh({})", "atan2": "atan2({}, {})", "hypot": "hypot({}, {})", "sign": "(double)(({0} > 0.0) - ({0} < 0.0))",
     "min": "({0} < {1} ? {0} : {1})", "max": "({0} > {1} ? {0} : {1})", "select": "({} ? {} : {})", "lt": "{} < {}",

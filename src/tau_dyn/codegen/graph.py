@@ -30,6 +30,7 @@ def _select(condition: bool, x: float, y: float) -> float:
 
 MEANING: dict[str, Callable[..., Any]] = {
     "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": _divide, "neg": operator.neg, "abs": abs,
+    "floor": lambda x: float(math.floor(x)),
     "sqrt": lambda x: math.sqrt(x) if x >= 0 else math.nan, "exp": math.exp, "log": math.log, "sin": math.sin,
     "cos": math.cos, "tan": math.tan, "tanh": math.tanh, "atan2": math.atan2, "hypot": math.hypot, "sign": _sign,
     "min": min, "max": max, "select": _select, "lt": operator.lt, "le": operator.le, "eq": operator.eq,
@@ -262,7 +263,7 @@ def _value(node: Node, values: dict[int, Any], known: dict[str, np.ndarray], n: 
 
 
 NUMPY: dict[str, Callable[..., Any]] = {
-    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "abs": np.abs,
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "abs": np.abs, "floor": np.floor,
     "sqrt": np.sqrt, "exp": np.exp, "log": np.log, "sin": np.sin, "cos": np.cos, "tan": np.tan, "tanh": np.tanh,
     "atan2": np.arctan2, "hypot": np.hypot, "sign": np.sign, "min": np.minimum, "max": np.maximum, "select": np.where,
     "lt": np.less, "le": np.less_equal, "eq": np.equal, "and": np.logical_and, "or": np.logical_or,

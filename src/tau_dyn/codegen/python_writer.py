@@ -22,6 +22,7 @@ from tau_dyn.exceptions import InputError
 
 _FORM = {
     "add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}", "neg": "-{}", "abs": "np.abs({})",
+    "floor": "np.floor({})",
     "sqrt": "np.sqrt({})", "exp": "np.exp({})", "log": "np.log({})", "sin": "np.sin({})", "cos": "np.cos({})",
     "tan": "np.tan({})", "tanh": "np.tanh({})", "atan2": "np.arctan2({}, {})", "hypot": "np.hypot({}, {})",
     "sign": "np.sign({})", "min": "np.minimum({}, {})", "max": "np.maximum({}, {})", "select": "np.where({}, {}, {})",

@@ -32,7 +32,7 @@ _SCALAR: dict[np.ufunc, tuple[Callable[..., Any], int]] = {
         (np.add, "add"), (np.subtract, "sub"), (np.multiply, "mul"), (np.divide, "div"), (np.negative, "neg"),
         (np.absolute, "abs"), (np.fabs, "abs"), (np.sqrt, "sqrt"), (np.exp, "exp"), (np.log, "log"), (np.sin, "sin"),
         (np.cos, "cos"), (np.tan, "tan"), (np.tanh, "tanh"), (np.arctan2, "atan2"), (np.hypot, "hypot"),
-        (np.sign, "sign"), (np.minimum, "min"), (np.maximum, "max"), (np.less, "lt"), (np.less_equal, "le"),
+        (np.floor, "floor"), (np.sign, "sign"), (np.minimum, "min"), (np.maximum, "max"), (np.less, "lt"), (np.less_equal, "le"),
         (np.equal, "eq"), (np.logical_and, "and"), (np.logical_or, "or"), (np.logical_not, "not"),
         (np.bitwise_and, "and"), (np.bitwise_or, "or"), (np.invert, "not"),
     )

@@ -24,7 +24,7 @@ from tau_dyn.mechanism.rod_dimensions import RodDimensions
 from tau_dyn.mechanism.small_systems import Move, NewtonRules, iterate_newton
 
 _MAX_ITERATIONS = 30  # Newton steps; quadratic convergence needs five to eight
-_STILL = 1e-6  # [m or rad] size of a last step whose square is rounding
+_STILL, _DONE = 1e-6, 1e-9  # [m or rad] sizes of steps whose square is rounding, and after which none is needed
 _REACHED = 1e-10  # relative to the rod: what `(|d|^2 - L^2) / 2 L^2` may be
 _TURNS = 6  # starting angles a turn when all solutions of a chain are looked for
 _EQUALITY_TOLERANCE = 1e-6  # [m or rad] closer solutions are one
@@ -79,7 +79,7 @@ class RootChain:
         rest = a**2 + b**2 - c**2
         turned = np.arctan2(b, a) + sign * np.arctan2(np.sqrt(np.maximum(rest, 0.0) if clipped else rest), c)
         away = turned - self.home * gain
-        return (self.home * gain + np.arctan2(np.sin(away), np.cos(away))) / gain
+        return (turned - 2 * np.pi * np.floor((away + np.pi) / (2 * np.pi))) / gain
 
     def _leg(self, B: np.ndarray, clipped: bool) -> np.ndarray:
         square = np.sum((B - self.point[:, None]) ** 2, axis=0) - self.offset**2
@@ -122,7 +122,7 @@ class NewtonChain:
 
             return np.abs(f).max(axis=0), np.abs(step).max(axis=0), move
 
-        rules = NewtonRules(rounds + 1, rounds, 0.5 * max(self.scale, 0.5), _REACHED * self.scale**2, _STILL)
+        rules = NewtonRules(rounds + 1, rounds, 0.5 * max(self.scale, 0.5), _REACHED * self.scale**2, _STILL, _DONE)
         closed = iterate_newton(np.isfinite(q).all(axis=0) & np.isfinite(B).all(axis=(0, 1)), advance, rules)
         q[:, ~closed] = np.nan
         return q

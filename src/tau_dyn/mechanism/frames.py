@@ -178,10 +178,14 @@ def compute_cross_product(a: Vector, b: Vector) -> Vector:
     """Return `a x b` of components (3, ..., N), which must have as many axes, or (3,); None where one is zero."""
     if a is None or b is None:
         return None
-    out = np.empty_like(a if a.dtype == object else b, shape=np.broadcast_shapes(a.shape, b.shape))
-    for k in range(3):
-        np.multiply(a[_AHEAD[k]], b[_BEHIND[k]], out=out[k, ...])
-        out[k, ...] -= a[_BEHIND[k]] * b[_AHEAD[k]]
+    shape = a.shape if a.shape == b.shape else np.broadcast_shapes(a.shape, b.shape)
+    if a.dtype == object or b.dtype == object:
+        out = np.empty_like(a if a.dtype == object else b, shape=shape, order="C")
+    else:
+        out = np.empty(shape, b.dtype)
+    for k, row in enumerate(out if out.ndim > 1 else (out[k, ...] for k in range(3))):
+        np.multiply(a[_AHEAD[k]], b[_BEHIND[k]], out=row)
+        row -= a[_BEHIND[k]] * b[_AHEAD[k]]
     return out
 
 
@@ -320,8 +324,10 @@ def _rotated(parent: np.ndarray, joint: ChainJoint, angle: np.ndarray) -> np.nda
     """Return `R_parent Exp(q d) R_0` (3, 3, N), as `c M1 + s M2 + M3` with constant matrices where the parent is constant."""
     gain = float(np.linalg.norm(joint.direction))
     n = joint.direction / gain
-    along = remove_rounding(np.outer(n, n) @ joint.rotation)
-    around, across = remove_rounding(skew(n) @ joint.rotation), remove_rounding(joint.rotation - along)
+    along = np.outer(n, n) @ joint.rotation
+    around, across = skew(n) @ joint.rotation, joint.rotation - along
+    if angle.dtype == object:  # so that symbols are not multiplied by rounding
+        along, around, across = (remove_rounding(x) for x in (along, around, across))
     c, s = np.cos(gain * angle), np.sin(gain * angle)
     own = across[:, :, None] * c + around[:, :, None] * s + along[:, :, None]
     if parent.dtype != object and parent.shape[2] == 1 and np.array_equal(parent[:, :, 0], np.eye(3)):

@@ -226,9 +226,10 @@ class LoopArrays:
             for end, sign in zip(ends, (1.0, -1.0), strict=True):
                 place = transform_point(at, end.joint, end.local)
                 for joint, column, _ in yield_columns(at, (self._by_index[j] for j in end.carriers), place):
+                    signed = column if sign > 0 else -column
                     for r in range(3):
-                        before = found.get((3 * k + r, joint.v), 0.0)
-                        found[3 * k + r, joint.v] = before + sign * column[r]
+                        before = found.get((3 * k + r, joint.v))
+                        found[3 * k + r, joint.v] = signed[r] if before is None else before + signed[r]
         return found
 
     def gap(self, at: Frames) -> np.ndarray:

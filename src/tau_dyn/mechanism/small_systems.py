@@ -276,7 +276,7 @@ def solve_with_pseudo_inverse(K: np.ndarray, right: np.ndarray) -> np.ndarray:
     return out
 
 
-_DONE, _NEAR = 1e-13, 1e-8  # [m or rad] steps that end a search: at once, and where they stopped shrinking
+_NEAR = 1e-8  # [m or rad] steps below this that stopped shrinking are rounding
 
 
 class NewtonRules(NamedTuple):
@@ -288,6 +288,7 @@ class NewtonRules(NamedTuple):
         step: Largest step, in the steps' own measure.
         closed: Gap [m] of what is closed.
         still: Size of the step from what counts as closed.
+        done: Size of a step behind which there is rounding alone.
     """
 
     rounds: int
@@ -295,6 +296,7 @@ class NewtonRules(NamedTuple):
     step: float
     closed: float
     still: float
+    done: float = 1e-13
 
     def roughly(self, rounds: int, closed: float) -> NewtonRules:
         """Return the rules on a way: few rounds, and what is nearly closed is good enough."""
@@ -330,7 +332,7 @@ def iterate_newton(
         closed[left] = tight & (size < rules.still)
         smallest[left] = np.where(better, gap, smallest[left])
         since[left] = np.where(better, 0, since[left] + 1)
-        rests = (size < _DONE) | ((size < _NEAR) & (size > 0.5 * last[left]))
+        rests = (size < rules.done) | ((size < _NEAR) & (size > 0.5 * last[left]))
         last[left] = size
         over = np.where(tight, rests, since[left] > rules.patience)
         left = left[~over & np.isfinite(size)]
