@@ -21,7 +21,7 @@ def channel(counts: dict[int, int]) -> Any:
 def test_the_part_with_too_little_is_named(part: int, use: str) -> None:
     """One value less than needed in one part of three is refused, and the sentence says what it would have been for."""
     counts = dict.fromkeys(EVERY, 12)
-    refuse_scarce(channel(counts), 12, "too little is left", "there are 3 s", "record more")
+    refuse_scarce(channel(counts), (12, 12, 12), "too little is left", "there are 3 s", "record more")
     with raises_code("too_little_data") as fault:
-        refuse_scarce(channel(counts | {part: 11}), 12, "too little is left", "there are 3 s", "record more")
+        refuse_scarce(channel(counts | {part: 11}), (12, 12, 12), "too little is left", "there are 3 s", "record more")
     assert fault.value.missing == f"too little is left to {use}: there are 3 s"
