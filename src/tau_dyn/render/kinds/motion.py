@@ -174,9 +174,14 @@ def present_excitation(found: ExcitingMotion) -> r.Presentation:
         f"{r.count(robot.na, 'joint')}: {r.format_list(robot.actuated)}; {r.count(free, 'free parameter')}; condition "
         f"numbers below {WELL:g} are good, above {FAIR:g} poor.",
         sections, motion.notes, r.RobotPicture(robot), r.Provenance(list(found.made.items()), robot=robot),
-        lambda: {"t": motion.t} | {f"{s}_{j}": getattr(motion, s)[:, k] for s in "qva" for k,
-        j in enumerate(robot.actuated)}, found,
+        lambda: _tabulate(motion, robot), found,
     )  # fmt: skip
+
+
+def _tabulate(motion: Trajectory, robot: Robot) -> dict[str, np.ndarray]:
+    """Return one row a sample: time [s], positions, velocities, accelerations."""
+    joints = list(enumerate(robot.actuated))
+    return {"t": motion.t} | {f"{s}_{j}": getattr(motion, s)[:, k] for s in "qva" for k, j in joints}
 
 
 def _build_driven(found: ExcitingMotion) -> Iterator[r.Element]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -58,24 +59,30 @@ def _draw_force(plan: MotionPlan, k: int) -> r.Figure:
 
 
 def _build_joints(plan: MotionPlan) -> Iterator[r.Element]:
-    page = r.On.DRAWN
-    columns = [
-        r.Column("joint"), r.Column("travel", "number", on=page), r.Column("top speed", "number", on=page),
-        r.Column("limit", "number", "quiet", on=page), r.Column("top acceleration", "number", on=page),
-        r.Column("force", "number"),
-        r.Column("limit", "number", "quiet"), r.Column("", "bar", "share"), r.Column("time at it", "number"),
-    ]  # fmt: skip
-    rows = []
-    for row in plan.peaks():
+
+    def tell(quantity: str, suffix: str = "") -> Callable[[dict[str, Any]], str]:
+        return lambda row: f"{r.format_fixed_digits(row[quantity])} {row['unit']}{suffix}"
+
+    def use(row: dict[str, Any]) -> r.Bar | None:
         limit = row["force_limit"]
-        rows.append(r.Row([
-            row["joint"], f"{r.format_fixed_digits(row['travel'])} {row['unit']}",
-            f"{r.format_fixed_digits(row['speed'])} {row['unit']}/s",
-            r.format_limit(row["speed_limit"], 4), f"{r.format_fixed_digits(row['acceleration'])} {row['unit']}/s²",
-            f"{r.format_number(row['force'], 4)} {r.format_unit(row['force_unit'])}", r.format_limit(limit, 4),
-            r.Bar(min(row["force"] / limit, 1.0)) if np.isfinite(limit) else None, r.format_percent(100 * row["at_force_limit"]),
-        ]))  # fmt: skip
-    yield r.ResultTable(columns, rows, on=r.On.ALL)
+        return r.Bar(min(row["force"] / limit, 1.0)) if np.isfinite(limit) else None
+
+    drawn = r.On.DRAWN
+    yield r.tabulate_things(
+        plan.peaks(),
+        r.Column("joint", cell=lambda row: row["joint"]),
+        r.Column("travel", "number", on=drawn, cell=tell("travel")),
+        r.Column("top speed", "number", on=drawn, cell=tell("speed", "/s")),
+        r.Column("limit", "number", "quiet", on=drawn, cell=lambda row: r.format_limit(row["speed_limit"], 4)),
+        r.Column("top acceleration", "number", on=drawn, cell=tell("acceleration", "/s²")),
+        r.Column(
+            "force", "number", cell=lambda row: f"{r.format_number(row['force'], 4)} {r.format_unit(row['force_unit'])}"
+        ),
+        r.Column("limit", "number", "quiet", cell=lambda row: r.format_limit(row["force_limit"], 4)),
+        r.Column("", "bar", "share", cell=use),
+        r.Column("time at it", "number", cell=lambda row: r.format_percent(100 * row["at_force_limit"])),
+        on=r.On.ALL,
+    )
     yield r.ResultTable(
         [r.Column(), r.Column(kind="number")], [r.Row(row) for row in _list_facts(plan)], style="plain fitted"
     )
