@@ -23,7 +23,7 @@ def with_drive_inertia(robot, rng):
 
 @pytest.mark.parametrize("kind", SERIAL + LOOPED)
 def test_recursive_newton_euler_equals_regressor_times_parameters(robots, motion, rng, kind: str) -> None:
-    """`rnea = Y theta` on random states, drive inertia included; a serial arm's is Pinocchio's own without more ado."""
+    """`rnea = Y theta` on random states, drive inertia included; a serial arm's is Pinocchio's own, coupled joints projected."""
     robot = with_drive_inertia(robots(kind), rng)
     mechanism = TreeMechanism(robot)
     q, v, a = motion(robot)
@@ -32,8 +32,9 @@ def test_recursive_newton_euler_equals_regressor_times_parameters(robots, motion
     assert_allclose(mechanism.regressor(q, v, a) @ robot.parameters.values, tau, atol=1e-9 * scale)
     assert_allclose(build_mechanism(robot).inverse_dynamics(q, v, a), tau, atol=1e-9 * scale)
     if not robot.loops and kind != "turning":
-        model = robot.model_with(robot.parameters)
-        assert_allclose([pin.rnea(model, model.createData(), *x) for x in zip(q, v, a, strict=True)], tau, atol=1e-9)
+        model, (share, offset) = robot.model_with(robot.parameters), robot.coupling
+        whole = zip(q @ share.T + offset, v @ share.T, a @ share.T, strict=True)
+        assert_allclose([share.T @ pin.rnea(model, model.createData(), *x) for x in whole], tau, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", SERIAL + LOOPED)

@@ -116,7 +116,7 @@ def load_robot_from_urdf(
         warnings.append(
             f"{source}: {listed} neither have a <transmission> nor stand in a loop; they are taken as locked at zero"
         )
-    if notes.loops and not passive and not mimics:
+    if notes.loops and not passive:
         raise InputError(
             "robot_structure",
             f"{source}: no passive joint is left to close its loops, of {', '.join(names)}; name only those with a motor",

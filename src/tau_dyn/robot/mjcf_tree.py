@@ -15,6 +15,7 @@ import numpy as np
 from tau_dyn.exceptions import InputError
 from tau_dyn.robot.mjcf_bodies import BodyMass, Geom, bound_mass, read_inertial, read_shape, sum_shapes
 from tau_dyn.robot.mjcf_file import STILL, Item, MjcfFile, Transform, turn_about
+from tau_dyn.robot.numbers import MAX_LINKS
 from tau_dyn.robot.rotations import compute_rpy
 
 _GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2] Pinocchio's
@@ -80,6 +81,7 @@ class MjcfTree:
     left_out: dict[str, list[str]] = field(default_factory=dict)
     _locked: dict[str, float] = field(default_factory=dict)
     _names: set[str] = field(default_factory=set)
+    _links: dict[str, Element] = field(default_factory=dict)
 
     def build(self) -> None:
         """Add all links and joints to the URDF."""
@@ -87,8 +89,9 @@ class MjcfTree:
         worlds = self.file.root.findall("worldbody")
         self._names = {e.get("name", "") for section in worlds for e in section.iter("joint")}
         self._find_locked()
-        SubElement(self.root, "link", name=self._own("world"))
-        world = self.bodies["world"] = Place("world", STILL, STILL)
+        base = self._own("world")
+        self._links[base] = SubElement(self.root, "link", name=base)
+        world = self.bodies["world"] = Place(base, STILL, STILL)
         for section in worlds:
             for child, frame, child_class in self._inside(section, STILL, ""):
                 if child.tag == "body":
@@ -137,6 +140,9 @@ class MjcfTree:
         for key, allowed in (("coordinate", "local"), ("settotalmass", "-1")):
             if compiler.get(key, allowed) != allowed:
                 raise InputError("unsupported", f"{where}: <compiler {key}='{compiler[key]}'> is not read")
+        bodies = sum(len(list(section.iter("body"))) for section in self.file.root.findall("worldbody"))
+        if bodies > MAX_LINKS:
+            raise InputError("robot_structure", f"{where}: {bodies} bodies; a robot has {MAX_LINKS} at most")
         for section in self.file.root.findall("worldbody"):
             for tag in _NOT_READ:
                 if (found := next(section.iter(tag), None)) is not None:
@@ -228,7 +234,7 @@ class MjcfTree:
         return value if (kind or joint.get("type", "hinge")) == "slide" else joint.angle(value)
 
     def _add_link(self, link: str, joint: str, kind: str, parent: str, origin: Transform) -> None:
-        SubElement(self.root, "link", name=link)
+        self._links[link] = SubElement(self.root, "link", name=link)
         types = {"fixed": "fixed", "hinge": "revolute", "slide": "prismatic"}
         element = SubElement(self.root, "joint", name=joint, type=types[kind])
         SubElement(element, "parent", link=parent)
@@ -259,9 +265,7 @@ class MjcfTree:
             self.left_out.setdefault("springs of joints", []).append(name)
 
     def _add_mass(self, item: Item, parts: list[tuple[Element, Transform, str]], place: Place, moving: bool) -> None:
-        link, compiler = self.root.find(f"link[@name='{place.link}']"), self.file.compiler
-        if link is None:
-            raise InputError("robot_structure", f"{item.where}: no name of a body")
+        link, compiler = self._links[place.link], self.file.compiler
         shapes = [
             read_shape(self.file.item(child, its_class), own) for child, own, its_class in parts if child.tag == "geom"
         ]
