@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tau_dyn.calibrate import fit_geometry_to_poses
+from tau_dyn.calibrate import calibrate, fit_geometry_to_poses
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
 from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
 from tau_dyn.robot import load_robot_from_urdf
@@ -108,3 +109,19 @@ def test_standard_errors_hold(arm: TreeGeometry, identifiable: tuple[str, ...]) 
     assert 0.90 <= inside / count <= 0.99
     dof = 15 * len(identifiable)
     assert chi2.ppf(1e-4, dof) < total < 1.15 * chi2.ppf(1 - 1e-4, dof)  # the noise is estimated too
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.002])
+def test_a_target_that_slips_while_poses_are_measured_is_said(arm: TreeGeometry, shift: float) -> None:
+    """From the thirtieth of 90 poses on, the target sits 2 mm elsewhere; nothing else is confirmed with that in the data."""
+    rng = np.random.default_rng(6)
+    poses = simulate_poses(arm, arm.parameters.values, spread(90, rng), rng, noise=(NOISE, 1e-4))
+    assert poses.rotation is not None
+    across = poses.rotation[:, :, 1] * np.where(np.arange(90) >= 30, shift, 0.0)[:, None]
+    found = calibrate(arm.shape.robot, replace(poses, position=poses.position + across), model="complete")
+    said = [w for w in found.warnings if "seems to sit elsewhere" in w]
+    assert bool(said) == (shift > 0)
+    if said:
+        assert "the target" in said[0] and "by 2 mm" in said[0] and "column campaign" in said[0]
+        assert int(re.findall(r"from pose (\d+)", said[0])[0]) == pytest.approx(30, abs=3)
+        assert all(f.status == "suspected" for f in found.findings)

@@ -222,3 +222,62 @@ def find_strongest_periods(fitted: GeometryFit, family: Family, joints: tuple[st
     rest = _ProjectedResidual(fitted)
     found = {joint: _periodic(rest, family, joint) for joint in joints}
     return {joint: hint.period for joint, hint in found.items() if hint is not None}
+
+
+_STEP_PLACES = 60  # places in the file tried for a move; a coarse grid finds a step within a hundredth of the poses
+_MIN_STEP_POSES = 6  # poses on either side; with fewer, the six numbers of a frame fit noise
+_MIN_STEP_GAIN_PERCENT = 20.0
+"""Reduction of the rms residual from which a move is said: effects that the model lacks look like small moves."""
+
+
+class MoveWithin(NamedTuple):
+    """A move of the device or of the target while the poses were measured.
+
+    Attributes:
+        owner: `device` or `target`.
+        where: The first pose after it.
+        shift: Distance [m].
+        percent: Reduction of the weighted rms residual [%].
+    """
+
+    owner: str
+    where: str
+    shift: float
+    percent: float
+
+    def describe(self) -> str:
+        """Return it as a sentence with its remedy."""
+        return (
+            f"from {self.where} on, the {self.owner} seems to sit elsewhere, by {1e3 * self.shift:.2g} mm; with that "
+            f"the rms residual falls by {self.percent:.0f} %, more than with any other effect, and while it is not fitted none "
+            "is confirmed; tell the poses before and after apart by a column campaign"
+        )
+
+
+def find_move_within(fitted: GeometryFit, family: Family, spec: Spec) -> MoveWithin | None:
+    """Return the move during the measurement, if it explains the residuals of poses in order better than any addition."""
+    poses, m = fitted.poses, fitted.sigma.shape[1]
+    if len(np.unique(poses.setup, axis=0)) > 1 or poses.n <= 2 * _MIN_STEP_POSES:
+        return None
+    rest = _ProjectedResidual(fitted)
+    device, tool = fitted.frames.columns(
+        fitted.state.base, fitted.frames.measured(fitted.state.base, poses.setup), poses.setup
+    )
+    places = np.unique(np.linspace(_MIN_STEP_POSES, poses.n - _MIN_STEP_POSES, _STEP_PLACES).astype(int))
+    found: list[tuple[float, float, MoveWithin]] = []
+    for owner, columns in (("device", device[:, :m]), ("target", tool[:, :m, : 3 if m == 3 else 6])):
+        columns = columns / fitted.sigma[:, :, None]
+        for place in places:
+            later = np.where(np.arange(poses.n)[:, None, None] >= place, columns, 0.0)
+            freed = rest.free(later.reshape(-1, columns.shape[2]))
+            move = np.linalg.lstsq(freed, rest.r, rcond=1e-6)[0]
+            gain = rest.total - float(np.sum((rest.r - freed @ move) ** 2))
+            p, share = rest.judged(gain, len(move), 2 * len(places))
+            percent = 100 * (1 - np.sqrt(max(1 - share, 0.0)))
+            seen = MoveWithin(owner, poses.names[place], float(np.linalg.norm(move[:3])), percent)
+            found.append((p, -share, seen))
+    p, share, step = min(found, key=lambda one: one[:2])
+    if not p < SIGNIFICANCE_LEVEL or step.percent < _MIN_STEP_GAIN_PERCENT:
+        return None
+    others = screen_additions(fitted, family, spec)
+    return step if not others or (p, share) < (others[0].p_value, -others[0].share) else None

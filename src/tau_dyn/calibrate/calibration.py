@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.calibrate.addition_tests import find_unit_coupling
+from tau_dyn.calibrate.addition_tests import find_move_within, find_unit_coupling
 from tau_dyn.calibrate.causes import as_finding, find_causes, suspect_all
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.model_selection import Options, check_patterns, fit_models
-from tau_dyn.calibrate.models import Spec, get_family
+from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Spec, get_family
 from tau_dyn.calibrate.outliers import (
     check_spread,
     drop_duplicate_poses,
@@ -90,6 +90,8 @@ def calibrate(
     models, steps, more = fit_models(family, poses, model, options, progress)
     progress("looking for causes")
     chosen = models[-1]
+    plain = next((one for one in reversed(models) if set(one.spec.additions) <= set(BETWEEN_CAMPAIGNS)), chosen)
+    within = find_move_within(plain.fit, family, plain.spec)
     moved = find_moved_frames(chosen.fit, holdout) if holdout is not None and split == "given" else []
     still = None if holdout is None else undo_moves(moved, holdout)
     found = Calibration(
@@ -102,14 +104,19 @@ def calibrate(
         findings=(*find_causes(family, chosen, still, options), *(as_finding(one) for one in moved)),
         warnings=tuple(
             dict.fromkeys(
-                (*poses.warnings, *said, *named, *more, *(one.describe() for one in moved), *_doubts(chosen.fit))
+                (
+                    *(*poses.warnings, *said, *named, *more),
+                    *(one.describe() for one in moved),
+                    *([within.describe()] if within else []),
+                    *_doubts(chosen.fit),
+                )
             )
         ),
         seed=seed,
         measured=measured,
     )
     misses = replace(found, holdout=still).misses_poses
-    return replace(found, findings=suspect_all(found.findings)) if misses else found
+    return replace(found, findings=suspect_all(found.findings)) if misses or within else found
 
 
 def _split(poses: PoseSet, holdout: PoseSet | None, seed: int) -> tuple[PoseSet, PoseSet | None, str]:
