@@ -71,7 +71,11 @@ def build_mjcf(model: Model) -> Exported:
         more = {"ctrlrange": _numbers([-limit, limit])} if np.isfinite(limit) else {}
         law = read_joint_law(carried, joint)
         if law.gain != 1 or law.offset:
-            more |= {"biastype": "affine", "gainprm": _numbers([1 / law.gain]), "biasprm": _numbers([-law.offset, 0, 0])}
+            more |= {
+                "biastype": "affine",
+                "gainprm": _numbers([1 / law.gain]),
+                "biasprm": _numbers([-law.offset, 0, 0]),
+            }
         SubElement(actuator, "general", {"name": f"{joint}_motor", "joint": joint, **more})
     key = SubElement(root, "keyframe")
     SubElement(key, "key", name="home", qpos=_numbers(_home(model, joints, world)))

@@ -15,6 +15,8 @@ from .limits import (
     list_exceeded_limits as list_exceeded_limits,
 )
 from .rapid import (
+    MIN_MOVE_S as MIN_MOVE_S,
+    build_waypoints as build_waypoints,
     format_array as format_array,
     format_comment as format_comment,
     format_jointtarget as format_jointtarget,
@@ -26,6 +28,7 @@ from .rapid import (
 from .reference import (
     DEFAULT_PERIOD_S as DEFAULT_PERIOD_S,
     build_reference as build_reference,
+    count_samples_in_period as count_samples_in_period,
     read_reference as read_reference,
     write_reference as write_reference,
 )
