@@ -166,8 +166,9 @@ def _refuse(found: TranscriptionSolution, coordinates: Coordinates) -> NoReturn:
     raise CannotAnswer(
         "no_solution",
         f"no motion {where} was found within the limits (IPOPT: {found.status.replace('_', ' ').lower()} after "
-        f"{found.iterations} iterations)",
-        "the same plan along a line or by way of points, with another number of nodes, or with larger limits of force",
+        f"{found.iterations} iterations, {found.seconds:.0f} s)",
+        "the same plan along a line or by way of points, with simplified arms where the robot file has them (--set "
+        "arms=simplified), with another number of nodes, or with larger limits of force",
     )
 
 
