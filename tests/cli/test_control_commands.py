@@ -19,7 +19,11 @@ from tau_dyn.simulate import move
 
 DT = 0.004
 ROBOT = load_robot("gantry_tau")
-DRIVES = {"cart1": Actuator(1.0, 0.006, 0.0085), "cart2": Actuator(0.99, 0.008, 0.012), "cart3": Actuator(1.0, 0.007, 0.0101)}
+DRIVES = {
+    "cart1": Actuator(1.0, 0.006, 0.0085),
+    "cart2": Actuator(0.99, 0.008, 0.012),
+    "cart3": Actuator(1.0, 0.007, 0.0101),
+}
 """Drives with delays that differ and are no whole samples."""
 
 
@@ -67,7 +71,13 @@ def test_learning_goes_on_from_file_to_file(folder, capsys) -> None:
     first = run_trial(folder, "trial0.csv")
     for k in range(3):
         before = ["--correction", str(folder / f"c{k}.csv")] if k else []
-        command = ["learn", str(folder / "ref.csv"), str(folder / f"trial{k}.csv"), "--actuators", str(folder / "a.yaml")]
+        command = [
+            "learn",
+            str(folder / "ref.csv"),
+            str(folder / f"trial{k}.csv"),
+            "--actuators",
+            str(folder / "a.yaml"),
+        ]
         more = ["--json", str(folder / "l.json"), "--report", str(folder / "l.html")]
         assert main([*command, *before, "--out", str(folder / f"c{k + 1}.csv"), *more]) == 0
         last = run_trial(folder, f"trial{k + 1}.csv", f"c{k + 1}.csv")
@@ -127,13 +137,22 @@ def test_the_tool_is_observed_with_honest_intervals(tmp_path, scale, capsys) -> 
     """90 to 98 % of the tool's positions lie within, also with a biased sensor and a model 10 % off, which is said."""
     z = write_tool_log(tmp_path / "log.csv", scale)
     command = ["observe", str(tmp_path / "log.csv"), "--kinematic", "x_cart", "--acceleration", "ax_tool"]
-    files = ["--out", str(tmp_path / "tool.csv"), "--json", str(tmp_path / "r.json"), "--report", str(tmp_path / "r.html")]
+    files = [
+        "--out",
+        str(tmp_path / "tool.csv"),
+        "--json",
+        str(tmp_path / "r.json"),
+        "--report",
+        str(tmp_path / "r.html"),
+    ]
     assert main([*command, "--model", str(tmp_path / "log.yaml"), *files]) == 0
     found = pd.read_csv(tmp_path / "tool.csv")
     inside = np.mean((found["x_cart_low"] <= z) & (z <= found["x_cart_high"]))
     result = json.loads((tmp_path / "r.json").read_text())
     assert inside >= 0.9
-    assert abs(result["frequency_scale"] * scale - 1) < 0.02 and abs(result["axes"][0]["accelerometer_bias"] - 0.1) < 0.01
+    assert (
+        abs(result["frequency_scale"] * scale - 1) < 0.02 and abs(result["axes"][0]["accelerometer_bias"] - 0.1) < 0.01
+    )
     assert ("frequencies are" in capsys.readouterr().err) == (scale != 1.0)
 
 

@@ -117,7 +117,7 @@ def _require_kept(motion: Trajectory, found: Trajectory, period: float) -> None:
     """Refuse a clock too slow for the motion: its samples of position, speed and acceleration must lead there in between."""
     at = motion.t - motion.t[0]
     inside = at <= found.t[-1]
-    off = np.abs(_interpolate(found, at[inside]) - motion.q[inside]).max(axis=0)
+    off = np.abs(found.interpolate(at[inside])[0] - motion.q[inside]).max(axis=0)
     allowed = _KEPT * np.maximum(np.ptp(motion.q, axis=0), 1e-9)
     if np.any(off > allowed):
         k = int(np.argmax(np.round(off / allowed, 6)))
@@ -126,17 +126,6 @@ def _require_kept(motion: Trajectory, found: Trajectory, period: float) -> None:
             f"{motion.name}: samples every {1e3 * period:g} ms would miss joint {motion.joints[k]} by up to {off[k]:.3g} "
             f"({100 * off[k] / np.ptp(motion.q[:, k]):.2g} % of its stroke); the motion is too fast for this period",
         )
-
-
-def _interpolate(motion: Trajectory, at: np.ndarray) -> np.ndarray:
-    """Return positions (M, na) at times (M,) [s]: the quintics with position, speed and acceleration of both samples."""
-    h = float(motion.t[1] - motion.t[0])
-    k = np.clip((at / h).astype(int), 0, motion.n_samples - 2)
-    s = (at / h - k)[:, None]
-    q, v, a = motion.q, h * motion.v, h**2 * motion.a
-    D, E, F = q[k + 1] - q[k] - v[k] - a[k] / 2, v[k + 1] - v[k] - a[k], a[k + 1] - a[k]
-    high = s**3 * (10 * D - 4 * E + F / 2 + s * (-15 * D + 7 * E - F + s * (6 * D - 3 * E + F / 2)))
-    return q[k] + s * v[k] + s**2 * a[k] / 2 + high
 
 
 def build_reference(
