@@ -31,10 +31,10 @@ MEASURED_CUTOFF_HZ = 20.0
 """Low-pass on measured positions before they serve as a reference [Hz]; a reference should not repeat encoder noise."""
 
 _MAX_SAMPLES = 10**8
-_AGREEMENT = (
-    0.01  # share of the largest step by which stated speeds may miss the next position; files have rounded ones
-)
 """Samples of a motion; more do not fit into memory, and come of times in another unit."""
+
+_AGREEMENT = 0.01
+"""Share of the largest step by which stated speeds may miss the next position; files have rounded ones."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.results import Shown
 
 _SHARE = 0.5  # of the stability limit: less than that is calm, see `LeadThroughSettings.warnings`
-_MIN_CONTACT_SAMPLES = 10
+_MIN_CONTACT_SAMPLES = 10  # below, a slope's own scatter is a guess
 _STIFFER = np.geomspace(0.1, 10, 61)  # stiffness over the stated one, for the figure
 
 
