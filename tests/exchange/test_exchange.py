@@ -10,7 +10,7 @@ from tau_dyn.effects import EFFECTS, AsymmetricFriction, Stribeck, SymmetricFric
 from tau_dyn.exchange import build_mjcf, build_urdf
 from tau_dyn.mechanism import LoopSolver, TreeMechanism
 from tau_dyn.model import Model
-from tau_dyn.robot import load_robot, load_robot_from_urdf
+from tau_dyn.robot import list_stock_robots, load_robot, load_robot_from_urdf
 from tau_dyn.simulate import free_motion
 
 ROBOTS = {
@@ -146,7 +146,7 @@ SPEEDS = {"stewart": 0.02}
 
 
 def move_in_mujoco(robot, text: str, v0: np.ndarray, force: np.ndarray, seconds: float) -> np.ndarray:
-    """Return the actuated positions (n, na), one a millisecond, that `mj_step` makes of a file, from home and speeds, under constant forces."""
+    """Return actuated positions (n, na), one a millisecond, that `mj_step` makes of a file from home under constant forces."""
     mujoco = pytest.importorskip("mujoco")
     theirs = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(theirs)
@@ -167,6 +167,8 @@ def move_in_mujoco(robot, text: str, v0: np.ndarray, force: np.ndarray, seconds:
 @pytest.mark.parametrize("name", FREE)
 def test_mujoco_moves_as_we_do(name, friction, rng):
     """Half a second of `mj_step` from the file as it is, weight held, ends within 0.1 % of our own motion, friction included."""
+    if name == "ur5" and name not in list_stock_robots():
+        pytest.skip("example-robot-data is not installed")
     robot = FREE[name]()
     effects = [*build_friction_model("asymmetric", robot.actuated, robot.force_units)] if friction else []
     effects += [EFFECTS[c](robot.actuated, robot.force_units) for c in ("drive_gain", "armature") if friction]
@@ -194,3 +196,30 @@ def test_a_urdf_says_what_ros2_control_may_command():
     assert drive is not None and drive.find("command_interface").get("name") == "effort"
     assert float(drive.findtext("command_interface/param[@name='max']")) == robot.effort_limit[0]
     assert [s.get("name") for s in drive.findall("state_interface")] == ["position", "velocity"]
+
+
+@pytest.mark.parametrize("name", ["two_link", "linear_axis"])
+def test_drake_moves_as_we_do(name, write):
+    """Half a second of Drake from the exported URDF, drive inertia and damping included, is our own motion to 0.1 %."""
+    pytest.importorskip("pydrake")
+    from pydrake.all import DiagramBuilder, MultibodyPlant, Parser, Simulator
+
+    robot = load_robot(name) if name == "linear_axis" else load_robot_from_urdf(write.two_link(), name)
+    model = Model.of(robot, [SymmetricFriction(robot.actuated, robot.force_units)])
+    model = model.with_values({n: 2.0 for n in model.parameters.names if n.endswith((".viscous", ".armature"))})
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(MultibodyPlant(0.0))
+    Parser(plant).AddModelsFromString(build_urdf(model).text, "urdf")
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    plant.Finalize()
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    force = np.full(robot.na, 3.0)
+    plant.get_actuation_input_port().FixValue(context, force)
+    joints = [plant.GetJointByName(j) for j in robot.actuated]
+    plant.SetPositions(context, robot.home)
+    simulator.AdvanceTo(0.5)
+    q = plant.GetPositions(context)[[j.position_start() for j in joints]]
+    ours = free_motion(model, robot.home, 0 * robot.home, 0.5, dt=2.5e-4, tau=force).q
+    assert np.abs(q - ours[-1]).max() < 1e-3 * np.ptp(ours, axis=0).max()

@@ -45,7 +45,7 @@ class ExportOptions:
         motion: t, q_ref_J (or q_J) of each joint
         correction: Add this learned correction to the motion
         period: The controller's sample period
-        resample: Interpolate a motion that has another sample period
+        resample: Interpolate a motion of which no whole number of samples makes a period (else every n-th is taken)
         speed: limit, one or one a joint [per s]
         acceleration: limit, one or one a joint [per s^2]
         force: limit, one or one a joint [N or N m]
@@ -207,7 +207,13 @@ def _make_kinematics(request: _Request) -> Made:
 
 def _build_motion(request: _Request):
     """Return the model and the motion that a controller may be given."""
-    from tau_dyn.control import CommandLimits, apply_correction, build_reference, read_correction
+    from tau_dyn.control import (
+        CommandLimits,
+        apply_correction,
+        build_reference,
+        count_samples_in_period,
+        read_correction,
+    )
     from tau_dyn.simulate import Trajectory
 
     options, model = request.options, request.load_model()
@@ -216,7 +222,8 @@ def _build_motion(request: _Request):
     given |= {"correction": options.largest_correction}
     limits = CommandLimits.of(model.robot, **{k: x for k, x in given.items() if x is not None})
     motion = Trajectory.from_csv(str(options.motion), joints)
-    motion = build_reference(model, motion, period=options.period, resample=options.resample, limits=limits)
+    whole = count_samples_in_period(motion, options.period) > 0
+    motion = build_reference(model, motion, period=options.period, resample=options.resample or whole, limits=limits)
     if options.correction is not None:
         correction = read_correction(options.correction, joints, period=options.period)
         motion = apply_correction(model, motion, correction, limits)
@@ -236,18 +243,26 @@ def _make_reference(request: _Request) -> Made:
 
 def _make_rapid(request: _Request) -> Made:
     """Return a RAPID module."""
-    from tau_dyn.control import format_rapid_motion
+    from tau_dyn.control import build_waypoints, format_rapid_motion
 
     model, motion = _build_motion(request)
+    by, tolerance = request.options.by, request.options.tolerance
     text = format_rapid_motion(
         model.robot,
         motion,
-        by=request.options.by,
-        tolerance=request.options.tolerance,
+        by=by,
+        tolerance=tolerance,
         **({"name": request.options.name} if request.options.name else {}),
     )
-    said = f"{motion.duration:.4g} s by {'MoveAbsJ' if request.options.by == 'joints' else 'MoveL'} -> {request.out}"
-    return Made({request.out: text}, said, {"duration": motion.duration, "by": request.options.by}, motion.notes)
+    found = build_waypoints(model.robot, motion, by=by, tolerance=tolerance)
+    move = "MoveAbsJ" if by == "joints" else "MoveL"
+    said = f"{motion.duration:.4g} s by {len(found.index)} places of {move} -> {request.out}"
+    result = {"duration": motion.duration, "by": by, "places": len(found.index), "deviation": found.deviation}
+    loose = (
+        f"straight moves of 50 ms or more leave the motion by up to {found.deviation:.2g} m or rad, more than the tolerance of "
+        f"{tolerance:g}; move slower, or send a reference file",
+    )
+    return Made({request.out: text}, said, result, (*motion.notes, *(loose if found.deviation > tolerance else ())))
 
 
 @dataclass(frozen=True)
@@ -299,7 +314,8 @@ def export_feedforward(
         name: Of the function
         width: Speed within which the sign of friction is smoothed, one or one a joint [m/s or rad/s]
         shape: Of the smoothed sign
-        steady: Leave out effects that need a history, and say which (what only distorts recordings, as a delay, is always left out)
+        steady: Leave out effects that need a history, and say which (what only distorts recordings, such as a delay, always
+            is)
     """
     ending = _ENDINGS[to]
     if out.suffix != ending:

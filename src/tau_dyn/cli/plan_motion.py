@@ -107,6 +107,7 @@ def plan_motion(
     energy_weight: Annotated[args.NotNegative, Parameter(metavar="W")] = 0.0,
     rate: Annotated[args.Positive, Parameter(metavar="HZ")] = 1000.0,
     nodes: Annotated[args.Whole, Parameter(metavar="N")] = 80,
+    period: Annotated[args.Positive, Parameter(metavar="S")] = 0.004,
     out: Annotated[Path, args.build_destination("MOTION.csv", "Write t, q_ref, v_ref, a_ref here", csv=True)],
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
@@ -117,6 +118,7 @@ def plan_motion(
         energy_weight: Minimise T + W times the integral of squared forces [s per N^2 s] (0: the shortest time)
         rate: Of the motion
         nodes: Intervals of linear acceleration
+        period: Of the controller; no interval is shorter
     """
     start, end, joints = ends.choose()
     with show_progress(output.quiet) as step:
@@ -129,7 +131,7 @@ def plan_motion(
         step("optimising")
         found = plan(
             model, start, end, limits=bounds, energy_weight=energy_weight, path=ends.read_path(), joints=joints,
-            dt=1 / rate, nodes=nodes,
+            dt=1 / rate, nodes=nodes, period=period,
         )  # fmt: skip
 
     return Outcome(

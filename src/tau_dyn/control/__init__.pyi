@@ -9,9 +9,10 @@ from .interface.correction import (
     write_correction as write_correction,
 )
 from .interface.limits import CommandLimits as CommandLimits, check_motion as check_motion
-from .interface.rapid import format_rapid_motion as format_rapid_motion
+from .interface.rapid import build_waypoints as build_waypoints, format_rapid_motion as format_rapid_motion
 from .interface.reference import (
     build_reference as build_reference,
+    count_samples_in_period as count_samples_in_period,
     read_reference as read_reference,
     write_reference as write_reference,
 )

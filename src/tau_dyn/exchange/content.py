@@ -87,6 +87,8 @@ def build_carried_model(model: Model, *, drives: bool) -> Model:
     for _, _, both in _list_pairs(model, drives):
         values |= dict.fromkeys(both, float(np.mean([model.effect_parameters[n].value for n in both])))
     return model.with_values(values)
+
+
 def raise_moments(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Return principal moments (3,) and axes (3, 3), in columns, of the next inertia that a body may have.
 
@@ -120,7 +122,7 @@ def _list_pairs(model: Model, drives: bool) -> list[tuple[str, str, list[str]]]:
     return [row for row in rows if all(name in model.effect_parameters for name in row[2])]
 
 
-class JointLaw(NamedTuple):
+class CarriedLaw(NamedTuple):
     """A joint's own force in a file; see the module.
 
     Attributes:
@@ -138,7 +140,7 @@ class JointLaw(NamedTuple):
     gain: float
 
 
-def read_joint_law(carried: Model, joint: str) -> JointLaw:
+def read_joint_law(carried: Model, joint: str) -> CarriedLaw:
     """Return a joint's law in a model that `build_carried_model` made."""
 
     def value(name: str) -> float:
@@ -146,7 +148,7 @@ def read_joint_law(carried: Model, joint: str) -> JointLaw:
         return found[f"{joint}.{name}"].value if f"{joint}.{name}" in found else 0.0
 
     pos, neg = value("coulomb_pos"), value("coulomb_neg")
-    return JointLaw(
+    return CarriedLaw(
         value("coulomb") + (pos + neg) / 2,
         value("viscous") + value("viscous_pos"),
         value("offset") + value("coulomb_asymmetry") + (pos - neg) / 2,

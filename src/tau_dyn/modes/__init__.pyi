@@ -1,6 +1,6 @@
 """Vibration logs -> resonances -> M, D, K."""
 
-from .actuators import Actuator as Actuator
+from .actuators import Actuator as Actuator, ActuatorFit as ActuatorFit, fit_actuators as fit_actuators
 from .find import find_modes as find_modes
 from .methods import stabilise_poles as stabilise_poles
 from .modal import Z95 as Z95, Mode as Mode, StabilityPoint as StabilityPoint
@@ -12,7 +12,7 @@ from .on_robot import (
     project_shapes_on_robot as project_shapes_on_robot,
 )
 from .operational import find_operational_modes as find_operational_modes
-from .record import Record as Record
+from .record import Record as Record, build_records as build_records
 from .refinement import RefinedModel as RefinedModel, refine as refine
 from .residuals import (
     CorrelationTest as CorrelationTest,

@@ -33,6 +33,9 @@ MEASURED_CUTOFF_HZ = 20.0
 _MAX_SAMPLES = 10**8
 """Samples of a motion; more do not fit into memory, and come of times in another unit."""
 
+_AGREEMENT = 0.01
+"""Share of the largest step by which stated speeds may miss the next position; files have rounded ones."""
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -149,8 +152,35 @@ class Trajectory:
             raise InputError(
                 "too_little_data", f"{self.name} lasts {self.duration:g} s, too short to be followed at {rate_hz:g} Hz"
             )
+        if self._agrees():
+            q, v, a = self.interpolate(self.t[0] + clock)
+            return replace(self, t=clock, q=q, v=v, a=a)
         spline = make_interp_spline(self.t - self.t[0], self.q, k=5)
         return replace(self, t=clock, q=spline(clock), v=spline.derivative(1)(clock), a=spline.derivative(2)(clock))
+
+    def interpolate(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return positions, speeds and accelerations (M, na) at times (M,) [s] within the motion.
+
+        Between two samples it is the quintic with position, speed and acceleration of both; of `through` the spline itself.
+        """
+        k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, self.n_samples - 2)
+        h = (self.t[k + 1] - self.t[k])[:, None]
+        s = (t - self.t[k])[:, None] / h
+        q, v, a = self.q[k], h * self.v[k], h**2 * self.a[k] / 2
+        D = self.q[k + 1] - q - v - a
+        E, F = h * self.v[k + 1] - v - 2 * a, h**2 * self.a[k + 1] / 2 - a
+        c, d, e = 10 * D - 4 * E + F, -15 * D + 7 * E - 2 * F, 6 * D - 3 * E + F
+        position = q + s * (v + s * (a + s * (c + s * (d + s * e))))
+        speed = v + s * (2 * a + s * (3 * c + s * (4 * d + s * 5 * e)))
+        acceleration = 2 * a + s * (6 * c + s * (12 * d + s * 20 * e))
+        return position, speed / h, acceleration / h**2
+
+    def _agrees(self) -> bool:
+        """Tell whether stated speeds and accelerations lead from each position to the next, to 1 % of the largest step."""
+        h = np.diff(self.t)[:, None]
+        step = h * (self.v[1:] + self.v[:-1]) / 2 - h**2 * np.diff(self.a, axis=0) / 12
+        off = np.abs(np.diff(self.q, axis=0) - step).max(axis=0)
+        return bool(np.all(off <= _AGREEMENT * np.abs(np.diff(self.q, axis=0)).max(axis=0)))
 
     def every(self, step: int) -> Trajectory:
         """Return every `step`-th sample, for checks that need not see them all."""

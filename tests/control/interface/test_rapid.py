@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from tau_dyn.control import format_rapid_motion
+from tau_dyn.control import build_waypoints, format_rapid_motion
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import convert_to_quaternions, forward_kinematics
 from tau_dyn.robot import load_robot
@@ -167,7 +167,7 @@ def test_joint_moves_follow_the_motion(name) -> None:
     """Straight lines between the places, each in its time, leave the motion by less than the tolerance; mm and deg."""
     robot = load_robot(name)
     motion = motion_of(robot)
-    program = Rapid(format_rapid_motion(robot, motion, tolerance=2e-4))
+    program = Rapid(format_rapid_motion(robot, motion, tolerance=4e-4))  # moves of 50 ms leave F1's swing by 3e-4 rad
     unit = np.where(np.array(robot.joint_kinds) == "prismatic", 1e3, np.rad2deg(1.0))
     places = np.array([row[0][: robot.na] for row in program.constants["places"]]) / unit
     assert all(
@@ -176,11 +176,26 @@ def test_joint_moves_follow_the_motion(name) -> None:
     t = np.cumsum(program.constants["seconds"])
     assert 5 < len(places) < 120 and program.constants["n_places"] == len(places)
     follows = np.column_stack([np.interp(motion.t, t, x) for x in places.T])
-    assert np.abs(follows - motion.q).max() < 2.1e-4
+    assert np.abs(follows - motion.q).max() < 4.1e-4
     assert [m[0] for m in program.moves] == ["MoveAbsJ"] * 3
     first, way, last = (m[1] for m in program.moves)
     assert first == ["places{1}", "\\NoEOffs", "v100", "fine", "tool0"]
-    assert way == ["places{k}", "\\NoEOffs", "v1000", "\\T", "z0", "tool0"] and last[4] == "fine"
+    assert way == ["places{k}", "\\NoEOffs", "v1000", "\\T", "zones{k}", "tool0"] and last[4] == "fine"
+    way = 1e3 * np.linalg.norm(np.diff(forward_kinematics(robot, places).poses.position, axis=0), axis=1)
+    for k, (fine, radius, *_) in enumerate(program.constants["zones"][1:-1]):
+        assert fine == "FALSE" and radius <= max(0.3, min(way[k], way[k + 1]) / 2) + 0.01
+
+
+@pytest.mark.parametrize("by", ["joints", "tool"])
+def test_no_move_is_too_short_for_a_planner(by) -> None:
+    """However small the tolerance, moves last 50 ms or more; what that costs is said in the module."""
+    robot = load_robot("gantry_tau")
+    motion = motion_of(robot)
+    text = format_rapid_motion(robot, motion, by=by, tolerance=1e-9)
+    seconds = Rapid(text).constants["seconds"]
+    assert min(seconds[1:]) >= 0.05 and sum(seconds) == pytest.approx(motion.duration)
+    found = build_waypoints(robot, motion, by=by, tolerance=1e-9)
+    assert found.deviation > 1e-6 and f"by up to {found.deviation:.2g} m or rad" in text
 
 
 def test_tool_moves_follow_the_tool() -> None:

@@ -11,8 +11,10 @@ from tau_dyn.control.iterative import (
     TimeShift,
     ZeroPhase,
     analyse_convergence,
+    build_convolution,
     build_notch,
     chain_filters,
+    compute_pulse_response,
     design_band_stop,
     design_low_pass,
     stack_controlled_actuators,
@@ -86,3 +88,12 @@ def test_filters_that_are_none_are_refused() -> None:
         build_notch(7, 1, 0.0, DT)
     with raises_code("mismatch"):
         chain_filters([design_low_pass(10, DT), design_low_pass(10, 0.002)])
+
+
+def test_unequal_and_fractional_delays_stand_side_by_side(rng) -> None:
+    """The stacked model answers as each drive by itself does: delays of 1.2, 2 and 4.9 samples."""
+    drives = [Actuator(1.1, 0.006, x * DT) for x in (1.2, 2.0, 4.9)]
+    model, u = stack_controlled_actuators(drives, DT), np.vstack([np.zeros((1, 3)), rng.standard_normal((80, 3))])
+    alone = np.column_stack([drive.simulate(u[:, k], DT) for k, drive in enumerate(drives)])
+    T = build_convolution(compute_pulse_response(model, len(u)))
+    assert_allclose((T @ u.T.ravel()).reshape(3, -1).T, alone, atol=1e-12)

@@ -4,7 +4,9 @@ from .correction import (
     Correction as Correction,
     apply_correction as apply_correction,
     build_correction as build_correction,
+    format_correction_text as format_correction_text,
     read_correction as read_correction,
+    require_same_motion as require_same_motion,
     write_correction as write_correction,
 )
 from .limits import (
@@ -15,6 +17,8 @@ from .limits import (
     list_exceeded_limits as list_exceeded_limits,
 )
 from .rapid import (
+    MIN_MOVE_S as MIN_MOVE_S,
+    build_waypoints as build_waypoints,
     format_array as format_array,
     format_comment as format_comment,
     format_jointtarget as format_jointtarget,
@@ -26,6 +30,8 @@ from .rapid import (
 from .reference import (
     DEFAULT_PERIOD_S as DEFAULT_PERIOD_S,
     build_reference as build_reference,
+    compute_digest as compute_digest,
+    count_samples_in_period as count_samples_in_period,
     read_reference as read_reference,
     write_reference as write_reference,
 )

@@ -1,19 +1,21 @@
 r"""A motion as a RAPID module: a list of places with the time to reach each, by `MoveAbsJ` (drives) or `MoveL` (tool).
 
 The robot's own controller interpolates between the places, so fewer than one every 4 ms are needed: those between which
-a straight line, in the drives or in the tool's path, leaves the motion by less than a tolerance. `\T` gives each move
-its time. A corner path (`z0`) rounds the places; what must be followed exactly belongs into a reference file.
+a straight line, in the drives or in the tool's path, leaves the motion by less than a tolerance, but no move is shorter than
+`MIN_MOVE_S`. `\T` gives each move its time. Corner paths (zonedata) round the places, up to half-way to the next one. What must
+be followed exactly belongs into a reference file.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism import convert_to_quaternions, forward_kinematics
+from tau_dyn.mechanism import Poses, convert_to_quaternions, forward_kinematics
 from tau_dyn.robot import Robot
 from tau_dyn.simulate import Trajectory
 
@@ -82,6 +84,26 @@ def format_comment(text: str) -> str:
 MAX_WAYPOINTS = 4000
 """Most places of a module."""
 
+MIN_MOVE_S = 0.05
+"""Shortest move [s]: two of the 24.2 ms after which an IRC5 samples its path (path resolution 1). A planner that gets shorter
+ones runs out of prepared moves and stops at the places (50024, corner path failure)."""
+
+
+class Waypoints(NamedTuple):
+    """Places of a motion between which a controller moves straight.
+
+    Attributes:
+        index: Samples of the motion (k,).
+        path: What moves straight: drives (N, na) [m or rad], or the tool (N, 3) [m].
+        poses: Of the tool at all samples; None without a tool, where the drives move straight.
+        deviation: How far straight moves leave the path [m or rad].
+    """
+
+    index: np.ndarray
+    path: np.ndarray
+    poses: Poses | None
+    deviation: float
+
 
 def format_rapid_motion(
     robot: Robot,
@@ -100,6 +122,7 @@ def format_rapid_motion(
         motion: What it shall do, corrections included; see `corrected`.
         by: 'joints' for `MoveAbsJ`, 'tool' for `MoveL`.
         tolerance: How far straight lines between the places may leave the motion [m or rad]; of `MoveL` of the tool's place.
+            `MIN_MOVE_S` goes before it.
         name: Of the module.
         tool: RAPID tool data; with 'tool' it must be the robot file's tool frame.
         wobj: RAPID work object; with 'tool' the robot's base.
@@ -107,9 +130,27 @@ def format_rapid_motion(
     Raises:
         InputError: A name that RAPID does not take, joints that are not the robot's, or too many places.
     """
-    require_few_joints(robot.joint_kinds)
     for text, what in ((name, "a RAPID module"), (tool, "RAPID tool data"), (wobj, "a RAPID work object")):
         require_rapid_name(text, what)
+    found = build_waypoints(robot, motion, by=by, tolerance=tolerance)
+    places = motion.q[found.index]
+    rows, kind = [format_jointtarget(row, robot.joint_kinds) for row in places], "jointtarget"
+    if by == "tool" and found.poses is not None:
+        few = found.poses.take(found.index)
+        turns = convert_to_quaternions(few)
+        rows = [format_robtarget(p, r) for p, r in zip(few.position, turns, strict=True)]
+        kind = "robtarget"
+    seconds = [f"{x:.4f}" for x in np.diff(motion.t[found.index], prepend=motion.t[0])]
+    return "\n".join(_module(robot, motion, name, kind, rows, seconds, found, (tool, wobj))) + "\n"
+
+
+def build_waypoints(robot: Robot, motion: Trajectory, *, by: str = "joints", tolerance: float = 1e-4) -> Waypoints:
+    """Return the places of a motion; see `format_rapid_motion`.
+
+    Raises:
+        InputError: Joints that are not the robot's, more than twelve of them, or too many places.
+    """
+    require_few_joints(robot.joint_kinds)
     if by not in ("joints", "tool"):
         raise InputError("invalid_value", f"a RAPID motion goes by 'joints' or by 'tool', not by '{by}'")
     if motion.joints != robot.actuated:
@@ -118,28 +159,24 @@ def format_rapid_motion(
         )
     if not (np.isfinite(tolerance) and tolerance > 0):
         raise InputError("invalid_value", f"the tolerance of a RAPID motion must be above zero, not {tolerance:g}")
-    poses = forward_kinematics(robot, motion.q).poses if by == "tool" else None
-    if poses is not None and not np.isfinite(poses.position).all():
-        raise InputError(
-            "unreachable", f"{motion.name}: it leaves the robot's reach, so there is no tool path to write"
-        )
-    keep = select_waypoints(motion.t, motion.q if poses is None else poses.position, tolerance)
-    if poses is None:
-        rows, kind = [format_jointtarget(row, robot.joint_kinds) for row in motion.q[keep]], "jointtarget"
-    else:
-        few = poses.take(keep)
-        rows, kind = (
-            [format_robtarget(p, r) for p, r in zip(few.position, convert_to_quaternions(few), strict=True)],
-            "robtarget",
-        )
-    seconds = [f"{x:.4f}" for x in np.diff(motion.t[keep], prepend=motion.t[0])]
-    return "\n".join(_module(robot, motion, name, kind, rows, seconds, (tool, wobj))) + "\n"
+    poses = None
+    if by == "tool" or robot.tool_frame is not None:
+        poses = forward_kinematics(robot, motion.q).poses
+        if not np.isfinite(poses.position).all():
+            raise InputError(
+                "unreachable", f"{motion.name}: it leaves the robot's reach, so there is no tool path to write"
+            )
+    path = poses.position if by == "tool" and poses is not None else motion.q
+    index = select_waypoints(motion.t, path, tolerance)
+    straight = np.column_stack([np.interp(motion.t, motion.t[index], x) for x in path[index].T])
+    return Waypoints(index, path, poses, float(np.abs(straight - path).max()))
 
 
 def select_waypoints(t: np.ndarray, path: np.ndarray, tolerance: float) -> np.ndarray:
     """Return indices of the samples (k,) between which straight lines in time stay within a tolerance of a path (N, m).
 
-    From each place the farthest sample is taken that a line reaches so, found by doubling and halving.
+    From each place the farthest sample is taken that a line reaches so, found by doubling and halving, and at least the first one
+    after `MIN_MOVE_S`; a shorter rest joins the last move.
 
     Raises:
         InputError: More than 4000 are needed.
@@ -151,7 +188,10 @@ def select_waypoints(t: np.ndarray, path: np.ndarray, tolerance: float) -> np.nd
                 "invalid_value",
                 f"a RAPID module of more than {MAX_WAYPOINTS} places is asked for; allow a larger tolerance, or cut the motion",
             )
-        keep.append(_farthest(t, path, keep[-1], tolerance))
+        soonest = int(np.searchsorted(t, t[keep[-1]] + MIN_MOVE_S * (1 - 1e-9)))
+        keep.append(min(max(soonest, _farthest(t, path, keep[-1], tolerance)), len(t) - 1))
+    if len(keep) > 2 and t[keep[-1]] - t[keep[-2]] < MIN_MOVE_S * (1 - 1e-9):
+        del keep[-2]
     return np.array(keep)
 
 
@@ -172,8 +212,24 @@ def _straight(t: np.ndarray, path: np.ndarray, a: int, b: int, tolerance: float)
     return bool(np.abs(path[a : b + 1] - line).max() <= tolerance)
 
 
+def _format_zones(found: Waypoints) -> list[str]:
+    """Return corner paths up to half-way to the nearer neighbour, where the tool's way is known; else none."""
+    if found.poses is None:
+        return ["[FALSE,0.3,0.3,0.3,0.03,0.3,0.03]"] * len(found.index)
+    way = 1e3 * np.linalg.norm(np.diff(found.poses.position[found.index], axis=0), axis=1)
+    half = np.minimum(np.r_[way[:1], way], np.r_[way, way[-1:]]) / 2
+    return [f"[FALSE,{r:.2f},{r:.2f},{r:.2f},{r / 10:.3f},{r:.2f},{r / 10:.3f}]" for r in np.maximum(half, 0.3)]
+
+
 def _module(
-    robot: Robot, motion: Trajectory, name: str, kind: str, rows: list[str], seconds: list[str], frames: tuple[str, str]
+    robot: Robot,
+    motion: Trajectory,
+    name: str,
+    kind: str,
+    rows: list[str],
+    seconds: list[str],
+    found: Waypoints,
+    frames: tuple[str, str],
 ) -> list[str]:
     tool, wobj = frames
     joints = kind == "jointtarget"
@@ -189,17 +245,22 @@ def _module(
     return [
         f"MODULE {name}",
         format_comment(f"{motion.name}: {motion.duration:.4g} s in {len(rows)} places"),
+        format_comment(
+            f"moves of {MIN_MOVE_S:g} s or more; straight lines leave the motion by up to {found.deviation:.2g} m or rad"
+        ),
         format_comment(f"axes: {units}" if joints else "places of the tool in the robot's base, mm; quaternions"),
         f"  CONST num n_places := {len(rows)};",
         *format_array(f"{kind} places", rows),
         format_comment("Time to reach each place from the one before, s."),
         *format_array("num seconds", seconds),
+        format_comment("Corner path at each place, up to half-way to the next one, mm and deg."),
+        *format_array("zonedata zones", _format_zones(found)),
         "",
         "  PROC main()",
         *([] if joints else ["    ConfL \\Off;"]),
         f"    {'MoveAbsJ' if joints else 'MoveJ'} {target('1')}, v100, fine, {end}",
         "    FOR k FROM 2 TO n_places - 1 DO",
-        f"      {move} {target('k')}, v1000 \\T:=seconds{{k}}, z0, {end}",
+        f"      {move} {target('k')}, v1000 \\T:=seconds{{k}}, zones{{k}}, {end}",
         "    ENDFOR",
         f"    {move} {target('n_places')}, v1000 \\T:=seconds{{n_places}}, fine, {end}",
         "  ENDPROC",

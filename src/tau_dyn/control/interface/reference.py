@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from tau_dyn.control.interface.limits import CommandLimits, check_motion
 from tau_dyn.exceptions import InputError
@@ -59,7 +59,8 @@ def resample_to_period(motion: Trajectory, period: float, *, resample: bool = Fa
     Args:
         motion: The motion.
         period: The controller's period [s].
-        resample: Allow interpolation by the quintic spline through the samples.
+        resample: Allow another clock: every n-th sample where the period is n of the motion's, else the quintic spline through
+            the samples.
 
     Raises:
         InputError: The period is another one and resampling was not asked for, or it would lose part of the motion.
@@ -70,7 +71,8 @@ def resample_to_period(motion: Trajectory, period: float, *, resample: bool = Fa
         )
     if not resample:
         require_period(motion.t, period, motion.name)
-    found = motion.resampled(1 / period)
+    n = count_samples_in_period(motion, period)
+    found = motion.resampled(1 / period) if n in (0, 1) else _take_every(motion, n, period)
     if len(found.t) < 6:
         raise InputError(
             "too_little_data",
@@ -83,6 +85,21 @@ def resample_to_period(motion: Trajectory, period: float, *, resample: bool = Fa
     return found
 
 
+def count_samples_in_period(motion: Trajectory, period: float) -> int:
+    """Return how many of the motion's samples make one period of the controller; 0 where no whole number does."""
+    step = motion.duration / (motion.n_samples - 1)
+    n = round(period / step)
+    even = np.abs(np.diff(motion.t) - step).max() <= _JITTER * step
+    return n if n >= 1 and even and abs(n * step - period) <= _JITTER * period else 0
+
+
+def _take_every(motion: Trajectory, n: int, period: float) -> Trajectory:
+    """Return every n-th sample as it is; the last one is held until the controller's next sample."""
+    keep = np.minimum(np.arange(0, motion.n_samples + n - 1, n), motion.n_samples - 1)
+    t = np.arange(len(keep)) * period
+    return replace(motion, t=t, q=motion.q[keep], v=motion.v[keep], a=motion.a[keep])
+
+
 def _ended(motion: Trajectory, period: float) -> Trajectory:
     """Return the motion with its last position held until the controller's next sample."""
     t, q = motion.t - motion.t[0], motion.q
@@ -93,19 +110,17 @@ def _ended(motion: Trajectory, period: float) -> Trajectory:
     )
     found = longer.resampled(1 / period)
     keep = slice(0, n + 1)
-    return Trajectory(
-        motion.joints, found.t[keep], found.q[keep], found.v[keep], found.a[keep], motion.name, motion.notes
-    )
+    return replace(found, t=found.t[keep], q=found.q[keep], v=found.v[keep], a=found.a[keep], notes=motion.notes)
 
 
 def _require_kept(motion: Trajectory, found: Trajectory, period: float) -> None:
-    """Refuse a clock too slow for the motion: interpolated back, it must lead where the motion led."""
-    inside = motion.t - motion.t[0] <= found.t[-1]
-    again = make_interp_spline(found.t, found.q, k=5)(motion.t[inside] - motion.t[0])
-    off = np.abs(again - motion.q[inside]).max(axis=0)
+    """Refuse a clock too slow for the motion: its samples of position, speed and acceleration must lead there in between."""
+    at = motion.t - motion.t[0]
+    inside = at <= found.t[-1]
+    off = np.abs(found.interpolate(at[inside])[0] - motion.q[inside]).max(axis=0)
     allowed = _KEPT * np.maximum(np.ptp(motion.q, axis=0), 1e-9)
     if np.any(off > allowed):
-        k = int(np.argmax(off / allowed))
+        k = int(np.argmax(np.round(off / allowed, 6)))
         raise InputError(
             "invalid_value",
             f"{motion.name}: samples every {1e3 * period:g} ms would miss joint {motion.joints[k]} by up to {off[k]:.3g} "

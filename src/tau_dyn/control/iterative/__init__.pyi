@@ -1,5 +1,10 @@
 """Iterative learning control: filters, stability before anything moves, and learning itself."""
 
+from .actuator_models import (
+    ActuatorModels as ActuatorModels,
+    fit_actuator_models as fit_actuator_models,
+    read_actuators as read_actuators,
+)
 from .convergence_analysis import (
     Convergence as Convergence,
     FrequencyCondition as FrequencyCondition,
@@ -23,6 +28,11 @@ from .laws import (
     design_robust_filter as design_robust_filter,
 )
 from .learned_outputs import MotorSide as MotorSide, Reference as Reference, ToolSide as ToolSide
+from .learning_step import (
+    LearningOptions as LearningOptions,
+    LearningStep as LearningStep,
+    compute_learning_step as compute_learning_step,
+)
 from .lifted_system import (
     Operator as Operator,
     build_convolution as build_convolution,

@@ -158,8 +158,9 @@ class NormOptimalLaw:
         Q, G = self._solved(motion)
         return aslinearoperator(Q), aslinearoperator(G)
 
-    def responses(self, frequency: np.ndarray) -> None:
+    def responses(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return None: the law varies along the trial."""
+        return None
 
     def _solved(self, motion: Reference) -> tuple[np.ndarray, np.ndarray]:
         if not self._kept or self._kept[0][0] is not motion:

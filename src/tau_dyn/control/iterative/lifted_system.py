@@ -11,10 +11,9 @@ from typing import Any, cast
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import toeplitz
+from scipy.linalg import block_diag, toeplitz
 from scipy.sparse.linalg import LinearOperator
 
-from tau_dyn.exceptions import InputError
 from tau_dyn.modes import Actuator, StateSpace
 
 Operator = Any
@@ -83,18 +82,35 @@ def stack_controlled_actuators(
 ) -> StateSpace:
     """Return models of controlled actuators side by side, from references to positions, (6.11).
 
+    The delay that all share acts on the inputs; what a single axis has beyond it, whole samples and a part of one, is kept in
+    states that hold its last references.
+
     Args:
-        actuators: One a joint; delays of whole samples, the same for all.
+        actuators: One a joint.
         dt: Step [s].
         jacobian: The tool's (p, na) at the pose; then the way from the tool's reference to the tool computed from the joints,
             both (p,), is returned. With p below na the other tool directions are not moved.
     """
     sampled = [a.discrete(dt) for a in actuators]
-    b, poles = np.array([s[0].sum() for s in sampled]), np.array([s[1] for s in sampled])
-    steps = {s[2] for s in sampled}
-    if len(steps) != 1 or any(abs(s[0][1]) > 1e-9 * abs(s[0][0]) for s in sampled):
-        raise InputError("mismatch", "actuators side by side need the same delay, of whole samples")
-    eye = np.eye(len(b))
-    B, C = (eye, np.diag(b)) if jacobian is None else (np.linalg.pinv(jacobian), jacobian * b)
+    shared = min(d for _, _, d in sampled)
+    parts = [_build_axis(b, a, d - shared) for b, a, d in sampled]
+    A, B, C = (block_diag(*(part[k] for part in parts)) for k in range(3))
+    if jacobian is not None:
+        B, C = B @ np.linalg.pinv(jacobian), jacobian @ C
     p = len(C)
-    return StateSpace(np.diag(poles), B, C, np.zeros((p, B.shape[1])), np.zeros((len(b), p)), dt, steps.pop() - 1)
+    return StateSpace(A, B, C, np.zeros((p, B.shape[1])), np.zeros((len(A), p)), dt, shared - 1)
+
+
+def _build_axis(b: np.ndarray, pole: float, late: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return A, B, C of `q^-1 (b0 + b1 q^-1) q^-late / (1 - pole q^-1)`: the position, then the last references."""
+    size, fraction = float(b.sum()), abs(b[1]) > 1e-9 * abs(b[0])
+    n = 1 + late + int(fraction)
+    A, B, C = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n))
+    A[0, 0], C[0, 0] = pole, size
+    share = np.array([b[0], b[1]] if fraction else [size]) / size
+    taps = np.concatenate([np.zeros(late), share])  # of the reference now, one sample ago, ..
+    B[0, 0], A[0, 1:] = taps[0], taps[1:]
+    if n > 1:
+        B[1, 0] = 1.0
+        A[2:, 1:-1] = np.eye(n - 2)
+    return A, B, C

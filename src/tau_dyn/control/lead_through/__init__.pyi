@@ -1,5 +1,10 @@
 """Lead-through programming with two force sensors: Dressler 2012, chapter 8."""
 
+from .advice import (
+    LeadThroughAdvice as LeadThroughAdvice,
+    advise_lead_through as advise_lead_through,
+    fit_contact_stiffness as fit_contact_stiffness,
+)
 from .lead_through import LeadThrough as LeadThrough
 from .sensing import ForceSensor as ForceSensor
 from .settings import LeadThroughSettings as LeadThroughSettings

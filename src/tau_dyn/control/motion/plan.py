@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NoReturn
 
 import numpy as np
@@ -41,6 +41,7 @@ from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 
 _MAX_ITERATIONS = 6  # rounds of solving with enforced limits; each tightens what the last exceeded
+_MIN_INTERVALS = 6  # of a motion that is shorter than so many periods
 _FIRST_WIDTH = 0.02  # [m/s or rad/s] of friction's sign, until the motion's speeds are known
 _MIN_DISTANCE = 1e-9  # m or rad; ends closer together are one place
 _STROKE = 1e-5  # share of a joint's range that is kept at its ends
@@ -59,6 +60,7 @@ def plan_motion(
     joints: bool = False,
     dt: float = 1e-3,
     nodes: int = 80,
+    period: float | None = None,
 ) -> MotionPlan:
     """Return the motion from rest to rest that minimises `T + w sum_i int tau_i^2 dt` within limits.
 
@@ -72,6 +74,8 @@ def plan_motion(
         joints: Whether start and end are actuated positions.
         dt: Step of the result's clock [s].
         nodes: Intervals of the program; the acceleration is linear within each.
+        period: Of the controller that will be given the motion [s]: intervals are no shorter than it, and a motion that needs
+            fewer intervals for that lasts a whole number of periods, so that the controller's samples hold all of it.
 
     Raises:
         InputError: An end or the path out of reach, near a singularity, or too heavy to hold; settings out of range.
@@ -86,7 +90,10 @@ def plan_motion(
     if np.abs(last - first).max() < _MIN_DISTANCE:
         raise InputError("invalid_value", "start and end are one place; there is nothing to move")
     coordinates = _coordinates(model, first, last, path, limits)
-    search = _search(model, coordinates, limits.inside(MAX_LIMIT_EXCESS), energy_weight, nodes)
+    inside = limits.inside(MAX_LIMIT_EXCESS)
+    search = _search(model, coordinates, inside, energy_weight, nodes)
+    if period is not None and search.solution.nodes.T < nodes * period:
+        search = _search_on_periods(model, coordinates, inside, energy_weight, search.solution.nodes.T, period)
     name = "free" if path is None else "line" if isinstance(path, str) else "points"
     return _sampled(model, coordinates, search, limits, energy_weight, name, dt)
 
@@ -161,13 +168,29 @@ def _search(model: Model, coordinates: Coordinates, limits: MotionLimits, weight
     return _Search(law, best, T, width, iterations, seconds, program.limited)
 
 
+def _search_on_periods(
+    model: Model, coordinates: Coordinates, limits: MotionLimits, weight: float, shortest: float, period: float
+) -> _Search:
+    """Return the motion in the fewest whole periods [s], an interval each; `shortest` is the duration without them [s]."""
+    count = max(_MIN_INTERVALS, int(np.ceil(shortest / period)))
+    for _ in range(_MAX_ITERATIONS):
+        found = _search(model, coordinates, limits, weight, count)
+        nodes = found.solution.nodes
+        if nodes.T <= count * period * (1 + 1e-9):
+            break
+        count = int(np.ceil(nodes.T / period))
+    slower = max(nodes.T, count * period)
+    return replace(found, solution=replace(found.solution, nodes=replace(nodes, T=slower)))
+
+
 def _refuse(found: TranscriptionSolution, coordinates: Coordinates) -> NoReturn:
     where = "along this path" if coordinates.forward else "between these ends"
     raise CannotAnswer(
         "no_solution",
         f"no motion {where} was found within the limits (IPOPT: {found.status.replace('_', ' ').lower()} after "
-        f"{found.iterations} iterations)",
-        "the same plan along a line or by way of points, with another number of nodes, or with larger limits of force",
+        f"{found.iterations} iterations, {found.seconds:.0f} s)",
+        "the same plan along a line or by way of points, with simplified arms where the robot file has them (--set "
+        "arms=simplified), with another number of nodes, or with larger limits of force",
     )
 
 

@@ -31,6 +31,7 @@ from tau_dyn.control.motion.limits import MotionLimits
 from tau_dyn.control.motion.nodes import Nodes
 
 _MIN_STEP_S = 1e-3  # [s]
+_MAX_SOLVER_S = 90.0  # s; motions that are found at all take 1 to 30 s
 _WARM = {
     "ipopt.warm_start_init_point": "yes",
     "ipopt.mu_init": 1e-5,
@@ -156,6 +157,7 @@ def _options() -> dict[str, Any]:
         "ipopt.print_level": 0,
         "ipopt.sb": "yes",
         "ipopt.max_iter": 500,
+        "ipopt.max_wall_time": _MAX_SOLVER_S,
         "ipopt.tol": 1e-8,
         "ipopt.acceptable_tol": 1e-6,
         "error_on_fail": False,

@@ -6,6 +6,12 @@ from .kalman import (
     KalmanToolObserver as KalmanToolObserver,
     extend_model as extend_model,
 )
+from .observation import ToolObservation as ToolObservation, observe_tool as observe_tool
+from .observer_error import (
+    ObserverError as ObserverError,
+    estimate_observer_error as estimate_observer_error,
+    scale_frequencies as scale_frequencies,
+)
 from .tuning import (
     KalmanTuning as KalmanTuning,
     Whiteness as Whiteness,

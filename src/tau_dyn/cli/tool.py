@@ -1,0 +1,173 @@
+"""`tau-dyn observe` and `tau-dyn lead-through`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from cyclopts import Group, Parameter
+
+from tau_dyn.cli.arguments import (
+    ColumnMapFile,
+    NotNegative,
+    Output,
+    Positive,
+    Positives,
+    RobotOptions,
+    Strings,
+    Whole,
+    build_destination,
+    describe_destination,
+)
+from tau_dyn.cli.execute import Outcome, show_progress
+from tau_dyn.exceptions import InputError
+from tau_dyn.results import to_plain
+
+_COLUMNS = Group("Columns, by name")
+_FILTER = Group("Filter: one of both")
+_LOOP = Group("Force loop")
+_HANDLE = Group("Handle and hand")
+_AXES = ("x", "y", "z")
+
+
+def observe(
+    log: str,
+    robot: str | None = None,
+    /,
+    *,
+    acceleration: Annotated[Strings, Parameter(group=_COLUMNS, metavar="COLUMN")],
+    kinematic: Annotated[Strings, Parameter(group=_COLUMNS, metavar="COLUMN")] = (),
+    model: Annotated[Path | None, Parameter(group=_FILTER, metavar="MODEL.yaml")] = None,
+    cutoff: Annotated[Positives | None, Parameter(group=_FILTER, metavar="HZ")] = None,
+    columns: ColumnMapFile = None,
+    out: Annotated[
+        Path | None,
+        build_destination("TOOL.csv", csv=True),
+        describe_destination("Write t, positions and their 95 % intervals here"),
+    ] = None,
+    robot_options: RobotOptions = RobotOptions(),
+    output: Output = Output(),
+) -> Outcome:
+    """Where the tool was, from the actuators and an accelerometer on the tool, with 95 % intervals.
+
+    Args:
+        log: CSV, Parquet, MCAP, a ROS bag or .mat, from rest to rest
+        robot: Computes the tool from q_J, where --kinematic names no columns of it
+        acceleration: Of the tool in the robot's base, without gravity [m/s^2], along x, then y, then z
+        kinematic: The tool computed from the actuators [m], in the same order
+        model: From computed to true tool positions, as modes --out writes it: Kalman filter
+        cutoff: Complementary filter, one or one an axis
+    """
+    if (model is None) == (cutoff is None):
+        raise InputError("bad_option", "observe takes either --model MODEL.yaml or --cutoff HZ")
+    if bool(kinematic) == (robot is not None):
+        raise InputError(
+            "bad_option", "the tool as the actuators say it comes from ROBOT or from --kinematic, one of both"
+        )
+    with show_progress(output.quiet) as step:
+        step("loading")
+        from tau_dyn.control.observers import observe_tool
+        from tau_dyn.log import read_log
+        from tau_dyn.mechanism import forward_kinematics
+        from tau_dyn.modes import build_records, load_state_space
+
+        read = read_log(log, columns)
+        if robot is None:
+            names = kinematic
+            (record, *more) = build_records(read, acceleration, kinematic)
+            felt, computed, dt = record.u, record.y, record.dt
+        else:
+            machine = robot_options.load(robot)
+            names = [f"{axis}_tool" for axis in _AXES[: len(acceleration)]]
+            (record, *more) = build_records(read, acceleration, [f"q_{j}" for j in machine.actuated])
+            felt, dt = record.u, record.dt
+            computed = forward_kinematics(machine, record.y).poses.position[:, : len(acceleration)]
+        if more:
+            raise InputError("time_stamps", f"{log}: it has gaps; an observer needs one stretch without any")
+        if model is not None and abs(load_state_space(model).model.dt / dt - 1) > 1e-3:
+            raise InputError("mismatch", f"{model}: it is made for another sampling step than {log}, {1e3 * dt:g} ms")
+        step("estimating")
+        given = None if model is None else load_state_space(model).model
+        found = observe_tool(names, np.arange(len(felt)) * dt, computed, felt, model=given, cutoff_hz=cutoff or ())
+    scale = None if found.error is None else found.error.frequency_scale
+    return Outcome(
+        result={"axes": to_plain(found.to_rows()), "filter": found.how, "frequency_scale": scale},
+        warnings=[*read.warnings, *found.warnings],
+        inputs=[
+            (log, read.sha256), *(p for p in (model, columns) if p), *(robot_options.list_files(robot) if robot else []),
+        ],
+        files={out: found.to_csv()} if out else {},
+        named={"tool": out},
+        found=found,
+    )  # fmt: skip
+
+
+def lead_through(
+    log: str | None = None,
+    /,
+    *,
+    stiffness: Annotated[Positive | None, Parameter(metavar="N/m")] = None,
+    force: Annotated[str, Parameter(group=_COLUMNS, metavar="COLUMN")] = "force",
+    position: Annotated[str, Parameter(group=_COLUMNS, metavar="COLUMN")] = "position",
+    columns: ColumnMapFile = None,
+    actuators: Annotated[Path | None, Parameter(group=_LOOP, metavar="ACTUATORS.yaml")] = None,
+    servo: Annotated[Positive | None, Parameter(group=_LOOP, metavar="HZ")] = None,
+    delay: Annotated[Whole | None, Parameter(group=_LOOP, metavar="N")] = None,
+    period: Annotated[Positive, Parameter(group=_LOOP, metavar="S")] = 0.004,
+    gain: Annotated[Positive | None, Parameter(group=_LOOP, metavar="X")] = None,
+    mass: Annotated[Positive, Parameter(group=_HANDLE, metavar="KG")] = 3.0,
+    damping: Annotated[NotNegative, Parameter(group=_HANDLE, metavar="X")] = 40.0,
+    hand: Annotated[Positive, Parameter(group=_HANDLE, metavar="N/m")] = 1000.0,
+    output: Output = Output(),
+) -> Outcome:
+    """What force gain lead-through bears before it oscillates, and settings with half of it.
+
+    Args:
+        log: One slow touch with the tool's force and position; tells the contact's stiffness
+        stiffness: Of the stiffest contact, instead of LOG
+        force: On the tool along the normal [N]
+        position: Of the tool along the normal [m]
+        actuators: From the actuators command; tells servo and delay
+        servo: Bandwidth of the drives (default 69, the thesis')
+        delay: From a force sample to the command that follows it [samples] (default 0)
+        period: Of the controller
+        gain: Check this one [m/s per N]
+        mass: Of the handle
+        damping: Of the handle [N s/m]
+        hand: Stiffness of the stiffest hand
+    """
+    if (log is None) == (stiffness is None):
+        raise InputError("bad_option", "lead-through takes either a LOG of one touch or --stiffness N/m")
+    with show_progress(output.quiet) as step:
+        step("computing")
+        from tau_dyn.control.iterative import read_actuators
+        from tau_dyn.control.lead_through import ForceLoop, advise_lead_through, fit_contact_stiffness
+        from tau_dyn.log import read_log
+        from tau_dyn.results import Z95
+
+        read, stderr, most = None, None, stiffness
+        if log is not None:
+            read = read_log(log, columns)
+            missing = next((name for name in (force, position) if name not in read.channels), None)
+            if missing is not None:
+                raise InputError(
+                    "missing_column", f"{log}: there is no column {missing}; name it with --force or --position"
+                )
+            value, stderr = fit_contact_stiffness(read.channels[position], read.channels[force])
+            most = value + Z95 * stderr
+        if actuators is not None:
+            axes = read_actuators(actuators)
+            servo = min(a.bandwidth_hz for a in axes) if servo is None else servo
+            delay = int(np.ceil(max(a.delay for a in axes) / period - 1e-6)) if delay is None else delay
+        loop = ForceLoop(period, 69.0 if servo is None else servo, delay or 0)
+        assert most is not None  # one of both is given
+        found = advise_lead_through(
+            loop, most, mass=mass, damping=damping, force_gain=gain, hand_stiffness=hand, stderr=stderr
+        )
+    return Outcome(
+        result={"settings": to_plain(found.to_rows()), "contact_stiffness_stderr": stderr},
+        warnings=[*(read.warnings if read else ()), *found.warnings],
+        inputs=[*([(log, read.sha256)] if log and read else []), *(p for p in (actuators, columns) if p)],
+        found=found,
+    )

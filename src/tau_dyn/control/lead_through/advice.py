@@ -1,0 +1,132 @@
+"""Stability limit and settings of lead-through for one contact, servo and hand: what `tau-dyn lead-through` finds.
+
+The contact's stiffness is given, or the slope of force over position in a log of one touch, of which the command takes
+the upper 95 % limit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.control.lead_through.settings import LeadThroughSettings
+from tau_dyn.control.lead_through.stability import ForceLoop, StabilityLimit
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.results import Shown
+
+_SHARE = 0.5  # of the stability limit: less than that is calm, see `LeadThroughSettings.warnings`
+_MIN_CONTACT_SAMPLES = 10  # below, a slope's own scatter is a guess
+_STIFFER = np.geomspace(0.1, 10, 61)  # stiffness over the stated one, for the figure
+
+
+@dataclass(frozen=True, eq=False)
+class LeadThroughAdvice(Shown):
+    """What a force loop bears.
+
+    Attributes:
+        settings: Settings that are stable, with half of the gain that would oscillate.
+        limit: Of the tool's force loop: gain [m/s per N] and frequency of the oscillation.
+        hand_limit: Stiffest hand [N/m] that may hold the handle, and the frequency.
+        stiffness_stderr: Of the contact's stiffness where a log told it [N/m]; None where it was given.
+    """
+
+    settings: LeadThroughSettings
+    limit: StabilityLimit
+    hand_limit: StabilityLimit
+    stiffness_stderr: float | None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is close to its limit."""
+        return self.settings.warnings
+
+    def to_rows(self) -> list[dict[str, Any]]:
+        """Return the settings and limits, one row each with its unit."""
+        s, loop = self.settings, self.settings.loop
+        rows = (
+            ("contact_stiffness", s.contact_stiffness, "N/m"),
+            ("force_gain", float(s.gain[0, 0]), "m/s per N"),
+            ("force_gain_limit", self.limit.gain, "m/s per N"),
+            ("force_gain_limit_hz", self.limit.hz, "Hz"),
+            ("hand_stiffness", s.hand_stiffness, "N/m"),
+            ("hand_stiffness_limit", self.hand_limit.gain, "N/m"),
+            ("hand_stiffness_limit_hz", self.hand_limit.hz, "Hz"),
+            ("mass", float(s.inertia[0, 0]), "kg"),
+            ("damping", float(s.drag[0, 0]), "N s/m"),
+            ("sample_time", loop.sample_time, "s"),
+            ("servo_hz", loop.servo_hz, "Hz"),
+            ("delay", float(loop.delay), "samples"),
+        )
+        return [{"name": name, "value": float(value), "unit": unit} for name, value, unit in rows]
+
+    def limits_over_stiffness(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return stiffnesses (n,) [N/m] and the gains (n,) at which the loop oscillates."""
+        k = self.settings.contact_stiffness * _STIFFER
+        return k, np.array([self.settings.loop.limit(x, self.settings.contact_damping).gain for x in k])
+
+
+def advise_lead_through(
+    loop: ForceLoop,
+    stiffness: float,
+    *,
+    mass: float = 3.0,
+    damping: float = 40.0,
+    force_gain: float | None = None,
+    hand_stiffness: float = 1000.0,
+    stderr: float | None = None,
+) -> LeadThroughAdvice:
+    """Return stable settings and how far they are from oscillating.
+
+    Args:
+        loop: Sampling, servo and delay.
+        stiffness: The stiffest contact to expect [N/m].
+        mass: Of the handle [kg].
+        damping: Of the handle [N s/m].
+        force_gain: Of the tool force [m/s per N]; None for half of the limit.
+        hand_stiffness: The stiffest hand [N/m].
+        stderr: Of the stiffness where a log told it [N/m].
+
+    Raises:
+        InputError: A value that makes no sense, or a loop that would be unstable.
+    """
+    limit = loop.limit(stiffness)
+    gain = _SHARE * limit.gain if force_gain is None else force_gain
+    settings = LeadThroughSettings(stiffness, mass, damping, gain, loop=loop, hand_stiffness=hand_stiffness)
+    return LeadThroughAdvice(settings, limit, loop.hand_limit(mass, damping), stderr)
+
+
+def fit_contact_stiffness(position: np.ndarray, force: np.ndarray, threshold: float = 0.5) -> tuple[float, float]:
+    """Return a contact's stiffness and its standard error [N/m], the slope of force over position while in contact.
+
+    Args:
+        position: Of the tool along the contact's normal (N,) [m].
+        force: On the tool (N,) [N].
+        threshold: Force from which on there is contact [N].
+
+    Raises:
+        InputError: Shapes differ, or a number is not finite.
+        CannotAnswer: Too little contact, or the force does not grow with the way.
+    """
+    if position.shape != force.shape or position.ndim != 1 or not np.isfinite([*position, *force]).all():
+        raise InputError("wrong_shape", "position and force are finite columns of one length")
+    touching = np.abs(force) >= threshold
+    if touching.sum() < _MIN_CONTACT_SAMPLES or np.ptp(position[touching]) <= 0:
+        raise CannotAnswer(
+            "poor_excitation",
+            f"only {int(touching.sum())} samples of the log are in contact above {threshold:g} N",
+            "press the tool on the work slowly, up to the largest force, and release it",
+        )
+    columns = np.column_stack([position[touching], np.ones(touching.sum())])
+    found, *_ = np.linalg.lstsq(columns, force[touching], rcond=None)
+    rest = force[touching] - columns @ found
+    variance = rest @ rest / (len(rest) - 2) * np.linalg.inv(columns.T @ columns)[0, 0]
+    stiffness, stderr = abs(float(found[0])), float(np.sqrt(variance))
+    if not stiffness > 2 * stderr:
+        raise CannotAnswer(
+            "poor_excitation",
+            f"the force does not follow the position: stiffness {stiffness:.3g} N/m, standard error {stderr:.3g} N/m",
+            "check that the two columns belong together, and press harder",
+        )
+    return stiffness, stderr

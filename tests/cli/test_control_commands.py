@@ -1,0 +1,180 @@
+"""Commands `actuators`, `learn`, `observe` and `lead-through`, from a user's CSV to files and pages."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tau_dyn.cli import main
+from tau_dyn.control import read_correction, read_reference, write_reference
+from tau_dyn.control.iterative import read_actuators
+from tau_dyn.control.lead_through import ForceLoop
+from tau_dyn.model import Model
+from tau_dyn.modes import Actuator, ModelFile, StateSpace, save_state_space
+from tau_dyn.robot import load_robot
+from tau_dyn.simulate import move
+
+DT = 0.004
+ROBOT = load_robot("gantry_tau")
+DRIVES = {
+    "cart1": Actuator(1.0, 0.006, 0.0085),
+    "cart2": Actuator(0.99, 0.008, 0.012),
+    "cart3": Actuator(1.0, 0.007, 0.0101),
+}
+"""Drives with delays that differ and are no whole samples."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a log of steps, a reference, and what the carts make of it."""
+    folder, rng = tmp_path_factory.mktemp("control"), np.random.default_rng(0)
+    t = np.arange(1000) * DT
+    steps = {f"q_ref_{j}": 0.01 * (np.sin(2 * np.pi * 0.4 * t + k) > 0) for k, j in enumerate(DRIVES)}
+    table = {"t": t, **steps}
+    for j, drive in DRIVES.items():
+        table[f"q_{j}"] = drive.simulate(steps[f"q_ref_{j}"], DT) + 1e-6 * rng.standard_normal(len(t))
+    pd.DataFrame(table).to_csv(folder / "steps.csv", index=False)
+    motion = move(ROBOT.actuated, ROBOT.home, ROBOT.home + np.array([0.03, -0.02, 0.01]), 1.6, rate_hz=250)
+    write_reference(folder / "ref.csv", Model.of(ROBOT, []), motion)
+    assert main(["actuators", str(folder / "steps.csv"), "--out", str(folder / "a.yaml"), "--quiet"]) == 0
+    return folder
+
+
+def run_trial(folder, name: str, correction=None) -> float:
+    """Write what the carts make of the reference and a correction; return the largest error [m]."""
+    motion = read_reference(folder / "ref.csv", ROBOT.actuated)
+    sent = motion.q if correction is None else motion.q + read_correction(folder / correction, ROBOT.actuated).dq
+    q = np.column_stack([d.simulate(sent[:, k], DT) for k, d in enumerate(DRIVES.values())])
+    pd.DataFrame({"t": motion.t} | {f"q_{j}": q[:, k] for k, j in enumerate(DRIVES)}).to_csv(folder / name, index=False)
+    return float(np.abs(q - motion.q)[60:-60].max())
+
+
+def test_actuators_are_fitted_and_kept(folder, capsys) -> None:
+    """Fractional delays and time constants come back within their intervals; the file and the page hold them."""
+    out, page = folder / "r.json", folder / "a.html"
+    assert main(["actuators", str(folder / "steps.csv"), "--json", str(out), "--report", str(page)]) == 0
+    rows = json.loads(out.read_text())["axes"]
+    for row, true, kept in zip(rows, DRIVES.values(), read_actuators(folder / "a.yaml", ROBOT.actuated), strict=True):
+        for name, stderr, wanted, got in (
+            ("delay_s", "delay_stderr_s", true.delay, kept.delay),
+            ("time_constant_s", "time_constant_stderr_s", true.time_constant, kept.time_constant),
+        ):
+            assert abs(row[name] - wanted) < 4 * row[stderr] + 1e-9 and got == pytest.approx(row[name])
+    assert "q_cart2" in page.read_text() and "bandwidth" in capsys.readouterr().out
+
+
+def test_learning_goes_on_from_file_to_file(folder, capsys) -> None:
+    """Trial, correction, trial: the error falls below a tenth in three steps, with drives of unequal, fractional delays."""
+    first = run_trial(folder, "trial0.csv")
+    for k in range(3):
+        before = ["--correction", str(folder / f"c{k}.csv")] if k else []
+        command = [
+            "learn",
+            str(folder / "ref.csv"),
+            str(folder / f"trial{k}.csv"),
+            "--actuators",
+            str(folder / "a.yaml"),
+        ]
+        more = ["--json", str(folder / "l.json"), "--report", str(folder / "l.html")]
+        assert main([*command, *before, "--out", str(folder / f"c{k + 1}.csv"), *more]) == 0
+        last = run_trial(folder, f"trial{k + 1}.csv", f"c{k + 1}.csv")
+    found = json.loads((folder / "l.json").read_text())
+    assert found["convergence"]["monotone"] and found["convergence"]["largest_singular_value"] < 1
+    assert last < 0.1 * first and "convergence" in (folder / "l.html").read_text()
+    assert main(["export", "gantry_tau", "--to", "reference", "--motion", str(folder / "ref.csv"), "--correction",
+                 str(folder / "c3.csv"), "--out", str(folder / "sent.csv")]) == 0  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--gain", "2.5", "--cutoff", "30"], "learning would not converge"),
+        (["--shift", "0", "--cutoff", "40"], "grows"),
+        (["--largest-correction", "1e-6"], "more than the 1e-06 allowed"),
+    ],
+)
+def test_learning_that_would_do_harm_is_refused(folder, more, said, capsys) -> None:
+    """Status 2, the frequency or the size, and no file."""
+    run_trial(folder, "t.csv")
+    command = ["learn", str(folder / "ref.csv"), str(folder / "t.csv"), "--actuators", str(folder / "a.yaml")]
+    assert main([*command, "--out", str(folder / "no.csv"), *more]) == 2
+    assert said in capsys.readouterr().err and not (folder / "no.csv").exists()
+
+
+def write_tool_log(path, scale: float = 1.0, seed: int = 0) -> np.ndarray:
+    """Write a cart's motion and a tool on a spring of 8 Hz behind it; return the tool's true positions (N,) [m]."""
+    rng, w = np.random.default_rng(seed), 2 * np.pi * 8.0
+    n, t = 1200, np.arange(1202) * DT
+    u = 0.02 * (1 - np.cos(2 * np.pi * np.clip((t - 1) / 0.6, 0, 1))) / 2
+    z, x = np.empty(n + 2), np.zeros(2)
+    A, B = spring(w)
+    for k in range(n + 2):
+        z[k] = x[0]
+        x = A @ x + B * u[k]
+    a = np.r_[0.0, np.diff(z, 2)[: n - 1]] / DT**2
+    table = {"t": t[:n], "x_cart": u[:n], "ax_tool": a + 0.02 * rng.standard_normal(n) + 0.1}
+    pd.DataFrame(table).to_csv(path, index=False)
+    A, B = spring(scale * w)
+    model = StateSpace(A, B[:, None], np.array([[1.0, 0.0]]), np.zeros((1, 1)), np.zeros((2, 1)), DT)
+    save_state_space(path.with_suffix(".yaml"), ModelFile(model, ("x_cart",), ("x_tool",), {}))
+    return z[:n]
+
+
+def spring(w: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return A (2, 2) and B (2,) of a mass on a spring of a frequency [rad/s] behind a cart, damped by 3 %."""
+    from scipy.linalg import expm
+
+    c = np.array([[0, 1, 0], [-(w**2), -0.06 * w, w**2], [0, 0, 0]])
+    whole = expm(c * DT)
+    return whole[:2, :2], whole[:2, 2]
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.1])
+def test_the_tool_is_observed_with_honest_intervals(tmp_path, scale, capsys) -> None:
+    """90 to 98 % of the tool's positions lie within, also with a biased sensor and a model 10 % off, which is said."""
+    z = write_tool_log(tmp_path / "log.csv", scale)
+    command = ["observe", str(tmp_path / "log.csv"), "--kinematic", "x_cart", "--acceleration", "ax_tool"]
+    files = [
+        "--out",
+        str(tmp_path / "tool.csv"),
+        "--json",
+        str(tmp_path / "r.json"),
+        "--report",
+        str(tmp_path / "r.html"),
+    ]
+    assert main([*command, "--model", str(tmp_path / "log.yaml"), *files]) == 0
+    found = pd.read_csv(tmp_path / "tool.csv")
+    inside = np.mean((found["x_cart_low"] <= z) & (z <= found["x_cart_high"]))
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert inside >= 0.9
+    assert (
+        abs(result["frequency_scale"] * scale - 1) < 0.02 and abs(result["axes"][0]["accelerometer_bias"] - 0.1) < 0.01
+    )
+    assert ("frequencies are" in capsys.readouterr().err) == (scale != 1.0)
+
+
+def test_the_tool_is_observed_without_a_model(tmp_path, capsys) -> None:
+    """A complementary filter takes cutoffs alone; both, or neither, are refused."""
+    write_tool_log(tmp_path / "log.csv")
+    command = ["observe", str(tmp_path / "log.csv"), "--kinematic", "x_cart", "--acceleration", "ax_tool"]
+    assert main([*command, "--cutoff", "3"]) == 0 and "complementary filter" in capsys.readouterr().out
+    assert main(command) == 2 and "--model MODEL.yaml or --cutoff HZ" in capsys.readouterr().err
+
+
+def test_lead_through_knows_its_limit(folder, tmp_path, capsys) -> None:
+    """From a touch in a log: stiffness, the gain that oscillates, and half of it as the setting; a gain beyond is refused."""
+    x = np.r_[np.zeros(100), np.linspace(0, 2e-4, 200)]
+    force = 50e3 * x + 0.05 * np.random.default_rng(0).standard_normal(300)
+    pd.DataFrame({"t": np.arange(300) * DT, "position": x, "force": force}).to_csv(tmp_path / "touch.csv", index=False)
+    out = tmp_path / "r.json"
+    command = ["lead-through", str(tmp_path / "touch.csv")]
+    assert main([*command, "--json", str(out), "--report", str(tmp_path / "r.html")]) == 0
+    found = {row["name"]: row["value"] for row in json.loads(out.read_text())["settings"]}
+    assert found["contact_stiffness"] == pytest.approx(50e3, rel=0.02)
+    assert found["force_gain_limit"] == pytest.approx(ForceLoop().limit(found["contact_stiffness"]).gain)
+    assert found["force_gain"] == pytest.approx(found["force_gain_limit"] / 2)
+    assert main([*command, "--actuators", str(folder / "a.yaml"), "--gain", "1"]) == 2
+    assert "oscillates" in capsys.readouterr().err

@@ -1,0 +1,56 @@
+"""What one command writes the next accepts: plan -> reference -> RAPID -> C -> replay, with default options."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tau_dyn.cli import main
+from tau_dyn.control import read_reference
+from tau_dyn.robot import list_robot_names, list_stock_robots, load_robot
+
+pytest.importorskip("casadi")
+MOVES = {
+    "gantry_tau": ([], ["--from", "1.3", "-0.75", "0.65", "--to", "2.2", "-0.45", "0.85"]),
+    "ur5": (
+        [],
+        ["--from-joints", "0", "-1", "1", "0", "0.5", "0", "--to-joints", "0.8", "-0.7", "1.3", "0.4", "0.6", "1"],
+    ),
+    "delta": (["--set", "arms=simplified"], ["--from", "0", "0", "-0.79", "--to", "0.1", "0.05", "-0.74"]),
+}
+
+
+@pytest.mark.parametrize("name", MOVES)
+def test_each_command_takes_what_the_last_one_wrote(name, tmp_path, monkeypatch) -> None:
+    """A shortest motion, its reference every 4 ms, RAPID, C kinematics and feedforward, and a log that follows it."""
+    if name not in (*list_robot_names(), *list_stock_robots()):
+        pytest.skip("example-robot-data is not installed")
+    monkeypatch.chdir(tmp_path)
+    options, ends = MOVES[name]
+    steps = [
+        ["plan-motion", name, *options, *ends, "--out", "plan.csv", "--json", "plan.json"],
+        ["export", name, *options, "--to", "reference", "--motion", "plan.csv", "--out", "ref.csv"],
+        ["export", name, *options, "--to", "rapid", "--motion", "ref.csv", "--out", "move.mod"],
+        ["export", name, *options, "--to", "c", "--out", "kin.c"],
+        ["feedforward", "export", name, *options, "--to", "c", "--out", "ff.c"],
+        ["simulate", name, *options, "--motion", "ref.csv", "--out", "log.csv"],
+    ]
+    for step in steps:
+        assert main([*step, "--quiet"]) == 0, step
+    robot = load_robot(name, **{"arms": "simplified"} if options else {})
+    reference, log = read_reference("ref.csv", robot.actuated), pd.read_csv("log.csv")
+    assert reference.duration == pytest.approx(
+        json.loads((tmp_path / "plan.json").read_text())["duration_s"], abs=0.006
+    )
+    q = log[[f"q_{j}" for j in robot.actuated]].to_numpy()
+    asked = np.column_stack([np.interp(log["t"], reference.t, x) for x in reference.q.T])
+    # the shortest time leaves a drive at its limit nothing for the feedback
+    assert np.abs(q - asked).max() < 0.1 * np.ptp(reference.q, axis=0).max()
+    if shutil.which("cc"):
+        for source in ("kin.c", "ff.c"):
+            subprocess.run(["cc", "-std=c99", "-Wall", "-Werror", "-c", source, "-o", "x.o"], check=True)
