@@ -66,8 +66,8 @@ class Feedback:
         why: The reason, as a sentence.
         input: The input concerned; empty where none is.
         possible: Whether feedback cannot be excluded, so that standard errors have to allow for it.
-        detectable_loop_gain: Loop gain of a constant controller that would be claimed in every second record like this one; nan
-            where that was not worked out.
+        detectable_loop_gain: Loop gain of a constant controller below which a loop may stay unseen in this record; nan where
+            that was not worked out.
     """
 
     suspected: bool
@@ -77,11 +77,6 @@ class Feedback:
     input: str = ""
     possible: bool = False
     detectable_loop_gain: float = float("nan")
-
-    def to_dict(self) -> dict:
-        """Return it for the JSON result."""
-        names = ("suspected", "possible", "p_value", "share", "detectable_loop_gain", "why")
-        return {name: getattr(self, name) for name in names}
 
 
 def detect_feedback(records: Sequence[Record]) -> Feedback:
@@ -208,8 +203,9 @@ class Acausality:
         share: Correlation power at acausal lags beyond chance, over that at all lags up to the same distance.
         input: The number of the input concerned.
         output: The number of the output concerned.
-        detectable_gain: Detection limit: the largest loop gain over the excited band that a controller of constant gain needs
-            to be claimed in every second record like this one, at the pair of the largest; nan where no model is given.
+        detectable_gain: Detection limit: the loop gain, at its largest over the excited band, from which on a controller of
+            constant gain shows in weak loops, at the pair where that is hardest; nan where no model is given. Loops at the
+            limit are claimed in about every fourth record, at twice the limit in nearly all.
     """
 
     p_value: float
