@@ -8,8 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter, sosfilt
+from scipy.stats import binom
 
-from tau_dyn.modes import Mode, Modes, find_modes
+from tau_dyn.modes import Mode, Modes, StateSpace, find_modes
 from tau_dyn.modes.feedback_tests import detect_feedback, find_acausality
 from tau_dyn.modes.methods import build_initial_estimator
 from tau_dyn.modes.modal import widen_modes
@@ -76,6 +78,33 @@ def test_an_input_that_follows_the_disturbance_is_seen():
     after, before = (r + 0.3 * np.roll(v, shift) for shift in (40, -40))
     assert find_acausality([v[:, None]], [after[:, None]]).p_value < 1e-3
     assert find_acausality([v[:, None]], [before[:, None]]).p_value > 1e-3
+
+
+def _resonant_pair(seed: int, n: int = 1500) -> tuple[np.ndarray, np.ndarray]:
+    """Return a residual that rings for 200 samples, and a force below half the Nyquist frequency that knows nothing of it."""
+    rng = np.random.default_rng(seed)
+    pole = 0.995 * np.exp(0.6j)
+    e = lfilter([1], np.poly([pole, pole.conj()]).real, rng.normal(size=n + 1000))[1000:]
+    return e[:, None], sosfilt(butter(4, 0.5, output="sos"), rng.normal(size=n))[:, None]
+
+
+def test_the_acausality_test_keeps_its_level():
+    """Few independent samples, as ringing leaves them, do not make chance look like a loop: 5 % below 0.05, 1 % below 0.01."""
+    p = np.array([find_acausality([e], [u]).p_value for e, u in map(_resonant_pair, range(400))])
+    assert np.sum(p < 0.05) <= binom.ppf(0.999, 400, 0.05) and np.sum(p < 0.01) <= binom.ppf(0.999, 400, 0.01)
+    assert np.sum(p < 0.2) >= binom.ppf(0.001, 400, 0.1)
+
+
+def test_the_detection_limit_is_where_loops_are_seen():
+    """A loop is rarely seen at a third of the stated gain, and nearly always at three times."""
+    plant = StateSpace(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 1.0)
+    limit = find_acausality(*([x] for x in _resonant_pair(0)), plant).detectable_gain
+
+    def claimed(gain: float) -> int:
+        pairs = (_resonant_pair(seed) for seed in range(40))
+        return sum(find_acausality([e], [u - gain * e]).p_value < 1e-3 for e, u in pairs)
+
+    assert claimed(limit / 3) <= 4 and claimed(3 * limit) >= 36
 
 
 def test_many_modes_get_many_states():

@@ -179,10 +179,8 @@ def compute_cross_product(a: Vector, b: Vector) -> Vector:
     if a is None or b is None:
         return None
     shape = a.shape if a.shape == b.shape else np.broadcast_shapes(a.shape, b.shape)
-    if a.dtype == object or b.dtype == object:
-        out = np.empty_like(a if a.dtype == object else b, shape=shape, order="C")
-    else:
-        out = np.empty(shape, b.dtype)
+    symbols = a if a.dtype == object else b if b.dtype == object else None
+    out = np.empty(shape, b.dtype) if symbols is None else np.empty_like(symbols, shape=shape, order="C")
     for k, row in enumerate(out if out.ndim > 1 else (out[k, ...] for k in range(3))):
         np.multiply(a[_AHEAD[k]], b[_BEHIND[k]], out=row)
         row -= a[_BEHIND[k]] * b[_AHEAD[k]]
@@ -377,15 +375,13 @@ def compute_velocities(
 
 def compute_accelerations(joints: Sequence[ChainJoint], carried: Carried, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return the points' accelerations (n, 3, N) at `q` and velocities `v` (na, N) without actuated acceleration."""
-    gains = [float(np.linalg.norm(joint.direction)) for joint in joints]
     x, rates = np.zeros_like(v), np.zeros_like(v)
     tree: list[Joint] = []
-    for k, (joint, gain) in enumerate(zip(joints, gains, strict=True)):
-        axis = joint.rotation.T @ joint.direction / gain
-        tree.append(
-            Joint(k + 1, joint.parent + 1, joint.rotation, joint.origin, axis, None, joint.slides, joint.actuator)
-        )
-        x[joint.actuator], rates[joint.actuator] = gain * q[joint.actuator], gain * v[joint.actuator]
+    for k, (_, parent, n, slides, origin, direction, rotation) in enumerate(joints):
+        gain = float(np.linalg.norm(direction))
+        axis = rotation.T @ direction / gain
+        tree.append(Joint(k + 1, parent + 1, rotation, origin, axis, None, slides, n))
+        x[n], rates[n] = gain * q[n], gain * v[n]
     at = compute_frames(tree, x)
     moving = compute_motion(tree, at, rates, None, np.zeros(3))
     out = np.zeros((len(carried.carrier), 3, q.shape[1]))
@@ -399,5 +395,6 @@ def compute_point_acceleration(at: Frames, moving: FrameMotion, joint: int, plac
     """Return the acceleration (3, N) of a point (3, N) that a joint carries."""
     arm, w = place - at.origin[joint], moving.turning[joint]
     swung = compute_cross_product(w, compute_cross_product(w, arm))
-    turned = add_vectors(compute_cross_product(moving.spinning_up[joint], arm), swung)
-    return add_vectors(moving.acceleration[joint], turned)
+    return add_vectors(
+        moving.acceleration[joint], add_vectors(compute_cross_product(moving.spinning_up[joint], arm), swung)
+    )

@@ -16,11 +16,10 @@ import numpy as np
 
 from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.mechanism import frames, rod_dimensions
-from tau_dyn.mechanism.cell_starts import CellStarts
 from tau_dyn.mechanism.legs import Legs
 from tau_dyn.mechanism.poses import BRANCH_CHANGE, NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR, Poses
 from tau_dyn.mechanism.rod_dimensions import Plate, SixRods, build_dense, compute_equation_rows, compute_residual
-from tau_dyn.mechanism.small_systems import solve_with_lapack
+from tau_dyn.mechanism.small_systems import CellStarts, solve_with_lapack
 
 BLOCK = 8192  # samples at a time; arrays stay in the processor's cache
 _CELL = 0.03  # of the mean rod's length for slides; half as much again in rad for turns

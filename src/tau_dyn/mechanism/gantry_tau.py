@@ -76,8 +76,9 @@ def compute_tool_acceleration(at: Pose, direction: np.ndarray, v: np.ndarray, a:
 
 def compute_weighted_sum(constant: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return the scalar products (N,) of a constant (3,) and vectors (3, N), without multiplying by zeros."""
-    terms = [row if c == 1.0 else c * row for c, row in zip(constant, x, strict=True) if c != 0.0]
-    return sum(terms[1:], start=terms[0]) if terms else np.zeros_like(x[0])
+    terms: list[np.ndarray] = [row if c == 1.0 else c * row for c, row in zip(constant, x, strict=True) if c != 0.0]
+    out: np.ndarray = sum(terms[1:], start=terms[0]) if terms else np.zeros_like(x[0])
+    return out
 
 
 _FEW = 4  # samples up to which floats one by one are faster than arrays

@@ -13,7 +13,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.mechanism.cell_starts import CellStarts
 from tau_dyn.mechanism.frames import (
     FrameMotion,
     Frames,
@@ -26,7 +25,7 @@ from tau_dyn.mechanism.frames import (
     yield_columns,
 )
 from tau_dyn.mechanism.loops import LoopSolver
-from tau_dyn.mechanism.small_systems import ILL, Elimination, Entries, invert_matrices
+from tau_dyn.mechanism.small_systems import ILL, CellStarts, Elimination, Entries, invert_matrices
 
 _CELL = 0.05  # [m or rad] as far as one-by-one closures step
 _DONE = 1e-6  # [m or rad] Newton's last step may be this large; what is left after it is of the order of its square

@@ -294,7 +294,7 @@ def _describe_limit(gain: float) -> str:
         return ""
     if gain > MAX_LOOP_GAIN:
         return "; a loop of any usual gain could stay unseen in this record"
-    return f"; a loop gain of {gain:.2g} would be seen in every second record like this one"
+    return f"; a loop gain below {gain:.2g} may stay unseen"
 
 
 def choose_error_kind(

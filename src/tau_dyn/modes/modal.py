@@ -251,10 +251,6 @@ class StabilityPoint:
     damping_stderr: float
     kind: str
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return it for the JSON result."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
-
 
 def build_stabilisation_diagram(modes: Mapping[int, Sequence[Mode]]) -> tuple[StabilityPoint, ...]:
     """Return the diagram.

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgWarning, qr
 
-from tau_dyn.estimate import DescentRules, descend
+from tau_dyn.estimate import Descent, DescentRules, descend
 from tau_dyn.modes.fit_point import FitPoint, NormalEquations, assemble_normal_equations, evaluate
 from tau_dyn.modes.modal_form import ModalForm, build_layout, build_modal_form_with_coordinates, free_numbers
 from tau_dyn.modes.record import Record
@@ -36,29 +36,14 @@ MIN_RELATIVE_CURVATURE = 1e-15  # of the largest curvature: directions below it 
 _ROUNDING = 1e-14  # of a Gramian's largest eigenvalue
 
 
-@dataclass(frozen=True, eq=False)
-class DescentResult:
-    """Where the descent ended.
-
-    Attributes:
-        point: The best point.
-        rounds: Accepted steps, without the last small one.
-        converged: Whether the steps had become small, or no step led further down.
-    """
-
-    point: FitPoint
-    rounds: int
-    converged: bool
-
-
 def minimise(
     point: FitPoint,
     records: Sequence[Record],
     direct: np.ndarray,
     maximum_rounds: int,
     allowed: Callable[[ModalForm], bool] = lambda form: True,
-) -> DescentResult:
-    """Walk down from a point.
+) -> Descent[FitPoint]:
+    """Walk down from a point; steps are counted without a last small one.
 
     Args:
         point: Where to start.
@@ -71,7 +56,7 @@ def minimise(
     start = _Visit(model, evaluate(*split_initial_states(model, direct.shape[1]), records))
     end = descend(_Descending(records, direct, allowed), start, replace(RULES, max_steps=maximum_rounds))
     assert end.state.point is not None
-    return DescentResult(end.state.point, end.steps - (end.reason == "small_step"), end.converged)
+    return Descent(end.state.point, end.steps - (end.reason == "small_step"), end.trials, end.reason)
 
 
 @dataclass(frozen=True, eq=False)

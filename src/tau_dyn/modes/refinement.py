@@ -291,7 +291,7 @@ def refine(
     problem = _output_errors if kind == SIMULATED else _prediction_errors
     point, wide, free, as_model, allowed = problem(start, ready, direct)
     path = minimise(point, wide, free, maximum_rounds, allowed)
-    point = normalise_shapes(path.point)
+    point = normalise_shapes(path.state)
     numbers = free_numbers(point.form, free)
     if covariance:
         found, errors = estimate_error_covariance(point, wide, numbers)
@@ -315,7 +315,7 @@ def refine(
         point.loss + 2 * float(np.log(scales.y).sum()),
         tuple(part * scales.y for part in errors),
         point.n_samples,
-        path.rounds,
+        path.steps,
         path.converged,
         kind,
         ResponseEstimate(replace(point.form, delay=model.delay), estimated, scales, kind == "prediction_error"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from tau_dyn.modes.order import OrderChoice
 from tau_dyn.modes.residuals import CorrelationTest, FitQuality
 from tau_dyn.modes.responses import EmpiricalResponse, ImpulseResponses, Response
 from tau_dyn.modes.state_space import ModelFile, StateSpace
-from tau_dyn.results import Shown
+from tau_dyn.results import Shown, to_plain
 from tau_dyn.version import __version__
 
 NOT_IDENTIFIED: dict[str, Any] = {"status": "not_identifiable", **dict.fromkeys(("M", "D", "K", "stderr", "valid_hz"))}
@@ -60,10 +60,6 @@ class Nonlinearity:
     share: float
     output: str
     power: int
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it for the JSON result."""
-        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,12 +171,12 @@ class Modes(Shown):
                 "whiteness": [t.to_dict() for t in self.whiteness],
                 "input_correlation": [t.to_dict() for t in self.independence],
             },
-            "nonlinearity": None if self.nonlinearity is None else self.nonlinearity.to_dict(),
+            "nonlinearity": to_plain(self.nonlinearity),
             "mdk": NOT_IDENTIFIED | mdk,
-            "feedback": self.feedback.to_dict(),
+            "feedback": to_plain(self.feedback, leave_out=("input",)),
             "delay_scan": self.delay_choice.to_dict(),
             "order_scan": self.order_choice.to_dict(),
-            "stabilisation": [p.to_dict() for p in self.stabilisation],
+            "stabilisation": to_plain(self.stabilisation),
             "why": dict(self.why),
             "model": self.model_dict(),
         }
@@ -258,6 +254,6 @@ class OperationalModes(Shown):
             "fit_percent": {"train": None, "holdout": None},
             "residual_tests": None,
             "mdk": NOT_IDENTIFIED | {"why": REASON_WITHOUT_SCALE},
-            "stabilisation": [p.to_dict() for p in self.stabilisation],
+            "stabilisation": to_plain(self.stabilisation),
             "n_samples": self.n_samples,
         }
