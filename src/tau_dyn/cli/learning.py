@@ -15,7 +15,6 @@ from tau_dyn.cli.arguments import (
     Strings,
     Whole,
     build_destination,
-    describe_destination,
 )
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
@@ -32,9 +31,7 @@ def actuators(
     inputs: Annotated[Strings, Parameter(group=_COLUMNS, metavar="COLUMN")] = (),
     outputs: Annotated[Strings, Parameter(group=_COLUMNS, metavar="COLUMN")] = (),
     columns: ColumnMapFile = None,
-    out: Annotated[
-        Path | None, build_destination("ACTUATORS.yaml"), describe_destination("Write the actuators here, for learn")
-    ] = None,
+    out: Annotated[Path | None, build_destination("ACTUATORS.yaml", "Write the actuators here, for learn")] = None,
     output: Output = Output(),
 ) -> Outcome:
     """Gain, time constant and delay of each controlled actuator, with uncertainty, from steps or multisines.
@@ -76,9 +73,7 @@ def learn(
     lead: Annotated[NotNegative | None, Parameter(group=_LAW, metavar="S")] = None,
     not_monotone: Annotated[bool, Parameter(group=_LAW)] = False,
     largest_correction: Annotated[Positive | None, Parameter(group=_LAW, metavar="X")] = None,
-    out: Annotated[
-        Path, build_destination("CORRECTION.csv", csv=True), describe_destination("Write the next correction here")
-    ],
+    out: Annotated[Path, build_destination("CORRECTION.csv", "Write the next correction here", csv=True)],
     output: Output = Output(),
 ) -> Outcome:
     """The next correction of a repeated motion from one trial; refused before anything moves if learning would not converge.

@@ -18,7 +18,6 @@ from tau_dyn.cli.arguments import (
     Strings,
     Whole,
     build_destination,
-    describe_destination,
 )
 from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
@@ -43,8 +42,7 @@ def observe(
     columns: ColumnMapFile = None,
     out: Annotated[
         Path | None,
-        build_destination("TOOL.csv", csv=True),
-        describe_destination("Write t, positions and their 95 % intervals here"),
+        build_destination("TOOL.csv", "Write t, positions and their 95 % intervals here", csv=True),
     ] = None,
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
