@@ -36,9 +36,7 @@ State = TypeVar("State")
 
 MAX_NOISE_ROUNDS = 15  # bounds the time of a fit whose noise does not settle
 MAX_NOISE_CHANGE = 1e-2  # of the noise in the last round: a hundredth of the standard errors
-DIFFERENCED_RANK_TOLERANCE = (
-    1e-8  # of the largest singular value, where derivatives are differences, which are good to 1e-10
-)
+DIFFERENCED_RANK_TOLERANCE = 1e-8  # of the largest singular value, for differenced derivatives, which are good to 1e-10
 
 
 class LinearisedProblem(Protocol):

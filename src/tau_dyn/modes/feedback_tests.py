@@ -187,7 +187,7 @@ KERNEL_LEVELS = (1e-3, 0.03)
 the noise, and one that is not seen."""
 SPANS = (10, 30, 100)
 """Acausal lags that are added up, in samples: controllers answer at once, structures ring on. Longer spans
-add chance only: with 300 lags, half the loops of gain 3 that are seen in 6 s are lost."""
+add chance only: of 20 loops of gain 3 in 6 s, sums of 30 lags show 16 to 19 at 0.001, sums of 300 lags 1 to 5."""
 MIN_ACAUSALITY_SAMPLES, MAX_ACAUSALITY_SAMPLES = 400, 60_000  # samples needed, and looked at
 ACAUSALITY_SIGNIFICANCE_LEVEL = 1e-3
 """p-value below which a loop was closed: at most one false alarm in a thousand open-loop tests."""
