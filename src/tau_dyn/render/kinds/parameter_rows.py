@@ -75,7 +75,7 @@ def build_parameter_table(
 ) -> list[r.Element]:
     """Return the table and how to read it.
 
-    A terminal shows only what the data tell alone: of the others no value is an estimate.
+    A terminal shows only what the data tell alone: of the others no value is an estimate, and a page lists them by link.
 
     Args:
         rows: Its lines.
@@ -85,6 +85,7 @@ def build_parameter_table(
         on: Where the table stands.
     """
     page, both = r.On.PAGE, r.On.DRAWN
+    rows = rows if truth else _fold_unseen(rows)
     nominal = both if truth or not any(entry.nominal for entry in rows) else r.On.ALL
     columns = [
         r.Column("parameter", on=both),
@@ -105,6 +106,31 @@ def build_parameter_table(
         "of the nominal value. An arrow leaves the scale. Grey rows are poorly determined or not identifiable."
     )
     return [r.ResultTable(columns, groups=groups, style="parameters", on=on), r.explain(reading)]
+
+
+def _fold_unseen(rows: Sequence[ParameterRow]) -> list[ParameterRow]:
+    """Return the lines with three or more of one link that the data do not tell alone, for the same reason, in one line."""
+    reasons: dict[tuple[str, str], list[ParameterRow]] = {}
+    for row in rows:
+        if row.state == "unseen":
+            reasons.setdefault(_find_reason(row), []).append(row)
+    folded: list[ParameterRow] = []
+    for row in rows:
+        alike = reasons.get(_find_reason(row), []) if row.state == "unseen" else []
+        if len(alike) < 3:
+            folded.append(row)
+        elif row is alike[0]:
+            owner, reason = _find_reason(row)
+            parts = ", ".join(one.name.rsplit(".", 1)[1] for one in alike)
+            folded.append(
+                replace(row, name=f"{owner}: {parts}", nominal="", estimate="", unit="", before="", note=reason)
+            )
+    return folded
+
+
+def _find_reason(row: ParameterRow) -> tuple[str, str]:
+    """Return a parameter's link or joint, and why the data do not tell it, without the names of its companions."""
+    return row.name.rsplit(".", 1)[0], row.note.split(" with ")[0]
 
 
 def _build_row(entry: ParameterRow, truth: bool, before: bool) -> r.Row:
@@ -247,5 +273,5 @@ def _raw(p: Parameter, nominal: Parameters) -> dict[str, Any]:
 
 def _note_extended(entry: dict[str, Any], before: Parameters) -> str:
     if entry["stderr"] is None:
-        return "identifiable only in combination; the value is one of many with the same forces"
+        return "identifiable only in combination"
     return explain_unreliable(entry) or ("new" if entry["name"] not in before else compare_with_nominal(entry))
