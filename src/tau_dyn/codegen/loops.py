@@ -18,6 +18,7 @@ from scipy.linalg import qr
 
 from tau_dyn.codegen.tracing import TracedFunction, compute_cross_product, trace_function
 from tau_dyn.codegen.tree import LinkMotion, Tree, remove_rounding
+from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import LoopSolver
 from tau_dyn.robot import Robot
 
@@ -166,6 +167,12 @@ class TreeExpressions:
         self.passive = [] if self.loops is None else self.loops.passive
         assert robot.tool_frame is not None
         self._frame: pin.Frame = robot.model.frames[robot.tool_frame]
+        carriers = [robot.model.names[k] for k in robot.model.supports[self._frame.parentJoint].tolist()]
+        if following := [joint for joint in robot.mimics if joint in carriers]:
+            raise InputError(
+                "unsupported",
+                f"{robot.source}: {', '.join(following)} follows another joint and carries the tool",
+            )
 
     def place(self, q: Any, z: Any) -> list[Any]:
         """Return one position a joint of the tree."""

@@ -77,12 +77,12 @@ class Tree:
             value: Gives a parameter's value by its name; by default the robot's number.
 
         Raises:
-            InputError: A joint neither turns about nor slides along one axis, or follows another.
+            InputError: A joint neither turns about nor slides along one axis, or follows another beside loops.
         """
-        if robot.mimics:
+        if robot.mimics and robot.loops:
             listed = ", ".join(robot.mimics)
             raise InputError(
-                "unsupported", f"{robot.source}: {listed} follow other joints; code is written of joints that do not"
+                "unsupported", f"{robot.source}: {listed} follow other joints; with loops no code is written then"
             )
         model, data = robot.model, robot.model.createData()
         pin.computeJointJacobians(model, data, pin.neutral(model))

@@ -88,7 +88,8 @@ def _bodies(world: Element, model: Model, joints: list[Joint], raised: list[str]
             carried = build_body(inertias[joint.index], model)
             said, sentence = _inertia(carried.inertia, inertias[joint.index].link)
             raised += [sentence] if sentence else []
-            SubElement(body, "inertial", pos=_numbers(carried.centre), mass=_numbers([carried.mass]), **said)
+            said |= {"pos": _numbers(carried.centre), "mass": _numbers([carried.mass])}
+            SubElement(body, "inertial", said)
         else:
             least = _MIN_INERTIA["inertia"]
             SubElement(body, "inertial", pos="0 0 0", mass=_MIN_INERTIA["mass"], diaginertia=f"{least} {least} {least}")
