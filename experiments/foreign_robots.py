@@ -279,7 +279,7 @@ def main() -> None:
         try:
             row, outcome = study(case)
         except TauDynError as fault:
-            row, outcome = str(fault), "stopped"
+            row, outcome = str(fault), "refused"
         outcomes.append(outcome)
         short = "/".join(Path(case.name).parts[-2:])
         print(f"{short:45.45s} {outcome:8s} {time.perf_counter() - start:5.1f} s  {row}", flush=True)

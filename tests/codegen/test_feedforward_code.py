@@ -52,6 +52,10 @@ def built(name: str, write) -> Model:
     if name == "serial":
         model = made(load_robot_from_urdf(serial_text(write), "serial"))
         return model.with_values({"c.armature": 0.4})
+    if name == "coupled":  # a drive with a follower behind a joint that stands still
+        follows = '<joint name="d" type="revolute"><mimic joint="a" multiplier="-0.5" offset="0.2"/>'
+        text = serial_text(write).replace('<joint name="d" type="revolute">', follows)
+        return made(load_robot_from_urdf(text, "coupled", actuated=["a", "c"]))
     if name == "four_bar":
         return made(load_robot_from_urdf(write.four_bar(), "four_bar"))
     if name == "complete":
@@ -103,7 +107,7 @@ def imported(text: str, folder: Path):
 
 @needs_compiler
 @pytest.mark.parametrize("shape", ["ramp", "tanh"])
-@pytest.mark.parametrize("name", ["linear_axis", "gantry_tau", "serial", "four_bar", "complete"])
+@pytest.mark.parametrize("name", ["linear_axis", "gantry_tau", "serial", "coupled", "four_bar", "complete"])
 def test_c_and_python_files_are_the_feedforward(name: str, shape: str, write, tmp_path, rng) -> None:
     """Closed form, trees and loops with friction of every kind: random states agree to 1e-10 of the largest force."""
     if name == "complete" and shape == "tanh":

@@ -70,12 +70,27 @@ class TreeForm(Mechanism):
         return arrays
 
     def place(self, q: Any) -> list[Any]:
-        """Return one number a joint of the tree, of one a drive (na,)."""
-        return [q[self.order.index(k)] for k in range(len(self.order))]
+        """Return one position a joint of the tree, of one a drive (na,)."""
+        offset = self.robot.coupling[1]
+        return [x + float(c) if c else x for x, c in zip(self._spread(q), offset, strict=True)]
+
+    def _spread(self, v: Any) -> list[Any]:
+        """Return one speed or acceleration a joint, of one a drive (na,): what follows moves by its share, the rest rests."""
+        out = []
+        for row in self.robot.coupling[0]:
+            driving = np.flatnonzero(row)
+            k = int(driving[0]) if driving.size else -1
+            out.append(0.0 if k < 0 else v[k] if row[k] == 1.0 else v[k] * float(row[k]))
+        return out
 
     def _forces(self, q: Any, v: Any, a: Any) -> tuple[list[Any], list[np.ndarray]]:
-        tau, beyond = self.tree.forces(*(self.place(x[0]) for x in (q, v, a)))
-        return [tau[k] for k in self.order], [beyond[k] for k in self.order]
+        tau, beyond = self.tree.forces(self.place(q[0]), self._spread(v[0]), self._spread(a[0]))
+        felt = [tau[k] for k in self.order]
+        for joint, mimic in self.robot.mimics.items():
+            if mimic.joint in self.robot.actuated:
+                own = self.robot.actuated.index(mimic.joint)
+                felt[own] = felt[own] + tau[self.tree.index(joint)] * mimic.multiplier
+        return felt, [beyond[k] for k in self.order]
 
     def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the forces (1, na) of one sample, drive inertia included."""

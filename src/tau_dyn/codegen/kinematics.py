@@ -143,6 +143,11 @@ def _trace_rods(rods: Rods) -> KinematicsProgram:
 
 def _trace_tree(robot: Robot) -> KinematicsProgram:
     engine: Any = get_solver(robot)
+    carriers = {robot.model.names[joint.index] for joint in engine.carriers}
+    if following := [joint for joint in robot.mimics if joint in carriers]:
+        raise InputError(
+            "unsupported", f"{robot.source}: {', '.join(following)} follows another joint and carries the tool"
+        )
     loops = Loops(robot) if robot.loops else None
     order = robot.active_v.tolist() + ([] if loops is None else loops.passive)
     z = np.zeros(0) if loops is None else loops.home[loops.passive]

@@ -52,13 +52,13 @@ class Tree:
             value: Gives a parameter's value by its name; by default the robot's number.
 
         Raises:
-            InputError: A joint neither turns about nor slides along one axis, or follows another, or a drive has a scale.
+            InputError: A joint neither turns about nor slides along one axis, follows another beside loops, or a drive has a scale.
         """
         robot.require_unscaled_drives("generated code of a tree's equations")
-        if robot.mimics:
+        if robot.mimics and robot.loops:
             listed = ", ".join(robot.mimics)
             raise InputError(
-                "unsupported", f"{robot.source}: {listed} follow other joints; code is written of joints that do not"
+                "unsupported", f"{robot.source}: {listed} follow other joints; with loops no code is written then"
             )
         model, joints = robot.model, list_joints(robot.model)
         if joints is None:

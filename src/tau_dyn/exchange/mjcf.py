@@ -103,7 +103,8 @@ def _bodies(world: Element, model: Model, joints: list[Joint], raised: list[str]
             carried = build_body(inertias[joint.index], model)
             said, sentence = _inertia(carried.inertia, inertias[joint.index].link)
             raised += [sentence] if sentence else []
-            SubElement(body, "inertial", pos=_numbers(carried.centre), mass=_numbers([carried.mass]), **said)
+            said |= {"pos": _numbers(carried.centre), "mass": _numbers([carried.mass])}
+            SubElement(body, "inertial", said)
         else:
             SubElement(body, "inertial", _MIN_INERTIAL)
         found.append(body)

@@ -321,7 +321,7 @@ class MjcfTree:
             for joint, child_class in _iterate_joints(section, ""):
                 if joint.get("name") in held:
                     item = self.file.item(joint, child_class)
-                    self._locked[joint.get("name", "")] = held[joint.get("name")] + self._read_reference(item, "")
+                    self._locked[joint.get("name", "")] = held[joint.get("name", "")] + self._read_reference(item, "")
 
 
 def _iterate_joints(element: Element, child_class: str) -> Iterator[tuple[Element, str]]:
