@@ -25,7 +25,7 @@ T = np.arange(0, 4, 0.004)
         ("identify linear_axis log.csv --report", "--report needs a value after it"),
         ("identify linear_axis log.csv --model notes.txt", "as identify --out and diagnose --out write it"),
         ("identify gantry_tau log.csv", "let a column map say which column it is"),
-        ("export linear_axis --to mjcf", "`tau-dyn identify linear_axis LOG --out model.yaml` writes it"),
+        ("export linear_axes --to mjcf", "linear_axis"),
         ("compare notes.json log.csv", "nor a run folder of ours"),
         ("ik gantry_tau --position 1750 -600 750", "positions are in m (do they stand in mm?)"),
         ("ik gantry_tau --position 1.75 -0.6", "--position needs 3 values after it"),

@@ -239,3 +239,30 @@ def test_a_name_that_is_none_is_refused() -> None:
     """Functions of C have names of letters, digits and underscores."""
     with raises_code("invalid_value"):
         write_kinematics_source(build_kinematics(load_robot("gantry_tau")), "a-b")
+
+
+def test_the_f1_says_where_its_inverse_changes_branch(compiled, rng) -> None:
+    """From pose to far pose: an answer has each leg on the side where the last call had it, or there is status 4 and none."""
+    robot = load_robot("gantry_tau_f1")
+    program = build_kinematics(robot)
+    kin, seen = Kinematics(program, compiled), []
+    assert program.equations is not None
+
+    def sides(configuration: np.ndarray) -> np.ndarray:
+        known = {"q": configuration[None, :6], "z": configuration[None, 6:]}
+        G = program.equations.evaluate(known)["G"].reshape(6, -1)
+        return np.sign([G[0, 0], np.linalg.det(G[1:3, 1:3]), np.linalg.det(G[3:, 3:6])])
+
+    slides = np.array([kind == "prismatic" for kind in robot.joint_kinds])
+    q = robot.home + rng.uniform(-1, 1, (300, 6)) * np.where(slides, 0.3, 1.5)
+    found = forward_kinematics(robot, q)
+    for k in np.flatnonzero(found.ok):
+        before = kin.start.copy()
+        status, answer = kin.inverse(found.poses.position[k], found.poses.rotation[k])
+        seen.append(status)
+        if status == 0:
+            np.testing.assert_array_equal(sides(kin.start), sides(before))
+        else:
+            np.testing.assert_array_equal(kin.start, before)
+            assert np.all(answer == 7)
+    assert set(seen) <= {0, 2, 3, 4} and 0 in seen and 4 in seen

@@ -314,8 +314,7 @@ def export_feedforward(
         name: Of the function
         width: Speed within which the sign of friction is smoothed, one or one a joint [m/s or rad/s]
         shape: Of the smoothed sign
-        steady: Leave out effects that need a history, and say which (what only distorts recordings, such as a delay, always
-            is)
+        steady: Leave out effects that need a history, and say which
     """
     ending = _ENDINGS[to]
     if out.suffix != ending:

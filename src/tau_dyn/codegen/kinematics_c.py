@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from tau_dyn.codegen.c_writer import (
     ITERATIONS,
@@ -111,6 +112,8 @@ def _yield_description(program: KinematicsProgram, name: str) -> Iterator[str]:
         yield "  2  Newton's method did not end: out of reach, beyond a singularity, or too far from start"
     if not program.no_inverse:
         yield "  3  a drive's range would be left (ik alone; fk and jacobian do not look at ranges)"
+    if _find_leg_groups(program) and searches:
+        yield "  4  a leg would pass its own singularity, so the answer lies on another branch than start (ik alone)"
     yield "Compile without -ffast-math, which takes the checks of numbers away."
     yield "No allocation, no recursion, no state" + (
         " but `start`: safe in several threads, each with its own."
@@ -180,8 +183,12 @@ def _yield_inverse(program: KinematicsProgram, name: str, side: int) -> Iterator
     flags = {"IDLE" if program.idle else "BUSY"} | ({"SOLVED"} if program.freedoms else set())
     flags |= {"WHOLE"} if whole else set()
     flags |= {"TURNING"} if not whole and not program.idle else set()
+    groups = _find_leg_groups(program)
+    flags |= {"BRANCHES"} if groups else set()
+    sides = "\n".join(f"    side[{k}] = {_format_determinant(*group)};" for k, group in enumerate(groups))
     yield fill_template(
         "inverse_search", flags, NAME=name, POSE=6 if whole else 3, COST=list_numbers(_compute_cost(program)),
+        GROUPS=len(groups), SIDES=sides,
         ROUNDS=ROUNDS, ON_THE_WAY=ON_THE_WAY, LEGS=LEGS, LEG=repr(LEG),
     )  # fmt: skip
 
@@ -230,6 +237,38 @@ def _find_home_side(program: KinematicsProgram) -> int:
     known = {"q": program.home[None, :na], "z": program.home[None, na:]}
     G = program.equations.evaluate(known)["G"].reshape(program.freedoms, -1)
     return int(np.sign(np.linalg.det(G[:, na:])))
+
+
+def _find_leg_groups(program: KinematicsProgram) -> list[tuple[list[int], list[int]]]:
+    """Return rows and drives of rods that hang together, where each group has as many drives as rods, three at most."""
+    if program.rods is None or program.equations is None or program.idle:
+        return []
+    na, rng = (
+        program.robot.na,
+        np.random.default_rng(0),
+    )  # any states: a rod that a drive moves does not move at one by chance
+    q = program.home[:na] + 0.05 * rng.standard_normal((4, na))
+    z = np.broadcast_to(program.home[na:], (4, len(program.home) - na))
+    G = program.equations.evaluate({"q": q, "z": z})["G"].reshape(4, program.freedoms, -1)[:, :, :na]
+    count, label = connected_components(
+        np.block([[np.zeros((len(G[0]),) * 2), np.abs(G).sum(axis=0)], [np.zeros((na, len(G[0]) + na))]]),
+        directed=False,
+    )
+    groups = [(np.flatnonzero(label[: len(G[0])] == k), np.flatnonzero(label[len(G[0]) :] == k)) for k in range(count)]
+    if any(len(rows) != len(columns) or len(rows) > 3 for rows, columns in groups):
+        return []
+    return [(rows.tolist(), columns.tolist()) for rows, columns in groups]
+
+
+def _format_determinant(rows: list[int], columns: list[int]) -> str:
+    """Return the determinant of a part of G in C, by its first row."""
+    if not rows:
+        return "1.0"
+    terms = [
+        f"{'-' if k % 2 else '+'} G[{rows[0]} * NX + {c}] * ({_format_determinant(rows[1:], [x for x in columns if x != c])})"
+        for k, c in enumerate(columns)
+    ]
+    return " ".join(terms)
 
 
 def _compute_cost(program: KinematicsProgram) -> np.ndarray:

@@ -284,6 +284,8 @@ def _covariance(
     J = [part / np.where(size > 0, size, 1.0) for part in J]
     inverse = np.linalg.pinv(sum(part.T @ part for part in J), rcond=1e-13)
     middle = sum(part.T @ matmul_toeplitz(noise.autocovariance(len(part)), part) for part in J)
-    covariance = inverse @ middle @ inverse * n / (n - q) / np.outer(size, size)
+    scale = np.outer(size, size)  # zero where a parameter does nothing, such as a time constant far below a sample
+    covariance = np.full_like(scale, np.inf)
+    np.divide(inverse @ middle @ inverse * n / (n - q), scale, out=covariance, where=scale > 0)
     keep = [0, q - 2, q - 1]
     return covariance[np.ix_(keep, keep)]

@@ -64,6 +64,16 @@ static double step(double *x, const double *p, const double *R, const double *to
     return most;
 }
 
+@IF BRANCHES@
+/* On which side of its own singularity each group of legs is: the determinant of its equations by its drives. */
+static void branches(const double *x, double side[@GROUPS@])
+{
+    double gap[NT], G[NT * NX];
+    equations(x, x + NA, gap, G);
+@SIDES@
+}
+
+@END@
 int @NAME@_ik(double start[NA + NZ], const double p[3], const double R[9], double q[NA])
 {
     double x[NA + NZ], p0[3], R0[9], T[6 * NX], w[3], way[3], size = -1.0, off = 1.0;
@@ -90,6 +100,12 @@ int @NAME@_ik(double start[NA + NZ], const double p[3], const double R[9], doubl
         if (size < 0.0 || (size < 1e-11 && off < 1e-9)) break;
     }
     if (!(size >= 0.0 && size < 1e-9 && off < 1e-9)) return 2;
+@IF BRANCHES@
+    double before[@GROUPS@], after[@GROUPS@];
+    branches(start, before);
+    branches(x, after);
+    for (int k = 0; k < @GROUPS@; ++k) if (!(before[k] * after[k] > 0.0)) return 4;
+@END@
     if (!within(x)) return 3;
     for (int k = 0; k < NA + NZ; ++k) start[k] = x[k];
     for (int k = 0; k < NA; ++k) q[k] = x[k];

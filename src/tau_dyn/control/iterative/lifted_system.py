@@ -94,7 +94,7 @@ def stack_controlled_actuators(
     sampled = [a.discrete(dt) for a in actuators]
     shared = min(d for _, _, d in sampled)
     parts = [_build_axis(b, a, d - shared) for b, a, d in sampled]
-    A, B, C = (block_diag(*(part[k] for part in parts)) for k in range(3))
+    A, B, C = (np.asarray(cast(Any, block_diag)(*(part[k] for part in parts))) for k in range(3))
     if jacobian is not None:
         B, C = B @ np.linalg.pinv(jacobian), jacobian @ C
     p = len(C)
