@@ -52,7 +52,8 @@ class Tree:
             value: Gives a parameter's value by its name; by default the robot's number.
 
         Raises:
-            InputError: A joint neither turns about nor slides along one axis, follows another beside loops, or a drive has a scale.
+            InputError: A joint neither turns about nor slides along one axis or follows another beside loops, or a drive has a
+                scale.
         """
         robot.require_unscaled_drives("generated code of a tree's equations")
         if robot.mimics and robot.loops:
