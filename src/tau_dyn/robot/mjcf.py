@@ -31,7 +31,7 @@ def convert_mjcf(text: str, path: Path) -> str:
     Raises:
         InputError: It holds what a rigid robot with a fixed base cannot have; the sentence names the element.
     """
-    file = MjcfFile.read(text, path)
+    file = MjcfFile(text, path)
     for prefix, space in (("drake", _DRAKE), ("tau_dyn", _OURS)):
         ElementTree.register_namespace(prefix, space)
     root = Element("robot", name=file.root.get("model") or path.name.split(".")[0])

@@ -6,7 +6,7 @@ MuJoCo itself is not needed. Reference: MuJoCo's documentation, chapters "Modeli
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, ParseError
@@ -131,7 +131,6 @@ class Item:
         return out
 
 
-@dataclass
 class MjcfFile:
     """A file with its included ones.
 
@@ -142,26 +141,20 @@ class MjcfFile:
         defaults: By class and element, the attributes.
     """
 
-    where: str
-    root: Element
-    compiler: dict[str, str] = field(default_factory=dict)
-    defaults: dict[str, dict[str, dict[str, str]]] = field(default_factory=lambda: {_MAIN: {}})
-
-    @classmethod
-    def read(cls, text: str, path: Path) -> MjcfFile:
+    def __init__(self, text: str, path: Path) -> None:
         """Read a file's text and what it includes.
 
         Raises:
             InputError: An inclusion is not there, comes twice, or is no XML without entities.
         """
-        root = _parse(text, str(path))
-        _include(root, path.parent, str(path), [path.resolve()])
-        file = cls(str(path), root)
-        for element in root.findall("compiler"):
-            file.compiler |= dict(element.attrib)
-        for element in root.findall("default"):
-            file._read_defaults(element, element.get("class", _MAIN), {})
-        return file
+        self.where, self.root = str(path), _parse(text, str(path))
+        _include(self.root, path.parent, self.where, [path.resolve()])
+        self.compiler: dict[str, str] = {}
+        self.defaults: dict[str, dict[str, dict[str, str]]] = {_MAIN: {}}
+        for element in self.root.findall("compiler"):
+            self.compiler |= dict(element.attrib)
+        for element in self.root.findall("default"):
+            self._read_defaults(element, element.get("class", _MAIN), {})
 
     def item(self, element: Element, child_class: str = "") -> Item:
         """Return an element with the defaults of its class, or else of the class that its body gives its children."""

@@ -7,7 +7,7 @@ back by it and positions mean the same in both. A passive ball joint becomes thr
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -25,7 +25,6 @@ _NOT_READ = ("replicate", "composite", "flexcomp", "attach")
 _ROUNDED = 1e-9  # of a coefficient that is meant to be zero
 
 
-@dataclass
 class MjcfJoint:
     """A hinge or slide: its item, its URDF element, and what motors and equations add to it.
 
@@ -38,15 +37,13 @@ class MjcfJoint:
         driven: Whether a motor drives it.
     """
 
-    item: Item
-    element: Element
-    armature: float
-    reference: float
-    effort: float = 0.0
-    driven: bool = False
+    def __init__(self, item: Item, element: Element, armature: float, reference: float, effort: float = 0.0) -> None:
+        """Begin with what the joint's own element says."""
+        self.item, self.element, self.armature, self.reference, self.effort = item, element, armature, reference, effort
+        self.driven = False
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class Place:
     """A body or site: its link, its frame in that link's, and in the world where all joints are at their reference."""
 
@@ -56,7 +53,6 @@ class Place:
     mocap: bool = False
 
 
-@dataclass
 class MjcfTree:
     """Builds the links of one file; what it leaves out it says.
 
@@ -71,17 +67,18 @@ class MjcfTree:
         left_out: What is left out, and of which joints or bodies.
     """
 
-    file: MjcfFile
-    root: Element
-    joints: dict[str, MjcfJoint] = field(default_factory=dict)
-    bodies: dict[str, Place] = field(default_factory=dict)
-    sites: dict[str, Place] = field(default_factory=dict)
-    positions: list[tuple[str, int]] = field(default_factory=list)
-    said: list[str] = field(default_factory=list)
-    left_out: dict[str, list[str]] = field(default_factory=dict)
-    _locked: dict[str, float] = field(default_factory=dict)
-    _names: set[str] = field(default_factory=set)
-    _links: dict[str, Element] = field(default_factory=dict)
+    def __init__(self, file: MjcfFile, root: Element) -> None:
+        """Begin with an empty `<robot>`."""
+        self.file, self.root = file, root
+        self.joints: dict[str, MjcfJoint] = {}
+        self.bodies: dict[str, Place] = {}
+        self.sites: dict[str, Place] = {}
+        self.positions: list[tuple[str, int]] = []
+        self.said: list[str] = []
+        self.left_out: dict[str, list[str]] = {}
+        self._locked: dict[str, float] = {}
+        self._names: set[str] = set()
+        self._links: dict[str, Element] = {}
 
     def build(self) -> None:
         """Add all links and joints to the URDF."""
@@ -167,8 +164,6 @@ class MjcfTree:
         pose = frame @ item.pose()
         inside, parent_link = parent.inside @ pose, parent.link
         parts = list(self._inside(element, STILL, child_class))
-        place = Place("", inside, parent.world @ pose, element.get("mocap") == "true")
-        self.bodies[name] = place
         rows = [
             row for child, own, its_class in parts if child.tag in ("joint", "freejoint")
             for row in self._list_joints(child, own, its_class, name)
@@ -191,7 +186,7 @@ class MjcfTree:
         if not moves:
             parent_link, origin, inside = self._own(name), inside, STILL
             self._add_link(parent_link, f"{parent_link}_fixed", "fixed", parent.link, origin)
-        place.link, place.inside = parent_link, inside
+        place = self.bodies[name] = Place(parent_link, inside, parent.world @ pose, element.get("mocap") == "true")
         self._add_mass(item, parts, place, moving or moves)
         for child, own, its_class in parts:
             if child.tag == "site":
