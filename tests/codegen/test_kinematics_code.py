@@ -215,7 +215,7 @@ def test_hostile_names_make_plain_c(write, compiled) -> None:
     names = ["a*/ int x;", 'b"??/', "c\\", "ü‮", "a__ int x_"]
     made = build_identifiers(names)
     assert len(set(made)) == len(names) and all(n.isascii() and n.replace("_", "a").isalnum() for n in made)
-    joint = "x*/ #error ??/ /*&quot;&#10;*"
+    joint = "x*/ #error ??/ /*&quot;*"
     text = write.text(
         "evil*/ int main", write.link("cart_link", 2.0, "0 0 0", "1 1 1"), write.link("tool"),
         write.joint(joint, "prismatic", "base_link", "cart_link", "1 0 0"), write.drive(joint),

@@ -10,6 +10,7 @@ from cyclopts import Group, Parameter
 
 from tau_dyn.cli.arguments import (
     ColumnMapFile,
+    FolderOutput,
     NotNegative,
     Output,
     Positive,
@@ -262,7 +263,7 @@ def lead_through(
     mass: Annotated[Positive, Parameter(group=_HANDLE, metavar="KG")] = 3.0,
     damping: Annotated[NotNegative, Parameter(group=_HANDLE, metavar="X")] = 40.0,
     hand: Annotated[Positive, Parameter(group=_HANDLE, metavar="N/m")] = 1000.0,
-    output: Output = Output(),
+    output: FolderOutput = FolderOutput(),
 ) -> Outcome:
     """What force gain lead-through bears before it oscillates, and settings with half of it.
 

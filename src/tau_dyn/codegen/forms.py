@@ -65,6 +65,8 @@ class TreeForm(Mechanism):
         super().__init__(model.robot)
         self.tree = tree
         self.order = model.robot.active_v.tolist()
+        tree_model = model.robot.model
+        self._followers = {j: tree_model.joints[tree_model.getJointId(j)].idx_v for j in model.robot.mimics}
 
     def _checked(self, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
         return arrays
@@ -89,7 +91,7 @@ class TreeForm(Mechanism):
         for joint, mimic in self.robot.mimics.items():
             if mimic.joint in self.robot.actuated:
                 own = self.robot.actuated.index(mimic.joint)
-                felt[own] = felt[own] + tau[self.tree.index(joint)] * mimic.multiplier
+                felt[own] = felt[own] + tau[self._followers[joint]] * mimic.multiplier
         return felt, [beyond[k] for k in self.order]
 
     def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:

@@ -26,6 +26,7 @@ from tau_dyn.robot.semantics import find_srdf, read_passive_joints
 from tau_dyn.robot.stock import StockRobot, find_described_robot
 
 TOOL_NAMES = ("tool", "tool0", "tcp", "hand_tcp", "ee_link", "end_effector", "attachment_site", "flange")
+_MOUNTS = TOOL_NAMES[5:]  # carry tools: the only leaf behind one is the tool
 """Usual names of a tool frame, our own files', ROS-Industrial's, and those of common arms.
 
 The first that exists counts; where none does, the first that a single frame's name ends in, as `panda_hand_tcp` does."""
@@ -307,11 +308,11 @@ def _find_tool(model: pin.Model, notes: Annotations, wanted: str | None, where: 
             raise UnknownName("frame", wanted, [f.name for f in model.frames[1:]], where)
         return wanted
     links = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
-    for name in TOOL_NAMES:
-        if model.existFrame(name):
-            return name
-    if len(notes.leaves) == 1 and not notes.loops:
+    named = [name for name in TOOL_NAMES if model.existFrame(name)]
+    if len(notes.leaves) == 1 and not notes.loops and (not named or named[0] in _MOUNTS):
         return notes.leaves[0]
+    if named:
+        return named[0]
     ending = ([link for link in links if link.endswith((f"_{name}", f"-{name}"))] for name in TOOL_NAMES)
     return next((same[0] for same in ending if len(same) == 1), "")
 

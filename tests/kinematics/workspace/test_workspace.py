@@ -12,7 +12,6 @@ from raising import raises_code
 from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.accuracy import ActuatorError, ErrorBounds, sample_default_motion, study_accuracy
 from tau_dyn.kinematics.obstacles import build_surroundings
 from tau_dyn.kinematics.workspace import PoseRequirements, build_machine, find_workspace, measure_tilt, study_workspace
@@ -212,13 +211,10 @@ def test_unreached_orientation_is_refused(gantry) -> None:
         measure_tilt(found, found.machine.home.position[0])
 
 
-@pytest.mark.parametrize(
-    ("travel", "message"),
-    [((0.5, 0.0), "inverted or equal"), ((0.2, 0.2), "inverted or equal")],
-)
-def test_inverted_limits_are_refused(travel: tuple[float, float], message: str) -> None:
-    """A slide whose upper limit is below its lower has no workspace."""
-    with pytest.raises(InputError, match=message):
+@pytest.mark.parametrize("travel", [(0.5, 0.0), (0.2, 0.2)])
+def test_inverted_limits_are_refused(travel: tuple[float, float]) -> None:
+    """A slide whose upper limit is below its lower, or that cannot move, has no workspace."""
+    with raises_code("robot_structure", "'x'"):
         find_workspace(robots.cartesian(x=travel))
 
 
