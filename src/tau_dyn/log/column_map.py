@@ -127,7 +127,9 @@ def _our_name(name: str, key: Any, value: Any = None) -> str:
             raise _build_error(
                 name, f"'{key}: {value}' is the wrong way round; write '{value}: {key}', our name first."
             )
-        known = "t, files, couplings, episode, temp_room, x_tool.. and " + ", ".join(f"{signal}_JOINT" for signal in SIGNALS)
+        known = "t, files, couplings, episode, temp_room, x_tool.. and " + ", ".join(
+            f"{signal}_JOINT" for signal in SIGNALS
+        )
         raise _build_error(name, f"key {key} is none of our column names, which are {known}.")
     return key
 

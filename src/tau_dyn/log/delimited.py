@@ -2,7 +2,8 @@
 
 The layout is checked here, line by line, before pandas turns cells into numbers: pandas alone pads short rows and
 forgets where they stood. Byte order marks and all line ends are accepted. Meaning and units are no concern of this
-file. Foreign text may also be separated by blanks, and lack a header: its columns are then called by number, from 1.
+file. Foreign text may also be separated by blanks, and lack a header or a name in it: such columns are
+called by number, from 1.
 """
 
 import csv
@@ -91,6 +92,7 @@ def _lay_out(name: str, text: str, foreign: bool) -> _Layout:
     if foreign and len(header) <= MAX_COLUMNS and all(map(_is_number, header)):
         header, first_row = [str(k + 1) for k in range(len(header))], at
     else:
+        header = [cell or str(k + 1) for k, cell in enumerate(header)] if foreign else header
         _check_header(name, at + 1, header)
     kept = [i for i in range(first_row, len(lines)) if lines[i].strip()]
     if not kept:
@@ -104,11 +106,12 @@ def _lay_out(name: str, text: str, foreign: bool) -> _Layout:
 
 
 def _are_blanks_between(lines: list[str], at: int) -> bool:
-    """Tell whether blanks separate the cells: no other separator, or numbers only, and as many below as in the first line."""
+    """Tell whether blanks separate the cells: of numbers, or of names without another separator and as many as below."""
     cells = lines[at].split()
     below = next((line.split() for line in lines[at + 1 :] if line.strip()), [])
-    plain = not any(separator in lines[at] for separator in SEPARATORS) or all(map(_is_number, cells))
-    return plain and len(cells) > 1 and len(below) == len(cells)
+    numeric = all(map(_is_number, cells))
+    alike = numeric or not any(separator in lines[at] for separator in SEPARATORS) and len(below) == len(cells)
+    return alike and len(cells) > 1
 
 
 def _cells_of(name: str, line: int, text: str, separator: str) -> list[str]:
