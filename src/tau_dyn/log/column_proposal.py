@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.log.check import JointLimits
 from tau_dyn.log.column_map import ColumnMap
-from tau_dyn.log.column_names import format_names, split_column_name
+from tau_dyn.log.column_names import format_names, is_contract_name, split_column_name
 from tau_dyn.log.read import EPISODE, has_topics, read_any
 from tau_dyn.log.table import Table
 from tau_dyn.message_codes import CodedWarning
@@ -135,7 +135,12 @@ def propose_columns(path: str | Path, robot: JointLimits) -> ColumnProposal:
         entries["episode"] = episode
     own = {f"cmd_{joint}" for joint in robot.actuated}  # which keep their name
     values = {c: x for c in table.cells if c not in own and (x := _find_numbers(table, c)) is not None}
-    t = _propose_clock(table.name, values, entries, warnings)
+    if has_topics(Path(path)) and "t" in values:  # a reader gives that clock with any map; a map names fields
+        t = values["t"]
+        fields = {c: x for c, x in values.items() if not is_contract_name(c)}
+        values = fields if any("position" in _split_words(c) for c in fields) else values
+    else:
+        t = _propose_clock(table.name, values, entries, warnings)
     groups = _find_groups([c for c in values if c not in _list_named(entries)], robot.actuated, Path(path).stem)
     _guess_numbered(groups, values, t, robot, warnings)
     q = _propose_positions(table, groups, values, robot, entries, warnings)
