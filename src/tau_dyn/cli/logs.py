@@ -23,7 +23,7 @@ def check(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.FolderOutput = args.FolderOutput(),
 ) -> Outcome:
-    """Check whether a log is usable: sampling, gaps, quantisation, saturation, excitation; problems and fixes.
+    """Check whether a log is usable: sampling, gaps, quantisation, saturation, excitation.
 
     Args:
         log: CSV, Parquet, MCAP, a ROS bag or .mat
@@ -60,7 +60,7 @@ def columns(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """Propose a column map for a log of other names and units, and say what is unsure.
+    """Propose a column map for a foreign log.
 
     Args:
         log: CSV, Parquet, MCAP, a ROS bag or .mat
@@ -150,7 +150,7 @@ def simulate(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """A log from the model, its controller and its sensors; `check`, `identify` and the rest read it like a recorded one.
+    """A log from the model, its controller and its sensors.
 
     Args:
         motion: fourier, slow, strokes, multisine, prbs, or a CSV with t and q_ref_JOINT
