@@ -115,6 +115,7 @@ UNANSWERED_CODES: dict[str, MessageCode] = {
     "not_identifiable": MessageCode("the data do not determine what was asked", "the experiment in the sentence"),
     "not_visible": MessageCode("the camera or device does not see the target", "move the device or the target"),
     "nothing_to_do": MessageCode("nothing is left open that a measurement would answer", "none needed"),
+    "positions_missing": MessageCode("`columns`: no column is a position", "name one"),
     "poor_excitation": MessageCode("the motion or force hardly changes", "move every joint faster, both ways"),
     "too_little_data": MessageCode("too few samples, poses or images", "record longer, or more"),
 }
@@ -131,6 +132,10 @@ ERROR_CODES = INPUT_CODES | UNANSWERED_CODES | DEFECT_CODES
 
 WARNING_CODES: dict[str, MessageCode] = {
     "note": MessageCode("anything else", "read the sentence"),
+    "column_missing": MessageCode("`columns`: no clock or torque", "add it to the map"),
+    "column_unsure": MessageCode("`columns`: perhaps another signal or joint", "check the map"),
+    "torque_constant_missing": MessageCode("`columns`: a current is no torque", "scale it"),
+    "unit_unsure": MessageCode("`columns`: a unit was guessed", "check the scale"),
     "feedback_found": MessageCode(
         "`modes`: an input follows what a causal model leaves of the outputs", "log the reference, `--reference`"
     ),

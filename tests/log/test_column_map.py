@@ -139,7 +139,7 @@ def test_a_foreign_column_that_is_missing_is_named(foreign, map_file):
         ("t: {rate_hz: 5}\n", "maps no column"),
         ("angle_a: m1\n", "key angle_a is none of our column names"),
         ("1: m1\n", "key 1 is none"),
-        ("q_a: 5\n", "q_a has to be a column's name"),
+        ("q_a: 0\n", "q_a has to be a column's name"),
         ("q_a: yes\n", "not yes or no"),
         ("q_a: {column: m1, factor: 2}\n", "q_a has a key factor; it may have column, scale"),
         ("q_a: {scale: 2}\n", "q_a needs a 'column'"),

@@ -19,7 +19,7 @@ from scipy.io import savemat
 
 from tau_dyn.cli import main
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import ColumnMap, Log, open_log, read_log, topic_columns as columns_module
+from tau_dyn.log import ColumnMap, Log, open_log, propose_columns, read_log, topic_columns as columns_module
 
 pytest.importorskip("mcap_ros2")
 pytest.importorskip("rosbags")
@@ -355,3 +355,14 @@ def test_a_silent_pipe_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "log.mcap")
     with raises_code("cannot_read", "pipe"):
         read_log(tmp_path / "log.mcap")
+
+
+@pytest.mark.parametrize("kind", ["json", "cdr", "ros1", "ros2", "matlab"])
+def test_a_map_can_be_proposed(tmp_path, kind):
+    """Joint states' fields are proposed under our names, and the map reads the log."""
+    n = len(JOINTS)
+    arm = SimpleNamespace(actuated=JOINTS, joint_kinds=["revolute"] * n, lower=np.full(n, -3.0), upper=np.full(n, 3.0))
+    path = wrote(tmp_path, kind)
+    log = read_log(path, propose_columns(path, arm).to_map())
+    assert_allclose(log.joint("q", JOINTS), Q, atol=1e-12)
+    assert_allclose(log.joint("tau", JOINTS), TAU, atol=1e-12)

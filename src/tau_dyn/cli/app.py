@@ -55,6 +55,7 @@ from tau_dyn.version import __version__
 COMMANDS: dict[str, Callable[..., Outcome]] = {
     "demo": demo.demo,
     "check": logs.check,
+    "columns": logs.columns,
     "simulate": logs.simulate,
     "excite": excite.excite,
     "identify": identify.identify,

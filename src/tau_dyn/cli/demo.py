@@ -80,7 +80,7 @@ def demo(
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
-    """The main job on made data: simulate a robot with hidden effects, identify it, diagnose it, write the reports.
+    """The main job on made data with hidden effects: simulate, identify, diagnose, report.
 
     Without a robot file it is the L1 Gantry-Tau with the asymmetric friction of Dressler 2012, Table 6.1, of whose pinion and
     Stribeck friction the fitted model does not know. With a serial arm's file, such as a stock UR5's, it is that arm with geared

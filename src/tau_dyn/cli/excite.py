@@ -95,7 +95,7 @@ def excite(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """An exciting motion within the robot's limits, designed for the most information, with the standard errors it will give.
+    """An exciting motion within the robot's limits, with the standard errors it will give.
 
     Args:
         duration: Length [s]

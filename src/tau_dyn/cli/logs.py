@@ -1,4 +1,4 @@
-"""`tau-dyn check` and `tau-dyn simulate`."""
+"""`tau-dyn check`, `tau-dyn columns` and `tau-dyn simulate`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def check(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.FolderOutput = args.FolderOutput(),
 ) -> Outcome:
-    """Check whether a log is usable: sampling, gaps, quantisation, saturation, excitation; problems and fixes.
+    """Check whether a log is usable: sampling, gaps, quantisation, saturation, excitation.
 
     Args:
         log: CSV, Parquet, MCAP, a ROS bag or .mat
@@ -48,6 +48,37 @@ def check(
         inputs=[(log, read.sha256), columns, *(robot_options.list_files(robot) if robot else [])],
         found=checked,
         context={"log": read, "robot": machine},
+    )
+
+
+def columns(
+    log: str,
+    robot: args.RobotName,
+    /,
+    *,
+    out: Annotated[Path | None, args.build_destination("MAP.yaml", "Write the map here")] = None,
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.Output = args.Output(),
+) -> Outcome:
+    """Propose a column map for a foreign log.
+
+    Args:
+        log: CSV, Parquet, MCAP, a ROS bag or .mat
+    """
+    with show_progress(output.quiet) as step:
+        step("reading")
+        from tau_dyn.log import propose_columns
+
+        machine = robot_options.load(robot)
+        proposal = propose_columns(log, machine)
+    text = proposal.to_yaml()
+    return Outcome(
+        result=proposal.to_dict(),
+        warnings=[*machine.warnings, *proposal.warnings],
+        inputs=[(log, proposal.sha256), *robot_options.list_files(robot)],
+        lines=[line for line in text.splitlines() if not line.startswith("#")],
+        files={out: text} if out else {},
+        named={"map": out},
     )
 
 
@@ -119,7 +150,7 @@ def simulate(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """A log from the model, its controller and its sensors; `check`, `identify` and the rest read it like a recorded one.
+    """A log from the model, its controller and its sensors.
 
     Args:
         motion: fourier, slow, strokes, multisine, prbs, or a CSV with t and q_ref_JOINT

@@ -8,6 +8,7 @@ from .column_names import (
     describe_missing_column as describe_missing_column,
     format_names as format_names,
 )
+from .column_proposal import ColumnProposal as ColumnProposal, propose_columns as propose_columns
 from .data_integrity import list_data_warnings as list_data_warnings, mend_log as mend_log
 from .delimited import parse_delimited as parse_delimited
 from .even_segments import (

@@ -2,7 +2,8 @@
 
 A map is YAML. Each key is one of our column names, each value a foreign column's name or a mapping with `column`, and,
 where wanted, `scale`, `offset` and `file`; ours = scale * theirs + offset. Three keys are not columns: `files` names
-further files of the same recording, sampled together, relative to the folder of the log; `couplings` holds matrices for
+further files of the same recording, sampled together, relative to the folder of the log; `episode: N` takes the rows
+whose `episode_index` is N; a column's number, from 1, names it in a file without a header; `couplings` holds matrices for
 coupled transmissions (scale and offset first, then ours = matrix @ theirs + offset, joints in the order of their keys
 in the map); and `t: {rate_hz: F}` makes a clock. Numbers are numbers: nothing in a map is evaluated. The map is applied
 in `read.py`.
@@ -63,6 +64,7 @@ class ColumnMap:
         couplings: Coupled transmissions by signal.
         files: Names of further files, relative to the log's folder.
         name: The map's file name, for messages.
+        episode: The `episode_index` whose rows are the log; None for all rows.
     """
 
     sources: Mapping[str, Source]
@@ -70,6 +72,12 @@ class ColumnMap:
     couplings: Mapping[str, Coupling] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
     name: str = "column map"
+    episode: int | None = None
+
+    @property
+    def is_numbered(self) -> bool:
+        """Whether columns are called by number."""
+        return any(source.column.isdigit() for source in self.sources.values())
 
     @classmethod
     def load(cls, path: str | Path) -> "ColumnMap":
@@ -87,6 +95,9 @@ class ColumnMap:
         entries = dict(entries)
         files = _files(name, entries.pop("files", {}))
         couplings = entries.pop("couplings", {})
+        episode = entries.pop("episode", None)
+        if episode is not None and (type(episode) is not int or episode < 0):
+            raise _build_error(name, f"episode is {episode!r}, and has to be a whole number from 0 up.")
         rate_hz = _rate(name, entries)
         sources = {_our_name(name, key, value): _source(name, key, value, files) for key, value in entries.items()}
         if not sources:
@@ -96,7 +107,7 @@ class ColumnMap:
         unused = set(files) - {source.file for source in sources.values()}
         if unused:
             raise _build_error(name, f"no column is taken from file '{min(unused)}'; use it or leave it out of files.")
-        return cls(sources, rate_hz, _couplings(name, couplings, tuple(sources)), files, name)
+        return cls(sources, rate_hz, _couplings(name, couplings, tuple(sources)), files, name, episode)
 
 
 def _read_entries(path: Path) -> dict[Any, Any]:
@@ -116,14 +127,16 @@ def _our_name(name: str, key: Any, value: Any = None) -> str:
             raise _build_error(
                 name, f"'{key}: {value}' is the wrong way round; write '{value}: {key}', our name first."
             )
-        known = "t, files, couplings, temp_room, x_tool.. and " + ", ".join(f"{signal}_JOINT" for signal in SIGNALS)
+        known = "t, files, couplings, episode, temp_room, x_tool.. and " + ", ".join(
+            f"{signal}_JOINT" for signal in SIGNALS
+        )
         raise _build_error(name, f"key {key} is none of our column names, which are {known}.")
     return key
 
 
 def _source(name: str, key: str, value: Any, files: Mapping[str, str]) -> Source:
-    if isinstance(value, str):
-        return Source(value)
+    if isinstance(value, str) or _is_column_number(value):
+        return Source(str(value))
     if not isinstance(value, dict):
         raise _build_error(
             name, f"{key} has to be a column's name or {{column: .., scale: .., offset: ..}}, not {_kind(value)}."
@@ -132,7 +145,8 @@ def _source(name: str, key: str, value: Any, files: Mapping[str, str]) -> Source
     if unknown:
         hint = _HINTS.get(type(unknown[0]), _HINTS.get(unknown[0], ""))
         raise _build_error(name, f"{key} has a key {unknown[0]}; it may have {format_names(SOURCE_KEYS)}{hint}.")
-    if not isinstance(value.get("column"), str):
+    column = value.get("column")
+    if not isinstance(column, str) and not _is_column_number(column):
         raise _build_error(name, f"{key} needs a 'column', the foreign column's name as text (in quotes if need be).")
     file = value.get("file")
     if file is not None and (not isinstance(file, str) or file not in files):
@@ -140,7 +154,12 @@ def _source(name: str, key: str, value: Any, files: Mapping[str, str]) -> Source
     scale, offset = (_number(f"{name}: {key}.{k}", value.get(k, d)) for k, d in (("scale", 1.0), ("offset", 0.0)))
     if scale == 0.0:
         raise _build_error(name, f"{key}.scale is 0, which would erase the column; give a number other than 0.")
-    return Source(value["column"], scale, offset, file)
+    return Source(str(column), scale, offset, file)
+
+
+def _is_column_number(value: Any) -> bool:
+    """Tell whether a value calls a column by its number, from 1."""
+    return type(value) is int and value > 0
 
 
 def _rate(name: str, entries: dict[Any, Any]) -> float | None:

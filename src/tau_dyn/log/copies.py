@@ -31,7 +31,7 @@ CHUNK_BYTES = 2**24
 """Size of the text parsed at once."""
 
 
-def iterate_text_chunks(path: Path, digest: Any = None) -> Iterator[Table]:
+def iterate_text_chunks(path: Path, digest: Any = None, *, foreign: bool = False) -> Iterator[Table]:
     """Yield a delimited file's rows as tables, each with its lines' numbers in the file.
 
     A file that grows meanwhile is read as far as it went at the start.
@@ -39,6 +39,7 @@ def iterate_text_chunks(path: Path, digest: Any = None) -> Iterator[Table]:
     Args:
         path: The file.
         digest: A hash of `hashlib` that is given every byte read.
+        foreign: Whether blanks may separate cells; there has to be a header.
     """
     with path.open("rb") as file:
         left = os.fstat(file.fileno()).st_size
@@ -57,7 +58,7 @@ def iterate_text_chunks(path: Path, digest: Any = None) -> Iterator[Table]:
                 continue
             shift = lines - 1  # the header is line 1 of what is parsed
             try:
-                cells, places, warnings = parse_delimited(path.name, b"".join([head, *body]))
+                cells, places, warnings = parse_delimited(path.name, b"".join([head, *body]), foreign=foreign)
             except InputError as fault:
                 raise InputError(fault.code, _shifted(str(fault), shift)) from None
             yield Table(
@@ -148,7 +149,7 @@ def copy_text(path: Path, map_: ColumnMap | None) -> Copy:
     theirs = {source.column: source.scale for source in map_.sources.values()} if map_ is not None else {}
     texts: set[str] = set()
     with _room_for_a_copy(path.name, folder):
-        for table in iterate_text_chunks(path, digest):
+        for table in iterate_text_chunks(path, digest, foreign=map_ is not None):
             used = {*theirs, *list_used_columns((*ours, *table.cells))}
             columns = {
                 c: table.numbers(c, theirs.get(c, 1.0)) if c in used else table.numbers_or_none(c) for c in table.cells

@@ -2,7 +2,8 @@
 
 The layout is checked here, line by line, before pandas turns cells into numbers: pandas alone pads short rows and
 forgets where they stood. Byte order marks and all line ends are accepted. Meaning and units are no concern of this
-file.
+file. Foreign text may also be separated by blanks, and lack a header or a name in it: such columns are
+called by number, from 1.
 """
 
 import csv
@@ -32,12 +33,15 @@ class _Layout(NamedTuple):
     ends_with_newline: bool
 
 
-def parse_delimited(name: str, data: bytes) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64], tuple[str, ...]]:
+def parse_delimited(
+    name: str, data: bytes, *, foreign: bool = False
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64], tuple[str, ...]]:
     """Split a text file into columns.
 
     Args:
         name: File name, for messages.
         data: The file's bytes.
+        foreign: Whether blanks may separate cells and the header may be missing.
 
     Returns:
         Columns by name, each (N,) as numbers where all its cells are, else as text; the line number (N,) of each row;
@@ -47,7 +51,7 @@ def parse_delimited(name: str, data: bytes) -> tuple[dict[str, NDArray[Any]], ND
         InputError: The bytes are not UTF-8, a header or rows are missing, a name stands twice, or a row has another
             length.
     """
-    layout = _lay_out(name, _decode(name, data))
+    layout = _lay_out(name, _decode(name, data), foreign)
     layout, warnings = _check_lengths(layout)
     if _last_cell_is_cut(layout):
         warnings = (*warnings, _dropped(layout))
@@ -72,7 +76,7 @@ def _decode(name: str, data: bytes) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _lay_out(name: str, text: str) -> _Layout:
+def _lay_out(name: str, text: str, foreign: bool) -> _Layout:
     """Find the header, the separator and the lines that hold rows."""
     lines = text.split("\n")
     at = next((i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
@@ -81,9 +85,16 @@ def _lay_out(name: str, text: str) -> _Layout:
             "missing_column", f"{name} has no header; a log needs a line naming its columns and one line a sample."
         )
     separator = max(SEPARATORS, key=lambda s: (lines[at].count(s), s == ","))
+    if foreign and _are_blanks_between(lines, at):
+        lines, separator = [*lines[:at], *("\t".join(line.split()) for line in lines[at:])], "\t"
     header = [cell.strip() for cell in _cells_of(name, at + 1, lines[at], separator)]
-    _check_header(name, at + 1, header)
-    kept = [i for i in range(at + 1, len(lines)) if lines[i].strip()]
+    first_row = at + 1
+    if foreign and len(header) <= MAX_COLUMNS and all(map(_is_number, header)):
+        header, first_row = [str(k + 1) for k in range(len(header))], at
+    else:
+        header = [cell or str(k + 1) for k, cell in enumerate(header)] if foreign else header
+        _check_header(name, at + 1, header)
+    kept = [i for i in range(first_row, len(lines)) if lines[i].strip()]
     if not kept:
         raise InputError(
             "too_little_data", f"{name} ends after its header in line {at + 1}; a log needs one line a sample below it."
@@ -92,6 +103,15 @@ def _lay_out(name: str, text: str) -> _Layout:
     return _Layout(
         name, separator, header, at + 1, rows, [i + 1 for i in kept], ends_with_newline=not lines[-1].strip()
     )
+
+
+def _are_blanks_between(lines: list[str], at: int) -> bool:
+    """Tell whether blanks separate the cells: of numbers, or of names without another separator and as many as below."""
+    cells = lines[at].split()
+    below = next((line.split() for line in lines[at + 1 :] if line.strip()), [])
+    numeric = all(map(_is_number, cells))
+    alike = numeric or not any(separator in lines[at] for separator in SEPARATORS) and len(below) == len(cells)
+    return alike and len(cells) > 1
 
 
 def _cells_of(name: str, line: int, text: str, separator: str) -> list[str]:

@@ -45,7 +45,7 @@ def read_any(path: str | Path, wanted: Mapping[str, str] | None = None) -> Table
     """
     path = Path(path)
     if not has_topics(path):
-        return read_table(path)
+        return read_table(path, foreign=wanted is not None)
     _check_there(path)
     suffix = "" if path.is_dir() else path.suffix.lower()  # a bag's folder may be called anything, `run.mcap` too
     if suffix == ".mcap":
@@ -186,7 +186,10 @@ def refuse_few(name: str, n_samples: int) -> None:
 
 def _read_foreign(path: Path, map_: ColumnMap) -> Log:
     """Read the log's files, and give their columns our names and units."""
-    tables, warnings = _same_length(_tables(path, map_))
+    tables = _tables(path, map_)
+    if map_.episode is not None:
+        tables = {key: _take_episode(table, map_.episode) for key, table in tables.items()}
+    tables, warnings = _same_length(tables)
     main = tables.get(None) or next(iter(tables.values()))
     channels = compute_mapped_columns(tables, map_)
     if map_.rate_hz is not None:
@@ -196,6 +199,20 @@ def _read_foreign(path: Path, map_: ColumnMap) -> Log:
         kept = tuple(column for column in main.cells if column not in taken)
         channels = {**_own_columns(main, kept, beside=tuple(channels)), **channels}
     return _build(tables, main, channels, warnings)
+
+
+EPISODE = "episode_index"
+"""Column of a LeRobot data set that says which recording a row belongs to."""
+
+
+def _take_episode(table: Table, episode: int) -> Table:
+    """Return one episode's rows."""
+    numbers = table.numbers(EPISODE)
+    rows = np.flatnonzero(numbers == episode)
+    if not rows.size:
+        known = format_names(f"{x:g}" for x in np.unique(numbers))
+        raise InputError("unknown_name", f"{table.name} has no episode {episode}; there are {known}.")
+    return table.take_rows(rows)
 
 
 def compute_mapped_columns(tables: Mapping[str | None, Table], map_: ColumnMap) -> dict[str, NDArray[np.float64]]:
@@ -289,9 +306,21 @@ def _build(
     if "t" not in channels:
         raise InputError("missing_column", describe_missing_clock(main.name, tuple(main.cells)))
     t = channels.pop("t")
+    _check_episodes(main)
     _check_clock(main, t)
     digest = compute_joint_sha256(table.sha256 for table in tables.values())
     return Log(t, channels, name=main.name, sha256=digest, warnings=tuple(dict.fromkeys(warnings)))
+
+
+def _check_episodes(table: Table) -> None:
+    """Refuse several episodes as one log."""
+    numbers = table.numbers_or_none(EPISODE) if EPISODE in table.cells else None
+    if numbers is not None and np.any(numbers != numbers[0]):
+        raise InputError(
+            "time_stamps",
+            f"{table.name} holds {np.unique(numbers).size} episodes, which are logs of their own; choose one in the column "
+            f"map, as `episode: {numbers[0]:g}`.",
+        )
 
 
 def _check_clock(table: Table, t: NDArray[np.float64]) -> None:

@@ -257,7 +257,7 @@ def open_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
     """
     path = Path(path)
     map_ = columns if columns is None or isinstance(columns, ColumnMap) else ColumnMap.load(columns)
-    if map_ is not None and map_.files or has_topics(path):
+    if map_ is not None and (map_.files or _needs_the_whole(map_)) or has_topics(path):
         return read_log(path, map_)
     if path.is_dir():
         recording = _opened(path.name, _files_in(path), map_)
@@ -271,6 +271,12 @@ def open_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
         return read_log(path, map_)
     refuse_few(path.name, recording.n_samples)
     return recording.whole() if recording.n_samples <= MAX_IN_MEMORY_SAMPLES else recording
+
+
+def _needs_the_whole(map_: ColumnMap) -> bool:
+    """Tell whether a map asks for what windows do not give: an episode, columns by number, parts of lists."""
+    parts = any(source.column.endswith("]") for source in map_.sources.values())
+    return map_.episode is not None or map_.is_numbered or parts
 
 
 def _files_in(folder: Path) -> tuple[Path, ...]:

@@ -9,14 +9,16 @@ bytes can say that they are gigabytes, which recordings never do: how far a file
 from __future__ import annotations
 
 import hashlib
+import re
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
@@ -51,6 +53,11 @@ class DecompressionLimit:
 
 MAX_MAGNITUDE = 1e15
 """No quantity of a robot in SI units is larger; what is comes from a broken logger."""
+
+MAX_LIST_LENGTH = 64
+"""Numbers in a cell's list; longer ones are pictures or clouds, not signals."""
+
+_LIST = re.compile(r"\[[^\[\]]*\]")
 
 PARQUET_SUFFIXES = (".parquet", ".pq")
 
@@ -121,19 +128,24 @@ class Table:
 
     def first_rows(self, n: int, warning: str) -> Table:
         """Return the first `n` rows, with a sentence about the rest."""
-        cells = {key: value[:n] for key, value in self.cells.items()}
-        return Table(self.name, self.path, self.sha256, cells, self.places[:n], self.place, (*self.warnings, warning))
+        return replace(self.take_rows(np.arange(n)), warnings=(*self.warnings, warning))
+
+    def take_rows(self, rows: NDArray[np.int64]) -> Table:
+        """Return some of the rows."""
+        cells = {key: value[rows] for key, value in self.cells.items()}
+        return replace(self, cells=cells, places=self.places[rows])
 
 
-def read_table(path: str | Path, *, most: int | None = None) -> Table:
+def read_table(path: str | Path, *, most: int | None = None, foreign: bool = False) -> Table:
     """Read a CSV or Parquet file as a table of columns, without asking what they mean.
 
     A comma, a semicolon or a tab separates the cells; the header line decides which. `#` lines before the header are
-    comments. An incomplete last line is left out with a warning.
+    comments. An incomplete last line is left out with a warning. Lists of numbers become a column each: `state[0]`.
 
     Args:
         path: The file; `.parquet` and `.pq` are read as Parquet, everything else as text.
         most: Largest size [bytes]; None for any.
+        foreign: Whether blanks may separate a text's cells, the header may be missing, and a cell be a list `[1, 2]`.
 
     Raises:
         InputError: The file cannot be read, is larger, empty, not UTF-8, has no rows, names a column twice or has a row of
@@ -150,7 +162,9 @@ def read_table(path: str | Path, *, most: int | None = None) -> Table:
         raise InputError(
             "file_format", f"{path.name} is an MCAP file, which cannot be read here; export it as CSV or Parquet."
         )
-    cells, lines, warnings = parse_delimited(path.name, data)
+    cells, lines, warnings = parse_delimited(path.name, data, foreign=foreign)
+    if foreign:
+        cells = _spread_lists(path.name, {column: _read_lists(values) for column, values in cells.items()})
     return Table(path.name, path, digest, cells, lines, warnings=warnings)
 
 
@@ -198,7 +212,52 @@ def _parquet_columns(name: str, data: bytes) -> dict[str, NDArray[Any]]:
         raise InputError("too_little_data", f"{name} has columns but no rows; a log needs one row a sample.")
     if len(names) > MAX_COLUMNS:
         raise InputError("file_too_large", f"{name} has {len(names)} columns; a log has {MAX_COLUMNS} at most.")
-    return {column: read_parquet_column(name, column, table.column(column)) for column in table.column_names}
+    cells = {column: table.column(column) for column in table.column_names}
+    return _spread_lists(
+        name,
+        {
+            column: _flatten_lists(values) if _is_list(values.type) else read_parquet_column(name, column, values)
+            for column, values in cells.items()
+        },
+    )
+
+
+def _is_list(kind: pa.DataType) -> bool:
+    """Tell whether cells are lists of numbers."""
+    lists = pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
+    return lists and (pa.types.is_floating(kind.value_type) or pa.types.is_integer(kind.value_type))
+
+
+def _flatten_lists(cells: pa.ChunkedArray) -> NDArray[Any]:
+    """Return lists of one length k as numbers (N, k), others as text (N,)."""
+    lengths = pc.list_value_length(cells).to_numpy()
+    k = lengths[0] if lengths.size else np.nan
+    if not 0 < k <= MAX_LIST_LENGTH or np.any(lengths != k):
+        return np.full(len(cells), "list", dtype=object)
+    return pc.list_flatten(cells).to_numpy().astype(np.float64).reshape(len(cells), int(k))
+
+
+def _read_lists(cells: NDArray[Any]) -> NDArray[Any]:
+    """Return a text's cells as numbers (N, k) where all of them are lists `[1, 2]` of one length, else as they are."""
+    if cells.dtype.kind in "fiub" or not all(isinstance(cell, str) and _LIST.fullmatch(cell.strip()) for cell in cells):
+        return cells
+    rows = [cell.strip(" []").replace(",", " ").split() for cell in cells]
+    if len({len(row) for row in rows}) != 1 or not 0 < len(rows[0]) <= MAX_LIST_LENGTH:
+        return cells
+    return np.column_stack([_to_float(np.array(column, dtype=object)) for column in zip(*rows, strict=True)])
+
+
+def _spread_lists(name: str, cells: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return lists (N, k) as k columns `NAME[0]`, .. (N,)."""
+    spread: dict[str, NDArray[Any]] = {}
+    for column, values in cells.items():
+        parts = {column: values} if values.ndim == 1 else {f"{column}[{i}]": part for i, part in enumerate(values.T)}
+        if twice := [part for part in parts if part in spread or values.ndim > 1 and part in cells]:
+            raise InputError("duplicate_name", f"{name} has a column {twice[0]} and a list of that name; rename one.")
+        spread |= parts
+    if len(spread) > MAX_COLUMNS:
+        raise InputError("file_too_large", f"{name} has {len(spread)} columns; a log has {MAX_COLUMNS} at most.")
+    return spread
 
 
 def read_parquet_column(name: str, column: str, cells: pa.ChunkedArray) -> NDArray[Any]:

@@ -1,0 +1,138 @@
+"""Which columns of a log belong together, a joint each: told by the words and numbers in their names.
+
+A name is split into words. The joint's name or the last number says whose the column is; the words left say what it is and in
+which unit. Columns with the same words are a group, which counts if it has every joint.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from tau_dyn.log.column_names import format_names, split_column_name
+from tau_dyn.message_codes import CodedWarning
+
+DEGREE = np.pi / 180  # rad
+
+_WORDS: Mapping[str, frozenset[str]] = {
+    "reference": frozenset("target goal cmd command commanded desired des ref reference setpoint sp d action".split()),
+    "current": frozenset("current currents curr cur ampere amps motorcurrent".split()),
+    "tau": frozenset("tau torque torques effort efforts trq moment moments".split()),
+    "v": frozenset("v vel velocity velocities speed speeds dq qd qdot omega".split()),
+    "a": frozenset("a acc acceleration accelerations ddq qdd".split()),
+    "q": frozenset("q qm pos position positions angle angles theta state".split()),
+    "temp": frozenset("temp temperature temperatures".split()),
+    "other": frozenset("tcp tool ee cartesian pose ext external volts voltage error fric friction con load".split()),
+}
+"""What a word of a name says; the first row that knows one decides, after `other` and `reference`."""
+
+_SCALES: Mapping[str, Mapping[str, float]] = {
+    "t": {"ns": 1e-9, "nanoseconds": 1e-9, "us": 1e-6, "ms": 1e-3, "msec": 1e-3, "milliseconds": 1e-3, "s": 1.0, "sec": 1.0},
+    "q": {"deg": DEGREE, "degrees": DEGREE, "rad": 1.0, "mm": 1e-3, "m": 1.0},
+    "v": {"deg": DEGREE, "degrees": DEGREE, "rad": 1.0, "rpm": np.pi / 30, "mm": 1e-3},
+    "tau": {"nm": 1.0, "mnm": 1e-3, "ncm": 1e-2},
+}  # fmt: skip
+"""Units that a name may say, and their size in SI."""
+
+CLOCKS = frozenset("t time timestamp timestamps stamp clock zeit secs seconds".split())
+
+_MEASURED = frozenset("actual act measured meas".split())
+"""Words that make a group the better candidate."""
+
+
+class ColumnGroup(NamedTuple):
+    """Columns of one name, a joint each: what they are, and by which word they are called."""
+
+    kind: str  # a signal, `q_ref`, `current`, `other`, or nothing
+    stem: tuple[str, ...]
+    columns: tuple[str, ...]  # in the robot's order
+    by_name: bool
+    more: int = 0  # numbers beyond the joints
+
+    def score(self) -> tuple[bool, int]:
+        """Return how likely it is to be what was measured."""
+        return self.by_name, len(_MEASURED & set(self.stem)) - ("filt" in self.stem or "filtered" in self.stem)
+
+
+def split_words(name: str) -> tuple[str, ...]:
+    """Return a name's words in lower case, numbers among them."""
+    return tuple(word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name))
+
+
+def find_named_scale(column: str, kind: str) -> float | None:
+    """Return the size of the unit that a column's name says; None where it says none."""
+    words = split_words(column)[1:]
+    return next((scale for unit, scale in _SCALES[kind].items() if unit in words), None)
+
+
+def _classify(words: Sequence[str]) -> str:
+    """Return what a name's words stand for; nothing where they say nothing."""
+    known = set(words)
+    if known & _WORDS["other"]:
+        return "other"
+    kind = next((k for k in ("current", "tau", "v", "a", "q", "temp") if known & _WORDS[k]), "")
+    if known & _WORDS["reference"]:
+        if "action" in known:
+            return "q_ref"
+        return {"q": "q_ref", "": "q_ref", "tau": "tau_ref"}.get(kind, "other")
+    return kind
+
+
+def find_groups(columns: Sequence[str], joints: Sequence[str], file: str) -> list[ColumnGroup]:
+    """Return the groups of columns that have every joint, by its name or by numbers."""
+    stems: dict[tuple[str, ...], dict[int | str, str]] = {}
+    for column in columns:
+        for stem, key in _split_joint(column, joints):
+            stems.setdefault(stem, {}).setdefault(key, column)
+    groups = []
+    for stem, found in stems.items():
+        by_name = all(joint in found for joint in joints)
+        numbers = sorted(key for key in found if isinstance(key, int))
+        more = 0
+        if by_name:
+            order = tuple(found[joint] for joint in joints)
+        elif len(joints) == 1 and "" in found:
+            order = (found[""],)
+        elif len(numbers) >= len(joints) and numbers[0] in (0, 1) and np.all(np.diff(numbers) == 1):
+            order = tuple(found[key] for key in numbers[: len(joints)])
+            more = len(numbers) - len(joints)
+        else:
+            continue
+        kind = _classify(stem) or ("" if not set(stem) <= {"joint", "axis", "j"} else _classify(split_words(file)))
+        groups.append(ColumnGroup(kind, stem, order, by_name, more))
+    return groups
+
+
+def _split_joint(column: str, joints: Sequence[str]) -> Iterator[tuple[tuple[str, ...], int | str]]:
+    """Yield a column's words without its joint, and the joint's name or number."""
+    ours = split_column_name(column)
+    if ours is not None and ours[1] in joints:
+        yield split_words(ours[0]), ours[1]
+        return
+    words = split_words(column)
+    for joint in sorted(joints, key=len, reverse=True):
+        part = split_words(joint)
+        for at in range(len(words) - len(part) + 1):
+            if part and words[at : at + len(part)] == part:
+                yield words[:at] + words[at + len(part) :], joint
+                return
+    numbers = [k for k, word in enumerate(words) if word.isdigit()]
+    if numbers and len(words) > 1:
+        k = numbers[-1]
+        yield words[:k] + words[k + 1 :], int(words[k][:9])
+    yield words, ""
+
+
+def choose_group(groups: Sequence[ColumnGroup], kind: str) -> tuple[ColumnGroup | None, list[str]]:
+    """Return the likeliest group of a kind, and a sentence where others are as likely."""
+    found = sorted((g for g in groups if g.kind == kind), key=ColumnGroup.score, reverse=True)
+    others = [g.columns[0] for g in found[1:] if g.score() == found[0].score()]
+    if not others:
+        return (found[0] if found else None), []
+    sentence = (
+        f"{found[0].columns[0]} is taken for {kind}, and {format_names(others)} could be as well; choose by hand."
+    )
+    return found[0], [CodedWarning("column_unsure", sentence)]
