@@ -12,7 +12,7 @@ turned: 30
 MACROS = b"""<robot xmlns:xacro="http://www.ros.org/wiki/xacro">
   <xacro:property name="length" value="0.5"/>
   <xacro:macro name="body" params="name mass:=2.0 size:=${[1, 1, 1]}"><link name="${name}_link"><inertial><mass value="${mass}"/>
-    <inertia ixx="${mass*(size[1]**2 + size[2]**2)/12}" ixy="0" ixz="0" iyy="${mass*(size[0]**2 + size[2]**2)/12}" iyz="0" izz="${mass*(size[0]**2 + size[1]**2)/12}"/>
+    <inertia ixx="${mass*(size[1]**2 + size[2]**2)/12}" ixy="0" ixz="0" iyy="${mass/12}" iyz="0" izz="${mass/12}"/>
     </inertial></link>
   </xacro:macro>
 </robot>

@@ -308,7 +308,7 @@ def _find_tool(model: pin.Model, notes: Annotations, wanted: str | None, where: 
             raise UnknownName("frame", wanted, [f.name for f in model.frames[1:]], where)
         return wanted
     links = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
-    named = [name for name in TOOL_NAMES if model.existFrame(name)]
+    named = [name for name in TOOL_NAMES if name in links or (name not in _MOUNTS and model.existFrame(name))]
     if len(notes.leaves) == 1 and not notes.loops and (not named or named[0] in _MOUNTS):
         return notes.leaves[0]
     if named:
