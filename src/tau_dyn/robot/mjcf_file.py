@@ -219,7 +219,9 @@ def _include(root: Element, file: Path, where: str) -> None:
     while left:
         element, level = left.pop()
         if level > MAX_LEVELS:
-            raise InputError("robot_structure", f"{where}: elements stand more than {MAX_LEVELS} deep inside each other")
+            raise InputError(
+                "robot_structure", f"{where}: elements stand more than {MAX_LEVELS} deep inside each other"
+            )
         k = 0
         while k < len(element):
             child = element[k]
