@@ -164,7 +164,7 @@ class PoseTable(Shown):
             "units": list(self.robot.position_units),
             "answered": int(self.ok.sum()),
             "rows": rows,
-            "solutions" if self.inverse else "modes": self.counts,
+            "solutions" if self.inverse else "modes": [count._asdict() for count in self.counts],
         }
 
 
