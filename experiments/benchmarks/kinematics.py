@@ -14,14 +14,16 @@ import numpy as np
 import pandas as pd
 from bench import machine
 
-from tau_dyn.kinematics import (
+from tau_dyn.mechanism import (
     Poses,
+    build_chains,
+    find_all_solutions,
     forward_kinematics,
+    get_rods,
     inverse_kinematics,
     jacobian,
     solve_all_configurations,
 )
-from tau_dyn.mechanism import build_chains, find_all_solutions, get_rods
 from tau_dyn.mechanism.chain_inverse import NewtonChain
 from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import newcomers
 import numpy as np
 import pytest
 from raising import raises_code
 
 from tau_dyn.calibrate import Geometry, build_compensation, constrain_parameters
-from tau_dyn.calibrate.compensation import Compensation
+from tau_dyn.calibrate.compensation import Compensation, choose_default_axes
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.saved import load_compensation, save_compensation
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism import Poses, build_rods
+from tau_dyn.mechanism import Poses, build_kinematics, build_rods
 from tau_dyn.robot import load_robot
 
 URDF = Path(__file__).resolve().parents[2] / "urdf"
@@ -86,6 +87,14 @@ def test_commanded_axes(name: str, axes: tuple[str, ...]) -> None:
     robot = load_robot(URDF / f"{name}.urdf.xacro")
     geometry = build_tree_geometry(robot)
     assert build_compensation(robot, geometry, geometry.parameters.values).axes == axes
+
+
+def test_axes_of_a_robot_that_tilts_and_of_an_arm_at_a_singular_home() -> None:
+    """A 3-PRS commands its tilts, not the shifts that come with them; six joints command six coordinates at any home."""
+    assert choose_default_axes(newcomers.three_prs()) == ("z", "rx", "ry")
+    arm = load_robot(URDF.parent / "identification" / "robots" / "kr300.urdf")
+    assert len(build_kinematics(arm).commanded.names) == 5
+    assert choose_default_axes(arm) == ("x", "y", "z", "rx", "ry", "rz")
 
 
 def test_parallelogram_tied_parameters() -> None:

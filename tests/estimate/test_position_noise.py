@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tau_dyn.estimate import PositionNoise, compute_accelerations
+from tau_dyn.estimate import PositionNoise, build_position_noise, compute_accelerations
 
 N, M, DT = 30, 3, 0.01
 
@@ -16,7 +16,7 @@ def noise() -> PositionNoise:
     keep = rng.random((N, M)) > 0.2
     keep[:2] = keep[-2:] = False
     force, position = np.array([1.0, 2.0, 3.0]), np.array([1e-4, 2e-4, 3e-4])
-    return PositionNoise(half @ half.transpose(0, 2, 1) + np.eye(M), keep, DT, force, position)
+    return build_position_noise(half @ half.transpose(0, 2, 1) + np.eye(M), keep, DT, force, position)
 
 
 def dense(noise: PositionNoise) -> np.ndarray:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.kinematics import Poses, build_inverse_table, forward_kinematics
-from tau_dyn.mechanism import find_all_solutions
+from tau_dyn.kinematics import build_inverse_table
+from tau_dyn.mechanism import Poses, find_all_solutions, forward_kinematics
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
 UR5 = {

@@ -17,8 +17,8 @@ from tau_dyn.modes import Modes, find_modes
 from tau_dyn.render import build_page, print_result
 from tau_dyn.render.chart import Chart, choose_log_ticks
 from tau_dyn.render.kinds.modes_words import describe_headline, describe_verdict, format_frequency, format_mode_interval
-from tau_dyn.render.pictures import draw_shape, find_space_axes
-from tau_dyn.results import Ribbon, ShapePicture
+from tau_dyn.render.pictures import draw_shape
+from tau_dyn.results import Ribbon, ShapePicture, find_space_axes
 
 
 @pytest.fixture(scope="module")

@@ -27,11 +27,8 @@ import numpy as np
 from tau_dyn.calibrate.frames import AXES, compute_rotation_between
 from tau_dyn.calibrate.geometry import Geometry, expand_constraints
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.mechanism import Poses, require_positions
+from tau_dyn.mechanism import Poses, build_kinematics, require_positions
 from tau_dyn.robot import Robot
-
-_LENGTH = 0.5  # [m] at which a turn counts as much as a shift
-_INDEPENDENT = 1e-3  # part of a row that the ones before must leave unexplained
 
 
 def require_valid_axes(robot: Robot, axes: Sequence[str]) -> tuple[str, ...]:
@@ -52,30 +49,15 @@ def require_valid_axes(robot: Robot, axes: Sequence[str]) -> tuple[str, ...]:
     return tuple(axes)
 
 
-def find_independent_axes(robot: Robot, geometry: Geometry, nominal: np.ndarray) -> tuple[str, ...]:
-    """Return the first axes that the joints move independently at home, as many as there are joints.
+def choose_default_axes(robot: Robot) -> tuple[str, ...]:
+    """Return the coordinates that the robot commands, all six where its joints are as many.
 
     Raises:
         InputError: The tool's motion at home is not known.
     """
-    if robot.na >= 6:
+    if robot.na >= 6:  # an arm often rests at a singularity of its wrist, where only five coordinates move
         return AXES
-    q = robot.home[None]
-    found = geometry.forward(nominal, q)
-    J = geometry.tool_by_joint(nominal, q, found.poses)[0].copy()
-    J[3:] *= _LENGTH
-    if not np.isfinite(J).all():
-        raise InputError(
-            "unsupported",
-            f"{robot.source}: the tool's motion at home is not known ({found.reason[0]}); name the commanded axes",
-        )
-    rows: list[int] = []
-    for k in range(6):
-        basis = np.linalg.qr(J[rows].T)[0] if rows else np.zeros((robot.na, 0))
-        rest = J[k] - basis @ (basis.T @ J[k])
-        if len(rows) < robot.na and np.linalg.norm(rest) > _INDEPENDENT * np.abs(J).max():
-            rows.append(k)
-    return tuple(AXES[k] for k in rows)
+    return build_kinematics(robot).commanded.names
 
 
 METHODS = ("exact", "linear")
@@ -237,8 +219,8 @@ def build_compensation(
         geometry: Its geometry, as it was fitted.
         theta: Calibrated parameters (p,), such as `fit(...).theta`.
         method: 'exact' or 'linear'.
-        axes: Commanded part of the pose, one name a joint (`x y z rx ry rz`); by default the first that
-            the joints move independently.
+        axes: Commanded part of the pose, one name a joint (`x y z rx ry rz`); by default what the
+            kinematics command, or all six.
         nominal: Parameters that the controller computes with (p,); the robot file's unless given.
         limits: Whether positions beyond the joints' limits are refused.
 
@@ -254,7 +236,7 @@ def build_compensation(
         raise InputError(
             "wrong_shape", f"{robot.source}: the geometry has {p} parameters, not {theta.shape} and {nominal.shape}"
         )
-    chosen = find_independent_axes(robot, geometry, nominal) if axes is None else require_valid_axes(robot, axes)
+    chosen = choose_default_axes(robot) if axes is None else require_valid_axes(robot, axes)
     return Compensation(robot, geometry, theta, nominal, chosen, _known(method), limits)
 
 

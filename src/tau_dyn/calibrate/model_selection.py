@@ -185,8 +185,8 @@ def select_model(
         InputError: Too few poses for the smallest model.
     """
     taken, steps, warnings = _structures(family, poses, options, progress)
-    _additions(family, poses, options, taken, steps, progress)
-    return taken, steps, warnings
+    added, tried = _additions(family, poses, options, taken[-1], progress)
+    return [*taken, *added], [*steps, *tried], warnings
 
 
 def _structures(
@@ -213,7 +213,11 @@ def _structures(
                 continue
         between = {a: own for a, own in candidate.spec.additions.items() if a in BETWEEN_CAMPAIGNS}
         if moved and set(between) > set(moved) and candidate.spec.structure == family.structures[0]:
-            candidate = _drop_earlier_frame(family, poses, options, taken, steps, candidate, moved)
+            both = candidate
+            candidate, step = _drop_earlier_frame(family, poses, options, both, moved)
+            steps.append(step)
+            if candidate is not both:
+                taken.pop()
             between = {a: own for a, own in candidate.spec.additions.items() if a in BETWEEN_CAMPAIGNS}
         moved = between
         taken.append(candidate)
@@ -224,20 +228,15 @@ def _drop_earlier_frame(
     family: Family,
     poses: PoseSet,
     options: Options,
-    taken: list[CandidateModel],
-    steps: list[SelectionStep],
     both: CandidateModel,
     earlier: Mapping[str, tuple[str, ...]],
-) -> CandidateModel:
-    """Return the model with the later frame alone where the earlier one, taken in its place, adds nothing beside it."""
+) -> tuple[CandidateModel, SelectionStep]:
+    """Return the model with the later frame alone where the earlier one adds nothing beside it, else both; and the step."""
     alone = Spec(both.spec.structure, {a: own for a, own in both.spec.additions.items() if a not in earlier})
     candidate = fit_and_cross_validate(family, alone, poses, options)
     gain = compare_paired(candidate.unseen, both.unseen, options.seed)
-    steps.append(SelectionStep(both.name, candidate.name, gain, gain.is_significant))
-    if gain.is_significant:
-        return both
-    taken.pop()
-    return candidate
+    step = SelectionStep(both.name, candidate.name, gain, gain.is_significant)
+    return (both if gain.is_significant else candidate), step
 
 
 def _list_structures(family: Family, always: Mapping[str, tuple[str, ...]]) -> list[Spec]:
@@ -255,16 +254,16 @@ def _additions(
     family: Family,
     poses: PoseSet,
     options: Options,
-    taken: list[CandidateModel],
-    steps: list[SelectionStep],
+    start: CandidateModel,
     progress: Callable[[str], None],
-) -> None:
+) -> tuple[list[CandidateModel], list[SelectionStep]]:
+    """Return the models that additions make of the first one, each of the one before, and all steps that were tried."""
+    now, taken, steps = start, [], []
     periods: dict[str, float] = {}
     refused: set[tuple[str, tuple[str, ...]]] = set()
     for _ in range(_MAX_ADDITIONS):
-        now = taken[-1]
         hints = [h for h in screen_additions(now.fit, family, now.spec) if (h.addition, h.joints) not in refused]
-        failed = 0
+        before = now
         for hint in hints[:_MAX_CONSECUTIVE_FAILURES]:
             progress(f"trying {hint.addition} at {', '.join(hint.joints)}")
             label = "2" if hint.addition == "periodic2" else ""
@@ -280,12 +279,12 @@ def _additions(
             steps.append(SelectionStep(candidate.name, now.name, gain, gain.is_significant))
             if gain.is_significant:
                 taken.append(candidate)
-                periods = tried
+                now, periods = candidate, tried
                 break
             refused.add((hint.addition, hint.joints))
-            failed += 1
-        if taken[-1] is now:
-            return
+        if now is before:
+            break
+    return taken, steps
 
 
 def fit_models(

@@ -150,7 +150,7 @@ def _most_likely(records: Sequence[Record]) -> RefinedModel | None:
     best: RefinedModel | None = None
     try:
         factors = compress_subspace_data(records)
-    except TauDynError:
+    except (TauDynError, np.linalg.LinAlgError):
         return None
     for order in (o for o in ORDERS if o <= factors.largest_order):
         try:

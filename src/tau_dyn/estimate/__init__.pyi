@@ -38,6 +38,7 @@ from .physical_consistency import (
 from .position_noise import (
     REACH as REACH,
     PositionNoise as PositionNoise,
+    build_position_noise as build_position_noise,
     compute_accelerations as compute_accelerations,
 )
 from .regression import (

@@ -16,7 +16,6 @@ them (Woodbury) gives exactly this matrix. Reference: Soderstrom 2018, Errors-in
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -37,7 +36,7 @@ def compute_accelerations(q: np.ndarray, dt: float) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class PositionNoise:
-    """The covariance of one stretch's equations.
+    """The covariance of one stretch's equations; `build_position_noise` factors it.
 
     Attributes:
         inertia: Mass matrices (n, m, m).
@@ -45,6 +44,7 @@ class PositionNoise:
         dt: Time between samples [s].
         force: Standard deviation of the force noise, of each joint (m,) or of each equation (n, m).
         position: Standard deviation of the position noise of each joint (m,).
+        factor: Lower banded Cholesky factor of `Sigma` (5 m, n m), rows ordered sample by sample.
     """
 
     inertia: np.ndarray
@@ -52,6 +52,7 @@ class PositionNoise:
     dt: float
     force: np.ndarray
     position: np.ndarray
+    factor: np.ndarray
 
     def of_positions(self, n: np.ndarray) -> np.ndarray:
         """Return `D n` (n, m) for positions (n, m), zero where an equation is left out."""
@@ -77,25 +78,28 @@ class PositionNoise:
         n, m = self.keep.shape
         kept = self.keep.reshape(n, m, *(1,) * (x.ndim - 2))
         rhs = np.asfortranarray((kept * x).reshape(n * m, -1))
-        solution, _ = lapack.dtbtrs(self._factor, rhs, uplo="L", trans=trans)
+        solution, _ = lapack.dtbtrs(self.factor, rhs, uplo="L", trans=trans)
         return np.ascontiguousarray(kept * solution.reshape(x.shape))  # sums of products are ten times slower otherwise
 
-    @cached_property
-    def _factor(self) -> np.ndarray:
-        """Lower banded Cholesky factor of `Sigma`, rows ordered sample by sample."""
-        n, m = self.keep.shape
-        lags = 2 * REACH
-        autocorrelation = np.correlate(STENCIL, STENCIL, "full")[lags:] / self.dt**4
-        noisy = self.inertia * self.position**2
-        band = np.zeros(((lags + 1) * m, n * m))
-        for lag in range(lags + 1):
-            block = autocorrelation[lag] * np.einsum("kij,klj->kil", self.inertia[lag:], noisy[: n - lag])
-            block = block * self.keep[lag:, :, None] * self.keep[: n - lag, None, :]
-            for i in range(m):  # row (k + lag, i), column (k, l)
-                for column in range(m):
-                    below = lag * m + i - column
-                    if below >= 0:
-                        band[below, column : (n - lag) * m : m] = block[:, i, column]
-        force = np.broadcast_to(np.asarray(self.force) ** 2, self.keep.shape)
-        band[0] += np.where(self.keep, force, 1.0).ravel()
-        return np.asarray(linalg.cholesky_banded(band, lower=True))
+
+def build_position_noise(
+    inertia: np.ndarray, keep: np.ndarray, dt: float, force: np.ndarray, position: np.ndarray
+) -> PositionNoise:
+    """Return the covariance of one stretch's equations, factored; arguments as in `PositionNoise`."""
+    n, m = keep.shape
+    lags = 2 * REACH
+    autocorrelation = np.correlate(STENCIL, STENCIL, "full")[lags:] / dt**4
+    noisy = inertia * position**2
+    band = np.zeros(((lags + 1) * m, n * m))
+    for lag in range(lags + 1):
+        block = autocorrelation[lag] * np.einsum("kij,klj->kil", inertia[lag:], noisy[: n - lag])
+        block = block * keep[lag:, :, None] * keep[: n - lag, None, :]
+        for i in range(m):  # row (k + lag, i), column (k, l)
+            for column in range(m):
+                below = lag * m + i - column
+                if below >= 0:
+                    band[below, column : (n - lag) * m : m] = block[:, i, column]
+    variance = np.broadcast_to(np.asarray(force) ** 2, keep.shape)
+    band[0] += np.where(keep, variance, 1.0).ravel()
+    factor = np.asarray(linalg.cholesky_banded(band, lower=True))
+    return PositionNoise(inertia, keep, dt, force, position, factor)

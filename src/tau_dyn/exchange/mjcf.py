@@ -65,8 +65,7 @@ def build_mjcf(model: Model) -> Exported:
     SubElement(root, "compiler", angle="radian", autolimits="true", boundmass="1e-9", boundinertia="1e-12")
     SubElement(root, "option", gravity=_numbers(robot.model.gravity.linear), timestep=_numbers([TIMESTEP_S]))
     world = SubElement(root, "worldbody")
-    raised: list[str] = []
-    bodies = _bodies(world, carried, joints, raised)
+    bodies, raised = _bodies(world, carried, joints)
     _add_weights(bodies, model)
     shapes = _draw(model, [world, *bodies])
     _tie(root, model, [world, *bodies])
@@ -89,9 +88,9 @@ def build_mjcf(model: Model) -> Exported:
     return Exported(text, (*left_out, *raised, *shapes), carried, list_nominal_parameters(model), split(model))
 
 
-def _bodies(world: Element, model: Model, joints: list[Joint], raised: list[str]) -> list[Element]:
-    """Return the bodies by joint index less one, each inside its parent's; `raised` takes what is said of inertias."""
-    robot, found = model.robot, [world]
+def _bodies(world: Element, model: Model, joints: list[Joint]) -> tuple[list[Element], list[str]]:
+    """Return the bodies by joint index less one, each inside its parent's, and what is to be said of their inertias."""
+    robot, found, raised = model.robot, [world], []
     inertias = {link.joint_id: link for link in robot.links}
     names = {f.parentJoint: f.name for f in reversed(robot.model.frames.tolist()) if f.type == pin.FrameType.BODY}
     for joint in joints:
@@ -102,13 +101,13 @@ def _bodies(world: Element, model: Model, joints: list[Joint], raised: list[str]
         if joint.index in inertias:
             carried = build_body(inertias[joint.index], model)
             said, sentence = _inertia(carried.inertia, inertias[joint.index].link)
-            raised += [sentence] if sentence else []
+            raised.append(sentence)
             said |= {"pos": _numbers(carried.centre), "mass": _numbers([carried.mass])}
             SubElement(body, "inertial", said)
         else:
             SubElement(body, "inertial", _MIN_INERTIAL)
         found.append(body)
-    return found[1:]
+    return found[1:], [sentence for sentence in raised if sentence]
 
 
 def _inertia(inertia: np.ndarray, link: str) -> tuple[dict[str, str], str]:

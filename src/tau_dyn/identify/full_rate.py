@@ -46,6 +46,7 @@ from tau_dyn.estimate import (
     PositionNoise,
     Preparation,
     WhiteRows,
+    build_position_noise,
     compute_accelerations,
     compute_bisquare_weights,
     compute_robust_covariance_factor,
@@ -331,7 +332,7 @@ class _FullRateFit:
     def _noise(self, s: FullRate, force: np.ndarray, part: slice = slice(None)) -> PositionNoise:
         keep = s.keep[part].copy()
         keep[:2] = keep[-2:] = False
-        return PositionNoise(s.inertia[part], keep, s.log.dt, force, self.position)
+        return build_position_noise(s.inertia[part], keep, s.log.dt, force, self.position)
 
     def _weights(self, noises: list[PositionNoise], residuals: list[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return scaled force residuals that count (N,) and weights (n, m) of each stretch."""

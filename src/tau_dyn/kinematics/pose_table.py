@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.assembly import list_robot_modes
@@ -141,6 +140,8 @@ class PoseTable(Shown):
 
     def to_csv(self) -> str:
         """Return the table as CSV; a number that does not exist is an empty cell."""
+        import pandas as pd
+
         return pd.DataFrame(self.columns()).to_csv(index=False, float_format="%.17g", lineterminator="\n")
 
     def to_dict(self) -> dict[str, Any]:

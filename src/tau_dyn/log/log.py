@@ -11,16 +11,18 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import write_atomically
 from tau_dyn.log.column_names import ROOM_TEMPERATURE, describe_missing_column, map_joints
 from tau_dyn.results import Shown, count
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _NAME_IT = "; log it, or let a column map say which column it is"
 
@@ -164,8 +166,10 @@ class Log(Shown):
         """Return the same log with further warning sentences, each once."""
         return replace(self, warnings=tuple(dict.fromkeys((*self.warnings, *warnings))))
 
-    def to_frame(self) -> pd.DataFrame:
+    def to_frame(self) -> "pd.DataFrame":
         """Return the log as a table with `t` first, one row a sample."""
+        import pandas as pd
+
         return pd.DataFrame({"t": self.t, **self.channels})
 
     def to_csv(self, path: str | Path) -> None:

@@ -270,9 +270,15 @@ class Kinematics(ABC):
 
     @cached_property
     def commanded(self) -> CommandedCoordinates:
-        """What one commands of the tool: from the freedoms that it has at home."""
+        """What one commands of the tool: from the freedoms that it has at home.
+
+        Raises:
+            InputError: Its motion at home is not known, as at a singularity of the loops.
+        """
         home = self.forward(self.robot.home[None]).poses
         twists, length = self._twists_at_home()
+        if not np.isfinite(twists).all():
+            raise InputError("unsupported", f"{self.robot.source}: the tool's motion at home is not known")
         return choose_commanded(twists, home, length)
 
     @abstractmethod

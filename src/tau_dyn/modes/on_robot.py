@@ -15,15 +15,17 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 from scipy.optimize import linear_sum_assignment
 
 from tau_dyn.exceptions import TauDynError
-from tau_dyn.mechanism import FlexibleModel, LoopSolver
 from tau_dyn.modes.modal import Mode
-from tau_dyn.robot import Robot
+
+if TYPE_CHECKING:
+    from tau_dyn.mechanism import FlexibleModel, LoopSolver
+    from tau_dyn.robot import Robot
 
 _MAX_DUPLICATE_DISTANCE_M = 1e-4  # [m] between points that are one
 
@@ -60,6 +62,8 @@ class MechanismFigure:
     @classmethod
     def of(cls, robot: Robot) -> MechanismFigure:
         """Prepare a robot at home, its springs free to move."""
+        from tau_dyn.mechanism import FlexibleModel, LoopSolver
+
         flexible = FlexibleModel(robot) if robot.springs else None
         drawn = robot if flexible is None else flexible.freed
         home = dict(zip(robot.actuated, map(float, robot.home), strict=True)) | {s.joint: 0.0 for s in robot.springs}
@@ -82,6 +86,8 @@ class MechanismFigure:
 
     def points(self, q: np.ndarray) -> list[np.ndarray]:
         """Return every link's points (n, 3) at actuated positions."""
+        import pinocchio as pin
+
         data = self.solver.data
         pin.computeJointJacobians(self.robot.model, data, self.solver.close(q))
         pin.updateFramePlacements(self.robot.model, data)

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg import eigh
@@ -96,6 +95,9 @@ class SubspaceFactors:
         factor: The compressed data.
         horizon: Block rows s of past and of future.
         delay: Whole samples of delay.
+        lower: L21, L22, L32 of the data ordered [U_f; U_p, Y_p; Y_f].
+        oblique: L32 L22^-1 (s p, s w), future outputs from the past.
+        canonical: Singular values of the projection weighted for "cva", and the matrix whose first columns are Gamma.
     """
 
     records: tuple[Record, ...]
@@ -103,53 +105,21 @@ class SubspaceFactors:
     factor: HankelFactor
     horizon: int
     delay: int
-
-    @cached_property
-    def _L(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """L21, L22, L32, L33 of the data ordered [U_f; U_p, Y_p; Y_f]."""
-        s, factor = self.horizon, self.factor
-        f, w = s * factor.n_inputs, s * (factor.n_inputs + factor.n_outputs)
-        rows = [factor.inputs(s, 2 * s), factor.past(0, s), factor.outputs(s, 2 * s)]
-        L = reorder_lower_factor(np.vstack(rows))
-        a, b = slice(f, f + w), slice(f + w, None)
-        return L[a, :f], L[a, a], L[b, a], L[b, b]
-
-    @cached_property
-    def _weights(self) -> tuple[np.ndarray, np.ndarray]:
-        """(L32 L32' + L33 L33')^-1/2 and its inverse."""
-        _, _, L32, L33 = self._L
-        values, vectors = eigh(L32 @ L32.T + L33 @ L33.T)
-        root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
-        return (vectors / root) @ vectors.T, (vectors * root) @ vectors.T
-
-    def _projection(self, weighting: str) -> tuple[np.ndarray, np.ndarray | None]:
-        """The weighted projection, and what takes its singular vectors back to the outputs."""
-        L21, L22, L32, _ = self._L
-        if weighting == "cva":
-            return self._weights[0] @ L32, self._weights[1]
-        if weighting == "n4sid":
-            return self._oblique @ np.hstack([L21, L22]), None
-        if weighting == "moesp":
-            return L32, None
-        raise InputError("invalid_value", f"there is no weighting '{weighting}'; there are {', '.join(WEIGHTINGS)}")
-
-    @cached_property
-    def _oblique(self) -> np.ndarray:
-        """L32 L22^-1 (s p, s w): future outputs from the past."""
-        _, L22, L32, _ = self._L
-        return np.linalg.lstsq(L22.T, L32.T, rcond=1e-11)[0].T
-
-    @cached_property
-    def _decompositions(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        return {}
+    lower: tuple[np.ndarray, np.ndarray, np.ndarray]
+    oblique: np.ndarray
+    canonical: tuple[np.ndarray, np.ndarray]
 
     def _decomposed(self, weighting: str) -> tuple[np.ndarray, np.ndarray]:
         """Singular values and the matrix whose first columns are Gamma."""
-        if weighting not in self._decompositions:
-            target, back = self._projection(weighting)
-            U, values, _ = np.linalg.svd(target, full_matrices=False)
-            self._decompositions[weighting] = (values, U if back is None else back @ U)
-        return self._decompositions[weighting]
+        L21, L22, L32 = self.lower
+        if weighting == "cva":
+            return self.canonical
+        if weighting not in WEIGHTINGS:
+            raise InputError("invalid_value", f"there is no weighting '{weighting}'; there are {', '.join(WEIGHTINGS)}")
+        U, values, _ = np.linalg.svd(
+            L32 if weighting == "moesp" else self.oblique @ np.hstack([L21, L22]), full_matrices=False
+        )
+        return values, U
 
     @property
     def largest_order(self) -> int:
@@ -183,7 +153,7 @@ class SubspaceFactors:
         A, C = self.dynamics(order, weighting)
         point = fit_input_matrices(A, C, self.records, direct)
         model = point.form.state_space()
-        past = np.linalg.lstsq(self.observability(order, weighting), self._oblique, rcond=None)[0]
+        past = np.linalg.lstsq(self.observability(order, weighting), self.oblique, rcond=None)[0]
         bare = StateSpace(A, np.zeros((order, 0)), C, np.zeros((len(C), 0)), np.zeros((order, len(C))), model.dt)
         _, W = build_modal_form_with_coordinates(bare)
         K, _ = estimate_innovation_gain(model.A, model.C, W @ past, self.factor, self.horizon)
@@ -207,7 +177,29 @@ def compress_subspace_data(records: Sequence[Record], *, horizon: int | None = N
     horizon = choose_default_horizon(ready) if horizon is None else horizon
     if horizon < 2:
         raise InputError("invalid_value", "the horizon must be at least 2 samples")
-    return SubspaceFactors(ready, scales, compress(ready, 2 * horizon), horizon, delay)
+    factor = compress(ready, 2 * horizon)
+    L21, L22, L32, L33 = _order_by_future(factor, horizon)
+    oblique = np.linalg.lstsq(L22.T, L32.T, rcond=1e-11)[0].T
+    return SubspaceFactors(
+        ready, scales, factor, horizon, delay, (L21, L22, L32), oblique, _decompose_canonically(L32, L33)
+    )
+
+
+def _order_by_future(factor: HankelFactor, s: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return L21, L22, L32, L33 of the data ordered [U_f; U_p, Y_p; Y_f]."""
+    f, w = s * factor.n_inputs, s * (factor.n_inputs + factor.n_outputs)
+    rows = [factor.inputs(s, 2 * s), factor.past(0, s), factor.outputs(s, 2 * s)]
+    L = reorder_lower_factor(np.vstack(rows))
+    a, b = slice(f, f + w), slice(f + w, None)
+    return L[a, :f], L[a, a], L[b, a], L[b, b]
+
+
+def _decompose_canonically(L32: np.ndarray, L33: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the singular values of (L32 L32' + L33 L33')^-1/2 L32, and their vectors taken back to the outputs."""
+    values, vectors = eigh(L32 @ L32.T + L33 @ L33.T)
+    root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
+    U, singular, _ = np.linalg.svd((vectors / root) @ vectors.T @ L32, full_matrices=False)
+    return singular, (vectors * root) @ vectors.T @ U
 
 
 def choose_default_horizon(records: Sequence[Record]) -> int:

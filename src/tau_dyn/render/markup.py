@@ -9,7 +9,6 @@ from markupsafe import Markup
 
 from tau_dyn import results as r
 from tau_dyn.render.chart import draw_colour_scale, draw_figure, format_tag
-from tau_dyn.render.sketch import draw_robot, draw_vectors
 
 LONG = 44
 """Characters of a cell above which it breaks into lines in a notebook."""
@@ -26,11 +25,15 @@ def draw(drawing: r.Drawing) -> Markup:
         case r.ColourScale():
             return draw_colour_scale(drawing)
         case r.RobotPicture():
+            from tau_dyn.render.sketch import draw_robot  # loads the kinematics, which many results do without
+
             return draw_robot(drawing)
         case r.VectorPicture():
+            from tau_dyn.render.sketch import draw_vectors
+
             return draw_vectors(drawing)
         case r.SwingPicture() | r.ShapePicture() | r.SpacePicture() | r.PolarPicture():
-            from tau_dyn.render import pictures  # loads the kinematics, which most results do without
+            from tau_dyn.render import pictures
 
             return pictures.draw_picture(drawing)
     raise TypeError(f"{type(drawing).__name__} is no drawing")

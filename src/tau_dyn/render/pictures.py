@@ -10,7 +10,6 @@ it.
 from __future__ import annotations
 
 import base64
-import re
 import struct
 import zlib
 from collections.abc import Sequence
@@ -35,7 +34,7 @@ from tau_dyn.render.sketch import (
     project,
     project_with_depth,
 )
-from tau_dyn.results import PolarPicture, ShapePicture, SpacePicture, SwingPicture, format_number
+from tau_dyn.results import PolarPicture, ShapePicture, SpacePicture, SwingPicture, find_space_axes, format_number
 
 WIDTH, HEIGHT, MARGIN = 330, 250, 30
 _MAX_REACH = 24.0
@@ -120,17 +119,6 @@ def draw_shape(picture: ShapePicture) -> Markup:
     """Return the drawing of a mode: a path in space where two or three outputs are axes of one point, else bars."""
     axes, shape = find_space_axes(picture.outputs), normalise_shape(picture.shape)
     return _path(shape, axes) if axes else _bars(shape, picture.outputs)
-
-
-def find_space_axes(outputs: Sequence[str]) -> dict[str, int]:
-    """Return which output is which axis of one point: `x_tool y_tool`, `ax_tool ay_tool az_tool`; empty where they are not."""
-    found: dict[str, dict[str, int]] = {}
-    for k, name in enumerate(outputs):
-        match = re.fullmatch(r"([av]?)([xyz])(?:_(\w+))?", name)
-        if match:
-            found.setdefault(f"{match[1]} {match[3]}", {})[match[2]] = k
-    best = max(found.values(), key=len, default={})
-    return best if len(best) >= 2 and len(best) == len(outputs) else {}
 
 
 def _path(shape: np.ndarray, axes: dict[str, int]) -> Markup:

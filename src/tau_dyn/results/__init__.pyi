@@ -32,6 +32,7 @@ from .figures import (
     average_in_bins as average_in_bins,
     build_histogram as build_histogram,
     build_strip as build_strip,
+    find_space_axes as find_space_axes,
     pad_limits as pad_limits,
 )
 from .formatting import (

@@ -5,6 +5,7 @@ Coordinates are data, [unit] as the axis says; an `ink` names a colour and a thi
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -191,6 +192,17 @@ class ShapePicture(Drawing):
 
     shape: np.ndarray
     outputs: tuple[str, ...]
+
+
+def find_space_axes(outputs: Sequence[str]) -> dict[str, int]:
+    """Return which output is which axis of one point: `x_tool y_tool`, `ax_tool ay_tool az_tool`; empty where they are not."""
+    found: dict[str, dict[str, int]] = {}
+    for k, name in enumerate(outputs):
+        match = re.fullmatch(r"([av]?)([xyz])(?:_(\w+))?", name)
+        if match:
+            found.setdefault(f"{match[1]} {match[3]}", {})[match[2]] = k
+    best = max(found.values(), key=len, default={})
+    return best if len(best) >= 2 and len(best) == len(outputs) else {}
 
 
 @dataclass(frozen=True, eq=False)

@@ -148,7 +148,7 @@ class MjcfFile:
             InputError: An inclusion is not there, comes twice, or is no XML without entities.
         """
         self.where, self.root = str(path), _parse(text, str(path))
-        _include(self.root, path.parent, self.where, [path.resolve()])
+        _include(self.root, path, self.where)
         self.compiler: dict[str, str] = {}
         self.defaults: dict[str, dict[str, dict[str, str]]] = {_MAIN: {}}
         for element in self.root.findall("compiler"):
@@ -213,30 +213,38 @@ def turn_z_to(direction: np.ndarray) -> np.ndarray:
     return turn_about(axis / size, float(np.arctan2(size, cosine)))
 
 
-def _include(element: Element, folder: Path, where: str, seen: list[Path], level: int = 0) -> None:
-    """Replace each `<include>` by what its file holds."""
-    if level > MAX_LEVELS:
-        raise InputError("robot_structure", f"{where}: elements stand more than {MAX_LEVELS} deep inside each other")
-    k = 0
-    while k < len(element):
-        child = element[k]
-        if child.tag != "include":
-            _include(child, folder, where, seen, level + 1)
-            k += 1
-            continue
-        path = folder / child.get("file", "")
-        if path.resolve() in seen:
-            raise InputError("file_format", f"{where}: includes {path} twice, or itself")
-        if len(seen) > _MAX_INCLUDED:
-            raise InputError("file_too_large", f"{where}: includes more than {_MAX_INCLUDED} files")
-        seen.append(path.resolve())
-        try:
-            text = read_bytes(path, _MAX_BYTES)
-        except OSError as fault:
+def _include(root: Element, file: Path, where: str) -> None:
+    """Replace each `<include>` by what its file holds, with paths from the outermost file."""
+    seen, left = [file.resolve()], [(root, 0)]
+    while left:
+        element, level = left.pop()
+        if level > MAX_LEVELS:
             raise InputError(
-                "cannot_read", f"{where}: <include file='{child.get('file', '')}'> cannot be read"
-            ) from fault
-        element[k : k + 1] = list(_parse(text, str(path)))
+                "robot_structure", f"{where}: elements stand more than {MAX_LEVELS} deep inside each other"
+            )
+        k = 0
+        while k < len(element):
+            child = element[k]
+            if child.tag == "include":
+                name = child.get("file", "")
+                element[k : k + 1] = _read_included(file.parent, name, seen, where)
+                seen.append((file.parent / name).resolve())
+            else:
+                left.append((child, level + 1))
+                k += 1
+
+
+def _read_included(folder: Path, name: str, seen: list[Path], where: str) -> list[Element]:
+    path = folder / name
+    if path.resolve() in seen:
+        raise InputError("file_format", f"{where}: includes {path} twice, or itself")
+    if len(seen) > _MAX_INCLUDED:
+        raise InputError("file_too_large", f"{where}: includes more than {_MAX_INCLUDED} files")
+    try:
+        text = read_bytes(path, _MAX_BYTES)
+    except OSError as fault:
+        raise InputError("cannot_read", f"{where}: <include file='{name}'> cannot be read") from fault
+    return list(_parse(text, str(path)))
 
 
 def _parse(text: str | bytes, where: str) -> Element:

@@ -23,7 +23,6 @@ from tau_dyn.render.kinds.modes_words import (
     format_mode_interval,
     tabulate_modes,
 )
-from tau_dyn.render.pictures import find_space_axes
 from tau_dyn.render.presentation import present_kind, warn
 
 SHAPES = 8
@@ -151,7 +150,7 @@ def _build_modes(
         )
         yield r.explain(
             "The measured point's path through one swing, sizes of the axes to each other true, slowed down."
-            if find_space_axes(found.outputs)
+            if r.find_space_axes(found.outputs)
             else "How far each output swings, in its own unit, at the moment of the largest; dashed, half a period later, and an "
             "orange line what comes a quarter of a period later."
         )
