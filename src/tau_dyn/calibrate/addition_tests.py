@@ -129,6 +129,39 @@ def screen_additions(fitted: GeometryFit, family: Family, spec: Spec) -> list[Ad
     return sorted(hints, key=lambda h: (h.p_value, -h.share))
 
 
+_ALIKE = 10.0  # difference of twice the log-likelihoods below which two explanations are not told apart
+_MIN_TRAVEL = {"rad": 0.1, "m": 0.01}
+"""Range of positions below which a joint stands still: what turns about its axis may be what carries it, yielding."""
+
+
+def find_rivals(
+    fitted: GeometryFit, family: Family, spec: Spec, addition: str, joint: str
+) -> tuple[tuple[str, str], ...]:
+    """Return what else takes as much from the residuals as an addition does, as addition and place.
+
+    A base that yields to the robot's weight counts too, as `gravity` of `base`; beside a joint that stands still it always does.
+
+    Args:
+        fitted: The fit without the addition.
+        family: The robot's models.
+        spec: The model without it.
+        addition: Its kind.
+        joint: Its place; of a coupling `JOINT/OTHER`.
+    """
+    travel = np.ptp(fitted.poses.q, axis=0)
+    units = dict(zip(fitted.geometry.actuated, zip(travel, fitted.geometry.position_units, strict=True), strict=True))
+    if any(size < _MIN_TRAVEL[unit] for size, unit in (units[j] for j in joint.split("/"))):
+        return (("gravity", "base"),)
+    rest = _ProjectedResidual(fitted)
+    hints = {(h.addition, h.joints[0]): h.share for h in screen_additions(fitted, family, spec)}
+    q = compute_actuated_positions(fitted.poses, fitted.state.slack)
+    base = _judge_columns(rest, rest.twists(family.move_with_base(q, fitted.state.base)), "gravity", "base")
+    if base is not None:
+        hints["gravity", "base"] = base.share
+    own = hints.pop((addition, joint), 1.0)
+    return tuple(place for place, share in hints.items() if rest.left * (np.log1p(-own) - np.log1p(-share)) > -_ALIKE)
+
+
 def _list_taken(spec: Spec, addition: str) -> tuple[str, ...]:
     """Return where a model has an addition; of couplings as `JOINT/OTHER`."""
     return tuple(joint.replace("=-", "/").replace("=", "/") for joint in spec.additions.get(addition, ()))
@@ -178,6 +211,11 @@ def _plain(rest: _ProjectedResidual, family: Family, spec: Spec, addition: str, 
         theta = np.array([old.get(p.name, p.value) for p in larger.parameters])
         new = [k for k, name in enumerate(names) if name not in old]
         columns = rest.twists(larger.tool_by_parameter(theta, q, fitted.state.base)[:, :, new])
+    return _judge_columns(rest, columns, addition, joint)
+
+
+def _judge_columns(rest: _ProjectedResidual, columns: np.ndarray, addition: str, joint: str) -> AdditionTest | None:
+    """Return what columns (rows, k) take away; None where the fitted parameters take up all that they do."""
     norm = np.linalg.norm(columns, axis=0)
     columns = rest.free(columns / np.where(norm > 0, norm, 1.0))
     basis, s, _ = np.linalg.svd(columns, full_matrices=False)
