@@ -217,9 +217,10 @@ def find_causes(
             agrees = gain.p_value < _LEVEL and gain.ci95[0] > 0
         names, status = _parameters(cause, joints, chosen.fit), "confirmed" if agrees else "suspected"
         alike = _list_alike(family, cause, joints)
-        rivals = _list_rivals(family, chosen, cause, joints, smaller, spec) if agrees else ()
-        if rivals:
-            status, alike = "suspected", tuple(dict.fromkeys((*alike, *rivals)))
+        if agrees:
+            rivals = _list_rivals(family, chosen, cause, joints, smaller, spec)
+            alike = tuple(dict.fromkeys((*alike, *(_OF_ADDITION[addition] for addition, _ in rivals))))
+            status = "suspected" if any(place != "/".join(joints) for _, place in rivals) else status
         findings.append(CalibrationFinding(cause, joints, status, gain, names, CAUSE_EQUATIONS[cause], (), alike))
     return tuple(sorted(findings, key=lambda f: -f.gain.percent))
 
@@ -232,15 +233,13 @@ def _list_alike(family: Family, cause: str, joints: tuple[str, ...]) -> tuple[st
 
 def _list_rivals(
     family: Family, chosen: CandidateModel, cause: str, joints: tuple[str, ...], smaller: GeometryFit, spec: Spec
-) -> tuple[str, ...]:
-    """Return causes at other places that explain these poses as well as one does, unless all poses are alike for them."""
+) -> tuple[tuple[str, str], ...]:
+    """Return additions and their places that explain these poses as well as a cause; one at its own joint leaves that named."""
     place = "/".join(joints)
     own = [a for a, places in chosen.spec.additions.items() if place in places and _OF_ADDITION[a] == cause]
     if not own or own[0] not in family.screened or smaller.kind != "forward":
         return ()
-    rivals = find_rivals(smaller, family, spec, own[0], place)
-    known = _list_alike(family, cause, joints)
-    return tuple(dict.fromkeys(_OF_ADDITION[a] for a, at in rivals if at != place or _OF_ADDITION[a] not in known))
+    return find_rivals(smaller, family, spec, own[0], place)
 
 
 def _leave_out_causes(family: Family, chosen: CandidateModel) -> list[tuple[str, tuple[str, ...], Geometry, Spec]]:
