@@ -137,7 +137,7 @@ _MIN_TRAVEL = {"rad": 0.1, "m": 0.01}
 def find_rivals(
     fitted: GeometryFit, family: Family, spec: Spec, addition: str, joint: str
 ) -> tuple[tuple[str, str], ...]:
-    """Return what else takes as much from the residuals as an addition does, as addition and place.
+    """Return what else leaves nothing for an addition to explain, as addition and place.
 
     A base that yields to the robot's weight counts too, as `gravity` of `base`; beside a joint that stands still it always does.
 
@@ -153,13 +153,26 @@ def find_rivals(
     if any(size < _MIN_TRAVEL[unit] for size, unit in (units[j] for j in joint.split("/"))):
         return (("gravity", "base"),)
     rest = _ProjectedResidual(fitted)
-    hints = {(h.addition, h.joints[0]): h.share for h in screen_additions(fitted, family, spec)}
+    hints = {(h.addition, h.joints[0]): h for h in screen_additions(fitted, family, spec)}
+    if (addition, joint) not in hints:
+        return ()
+    own = _build_columns(rest, family, spec, hints.pop((addition, joint)))
     q = compute_actuated_positions(fitted.poses, fitted.state.slack)
-    base = _judge_columns(rest, rest.twists(family.move_with_base(q, fitted.state.base)), "gravity", "base")
-    if base is not None:
-        hints["gravity", "base"] = base.share
-    own = hints.pop((addition, joint), 1.0)
-    return tuple(place for place, share in hints.items() if rest.left * (np.log1p(-own) - np.log1p(-share)) > -_ALIKE)
+    others = {place: _build_columns(rest, family, spec, hint) for place, hint in hints.items()}
+    base = rest.twists(family.move_with_base(q, fitted.state.base))
+    others |= {("gravity", "base"): base} if base.shape[1] else {}
+    return tuple(place for place, columns in others.items() if rest.compare_nested(columns, own) < _ALIKE)
+
+
+def _build_columns(rest: _ProjectedResidual, family: Family, spec: Spec, hint: AdditionTest) -> np.ndarray:
+    """Return the whitened columns (rows, k) of an addition, a wave's at its period."""
+    if not hint.period:
+        return _build_plain_columns(rest, family, spec, hint.addition, hint.joints[0])
+    poses, a = rest.fitted.poses, family.joints.index(hint.joints[0])
+    phase = 2 * np.pi * poses.q[:, [a]] / hint.period
+    q = compute_actuated_positions(poses, rest.fitted.state.slack)
+    slope = rest.fitted.geometry.tool_by_joint(rest.fitted.theta, q, rest.fitted.state.base)[:, :, a : a + 1]
+    return rest.twists(slope * np.hstack([np.sin(phase), np.cos(phase)])[:, None])
 
 
 def _list_taken(spec: Spec, addition: str) -> tuple[str, ...]:
@@ -188,6 +201,19 @@ class _ProjectedResidual:
         moved = self.fitted.frames.carried(self.fitted.state.base, base, self.fitted.poses.setup)
         return (moved[:, : self.sigma.shape[1]] / self.sigma[:, :, None]).reshape(len(self.q), -1)
 
+    def span(self, columns: np.ndarray) -> np.ndarray:
+        """Return a basis (rows, r) of what columns (rows, k) do beside the fitted parameters."""
+        norm = np.linalg.norm(columns, axis=0)
+        basis, s, _ = np.linalg.svd(self.free(columns / np.where(norm > 0, norm, 1.0)), full_matrices=False)
+        return basis[:, s > 1e-6]
+
+    def compare_nested(self, columns: np.ndarray, more: np.ndarray) -> float:
+        """Return by how much twice the log-likelihood grows with more columns beside others (rows, k)."""
+        left = [
+            self.total - float(np.sum((self.span(c).T @ self.r) ** 2)) for c in (columns, np.hstack([columns, more]))
+        ]
+        return self.left * float(np.log(max(left[0], 1e-300) / max(left[1], 1e-300)))
+
     def judged(self, gain: float, k: int, tries: int = 1) -> tuple[float, float]:
         """Return the p-value and the share of a reduction by `k` columns."""
         share = gain / self.total
@@ -198,32 +224,27 @@ class _ProjectedResidual:
 
 
 def _plain(rest: _ProjectedResidual, family: Family, spec: Spec, addition: str, joint: str) -> AdditionTest | None:
+    basis = rest.span(_build_plain_columns(rest, family, spec, addition, joint))
+    if not basis.shape[1] or rest.left <= basis.shape[1]:
+        return None
+    p, share = rest.judged(float(np.sum((basis.T @ rest.r) ** 2)), basis.shape[1])
+    return AdditionTest(addition, (joint,), p, share)
+
+
+def _build_plain_columns(rest: _ProjectedResidual, family: Family, spec: Spec, addition: str, joint: str) -> np.ndarray:
+    """Return the whitened columns (rows, k) of an addition without a period."""
     fitted = rest.fitted
     q = compute_actuated_positions(fitted.poses, fitted.state.slack)
     if addition == "backlash":
         a = family.joints.index(joint)
         slope = fitted.geometry.tool_by_joint(fitted.theta, q, fitted.state.base)[:, :, a : a + 1]
-        columns = rest.twists(slope * (-0.5 * fitted.poses.approach[:, None, a : a + 1]))
-    else:
-        larger = family.build(spec.plus(addition, (joint,)))
-        old = dict(zip(fitted.geometry.parameters.names, fitted.theta.tolist(), strict=True))
-        names = larger.parameters.names
-        theta = np.array([old.get(p.name, p.value) for p in larger.parameters])
-        new = [k for k, name in enumerate(names) if name not in old]
-        columns = rest.twists(larger.tool_by_parameter(theta, q, fitted.state.base)[:, :, new])
-    return _judge_columns(rest, columns, addition, joint)
-
-
-def _judge_columns(rest: _ProjectedResidual, columns: np.ndarray, addition: str, joint: str) -> AdditionTest | None:
-    """Return what columns (rows, k) take away; None where the fitted parameters take up all that they do."""
-    norm = np.linalg.norm(columns, axis=0)
-    columns = rest.free(columns / np.where(norm > 0, norm, 1.0))
-    basis, s, _ = np.linalg.svd(columns, full_matrices=False)
-    basis = basis[:, s > 1e-6]
-    if not basis.shape[1] or rest.left <= basis.shape[1]:
-        return None
-    p, share = rest.judged(float(np.sum((basis.T @ rest.r) ** 2)), basis.shape[1])
-    return AdditionTest(addition, (joint,), p, share)
+        return rest.twists(slope * (-0.5 * fitted.poses.approach[:, None, a : a + 1]))
+    larger = family.build(spec.plus(addition, (joint,)))
+    old = dict(zip(fitted.geometry.parameters.names, fitted.theta.tolist(), strict=True))
+    names = larger.parameters.names
+    theta = np.array([old.get(p.name, p.value) for p in larger.parameters])
+    new = [k for k, name in enumerate(names) if name not in old]
+    return rest.twists(larger.tool_by_parameter(theta, q, fitted.state.base)[:, :, new])
 
 
 def _periodic(rest: _ProjectedResidual, family: Family, joint: str, addition: str = "periodic") -> AdditionTest | None:
