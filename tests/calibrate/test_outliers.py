@@ -86,7 +86,9 @@ def test_training_outliers_that_a_moved_base_hides_are_found_with_the_chosen_mod
     )
     poses.position[[10, 100]] += [0, 0, OFF]
     found = calibrate(robot, poses, model="complete+base_frame")
-    assert any("pose 11 (off by " in w for w in found.warnings) and any("pose 101 (off by " in w for w in found.warnings)
+    assert any("pose 11 (off by " in w for w in found.warnings) and any(
+        "pose 101 (off by " in w for w in found.warnings
+    )
     assert found.errors(found.chosen).position_size.max < 6 * NOISE[0]
 
 
