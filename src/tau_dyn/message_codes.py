@@ -177,6 +177,7 @@ WARNING_CODES: dict[str, MessageCode] = {
     "sign_reversed": MessageCode(
         "q, tau or both have the wrong sign, or friction is negative", "`scale: -1` in the column map"
     ),
+    "stderr_rounded": MessageCode("standard errors were zero", "write them with more digits"),
     "zero_force_runs": MessageCode("a force is zero between large forces", "flag the samples (`--exclude`)"),
 }
 """Codes of warnings."""

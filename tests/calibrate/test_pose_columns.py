@@ -7,6 +7,7 @@ import pytest
 from raising import raises_code
 
 from tau_dyn.calibrate import read_poses
+from tau_dyn.message_codes import get_code
 from tau_dyn.robot import load_robot_from_urdf, read_annotations
 
 URDF = """<robot name="two"><link name="base_link"/><link name="a_link"/><link name="b_link"/>
@@ -51,3 +52,26 @@ def test_a_map_renames_scales_and_undoes_couplings(tmp_path):
     (tmp_path / "map.yaml").write_text("q_a: {column: A1, file: other}\nfiles: {other: other.csv}\n")
     with raises_code("unsupported", "one file"):
         read_poses(tmp_path / "poses.csv", ("a", "b"), columns=tmp_path / "map.yaml")
+
+
+def test_a_standard_error_of_zero_is_a_scatter_below_the_last_digit(tmp_path):
+    """A tracker writes micrometres: a scatter of 0.4 um is written as 0 and weighs like the smallest that was written."""
+    path, header = tmp_path / "poses.csv", "q_a,x_tool,y_tool,z_tool,x_tool_stderr,y_tool_stderr,z_tool_stderr\n"
+    path.write_text(header + "0.5,1,2,3,0,2e-6,0\n-0.2,1,2,3,3e-6,4e-6,2e-6\n0.1,1,2,3,1e-6,5e-6,7e-6\n")
+    poses = read_poses(path, ("a",))
+    assert poses.position_stderr is not None
+    assert poses.position_stderr[0] == pytest.approx([1e-6, 2e-6, 2e-6]) and poses.position_stderr.min() == 1e-6
+    assert [get_code(w) for w in poses.warnings] == ["stderr_rounded"]
+    assert (
+        "2 standard errors are zero" in poses.warnings[0]
+        and "x_tool_stderr 1e-06, z_tool_stderr 2e-06" in poses.warnings[0]
+    )
+
+
+@pytest.mark.parametrize("rows", ["0.5,1,2,3,0,0,0\n-0.2,1,2,3,0,0,0\n", "0.5,1,2,3,0,1,1\n-0.2,1,2,3,-1e-6,1,1\n"])
+def test_standard_errors_that_are_none_are_refused(tmp_path, rows: str):
+    """A column without any number above zero says nothing, and no scatter is negative."""
+    header = "q_a,x_tool,y_tool,z_tool,x_tool_stderr,y_tool_stderr,z_tool_stderr\n"
+    (tmp_path / "poses.csv").write_text(header + rows)
+    with raises_code("bad_sample", "must be above zero"):
+        read_poses(tmp_path / "poses.csv", ("a",))

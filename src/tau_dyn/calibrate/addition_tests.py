@@ -129,6 +129,52 @@ def screen_additions(fitted: GeometryFit, family: Family, spec: Spec) -> list[Ad
     return sorted(hints, key=lambda h: (h.p_value, -h.share))
 
 
+_ALIKE = 10.0  # difference of twice the log-likelihoods below which two explanations are not told apart
+_MIN_TRAVEL = {"rad": 0.1, "m": 0.01}
+"""Range of positions below which a joint stands still: what turns about its axis may be what carries it, yielding."""
+
+
+def find_rivals(
+    fitted: GeometryFit, family: Family, spec: Spec, addition: str, joint: str
+) -> tuple[tuple[str, str], ...]:
+    """Return what else leaves nothing for an addition to explain, as addition and place.
+
+    A base that yields to the robot's weight counts too, as `gravity` of `base`; beside a joint that stands still it always does.
+
+    Args:
+        fitted: The fit without the addition.
+        family: The robot's models.
+        spec: The model without it.
+        addition: Its kind.
+        joint: Its place; of a coupling `JOINT/OTHER`.
+    """
+    travel = np.ptp(fitted.poses.q, axis=0)
+    units = dict(zip(fitted.geometry.actuated, zip(travel, fitted.geometry.position_units, strict=True), strict=True))
+    if any(size < _MIN_TRAVEL[unit] for size, unit in (units[j] for j in joint.split("/"))):
+        return (("gravity", "base"),)
+    rest = _ProjectedResidual(fitted)
+    hints = {(h.addition, h.joints[0]): h for h in screen_additions(fitted, family, spec)}
+    if (addition, joint) not in hints:
+        return ()
+    own = _build_columns(rest, family, spec, hints.pop((addition, joint)))
+    q = compute_actuated_positions(fitted.poses, fitted.state.slack)
+    others = {place: _build_columns(rest, family, spec, hint) for place, hint in hints.items()}
+    base = rest.twists(family.move_with_base(q, fitted.state.base))
+    others |= {("gravity", "base"): base} if base.shape[1] else {}
+    return tuple(place for place, columns in others.items() if rest.compare_nested(columns, own) < _ALIKE)
+
+
+def _build_columns(rest: _ProjectedResidual, family: Family, spec: Spec, hint: AdditionTest) -> np.ndarray:
+    """Return the whitened columns (rows, k) of an addition, a wave's at its period."""
+    if not hint.period:
+        return _build_plain_columns(rest, family, spec, hint.addition, hint.joints[0])
+    poses, a = rest.fitted.poses, family.joints.index(hint.joints[0])
+    phase = 2 * np.pi * poses.q[:, [a]] / hint.period
+    q = compute_actuated_positions(poses, rest.fitted.state.slack)
+    slope = rest.fitted.geometry.tool_by_joint(rest.fitted.theta, q, rest.fitted.state.base)[:, :, a : a + 1]
+    return rest.twists(slope * np.hstack([np.sin(phase), np.cos(phase)])[:, None])
+
+
 def _list_taken(spec: Spec, addition: str) -> tuple[str, ...]:
     """Return where a model has an addition; of couplings as `JOINT/OTHER`."""
     return tuple(joint.replace("=-", "/").replace("=", "/") for joint in spec.additions.get(addition, ()))
@@ -155,6 +201,19 @@ class _ProjectedResidual:
         moved = self.fitted.frames.carried(self.fitted.state.base, base, self.fitted.poses.setup)
         return (moved[:, : self.sigma.shape[1]] / self.sigma[:, :, None]).reshape(len(self.q), -1)
 
+    def span(self, columns: np.ndarray) -> np.ndarray:
+        """Return a basis (rows, r) of what columns (rows, k) do beside the fitted parameters."""
+        norm = np.linalg.norm(columns, axis=0)
+        basis, s, _ = np.linalg.svd(self.free(columns / np.where(norm > 0, norm, 1.0)), full_matrices=False)
+        return basis[:, s > 1e-6]
+
+    def compare_nested(self, columns: np.ndarray, more: np.ndarray) -> float:
+        """Return by how much twice the log-likelihood grows with more columns beside others (rows, k)."""
+        left = [
+            self.total - float(np.sum((self.span(c).T @ self.r) ** 2)) for c in (columns, np.hstack([columns, more]))
+        ]
+        return self.left * float(np.log(max(left[0], 1e-300) / max(left[1], 1e-300)))
+
     def judged(self, gain: float, k: int, tries: int = 1) -> tuple[float, float]:
         """Return the p-value and the share of a reduction by `k` columns."""
         share = gain / self.total
@@ -165,27 +224,27 @@ class _ProjectedResidual:
 
 
 def _plain(rest: _ProjectedResidual, family: Family, spec: Spec, addition: str, joint: str) -> AdditionTest | None:
+    basis = rest.span(_build_plain_columns(rest, family, spec, addition, joint))
+    if not basis.shape[1] or rest.left <= basis.shape[1]:
+        return None
+    p, share = rest.judged(float(np.sum((basis.T @ rest.r) ** 2)), basis.shape[1])
+    return AdditionTest(addition, (joint,), p, share)
+
+
+def _build_plain_columns(rest: _ProjectedResidual, family: Family, spec: Spec, addition: str, joint: str) -> np.ndarray:
+    """Return the whitened columns (rows, k) of an addition without a period."""
     fitted = rest.fitted
     q = compute_actuated_positions(fitted.poses, fitted.state.slack)
     if addition == "backlash":
         a = family.joints.index(joint)
         slope = fitted.geometry.tool_by_joint(fitted.theta, q, fitted.state.base)[:, :, a : a + 1]
-        columns = rest.twists(slope * (-0.5 * fitted.poses.approach[:, None, a : a + 1]))
-    else:
-        larger = family.build(spec.plus(addition, (joint,)))
-        old = dict(zip(fitted.geometry.parameters.names, fitted.theta.tolist(), strict=True))
-        names = larger.parameters.names
-        theta = np.array([old.get(p.name, p.value) for p in larger.parameters])
-        new = [k for k, name in enumerate(names) if name not in old]
-        columns = rest.twists(larger.tool_by_parameter(theta, q, fitted.state.base)[:, :, new])
-    norm = np.linalg.norm(columns, axis=0)
-    columns = rest.free(columns / np.where(norm > 0, norm, 1.0))
-    basis, s, _ = np.linalg.svd(columns, full_matrices=False)
-    basis = basis[:, s > 1e-6]
-    if not basis.shape[1] or rest.left <= basis.shape[1]:
-        return None
-    p, share = rest.judged(float(np.sum((basis.T @ rest.r) ** 2)), basis.shape[1])
-    return AdditionTest(addition, (joint,), p, share)
+        return rest.twists(slope * (-0.5 * fitted.poses.approach[:, None, a : a + 1]))
+    larger = family.build(spec.plus(addition, (joint,)))
+    old = dict(zip(fitted.geometry.parameters.names, fitted.theta.tolist(), strict=True))
+    names = larger.parameters.names
+    theta = np.array([old.get(p.name, p.value) for p in larger.parameters])
+    new = [k for k, name in enumerate(names) if name not in old]
+    return rest.twists(larger.tool_by_parameter(theta, q, fitted.state.base)[:, :, new])
 
 
 def _periodic(rest: _ProjectedResidual, family: Family, joint: str, addition: str = "periodic") -> AdditionTest | None:

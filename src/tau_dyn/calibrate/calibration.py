@@ -13,9 +13,12 @@ from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.model_selection import Options, check_patterns, fit_models
 from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Spec, get_family
 from tau_dyn.calibrate.outliers import (
+    MovedFrame,
     check_spread,
     drop_duplicate_poses,
     find_moved_frames,
+    leave_out_held_outliers,
+    leave_out_late_outliers,
     leave_out_outliers,
     undo_moves,
 )
@@ -84,16 +87,19 @@ def calibrate(
         said = (*said, coupling.describe(poses.source, model))
         options = replace(options, additions={"coupling": (coupling.name,)} if model == "auto" else {})
     progress("looking for outliers")
-    poses, holdout, named = leave_out_outliers(family, poses, holdout, options, None if model == "auto" else model)
+    poses, named = leave_out_outliers(family, poses, options, None if model == "auto" else model)
     poses, holdout, split = _split(poses, holdout, seed)
     family = get_family(robot, poses)
     models, steps, more = fit_models(family, poses, model, options, progress)
+    kept, late = leave_out_late_outliers(models[-1], options)
+    if late:
+        poses, family = kept, get_family(robot, kept)
+        models, steps, more = fit_models(family, poses, model, options, progress)
     progress("looking for causes")
     chosen = models[-1]
     plain = next((one for one in reversed(models) if set(one.spec.additions) <= set(BETWEEN_CAMPAIGNS)), chosen)
     within = find_move_within(plain.fit, family, plain.spec)
-    moved = find_moved_frames(chosen.fit, holdout) if holdout is not None and split == "given" else []
-    still = None if holdout is None else undo_moves(moved, holdout)
+    holdout, still, moved, held = _settle_holdout(chosen.fit, holdout, split)
     found = Calibration(
         robot=robot,
         poses=poses,
@@ -105,7 +111,7 @@ def calibrate(
         warnings=tuple(
             dict.fromkeys(
                 (
-                    *(*poses.warnings, *said, *named, *more),
+                    *(*poses.warnings, *said, *named, *late, *held, *more),
                     *(one.describe() for one in moved),
                     *([within.describe()] if within else []),
                     *_doubts(chosen.fit),
@@ -117,6 +123,22 @@ def calibrate(
     )
     misses = replace(found, holdout=still).misses_poses
     return replace(found, findings=suspect_all(found.findings)) if misses or within else found
+
+
+def _settle_holdout(
+    fitted: GeometryFit, holdout: PoseSet | None, split: str
+) -> tuple[PoseSet | None, PoseSet | None, list[MovedFrame], tuple[str, ...]]:
+    """Return held-out poses without outliers, the same without moves before them, these moves, and sentences of outliers.
+
+    Moves are looked for again without the outliers, which would bend them.
+    """
+    if holdout is None:
+        return None, None, [], ()
+    moved = find_moved_frames(fitted, holdout) if split == "given" else []
+    kept, said = leave_out_held_outliers(fitted, holdout, undo_moves(moved, holdout))
+    if kept is not holdout and split == "given":
+        moved = find_moved_frames(fitted, kept)
+    return kept, undo_moves(moved, kept), moved, said
 
 
 def _split(poses: PoseSet, holdout: PoseSet | None, seed: int) -> tuple[PoseSet, PoseSet | None, str]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tau_dyn.calibrate.addition_tests import find_rivals
 from tau_dyn.calibrate.crossvalidation import (
     CrossValidationGain,
     compare_paired,
@@ -216,6 +217,10 @@ def find_causes(
             agrees = gain.p_value < _LEVEL and gain.ci95[0] > 0
         names, status = _parameters(cause, joints, chosen.fit), "confirmed" if agrees else "suspected"
         alike = _list_alike(family, cause, joints)
+        if agrees:
+            rivals = _list_rivals(family, chosen, cause, joints, smaller, spec)
+            alike = tuple(dict.fromkeys((*alike, *(_OF_ADDITION[addition] for addition, _ in rivals))))
+            status = "suspected" if any(place != "/".join(joints) for _, place in rivals) else status
         findings.append(CalibrationFinding(cause, joints, status, gain, names, CAUSE_EQUATIONS[cause], (), alike))
     return tuple(sorted(findings, key=lambda f: -f.gain.percent))
 
@@ -224,6 +229,17 @@ def _list_alike(family: Family, cause: str, joints: tuple[str, ...]) -> tuple[st
     """Return causes that no pose tells from one: the weight of a joint's own link goes round with it like an eccentricity."""
     carries = cause == "joint_eccentricity" and joints[0] in family.can_have("gravity")
     return ("gravity_deflection",) if carries else ()
+
+
+def _list_rivals(
+    family: Family, chosen: CandidateModel, cause: str, joints: tuple[str, ...], smaller: GeometryFit, spec: Spec
+) -> tuple[tuple[str, str], ...]:
+    """Return additions and their places that explain these poses as well as a cause; one at its own joint leaves that named."""
+    place = "/".join(joints)
+    own = [a for a, places in chosen.spec.additions.items() if place in places and _OF_ADDITION[a] == cause]
+    if not own or own[0] not in family.screened or smaller.kind != "forward":
+        return ()
+    return find_rivals(smaller, family, spec, own[0], place)
 
 
 def _leave_out_causes(family: Family, chosen: CandidateModel) -> list[tuple[str, tuple[str, ...], Geometry, Spec]]:

@@ -106,12 +106,14 @@ class GravityMoments(NamedTuple):
         swept: `s` of each joint and body (na, b + 1, 3, N).
         axes: Directions of the joints that turn, zero of slides (na, 3, N).
         carries: Whether one joint carries another or is it (na, na).
+        placed: Mass times place of each body in the robot's base frame (b + 1, 3, N).
     """
 
     bodies: tuple[str, ...]
     swept: np.ndarray
     axes: np.ndarray
     carries: np.ndarray
+    placed: np.ndarray
 
     def weights(self, errors: Mapping[str, float]) -> np.ndarray:
         """Return what sums bodies (b + 1, 2): all masses, off by shares where these are known, and 1 kg at the tool."""
@@ -123,6 +125,11 @@ class GravityMoments(NamedTuple):
         """Return holding torques (N, na, b + 1 or columns of the weights) [N m or N] in gravity (3,) [m/s^2]."""
         torques = -np.einsum("c,akcn->nak", gravity, self.swept)
         return torques if weights is None else torques @ weights
+
+    def base_moments(self, gravity: np.ndarray) -> np.ndarray:
+        """Return the moments of all masses, and of 1 kg at the tool, about the base's origin in gravity (3,) (N, 3, 2) [N m]."""
+        moments = np.cross(self.placed, gravity, axisa=1)  # (b + 1, N, 3)
+        return np.stack([moments[:-1].sum(axis=0), moments[-1]], axis=2)
 
     def slopes(self, gravity: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return their derivative by the actuated positions (N, na, columns of the weights, na)."""
@@ -143,13 +150,15 @@ def compute_gravity_moments(tree: TreeGeometry, q: np.ndarray) -> GravityMoments
     names = tuple(model.names[k] for k, _, _ in bodies)
     bodies.append((shape.tool.joint, 1.0, numbers.tool))
     carried = np.array([[j.index in model.supports[k].tolist() for k, _, _ in bodies] for j in joints])
-    masses = (carried * np.array([mass for _, mass, _ in bodies]))[:, :, None, None]  # by joint and body
+    weights = np.array([mass for _, mass, _ in bodies])
+    masses = (carried * weights)[:, :, None, None]  # by joint and body
     points = np.stack([transform_point(at, carrier, lever) for carrier, _, lever in bodies])
     origin, z = (np.stack([vectors[j.index] for j in joints]) for vectors in (at.origin, at.axis))
     slides = np.array([j.slides for j in joints])[:, None, None]
     turned = np.cross(z[:, None], masses * (points[None] - origin[:, None]), axis=2)
     carries = np.array([[a.index in model.supports[b.index].tolist() for b in joints] for a in joints])
-    return GravityMoments(names, np.where(slides[:, None], masses * z[:, None], turned), z * ~slides, carries)
+    swept = np.where(slides[:, None], masses * z[:, None], turned)
+    return GravityMoments(names, swept, z * ~slides, carries, weights[:, None, None] * points)
 
 
 @dataclass(frozen=True, eq=False)

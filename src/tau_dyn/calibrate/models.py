@@ -28,7 +28,7 @@ from functools import cached_property
 import numpy as np
 
 from tau_dyn.calibrate.geometry import Geometry, constrain_parameters
-from tau_dyn.calibrate.gravity import ArmGeometry, GravityLaw, RodLoads, build_gravity_laws
+from tau_dyn.calibrate.gravity import ArmGeometry, GravityLaw, RodLoads, build_gravity_laws, compute_gravity_moments
 from tau_dyn.calibrate.joint_laws import (
     CartComplianceLaw,
     CouplingLaw,
@@ -45,7 +45,7 @@ from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.mechanism import NotRods, Rods, build_rods
+from tau_dyn.mechanism import NotRods, Poses, Rods, build_rods
 from tau_dyn.robot import Robot
 
 ADDITIONS = (
@@ -164,6 +164,15 @@ class Family(ABC):
     def why_not(self, addition: str) -> str:
         """Return why no joint can have an addition."""
         return _WHY_NOT[addition]
+
+    def move_with_base(self, q: np.ndarray, base: Poses) -> np.ndarray:
+        """Return the tool's twists (N, 6, k) of a base that turns in proportion to the robot's weight; none unless overridden.
+
+        Args:
+            q: Actuated positions (N, na).
+            base: Tool poses there (N) in the robot's base frame.
+        """
+        return np.zeros((len(q), 6, 0))
 
     @abstractmethod
     def places(self, addition: str) -> tuple[str, ...]:
@@ -341,6 +350,16 @@ class TreeFamily(Family):
         return (
             constrain_parameters(geometry, {}, self.tree.parameters.names) if spec.structure == "frames" else geometry
         )
+
+    def move_with_base(self, q: np.ndarray, base: Poses) -> np.ndarray:
+        """Return the twists of a turn about each axis by each component of the moments of all masses and of a load."""
+        if self.tree.shape.n_loops:
+            return super().move_with_base(q, base)
+        gravity = np.asarray(self.robot.model.gravity.linear)
+        moments = compute_gravity_moments(self.tree, q).base_moments(gravity).reshape(len(q), 1, -1)
+        turns = np.broadcast_to(np.eye(3), (len(q), 3, 3))  # rows are axes
+        twists = np.concatenate([np.cross(turns, base.position[:, None]), turns], axis=2)
+        return np.concatenate([twists[:, axis, :, None] * moments for axis in range(3)], axis=2)
 
     @cached_property
     def _gravity_laws(self) -> dict[str, GravityLaw]:

@@ -18,7 +18,7 @@ from scipy import stats
 from tau_dyn.calibrate.crossvalidation import CrossValidationGain, compare_paired
 from tau_dyn.calibrate.frames import AXES, DeviceFrames, Frame, compute_rotation_between, is_flat
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.model_selection import Options, fit_spec
+from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_geometry, fit_spec
 from tau_dyn.calibrate.models import Family, Spec
 from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
@@ -77,22 +77,29 @@ def find_outliers(fitted: GeometryFit) -> np.ndarray:
     Args:
         fitted: A fit with robust weights.
     """
-    m = fitted.residuals.shape[1]
     with np.errstate(invalid="ignore"):
         distance = np.linalg.norm(fitted.residuals / fitted.sigma, axis=1)
+    return _find_far(distance, distance, fitted.residuals.shape[1])
+
+
+def _find_far(distance: np.ndarray, crowd: np.ndarray, m: int) -> np.ndarray:
+    """Return the indices of distances in `m` numbers that stand out of those of a crowd; nan does, too."""
     good = float(np.sqrt(stats.chi2.ppf(0.99, m)))
-    crowd = float(np.nanpercentile(distance, 90))
-    return np.flatnonzero(~(distance < max(_TIMES * good, 5 * crowd)))
+    return np.flatnonzero(~(distance < max(_TIMES * good, 5 * float(np.nanpercentile(crowd, 90)))))
 
 
 def describe_outliers(poses: PoseSet, fitted: GeometryFit, index: np.ndarray) -> str:
     """Return the warning that names the poses left out."""
-    size = np.linalg.norm(fitted.residuals[index][:, :3], axis=1)
-    shown = [f"{poses.names[k]} (off by {1e3 * s:.3g} mm)" for k, s in zip(index[:5], size[:5], strict=True)]
-    more = f" and {len(index) - 5} more" if len(index) > 5 else ""
+    named = _name_poses(poses, index, np.linalg.norm(fitted.residuals[index][:, :3], axis=1))
     what = "pose was" if len(index) == 1 else "poses were"
     kind = "gross outlier" if len(index) == 1 else "gross outliers"
-    return f"{len(index)} {what} left out as {kind}: {', '.join(shown)}{more}; measure again"
+    return f"{len(index)} {what} left out as {kind}: {named}; measure again"
+
+
+def _name_poses(poses: PoseSet, index: np.ndarray, size: np.ndarray) -> str:
+    """Return the names of poses with how far each is off [m]."""
+    shown = [f"{poses.names[k]} (off by {1e3 * s:.3g} mm)" for k, s in zip(index[:5], size[:5], strict=True)]
+    return ", ".join(shown) + (f" and {len(index) - 5} more" if len(index) > 5 else "")
 
 
 _MAX_OUTLIER_SHARE = 0.2  # share of the poses above which they are no outliers but another situation
@@ -100,11 +107,10 @@ _LOOKS_FOR_OUTLIERS = 3  # fits, each without the outliers of the one before it
 
 
 def leave_out_outliers(
-    family: Family, poses: PoseSet, holdout: PoseSet | None, options: Options, model: str | None
-) -> tuple[PoseSet, PoseSet | None, tuple[str, ...]]:
-    """Return training and held-out poses without gross outliers, and sentences that name them."""
+    family: Family, poses: PoseSet, options: Options, model: str | None
+) -> tuple[PoseSet, tuple[str, ...]]:
+    """Return training poses without gross outliers, and sentences that name them."""
     said: list[str] = []
-    fitted = None
     for _ in range(_LOOKS_FOR_OUTLIERS):
         fitted = _robust(family, poses, options, model)
         bad = find_outliers(fitted)
@@ -118,25 +124,62 @@ def leave_out_outliers(
             break
         said.append(describe_outliers(poses, fitted, bad))
         poses = poses.take(np.setdiff1d(np.arange(poses.n), bad))
-    if holdout is not None and fitted is not None:
-        bad = _held_outliers(fitted, holdout)
-        if len(bad) > _MAX_OUTLIER_SHARE * holdout.n:
-            said.append(
-                f"{holdout.source}: {len(bad)} of {holdout.n} held-out poses are far from the fitted model; nothing was left "
-                "out, for so many are no outliers: were the device or the target moved, or is the robot another one?"
-            )
-        elif len(bad):
-            names = ", ".join(holdout.names[k] for k in bad[:5])
-            said.append(
-                f"{len(bad)} held-out pose{'s' if len(bad) > 1 else ''} left out as gross outliers: {names}; measure again"
-            )
-            holdout = holdout.take(np.setdiff1d(np.arange(holdout.n), bad))
-    return poses, holdout, tuple(said)
+    return poses, tuple(said)
 
 
-def _held_outliers(fitted: GeometryFit, holdout: PoseSet) -> np.ndarray:
-    usual = float(np.nanpercentile(fitted.errors(fitted.poses).distance, 90))
-    return np.flatnonzero(~(fitted.errors(holdout).distance < 20 * max(usual, 3 * fitted.noise[0])))
+def leave_out_late_outliers(chosen: CandidateModel, options: Options) -> tuple[PoseSet, tuple[str, ...]]:
+    """Return the training poses without those that only a good model tells as gross outliers, and a sentence that names them."""
+    first, robust = chosen.fit, replace(options, robust="biweight")
+    fitted = fit_geometry(first.geometry, chosen.spec, first.poses, robust, first.state, f"the model {chosen.name}")
+    bad = find_outliers(fitted)
+    if not 0 < len(bad) <= _MAX_OUTLIER_SHARE * first.poses.n:
+        return first.poses, ()
+    kept = first.poses.take(np.setdiff1d(np.arange(first.poses.n), bad))
+    return kept, (describe_outliers(first.poses, fitted, bad),)
+
+
+def leave_out_held_outliers(fitted: GeometryFit, holdout: PoseSet, still: PoseSet) -> tuple[PoseSet, tuple[str, ...]]:
+    """Return held-out poses without gross outliers, and sentences that name them.
+
+    Args:
+        fitted: The chosen model.
+        holdout: The poses as they were measured.
+        still: As they would have been measured without moves of the device or the target.
+    """
+    errors = fitted.errors(still)
+    bad = _find_held_outliers(fitted, still, errors)
+    if not len(bad):
+        return holdout, ()
+    if len(bad) > _MAX_OUTLIER_SHARE * holdout.n:
+        return holdout, (
+            f"{holdout.source}: {len(bad)} of {holdout.n} held-out poses are far from the fitted model; nothing was left "
+            "out, for so many are no outliers: were the device or the target moved, or is the robot another one?",
+        )
+    named = _name_poses(holdout, bad, errors.distance[bad])
+    sentence = f"{len(bad)} of {holdout.n} held-out poses left out as gross outliers: {named}; measure again"
+    return holdout.take(np.setdiff1d(np.arange(holdout.n), bad)), (sentence,)
+
+
+def _find_held_outliers(fitted: GeometryFit, holdout: PoseSet, held: PoseErrors) -> np.ndarray:
+    """Return the indices of poses farther off than noise and the parameters' uncertainty let expect, by the training rule."""
+    train, state = fitted.errors(fitted.poses), fitted.predict(holdout)
+    m = 6 if held.rotation is not None and held.oriented else 3
+    spare = max(fitted.residuals.size - fitted.n_estimated, 1) / fitted.residuals.size
+    noise = np.repeat(train.noise(), 3)[:m] / np.sqrt(spare)
+    columns = fitted.compute_prediction_columns(holdout.q, state.base, holdout.setup)[:, :m]
+    model = np.einsum("nif,fg,nig->ni", columns, fitted.cov, columns)
+    crowd = _measure_distances(train, fitted.poses, noise**2)
+    distance = _measure_distances(held, holdout, noise**2, model)
+    return _find_far(distance, crowd, m)
+
+
+def _measure_distances(
+    errors: PoseErrors, poses: PoseSet, variance: np.ndarray, more: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Return errors (N,) in units of their standard deviation; variances (m,) hold at the median stated error."""
+    m = len(variance)
+    rows = errors.position if errors.rotation is None or m == 3 else np.hstack([errors.position, errors.rotation])
+    return np.sqrt(np.sum(rows**2 / (variance * poses.relative_errors(m) ** 2 + more), axis=1))
 
 
 def _robust(family: Family, poses: PoseSet, options: Options, model: str | None) -> GeometryFit:

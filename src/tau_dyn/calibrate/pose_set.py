@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import ColumnMap, Table, compute_mapped_columns, format_names, read_table
 from tau_dyn.mechanism import Poses
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Mimic
 
 POSITION = ("x_tool", "y_tool", "z_tool")
@@ -213,9 +214,9 @@ def read_poses(
 ) -> PoseSet:
     """Read measured poses from CSV or Parquet, with the columns `q_J`, `x_tool y_tool z_tool` and maybe `qx_tool` .. `qw_tool`.
 
-    `x_tool_stderr` .. `z_tool_stderr` [m] and `rot_tool_stderr` [rad] are standard errors that weigh the poses. A column
-    `campaign` tells measuring campaigns apart, a column `target` the targets on the tool; the signs of `v_J` tell from
-    which side a joint came, and without them the order of the file does.
+    `x_tool_stderr` .. `z_tool_stderr` [m] and `rot_tool_stderr` [rad] are standard errors that weigh the poses; a zero counts
+    as the smallest of its column above zero. A column `campaign` tells measuring campaigns apart, a column `target` the
+    targets on the tool; the signs of `v_J` tell from which side a joint came, and without them the order of the file does.
 
     Args:
         path: File.
@@ -236,6 +237,7 @@ def read_poses(
     _check_units(table, position)
     campaign, campaigns = _number_words(table, "campaign")
     target, targets = _number_words(table, "target")
+    (stated, said), (turned, more) = _read_stated(table, STDERRS), _read_stated(table, (ROTATION_STDERR,))
     return PoseSet(
         q=q,
         position=position,
@@ -246,11 +248,11 @@ def read_poses(
         target=target,
         targets=targets,
         approach=_approach(table, actuated, q),
-        position_stderr=_stated(table, STDERRS),
-        rotation_stderr=None if (turned := _stated(table, (ROTATION_STDERR,))) is None else turned[:, 0],
+        position_stderr=stated,
+        rotation_stderr=None if turned is None else turned[:, 0],
         source=table.name,
         sha256=table.sha256,
-        warnings=table.warnings,
+        warnings=(*table.warnings, *said, *more),
     )
 
 
@@ -295,25 +297,39 @@ def _check_columns(table: Table, actuated: Sequence[str]) -> None:
         )
 
 
-def _stated(table: Table, names: Sequence[str]) -> np.ndarray | None:
-    """Return standard errors (N, k) from the table, None where it has none.
+def _read_stated(table: Table, names: Sequence[str]) -> tuple[np.ndarray | None, tuple[str, ...]]:
+    """Return standard errors (N, k) from the table, None where it has none, and a warning of zeros.
+
+    A zero is a scatter below the last digit that was written: it counts as the smallest one above zero in its column.
 
     Raises:
-        InputError: Some columns are missing, or a standard error is not above zero.
+        InputError: Some columns are missing, a standard error is below zero, or a column has none above zero.
     """
     some = [name for name in names if name in table.cells]
     if not some:
-        return None
+        return None, ()
     if len(some) < len(names):
         lacking = [name for name in names if name not in some]
         raise InputError("missing_column", f"{table.name} has {format_names(some)} but not {format_names(lacking)}")
     values = np.column_stack([_numbers(table, name) for name in names])
-    bad = np.flatnonzero(~(values > 0).all(axis=1))
+    bad = np.flatnonzero(((values < 0) | ~(values > 0).any(axis=0)).any(axis=1))
     if len(bad):
         raise InputError(
             "bad_sample", f"{table.where(int(bad[0]))}: a standard error ({format_names(names)}) must be above zero"
         )
-    return values
+    zero = values == 0
+    if not zero.any():
+        return values, ()
+    smallest = np.where(zero, np.inf, values).min(axis=0)
+    row = int(np.flatnonzero(zero.any(axis=1))[0])
+    rounded = [
+        f"{name} {x:.3g}" for name, x, any_zero in zip(names, smallest, zero.any(axis=0), strict=True) if any_zero
+    ]
+    sentence = (
+        f"{table.name}: {int(zero.sum())} standard errors are zero (first {table.where(row)}), below the last digit that was "
+        f"written; they count as the smallest of their column above zero ({', '.join(rounded)})"
+    )
+    return np.where(zero, smallest, values), (CodedWarning("stderr_rounded", sentence),)
 
 
 def _numbers(table: Table, name: str) -> np.ndarray:

@@ -168,7 +168,9 @@ def describe_model(model: CandidateModel, before: CandidateModel | None) -> tupl
 def describe_finding(finding: CalibrationFinding) -> str:
     """Return a finding as a sentence."""
     where = f" ({format_list(finding.joints)})" if finding.joints else ""
-    alike = [f"{CAUSES[cause][0].lower()}{CAUSES[cause][1:]}" for cause in finding.indistinguishable_from]
+    others = [cause for cause in finding.indistinguishable_from if cause != finding.cause]
+    alike = [f"{CAUSES[cause][0].lower()}{CAUSES[cause][1:]}" for cause in others]
+    alike += ["the same elsewhere"] if len(others) < len(finding.indistinguishable_from) else []
     where += f", or {format_list(alike)}" if alike else ""
     gain = finding.gain
     with_it, without = format_length(gain.after), format_length(gain.before)
