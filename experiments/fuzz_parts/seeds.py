@@ -50,7 +50,8 @@ XACRO = """<robot name="axis" xmlns:xacro="http://www.ros.org/wiki/xacro" xmlns:
   <xacro:arg name="mass" default="95"/>
   <xacro:property name="m" value="$(arg mass)"/>
   <xacro:macro name="body" params="name mass:=1 *more"><link name="${name}_link"><inertial><mass value="${mass*1.0}"/>
-    <inertia ixx="${mass/12}" ixy="0" ixz="0" iyy="${mass/12}" iyz="0" izz="${mass/12}"/></inertial><xacro:insert_block name="more"/></link>
+    <inertia ixx="${mass/12}" ixy="0" ixz="0" iyy="${mass/12}" iyz="0" izz="${mass/12}"/></inertial>
+    <xacro:insert_block name="more"/></link>
   </xacro:macro>
   <link name="base_link"/>
   <xacro:body name="carriage" mass="${m}"><visual><geometry><box size="1 1 1"/></geometry></visual></xacro:body>
