@@ -116,7 +116,8 @@ def run_pybotics(table: Table, target: float, train: PoseSet, held: PoseSet) -> 
     mask = [True] * 3 + [False] * 3
     handler = OptimizationHandler(robot, kinematic_chain_mask=True, tool_mask=mask, world_mask=True)
     start = handler.generate_optimization_vector()
-    found = least_squares(optimize_accuracy, start, args=(handler, train.q, train.position * MILLI), max_nfev=60)
+    given = (handler, train.q, train.position * MILLI)  # mm beside rad: without scales the descent hardly gets on
+    found = least_squares(optimize_accuracy, start, args=given, x_scale="jac", max_nfev=150)
     handler.apply_optimization_vector(found.x)
     off = [handler.robot.fk(q)[:3, 3] / MILLI - p for q, p in zip(held.q, held.position, strict=True)]
     return float(np.mean(np.linalg.norm(off, axis=1)))
