@@ -61,10 +61,10 @@ def test_a_large_log_that_grows_while_it_is_copied(tmp_path, large, monkeypatch)
     parse = copies.parse_delimited
     pieces = iter([later[:5], later[5:], "9.5,1,2\n", ""])
 
-    def parse_and_grow(*args):
+    def parse_and_grow(*args, **options):
         with path.open("a") as file:
             file.write(next(pieces, "10,1,2\n"))
-        return parse(*args)
+        return parse(*args, **options)
 
     monkeypatch.setattr(copies, "parse_delimited", parse_and_grow)
     recording = open_log(path)
