@@ -228,7 +228,7 @@ def test_proposals_agree_with_the_maps_of_the_data_sets():
     import os
 
     data, maps = (
-        Path(os.environ.get("TAU_DYN_DATA", "shared/data")),
+        Path(os.environ.get("TAU_DYN_DATA", Path(__file__).parents[3] / "shared" / "data")),
         Path(__file__).parents[2] / "identification" / "columns",
     )
     if not data.is_dir():
