@@ -7,11 +7,12 @@ A test compares the page with the classes, so the two cannot drift apart.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 
-from tau_dyn.effects import EFFECTS, Effect, Scene, describe_ranges, spell_unit
+from tau_dyn.effects import EFFECTS, Effect, Scene, spell_unit
 from tau_dyn.files import write_whole
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "causes.md"
@@ -45,11 +46,22 @@ def _row(cls: type[Effect]) -> tuple[str, ...]:
         f"`{cls.equation}`",
         ", ".join(_parameters(cls)),
         ", ".join(settings),
-        describe_ranges(cls.plausible),
+        _ranges(cls),
         cls.reveals,
         (", ".join(others) + twins).removeprefix("; "),
         cls.reference,
     )
+
+
+def _ranges(cls: type[Effect]) -> str:
+    """Return the plausible ranges; a quantity is named where there are several."""
+    several = len({one.quantity for one in cls.plausible}) > 1
+    texts = (
+        one.describe() if several else one.describe().removeprefix(one.quantity.replace("_", " "))
+        for one in cls.plausible
+    )
+    short = "; ".join(text.strip().replace("of the joint's", "of its") for text in texts)
+    return re.sub(r"-([\d.e+]+(?: [^;]+?)?) to \1", r"±\1", short)
 
 
 def _parameters(cls: type[Effect]) -> list[str]:
