@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -22,7 +23,7 @@ from tau_dyn.diagnose.force_channel import (
     compute_determined_rank,
     prepare_segments,
 )
-from tau_dyn.diagnose.noise_only_bootstrap import simulate_noise_only_logs
+from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyLog
 from tau_dyn.diagnose.null_model import build_force_terms, compute_period_statistics
 from tau_dyn.diagnose.preparation import (
     choose_diagnosis_preparation,
@@ -87,9 +88,15 @@ class FittedBaseline:
     pieces: tuple[Log, ...]
     warnings: tuple[str, ...] = ()
 
+    @cached_property
+    def _noise_only_logs(self) -> list[NoiseOnlyLog]:
+        """What the baseline makes of every piece."""
+        pieces = zip(self.channel.prepared, self.pieces, self.smooth_hz, strict=True)
+        return [NoiseOnlyLog.of(piece, self.model, log, smooth) for piece, log, smooth in pieces]
+
     def noise_only(self, rng: np.random.Generator) -> Channel:
         """Return the channel of logs that hold nothing but the baseline and encoder noise."""
-        logs = simulate_noise_only_logs(self.channel.prepared, self.model, self.pieces, self.smooth_hz, rng)
+        logs = [log.draw(rng) for log in self._noise_only_logs]
         prepared = prepare_segments(self.nominal, logs, self.preparation, self.smooth_hz)
         regression = build_force_regression(self.nominal, prepared, self.preparation)
         return replace(

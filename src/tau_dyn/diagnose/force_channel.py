@@ -244,7 +244,13 @@ def _with_signals(
         "wide_force": rigid,
         "clear_hz": np.full(len(t), clear_hz),  # a mode in the clear band passes no noise on
     }
-    return replace(piece, motion=replace(m, signals=signals))
+    arrays = {key: _lay_samples_last(getattr(m, key)) for key in ("q", "v", "a", "sign")}
+    return replace(piece, motion=replace(m, **arrays, signals={k: _lay_samples_last(x) for k, x in signals.items()}))
+
+
+def _lay_samples_last(x: np.ndarray) -> np.ndarray:
+    """Return an array (N, ...) with a joint's samples next to each other in memory, as effects and filters read them."""
+    return np.moveaxis(np.ascontiguousarray(np.moveaxis(x, 0, -1)), -1, 0)
 
 
 def _gravity_turns(

@@ -16,7 +16,7 @@ log that holds every fourth sample aliases.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -90,56 +90,71 @@ _WIDEST_CUTOFF_SHARE = 0.45
 """Low-pass of a motion that fills the whole band, as a share of the rate."""
 
 
-def simulate_noise_only_logs(
-    prepared: Sequence[PreparedSegment],
-    model: Model,
-    logs: Sequence[Log],
-    smooth_hz: Sequence[float],
-    rng: np.random.Generator,
-) -> list[Log]:
-    """Return logs as the fitted baseline would have made them: fresh encoder noise, and in the forces only the answer to it.
+@dataclass(frozen=True, eq=False)
+class NoiseOnlyLog:
+    """A log as the fitted baseline would have made it: what of it is the same in every draw of encoder noise.
 
-    Args:
-        prepared: The measured pieces, ready for making columns.
-        model: The fitted baseline.
-        logs: The pieces as they were logged, before they were thinned.
-        smooth_hz: Low-pass of each piece's positions [Hz].
-        rng: Where the noise comes from.
+    Attributes:
+        log: The piece at the rate of the fit.
+        joints: The actuated joints.
+        q: Positions without noise (n, na) [m or rad], at the rate of the fit.
+        force: The baseline's forces along them (n, na) [N or N m].
+        read: Positions without noise at the rate of the recording (N, na), and its clock.
+        step: Steps to which positions are rounded (na,); 0 for none.
+        level: Noise before the rounding (na,), which follows the place.
+        taps: How forces answer to encoder noise; see `estimate_feedback_taps`.
+        cutoff_hz: Low-pass by which the recording was thinned [Hz].
     """
-    found, joints = [], prepared[0].motion.joints
-    for piece, log, smooth in zip(prepared, logs, smooth_hz, strict=True):
-        m, cutoff = piece.motion, piece.preparation.position_cutoff_hz
+
+    log: Log
+    joints: Sequence[str]
+    q: np.ndarray
+    force: np.ndarray
+    read: Log
+    step: np.ndarray
+    level: np.ndarray
+    taps: np.ndarray
+    cutoff_hz: float
+
+    @classmethod
+    def of(cls, piece: PreparedSegment, model: Model, log: Log, smooth_hz: float) -> NoiseOnlyLog:
+        """Prepare a piece.
+
+        Args:
+            piece: The measured piece, ready for making columns.
+            model: The fitted baseline.
+            log: The piece as it was logged, before it was thinned.
+            smooth_hz: Low-pass of its positions [Hz].
+        """
+        m, cutoff, joints = piece.motion, piece.preparation.position_cutoff_hz, piece.motion.joints
         whole = model.motion(m.q, m.v, m.a, np.sign(m.v), t=m.t, signals=m.signals)  # the made motion's own reversals
         force = model.columns(whole) @ model.parameters.values
-        seen = decimate_log(_noise(log, joints, min(smooth, cutoff), smooth, rng), cutoff)
-        rate = piece.log.rate_hz
-        smooth_q = (
-            m.q
-            if smooth < cutoff
-            else lowpass(piece.log.joint("q", joints), min(smooth, _WIDEST_CUTOFF_SHARE * rate), rate)
-        )
-        q, force = smooth_q + seen.joint("q", joints), force + seen.joint("tau", joints)
-        channels = dict(piece.log.channels)
-        for k, joint in enumerate(joints):
-            channels |= {f"q_{joint}": q[:, k], f"tau_{joint}": force[:, k]}
-        found.append(replace(piece.log, channels=channels))
-    return found
+        rate, q = piece.log.rate_hz, m.q
+        if smooth_hz >= cutoff:
+            q = lowpass(piece.log.joint("q", joints), min(smooth_hz, _WIDEST_CUTOFF_SHARE * rate), rate)
+        measured = log.joint("q", joints)
+        smooth = lowpass(measured, min(smooth_hz, cutoff), log.rate_hz)
+        step = estimate_quantisation_step(measured)
+        level = np.sqrt(np.maximum(estimate_encoder_noise(measured) ** 2 - step**2 / 12, 0))
+        taps = estimate_feedback_taps(log, joints, smooth_hz)
+        read = replace(log, channels={f"q_{joint}": smooth[:, k] for k, joint in enumerate(joints)})
+        return cls(piece.log, joints, q, force, read, step, level, taps, cutoff)
 
+    def draw(self, rng: np.random.Generator) -> Log:
+        """Return the log with fresh encoder noise, and in the forces only the answer to it."""
+        smooth = self.read.joint("q", self.joints)
+        q = smooth + self.level * rng.standard_normal(smooth.shape)
+        grid = np.where(self.step > 0, self.step, 1.0)
+        phase = rng.uniform(size=len(grid))  # on the logs' own grid a rest would be exact
+        noise = np.where(self.step > 0, (np.round(q / grid + phase) - phase) * grid, q) - smooth
+        seen = decimate_log(self._build(self.read, noise, apply_feedback_taps(self.taps, noise)), self.cutoff_hz)
+        forces = self.force + seen.joint("tau", self.joints)
+        return self._build(self.log, self.q + seen.joint("q", self.joints), forces)
 
-def _noise(log: Log, joints: Sequence[str], smooth_hz: float, signal_hz: float, rng: np.random.Generator) -> Log:
-    """Return a log of nothing but fresh encoder noise, rounded as positions are, and what forces answer to it."""
-    read = log.joint("q", joints)
-    smooth = lowpass(read, smooth_hz, log.rate_hz)
-    step = estimate_quantisation_step(read)
-    before = np.sqrt(
-        np.maximum(estimate_encoder_noise(read) ** 2 - step**2 / 12, 0)
-    )  # what rounding adds follows the place
-    q = smooth + before * rng.standard_normal(read.shape)
-    grid = np.where(step > 0, step, 1.0)
-    phase = rng.uniform(size=len(step))  # on the logs' own grid a rest would be exact
-    noise = np.where(step > 0, (np.round(q / grid + phase) - phase) * grid, q) - smooth
-    signals = {"q": noise, "tau": apply_feedback_taps(estimate_feedback_taps(log, joints, signal_hz), noise)}
-    return replace(log, channels={f"{key}_{j}": x[:, k] for key, x in signals.items() for k, j in enumerate(joints)})
+    def _build(self, log: Log, q: np.ndarray, tau: np.ndarray) -> Log:
+        """Return a log with these positions and forces (n, na), and its other channels."""
+        signals = {f"{key}_{j}": x[:, k] for key, x in (("q", q), ("tau", tau)) for k, j in enumerate(self.joints)}
+        return replace(log, channels={**log.channels, **signals})
 
 
 class NoiseOnlyBootstrap:

@@ -36,7 +36,7 @@ from tau_dyn.log import compute_attenuation, find_true_runs
 
 WHOLE_TIME = "t_whole"
 """Time through all logs, one after the other, where there are several: what settles may go on in the next one, or begin anew."""
-_DEGREE = 4  # of the smooth functions of a variable
+SMOOTH_DEGREE = 4  # of the smooth functions of a variable
 _MAX_ORDER = 8  # of the autoregressive model of the residual, selected below it
 
 
@@ -66,17 +66,29 @@ def fit_noise_models(
 
 def build_smooth_columns(variables: Sequence[Mapping[str, np.ndarray]], output: str) -> list[np.ndarray]:
     """Return smooth functions (n, c) of an output's own variables, and the same times the direction of motion, of each run."""
-    return build_joined_columns(variables, lambda joined: _smooth_own(joined, output))
+    joined = JoinedVariables(variables)
+    return joined.split(_smooth_own(joined.values, output))
 
 
-def build_joined_columns(
-    variables: Sequence[Mapping[str, np.ndarray]], columns: Callable[[Mapping[str, np.ndarray]], np.ndarray]
-) -> list[np.ndarray]:
-    """Return columns (n, c) of each run, made of all runs' variables joined: one function, whatever range a run covers."""
-    common = [name for name in variables[0] if all(name in v for v in variables)]
-    joined = {name: np.concatenate([v[name] for v in variables]) for name in common}
-    lengths = [len(next(iter(v.values()))) for v in variables]
-    return np.split(columns(joined), np.cumsum(lengths)[:-1])
+class JoinedVariables:
+    """All runs' variables one after the other: one function of them, whatever range a run covers."""
+
+    def __init__(self, variables: Sequence[Mapping[str, np.ndarray]]) -> None:
+        """Join what all runs give."""
+        common = [name for name in variables[0] if all(name in v for v in variables)]
+        self.values = {name: np.concatenate([v[name] for v in variables]) for name in common}
+        self._ends = np.cumsum([len(next(iter(v.values()))) for v in variables])[:-1]
+        self._smooth: dict[tuple[str, int], list[np.ndarray]] = {}
+
+    def split(self, columns: np.ndarray) -> list[np.ndarray]:
+        """Return joined columns (N, c) run by run (n, c)."""
+        return np.split(columns, self._ends)
+
+    def smooth(self, name: str, degree: int) -> list[np.ndarray]:
+        """Return smooth functions (N,) of a variable; see `smooth`."""
+        if (name, degree) not in self._smooth:
+            self._smooth[name, degree] = smooth(self.values[name], degree)
+        return self._smooth[name, degree]
 
 
 def _smooth_own(variables: Mapping[str, np.ndarray], output: str) -> np.ndarray:
@@ -87,7 +99,7 @@ def _smooth_own(variables: Mapping[str, np.ndarray], output: str) -> np.ndarray:
     return np.column_stack(basis)
 
 
-def smooth(x: np.ndarray, degree: int = _DEGREE) -> list[np.ndarray]:
+def smooth(x: np.ndarray, degree: int = SMOOTH_DEGREE) -> list[np.ndarray]:
     """Return Legendre polynomials of degree 1 to `degree` of a variable (n,) scaled to its range; none if constant."""
     low, high = float(x.min()), float(x.max())
     if not high > low:
@@ -197,11 +209,7 @@ class NullModel:
 
     def explained(self, C: np.ndarray, both: np.ndarray, nonnegative: np.ndarray) -> np.ndarray:
         """Return score statistics (g, d) of white rows (R, g, k), g settings at once, for residuals (R, d)."""
-        R, g, k = C.shape
-        flat = C.reshape(R, g * k)
-        s, A = (flat.T @ both).reshape(g, k, -1), (self.Q.T @ flat).reshape(-1, g, k)
-        G = np.einsum("rgk,rgl->gkl", C, C) - np.einsum("rgk,rgl->gkl", A, A)
-        return compute_score_statistics(s, G, np.einsum("rgk,rgk->gk", C, C), nonnegative)
+        return compute_statistics_of_rows(C, both, self.Q, nonnegative)
 
 
 def orthonormalise(B: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:
@@ -246,6 +254,22 @@ def compute_score_test(
     s, G = C.T @ ground.e, ground.gram(C)
     T = compute_score_statistics(s[None, :, None], G[None], np.sum(C**2, axis=0)[None], nonnegative, absorbed)
     return float(T[0, 0]), s, G
+
+
+def compute_statistics_of_rows(
+    C: np.ndarray, both: np.ndarray, Q: np.ndarray, nonnegative: np.ndarray, absorbed: float = MIN_UNABSORBED_SHARE
+) -> np.ndarray:
+    """Return statistics (g, d) of g settings' white rows (R, g, k) for residuals (R, d), `Q` (R, r) projected out.
+
+    See `compute_score_statistics`.
+    """
+    R, g, k = C.shape
+    flat = C.reshape(R, g * k)
+    s = (flat.T @ both).reshape(g, k, -1)
+    rows, absorbing = (np.ascontiguousarray(x.T).reshape(g, k, -1) for x in (flat, Q.T @ flat))
+    square = rows @ rows.transpose(0, 2, 1)
+    G = square - absorbing @ absorbing.transpose(0, 2, 1)
+    return compute_score_statistics(s, G, np.diagonal(square, axis1=1, axis2=2), nonnegative, absorbed)
 
 
 def compute_score_statistics(
@@ -320,16 +344,16 @@ def compute_period_statistics(
     speed = np.abs(v)
     edges = np.quantile(speed[mask], np.linspace(0, 1, _CLASSES + 1)[1:-1])
     number = np.searchsorted(edges, speed)
-    S = np.zeros((u.shape[1], len(lines)), complex)
+    S = np.zeros((len(lines), u.shape[1]), complex)
     for c in range(_CLASSES):
         mine = np.flatnonzero((number == c) & mask)
         if mine.size:
             place = sparse.csr_matrix((np.ones(len(mine)), (bins[mine], np.arange(len(mine)))), shape=(size, len(mine)))
             passed = 1 / compute_attenuation(float(np.median(speed[mine])) * lines, cutoff_hz)
             for factor, size_of in terms:
-                spectrum = np.asarray(fft.rfft(np.ascontiguousarray((place @ (factor[mine, None] * u[mine])).T)))
-                S += passed * size_of(2 * np.pi * lines) * np.conj(spectrum[:, index])
-    power = np.abs(S) ** 2
+                spectrum = np.asarray(fft.rfft(place @ (factor[mine, None] * u[mine]), axis=0))
+                S += (passed * size_of(2 * np.pi * lines))[:, None] * np.conj(spectrum[index])
+    power = np.abs(S.T) ** 2
     noise = ndimage.uniform_filter1d(power[1:].mean(axis=0), min(_SMOOTHED, len(lines)), mode="nearest") / 2
     return np.divide(power, noise, out=np.zeros_like(power), where=noise > 1e-9 * noise.max(initial=1e-300)).T
 

@@ -17,13 +17,13 @@ from scipy import stats
 
 from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap, compute_artefact_chance
 from tau_dyn.diagnose.null_model import (
+    SMOOTH_DEGREE,
     WHOLE_TIME,
+    JoinedVariables,
     NullModel,
-    build_joined_columns,
     compute_overdispersion,
-    compute_score_statistics,
+    compute_statistics_of_rows,
     count_effective_tests,
-    smooth,
 )
 from tau_dyn.effects import Effect
 
@@ -38,6 +38,10 @@ _SHAPES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "{0} |{0}|": lambda x: x * np.abs(x),
     "sign({})": np.sign,
 }
+
+
+PAIR_DEGREE = 2
+"""Degree of the smooth functions of each variable of a pair, whose products are tried."""
 
 
 class Dependence(NamedTuple):
@@ -60,20 +64,22 @@ class Dependence(NamedTuple):
 
     def bases(self, values: Sequence[Values]) -> list[np.ndarray]:
         """Return smooth columns (n, k) of each run: Legendre, degree 4, or 2 by 2 of a pair."""
-        return build_joined_columns(values, self._basis)
+        joined = JoinedVariables(values)
+        return joined.split(self.build_columns(joined))
 
-    def _basis(self, values: Values) -> np.ndarray:
+    def build_columns(self, joined: JoinedVariables) -> np.ndarray:
+        """Return its smooth columns (N, k) over all runs."""
         if len(self.names) == 1:
-            columns = smooth(values[self.names[0]])
-            if self.names == ("t",) and WHOLE_TIME in values:
-                columns += smooth(values[WHOLE_TIME])
+            columns = joined.smooth(self.names[0], SMOOTH_DEGREE)
+            if self.names == ("t",) and WHOLE_TIME in joined.values:
+                columns = columns + joined.smooth(WHOLE_TIME, SMOOTH_DEGREE)
         else:
-            one, other = (smooth(values[n], 2) for n in self.names)
+            one, other = (joined.smooth(name, PAIR_DEGREE) for name in self.names)
             columns = [a * b for a in one for b in other]
-        sign = np.sign(values[f"v_{self.turns}"]) if self.turns else 1.0
-        return (
-            np.column_stack([sign * c for c in columns]) if columns else np.zeros((len(next(iter(values.values()))), 0))
-        )
+        if not columns:
+            return np.zeros((len(joined.values[self.names[0]]), 0))
+        stacked = np.stack(columns)
+        return (stacked * np.sign(joined.values[f"v_{self.turns}"]) if self.turns else stacked).T
 
     def terms(self, values: Sequence[Values]) -> dict[str, list[np.ndarray]]:
         """Return simple products (n, 1) of each run by what they are called."""
@@ -108,6 +114,7 @@ MIN_2LOGL_DIFFERENCE = 8.0
 _MAX_INDISTINGUISHABLE = 6  # structures that a result names; more do not help
 _PAIR_PRICE = 4.0
 """What a second variable, or another joint's direction, has to explain more, in twice the log-likelihood, beside its freedom."""
+_CHUNK = 16  # sets of variables tried at once; bounds memory
 _LEFT = 0.01
 """Part of a function that the baseline must leave: the functions are not filtered as the baseline's columns are."""
 _SIMPLE = 0.85
@@ -212,25 +219,27 @@ def _chance(shape: _StructureCandidate, tries: float, inflation: float) -> float
 def _tried(ground: NullModel, draws: np.ndarray) -> tuple[list[_StructureCandidate], float]:
     """Return all sets of variables, the largest merit first, and how many independent tries the search over them amounts to."""
     values = ground.channel.variables()
+    joined = JoinedVariables(values)
     found: list[_StructureCandidate] = []
     noise_chances = []
     for k, output in enumerate(ground.channel.outputs):
         rows = np.flatnonzero(ground.whiten.index == k)
-        both = np.concatenate([ground.e[rows, None], draws[rows]], axis=1)
-        Q = ground.Q[rows]
-        for on in list_dependences(values, output):
-            C = _rows(ground, k, on.bases(values))
-            if C.shape[1] == 0:
-                continue
-            A = Q.T @ C
-            G, raw = C.T @ C - A.T @ A, np.sum(C**2, axis=0)
-            T = compute_score_statistics((C.T @ both)[None], G[None], raw[None], np.zeros(C.shape[1], bool), _LEFT)[0]
-            noise_chances.append(stats.chi2.sf(T[1:], C.shape[1]))
-            merit = float(T[0]) - 2 * C.shape[1] - _PAIR_PRICE * on.further
-            found.append(_StructureCandidate(merit, on, float(T[0]), C.shape[1]))
+        both, Q = np.concatenate([ground.e[rows, None], draws[rows]], axis=1), ground.Q[rows]
+        tried = list_dependences(values, output)
+        for start in range(0, len(tried), _CHUNK):
+            made = [(on, on.build_columns(joined)) for on in tried[start : start + _CHUNK]]
+            for size in sorted({columns.shape[1] for _, columns in made} - {0}):
+                alike = [(on, columns) for on, columns in made if columns.shape[1] == size]
+                basis = joined.split(np.concatenate([columns for _, columns in alike], axis=1))
+                C = _rows(ground, k, basis).reshape(len(rows), len(alike), size)
+                T = compute_statistics_of_rows(C, both, Q, np.zeros(size, bool), _LEFT)
+                noise_chances.append(stats.chi2.sf(T[:, 1:], size))
+                for (on, _), statistic in zip(alike, T[:, 0].tolist(), strict=True):
+                    merit = statistic - 2 * size - _PAIR_PRICE * on.further
+                    found.append(_StructureCandidate(merit, on, statistic, size))
     if not found:
         return [], 1.0
-    smallest = np.clip(np.min(noise_chances, axis=0), 1e-12, 1 - 1e-12)
+    smallest = np.clip(np.min(np.concatenate(noise_chances), axis=0), 1e-12, 1 - 1e-12)
     tries = count_effective_tests(smallest, len(smallest))
     return sorted(found, key=lambda shape: -shape.penalised_statistic), tries
 

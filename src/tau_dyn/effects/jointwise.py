@@ -13,7 +13,7 @@ there is no force. The simulator adds effects of what the encoder reads to the r
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -84,12 +84,12 @@ class JointwiseEffect(JointParameters):
 
     def columns(self, motion: Motion) -> np.ndarray:
         """Return force per unit parameter (N, na, p)."""
-        n = len(self.terms)
-        out = np.zeros_like(motion.v, shape=(*motion.v.shape, n * len(self.joints)))
+        n, (N, na) = len(self.terms), motion.v.shape
+        out = np.zeros_like(motion.v, shape=(na, n * len(self.joints), N))  # samples last, as filters like them
         for k, index in enumerate(self._indices(motion)):
             for m, column in enumerate(self.per_joint(JointMotion.of(motion, index))):
-                out[:, index, n * k + m] = column
-        return out
+                out[index, n * k + m] = column
+        return out.transpose(2, 0, 1)
 
 
 _MIN_SAMPLES = 5  # samples that a derivative of fourth order takes
@@ -107,12 +107,13 @@ class DisplacementEffect(Effect):
     def columns(self, motion: Motion) -> np.ndarray:
         """Return force per unit parameter (N, na, p); none without a clock."""
         made = self.displacement(motion)
-        speed = differentiate_columns(made, motion.t)
-        return (
-            compute_load_force(motion, self._indices(motion), made, speed, differentiate_columns(speed, motion.t))
-            if speed.any()
-            else speed
-        )
+        N, na, p = made.shape
+        force = np.zeros((na, p, N))  # samples last: sums over them are long, and filters like it
+        speeds = [differentiate_columns(made[:, k], motion.t) for k in self._indices(motion)]
+        if any(speed.any() for speed in speeds):
+            for k, speed in zip(self._indices(motion), speeds, strict=True):
+                subtract_load_force(force, motion, k, made[:, k], speed, differentiate_columns(speed, motion.t))
+        return force.transpose(2, 0, 1)
 
     def tool_columns(self, motion: Motion, tool_jacobian: np.ndarray) -> np.ndarray:
         """Return the tool's displacement per unit parameter (N, 3, p) [m], in base axes.
@@ -128,23 +129,15 @@ class DisplacementEffect(Effect):
         return out
 
 
-def compute_load_force(
-    motion: Motion, joints: Sequence[int], displacement: np.ndarray, speed: np.ndarray, acceleration: np.ndarray
-) -> np.ndarray:
-    """Return the force (N, na, p) that loads' displacement, its speed and acceleration (N, na, p) take off the actuators.
-
-    Only the columns of `joints`, by their places among the actuated ones, are looked at.
-    """
+def subtract_load_force(
+    force: np.ndarray, motion: Motion, k: int, displacement: np.ndarray, speed: np.ndarray, acceleration: np.ndarray
+) -> None:
+    """Take off forces (na, p, N) what the load of joint `k` needs for its displacement, speed and acceleration (N, p)."""
     inertia, gradient, damping = (motion.signal(name) for name in ("inertia", "weight_gradient", "damping"))
-    N, na, p = displacement.shape
-    force = np.zeros((na, p, N))  # samples last: sums over them are long, and filters like it
-    for k in joints:
-        force[k] -= damping[:, k] * speed[:, k].T
-    for k in joints:
-        made, moved = (np.ascontiguousarray(x[:, k].T) for x in (displacement, acceleration))
-        for i in range(na):
-            force[i] -= inertia[:, i, k] * moved + gradient[:, i, k] * made
-    return force.transpose(2, 0, 1)
+    made, moved = np.ascontiguousarray(displacement.T), np.ascontiguousarray(acceleration.T)
+    force[k] -= damping[:, k] * speed.T
+    for i, row in enumerate(force):
+        row -= inertia[:, i, k] * moved + gradient[:, i, k] * made
 
 
 def differentiate_columns(x: np.ndarray, t: np.ndarray | None) -> np.ndarray:

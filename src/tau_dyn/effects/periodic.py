@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from tau_dyn.effects.effect import PlausibleRange, build_slide_and_hinge_ranges, format_amount
-from tau_dyn.effects.jointwise import JointwiseDisplacement, JointwiseEffect, compute_load_force
+from tau_dyn.effects.jointwise import JointwiseDisplacement, JointwiseEffect, subtract_load_force
 from tau_dyn.effects.motion import JointMotion, Motion, Scene
 from tau_dyn.parameters import Parameter
 
@@ -144,19 +144,22 @@ class TransmissionError(PeriodicEffect, JointwiseDisplacement):
 
     def columns(self, motion: Motion) -> np.ndarray:
         """Return force per unit parameter (N, na, p), differentiated on paper: short periods outrun a sampled derivative."""
-        n = len(self.terms)
-        out = np.zeros((*motion.v.shape, n * len(self.joints)))
-        k = np.repeat(np.arange(1, n // 2 + 1), 2)
-        w = 2 * np.pi * k / self.settings["period"]
+        n, (N, na) = len(self.terms), motion.v.shape
+        force = np.zeros((na, n * len(self.joints), N))
+        w = 2 * np.pi * np.repeat(np.arange(1, n // 2 + 1), 2) / self.settings["period"]
         for place, index in enumerate(self._indices(motion)):
             joint = JointMotion.of(motion, index)
-            d = np.stack(self.per_joint(joint), axis=1)
-            slope = w * np.stack([d[:, 1::2], -d[:, ::2]], axis=2).reshape(d.shape)
-            acceleration = slope * joint.a[:, None] - w**2 * d * joint.v[:, None] ** 2
-            only = np.zeros((3, *motion.v.shape, n))
-            only[:, :, index] = d, slope * joint.v[:, None], acceleration
-            out[:, :, n * place : n * (place + 1)] = compute_load_force(motion, [index], *only)
-        return out
+            waves = self.per_joint(joint)
+            slope = [
+                sign * x
+                for sine, cosine in zip(waves[::2], waves[1::2], strict=True)
+                for sign, x in ((1, cosine), (-1, sine))
+            ]
+            moved = [f * (x * joint.a - f * d * joint.v**2) for f, d, x in zip(w, waves, slope, strict=True)]
+            speed = [f * x * joint.v for f, x in zip(w, slope, strict=True)]
+            mine = force[:, n * place : n * (place + 1)]
+            subtract_load_force(mine, motion, index, *(np.stack(x).T for x in (waves, speed, moved)))
+        return force.transpose(2, 0, 1)
 
     def local_frequency(self, motion: Motion) -> np.ndarray:
         """Return at which frequency each sample feels the first harmonic (N, na) [Hz], also where other joints move."""

@@ -138,12 +138,12 @@ class StructuralCompliance(JointwiseDisplacement):
         answers += [motion.signal("rigid_force")[:, index]] if self.settings["rest"] else []
         for d in answers:
             for i, j in self._places:
-                column = np.zeros_like(motion.v, shape=motion.v.shape)
-                column[:, index[i]] = d[:, j]
+                column = np.zeros_like(motion.v, shape=motion.v.shape[::-1])
+                column[index[i]] = d[:, j]
                 if self.settings["reciprocal"]:
-                    column[:, index[j]] = d[:, i]
+                    column[index[j]] = d[:, i]
                 made.append(column)
-        return np.stack(made, axis=2)
+        return np.stack(made, axis=1).transpose(2, 0, 1)
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
         """Return the swinging response of each mode to the force; at rest, the force itself."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
+from scipy import linalg, signal
 
 MAX_ORDER = 12  # from which the order is selected by an information criterion
 
@@ -30,9 +30,22 @@ class Autoregression:
 
     def response_power(self) -> float:
         """Return the sum of squares of its impulse response."""
-        if not len(self.phi):
-            return 1.0
-        return float(np.sum(self._impulse_response(65536) ** 2))
+        state = -self.denominator[1:]  # after an impulse, which comes out as 1
+        return float(1.0 + state @ self.fading_gramian() @ state)
+
+    def fading_gramian(self) -> np.ndarray:
+        """Return `P` (p, p): `z' P z` is the sum of squares that `1 / denominator` still gives from its state z (p,).
+
+        The state is that of the transposed direct form II, as `scipy.signal.lfilter` returns it; `P = A' P A + c c'`.
+        """
+        p = len(self.phi)
+        if not p:
+            return np.zeros((0, 0))
+        step = np.eye(p, k=1)
+        step[:, 0] -= self.denominator[1:]
+        first = np.zeros((p, p))
+        first[0, 0] = 1.0
+        return np.asarray(linalg.solve_discrete_lyapunov(step.T, first))
 
     def autocovariance(self, n: int) -> np.ndarray:
         """Return the autocovariance at lags 0 .. n - 1 (n,)."""

@@ -154,21 +154,7 @@ def _coloured(scores: Scores, inverse: np.ndarray, models: list[Autoregression])
                     Z, states[k] = signal.lfilter([1.0], model.denominator, Z, axis=0, zi=states[k])
                 total += model.variance / power[k] * (Z.T @ Z)
         for k, state in enumerate(states):
-            total += models[k].variance / power[k] * _fading(models[k], state)
-    return total
-
-
-def _fading(model: Autoregression, state: np.ndarray) -> np.ndarray:
-    """Return the summed squares (r, r) of what the filter still gives after a run's end."""
-    total = np.zeros((state.shape[1], state.shape[1]))
-    if not len(model.phi):
-        return total
-    for _ in range(16):  # 65 536 samples: the slowest pole, 0.999, has faded to 1e-28
-        Z, state = signal.lfilter([1.0], model.denominator, np.zeros((4096, state.shape[1])), axis=0, zi=state)
-        grown = total + Z.T @ Z
-        if np.array_equal(grown, total):
-            break
-        total = grown
+            total += models[k].variance / power[k] * (state.T @ models[k].fading_gramian() @ state)
     return total
 
 
