@@ -16,10 +16,10 @@ from tau_dyn.diagnose import diagnose
 from tau_dyn.diagnose.candidate_scan import CandidateCause, GroupTest
 from tau_dyn.diagnose.claims import MIN_AMPLITUDE_Z
 from tau_dyn.diagnose.noise_only_bootstrap import (
+    NoiseOnlyLog,
     apply_feedback_taps,
     estimate_feedback_taps,
     estimate_noncentrality,
-    simulate_noise_only_logs,
 )
 from tau_dyn.diagnose.plausibility import is_distinct_from_zero
 from tau_dyn.diagnose.preparation import decimate_log
@@ -92,8 +92,7 @@ def test_logs_made_of_noise_alone_answer_it_as_the_measured_one_did():
     log = logged(q + noise, tau, axis.actuated)
     motion = model.motion(q, v, a, np.sign(v), t=t)
     piece = SimpleNamespace(motion=motion, log=log, preparation=SimpleNamespace(position_cutoff_hz=60.0))
-    channel = SimpleNamespace(outputs=axis.actuated, prepared=[piece])
-    (made,) = simulate_noise_only_logs(cast(Any, channel.prepared), model, [log], [20.0], rng)
+    made = NoiseOnlyLog.of(cast(Any, piece), model, log, 20.0).draw(rng)
     taps = estimate_feedback_taps(made, axis.actuated, 20.0)
     assert_allclose(taps, loop, rtol=0.05, atol=0.05 * 6e4)
 
@@ -109,10 +108,10 @@ def test_made_logs_round_as_the_measured_one_did():
     log = logged(np.round((q + sd * rng.standard_normal(q.shape)) / step) * step, 0 * q, axis.actuated)
     motion = model.motion(q, v, 0 * v, np.sign(v), t=t)
     piece = SimpleNamespace(motion=motion, log=log, preparation=SimpleNamespace(position_cutoff_hz=60.0))
-    channel = SimpleNamespace(outputs=axis.actuated, prepared=[piece])
     found = []
+    clean = NoiseOnlyLog.of(cast(Any, piece), model, log, 20.0)
     for _ in range(60):
-        (made,) = simulate_noise_only_logs(cast(Any, channel.prepared), model, [log], [20.0], rng)
+        made = clean.draw(rng)
         error = made.channels["q_axis"] - q[:, 0]
         found.append([np.mean(error[part] ** 2) for part in (slice(500, 3500), slice(4500, 7500))])
     assert_allclose(np.sqrt(np.mean(found, axis=0)), np.hypot(step / np.sqrt(12), sd), rtol=0.12)
@@ -130,8 +129,7 @@ def test_a_log_that_is_thinned_keeps_the_answer_with_its_phase():
     thin, zero = decimate_log(log, 50.0), np.zeros((len(t) // 8, 1))
     motion = model.motion(zero, zero, zero, zero, t=thin.t)
     piece = SimpleNamespace(motion=motion, log=thin, preparation=SimpleNamespace(position_cutoff_hz=50.0))
-    channel = SimpleNamespace(outputs=axis.actuated, prepared=[piece])
-    (made,) = simulate_noise_only_logs(cast(Any, channel.prepared), model, [log], [30.0], rng)
+    made = NoiseOnlyLog.of(cast(Any, piece), model, log, 30.0).draw(rng)
     assert made.rate_hz == pytest.approx(250.0)
     f, crossed = csd(made.channels["q_axis"], made.channels["tau_axis"], 250.0, nperseg=250)
     _, power = welch(made.channels["q_axis"], 250.0, nperseg=250)
