@@ -22,10 +22,11 @@ from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Family, Spec
 from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError, UnknownName
+from tau_dyn.results import Brief
 
 
 @dataclass(frozen=True, eq=False)
-class CandidateModel:
+class CandidateModel(Brief):
     """A fitted model.
 
     Attributes:

@@ -3,7 +3,7 @@ r"""Poses of a tool in the world, actuated positions as users give them, and wha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism.frames import compute_cross_product
+from tau_dyn.results import count
 from tau_dyn.robot import Robot
 
 _ROTATION = 1e-6  # largest departure of R'R from identity; numbers written with seven digits pass
@@ -28,6 +29,11 @@ class Poses(NamedTuple):
 
     position: np.ndarray
     rotation: np.ndarray
+
+    def __repr__(self) -> str:
+        """Return how many there are, and where the first is."""
+        first = f", the first at {np.array2string(self.position[0], precision=6)} m" if len(self.position) else ""
+        return f"Poses of {count(len(self.position), 'sample')}{first}"
 
     @property
     def n_samples(self) -> int:
@@ -167,6 +173,11 @@ class _Judged:
 
     code: np.ndarray
 
+    def __repr__(self) -> str:
+        """Return how many samples have an answer, and why the others have none."""
+        why = [f"{np.sum(self.code == k)} {REASONS[k]}" for k in np.unique(self.code) if k != OK]
+        return f"{type(self).__name__}: {np.sum(self.ok)} of {len(self.code)} answered{', '.join(['', *why])}"
+
     @property
     def ok(self) -> np.ndarray:
         """Where there is an answer (N,)."""
@@ -178,7 +189,7 @@ class _Judged:
         return REASONS[self.code]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ForwardResult(_Judged):
     """Poses from actuated positions.
 
@@ -193,7 +204,7 @@ class ForwardResult(_Judged):
     code: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class InverseResult(_Judged):
     """Actuated positions from poses.
 
@@ -213,8 +224,8 @@ class InverseResult(_Judged):
     position_error: np.ndarray
     orientation_error: np.ndarray
     culprit: np.ndarray
-    unlimited: np.ndarray = field(repr=False)
-    rotation: np.ndarray = field(repr=False)
+    unlimited: np.ndarray
+    rotation: np.ndarray
 
 
 class InverseSolutions(NamedTuple):

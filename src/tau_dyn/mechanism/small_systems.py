@@ -17,9 +17,8 @@ by its Karush-Kuhn-Tucker equations (Nocedal & Wright 2006, ch. 16); a small dia
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
-
 from contextlib import suppress
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
