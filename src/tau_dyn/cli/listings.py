@@ -9,7 +9,8 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from tau_dyn.cli.arguments import FolderOutput, RobotOptions, read_arguments
-from tau_dyn.cli.execute import Outcome, show_progress
+from tau_dyn.cli.execute import Outcome
+from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError, UnknownName
 
 
