@@ -219,9 +219,9 @@ class _Search:
 
     def scan(self, orders: Sequence[int]) -> list[_Row]:
         """Return first models of orders, unrefined; the scan stops where the data are explained and no order gains."""
-        self.say("scanning orders")
         rows: list[_Row] = []
-        for order in orders:
+        for k, order in enumerate(orders, start=1):
+            self.say(f"scanning orders, {k} of {len(orders)}")
             try:
                 row = self._judge(self.make(order))
             except (TauDynError, np.linalg.LinAlgError):
