@@ -1,6 +1,7 @@
 from .calibrate import calibrate as calibrate
 from .control import Feedforward as Feedforward
 from .diagnose import diagnose as diagnose
+from .effects import list_causes as list_causes
 from .exceptions import CannotAnswer as CannotAnswer, InputError as InputError, TauDynError as TauDynError
 from .identify import Choices as Choices, build_regression as build_regression, identify as identify
 from .log import Log as Log, check_log as check_log, read_log as read_log
@@ -12,6 +13,6 @@ from .mechanism import (
 from .model import Model as Model
 from .modes import find_modes as find_modes
 from .render import write_report as write_report
-from .robot import load_robot as load_robot
+from .robot import list_robots as list_robots, load_robot as load_robot
 from .simulate import simulate as simulate
 from .version import __version__ as __version__

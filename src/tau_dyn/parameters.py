@@ -11,12 +11,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatchcase
 from math import inf, isfinite
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.results import Shown
+from tau_dyn.results import Shown, count, format_estimate
+
+_MAX_SHOWN = 10  # parameters in a `repr`
 
 
 @dataclass(frozen=True)
@@ -88,19 +90,35 @@ class Parameters(Shown):
         """Return whether a parameter of that name exists."""
         return name in self._items
 
-    def __getitem__(self, name: str) -> Parameter:
-        """Return the parameter of that name, or raise `UnknownName` listing what exists."""
-        if name not in self._items:
-            raise UnknownName("parameter", name, self._items)
-        return self._items[name]
+    @overload
+    def __getitem__(self, key: str | int) -> Parameter: ...
+    @overload
+    def __getitem__(self, key: slice) -> Parameters: ...
+    def __getitem__(self, key: str | int | slice) -> Parameter | Parameters:
+        """Return the parameter of a name or a place, or those of a slice; `select` takes patterns.
+
+        Raises:
+            UnknownName: There is none of that name; the fault lists what exists.
+        """
+        if isinstance(key, slice):
+            return Parameters(list(self)[key])
+        if isinstance(key, int):
+            return list(self)[key]
+        if key not in self._items:
+            raise UnknownName("parameter", key, self._items)
+        return self._items[key]
 
     def __add__(self, other: Parameters) -> Parameters:
         """Concatenate two collections."""
         return Parameters([*self, *other])
 
     def __repr__(self) -> str:
-        """Show names and values."""
-        return "Parameters(" + ", ".join(f"{p.name}={p.value:.6g} {p.unit}" for p in self) + ")"
+        """Return a line a parameter, name and value, at most ten of them."""
+        shown = list(self)[: len(self) if len(self) <= _MAX_SHOWN else _MAX_SHOWN - 1]
+        width = max((len(p.name) for p in shown), default=0)
+        more = [f"  and {len(self) - len(shown)} more"] if len(shown) < len(self) else []
+        rows = [f"  {p.name:<{width}}  {format_estimate(p)}" for p in shown]
+        return "\n".join([f"Parameters: {count(len(self), 'parameter')}", *rows, *more])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -124,9 +142,15 @@ class Parameters(Shown):
             raise UnknownName("parameter", pattern, self._items)
         return found
 
-    def select(self, names: Iterable[str]) -> Parameters:
-        """Return those parameters, in the order given."""
-        return Parameters([self[n] for n in names])
+    def select(self, names: str | Iterable[str]) -> Parameters:
+        """Return the parameters of names or shell patterns, each once, in the order given.
+
+        Raises:
+            UnknownName: A name or a pattern fits none.
+        """
+        asked = [names] if isinstance(names, str) else names
+        found = [name for n in asked for name in ([n] if n in self._items else self.match(n))]
+        return Parameters([self._items[name] for name in dict.fromkeys(found)])
 
     def with_values(self, values: Mapping[str, float] | np.ndarray) -> Parameters:
         """Return a copy with other values: by name, or a whole vector (p,) in order."""

@@ -11,6 +11,7 @@ from lazy_loader import attach_stub
 
 DEPRECATED: dict[str, dict[str, str]] = {
     "tau_dyn.calibrate": {
+        "CAUSE_EQUATIONS": "tau_dyn.effects.GEOMETRY_CAUSES",
         "Errors": "PoseErrors",
         "Fit": "GeometryFit",
         "fit": "fit_geometry_to_poses",
@@ -104,6 +105,7 @@ DEPRECATED: dict[str, dict[str, str]] = {
     },
     "tau_dyn.diagnose": {
         "Errors": "OutputErrors",
+        "PARAMETER_CAUSES": "tau_dyn.effects.PARAMETER_CAUSES",
         "with_simulation": "add_simulation",
     },
     "tau_dyn.effects": {

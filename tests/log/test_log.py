@@ -82,6 +82,27 @@ def test_select_time_includes_both_ends(log):
         log.select_time(5, 6)
 
 
+def test_a_slice_cuts_by_samples_or_by_time(log):
+    """Whole numbers count samples, floats are seconds; parts that meet share no sample and lose none."""
+    assert len(log) == 100 and log["q_b"][3] == 2 * log["t"][3]
+    assert_array_equal(log[10:20].t, log.t[10:20])
+    assert_array_equal(log[10:20]["tau_b"], log["tau_b"][10:20])
+    before, after = log[: float(log.t[40])], log[log.t[40] :]
+    assert (len(before), len(after), after.t[0]) == (40, 60, log.t[40])
+    assert log[::2].rate_hz == pytest.approx(125)
+
+
+@pytest.mark.parametrize(
+    ("key", "code"), [(slice(10, 0.2), "invalid_value"), (slice(5, 6), "too_little_data"), ("tau_a", "missing_column")]
+)
+def test_a_slice_that_means_nothing_is_refused(log, key, code):
+    """Samples and times do not mix, one sample is no log, and a column must exist; a log is not walked through."""
+    with raises_code(code, "two.csv"):
+        log[key]
+    with pytest.raises(TypeError):
+        iter(log)
+
+
 def test_with_channels_leaves_the_first_log_alone(log):
     """A channel is added to a new log."""
     more = log.with_channels(v_a=np.ones(100))

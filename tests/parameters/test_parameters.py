@@ -42,6 +42,24 @@ def test_patterns_select_and_an_unmatched_one_is_an_error(some) -> None:
             wrong()
 
 
+def test_a_part_is_taken_by_pattern_place_or_slice(some) -> None:
+    """A part of a table is a table, and its data frame holds its values."""
+    assert some.select("*.mass").names == some[:1].names == ("a_link.mass",)
+    assert some.select(["a.*", "a_link.mass", "a.armature"]).names == ("a.armature", "a.coulomb", "a_link.mass")
+    assert some[-1] == some["a.coulomb"]
+    frame = some[1:].to_pandas()
+    assert frame["name"].tolist() == ["a.armature", "a.coulomb"] and frame["value"].tolist() == [0.0, 5.0]
+    assert some.select([]).to_pandas().empty
+
+
+def test_a_table_prints_a_line_a_parameter(some) -> None:
+    """Name and value with standard error, ten lines at most; names and values are those of the data frame."""
+    head, *rows = repr(some).splitlines()
+    assert head == "Parameters: 3 parameters" and rows[2].split() == ["a.coulomb", "5.00", "±", "0.10", "N"]
+    many = Parameters(Parameter(f"p{k}", k, "kg") for k in range(40))
+    assert len(repr(many).splitlines()) == 11 and repr(many).endswith("and 31 more")
+
+
 def test_a_list_of_plain_rows_keeps_everything(some) -> None:
     """What goes into a model file comes back equal, infinite bounds included."""
     assert list(Parameters.from_list(some.to_list())) == list(some)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+from dataclasses import fields, is_dataclass
 
 import numpy as np
 import pytest
@@ -117,3 +118,32 @@ def test_a_narrow_terminal_keeps_numbers_and_bars_whole():
 def test_a_robot_is_drawn_in_a_notebook(results):
     """What a robot is, one sees."""
     assert 'class="robot"' in results["robot"]._repr_html_()
+
+
+def _walk(thing, path: str, depth: int):
+    """Yield a result and what hangs from it: dataclasses of ours in its fields, the first of each collection."""
+    if isinstance(thing, list | tuple) and not hasattr(thing, "_fields"):
+        thing = next(iter(thing), None)
+    if not type(thing).__module__.startswith("tau_dyn."):
+        return
+    yield path, thing
+    if is_dataclass(thing) and depth:
+        for f in fields(thing):
+            yield from _walk(getattr(thing, f.name), f"{path}.{f.name}", depth - 1)
+
+
+def test_a_repr_is_a_few_short_lines(results, kind):
+    """A prompt that echoes a result, or a part of one, shows no robot file, no array and no control character."""
+    said = {(path, type(thing).__name__): repr(thing) for path, thing in _walk(results[kind], kind, 3)}
+    long = {key: text for key, text in said.items() if len(text.splitlines()) > 12 or len(text) > 1000}
+    assert not long.keys()
+    assert not [key for key, text in said.items() if "<link" in text or "\x1b" in text]
+    assert max(map(len, said[kind, type(results[kind]).__name__].splitlines())) <= 88
+
+
+def test_a_repr_says_the_headline(results):
+    """What a result answers stands in its `repr`: its class, what it is of, the first words of the headline."""
+    for result in results.values():
+        said = " ".join(repr(result).split())
+        assert said.startswith(f"{type(result).__name__}:") or type(result).__name__ == "Parameters"
+        assert present(result).headline[:20] in said

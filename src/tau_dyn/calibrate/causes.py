@@ -24,6 +24,7 @@ from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_geome
 from tau_dyn.calibrate.models import Family, Spec
 from tau_dyn.calibrate.outliers import MovedFrame
 from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.effects import GEOMETRY_CAUSES
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -89,26 +90,6 @@ def _recombined(
         geometry, parameters, matrix, np.concatenate([geometry.priority[kept], np.full(len(rows), last, int)])
     )
 
-
-CAUSE_EQUATIONS = {
-    "rod_length": "|A - B| = L + dL",
-    "joint_placement": "A or B displaced by a constant in its link's frame",
-    "guideway_nonparallel": "A = A_0 + q v_i, v_i different for each guideway",
-    "pinion_scale": "A = A_0 + q (1 + pinion_scale) v",
-    "cart_tilt": "A = A_0 + q (v + drift), drift different for each rod on a cart",
-    "transmission_error": "q_real = q + error_sin sin(2 pi q / error_period) + error_cos cos(2 pi q / error_period)",
-    "guideway_not_straight": "A displaced by bend(q), linear between knots",
-    "guideway_compliance": "A displaced by guideway_compliance F across, drive_compliance F along the guideway, F the rods' pull",
-    "backlash": "q_real = q - backlash / 2 sign of the approach",
-    "joint_coupling": "q_real = q + coupling q_other",
-    "gravity_deflection": "q_real = q + gravity_compliance tau(q) + load_deflection tau_1(q), tau_1 of 1 kg at the tool",
-    "joint_eccentricity": "q_real = q + eccentricity_sin sin(q) + eccentricity_cos cos(q)",
-    "tool_frame": "the target sits elsewhere on the tool in another campaign",
-    "device_moved": "the device stood elsewhere when the held-out poses were measured",
-    "target_moved": "the target sat elsewhere on the tool when the held-out poses were measured",
-    "base_frame": "the robot's base stands elsewhere in the device's frame in another campaign",
-}
-"""Causes and their equations; names are the contract's."""
 
 _LEVEL = 0.05  # significance at which held-out poses agree with a cause that cross-validation found at 1 %
 _OF_ADDITION = {
@@ -195,7 +176,7 @@ def as_finding(moved: MovedFrame) -> CalibrationFinding:
     """Return a move before the held-out poses as a finding; suspected where device and target are not told apart."""
     cause = f"{moved.owner}_moved"
     status = "suspected" if moved.other else "confirmed"
-    return CalibrationFinding(cause, (), status, moved.gain, (), CAUSE_EQUATIONS[cause], moved.move)
+    return CalibrationFinding(cause, (), status, moved.gain, (), GEOMETRY_CAUSES[cause], moved.move)
 
 
 def find_causes(
@@ -221,7 +202,7 @@ def find_causes(
             rivals = _list_rivals(family, chosen, cause, joints, smaller, spec)
             alike = tuple(dict.fromkeys((*alike, *(_OF_ADDITION[addition] for addition, _ in rivals))))
             status = "suspected" if any(place != "/".join(joints) for _, place in rivals) else status
-        findings.append(CalibrationFinding(cause, joints, status, gain, names, CAUSE_EQUATIONS[cause], (), alike))
+        findings.append(CalibrationFinding(cause, joints, status, gain, names, GEOMETRY_CAUSES[cause], (), alike))
     return tuple(sorted(findings, key=lambda f: -f.gain.percent))
 
 

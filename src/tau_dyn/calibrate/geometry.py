@@ -18,6 +18,7 @@ import numpy as np
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.mechanism import Poses, Rods
 from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.results import Brief
 from tau_dyn.robot import Robot
 
 KNOWN_BEFOREHAND = 1000
@@ -121,7 +122,7 @@ class Geometry(Protocol):
         ...
 
 
-class GeometryDefaults:
+class GeometryDefaults(Brief):
     """What most geometries answer: no closure of their own, and nothing that a robot file or a compensation file could hold.
 
     A tree's loops involve passive joints, which nobody measures, so that it has no closure residual.

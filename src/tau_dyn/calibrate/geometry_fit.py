@@ -33,6 +33,7 @@ from tau_dyn.calibrate.unknowns import Identifiability, Unknowns, collect, find_
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.results import Brief
 
 
 def count_required_poses(rank: int, per_pose: int) -> int:
@@ -94,7 +95,7 @@ def compute_structural_rank(problem: Problem) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class GeometryFit:
+class GeometryFit(Brief):
     """A geometry fitted to poses.
 
     Attributes:

@@ -22,10 +22,11 @@ from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Family, Spec
 from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError, UnknownName
+from tau_dyn.results import Brief
 
 
 @dataclass(frozen=True, eq=False)
-class CandidateModel:
+class CandidateModel(Brief):
     """A fitted model.
 
     Attributes:
@@ -196,9 +197,10 @@ def _structures(
     steps: list[SelectionStep] = []
     warnings: list[str] = []
     moved: dict[str, tuple[str, ...]] = {}
-    for spec in _list_structures(family, options.additions):
+    structures = _list_structures(family, options.additions)
+    for k, spec in enumerate(structures, start=1):
         structure = Spec(spec.structure, {**spec.additions, **moved})
-        progress(f"fitting {structure.name_for(family.joints)}")
+        progress(f"fitting model {k} of {len(structures)}: {structure.name_for(family.joints)}")
         try:
             candidate = fit_and_cross_validate(family, structure, poses, options)
         except (InputError, CannotAnswer) as fault:
@@ -264,8 +266,9 @@ def _additions(
     for _ in range(_MAX_ADDITIONS):
         hints = [h for h in screen_additions(now.fit, family, now.spec) if (h.addition, h.joints) not in refused]
         before = now
-        for hint in hints[:_MAX_CONSECUTIVE_FAILURES]:
-            progress(f"trying {hint.addition} at {', '.join(hint.joints)}")
+        tested = hints[:_MAX_CONSECUTIVE_FAILURES]
+        for k, hint in enumerate(tested, start=1):
+            progress(f"trying {k} of {len(tested)}: {hint.addition} at {', '.join(hint.joints)}")
             label = "2" if hint.addition == "periodic2" else ""
             tried = periods | ({hint.joints[0] + label: hint.period} if hint.period else {})
             try:

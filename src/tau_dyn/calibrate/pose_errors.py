@@ -15,6 +15,7 @@ from tau_dyn.calibrate.frames import compute_rotation_between
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Poses
+from tau_dyn.results import Brief
 
 
 class ErrorSize(NamedTuple):
@@ -26,7 +27,7 @@ class ErrorSize(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class PoseErrors:
+class PoseErrors(Brief):
     """Measured minus predicted.
 
     Attributes:

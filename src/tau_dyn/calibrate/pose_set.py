@@ -13,6 +13,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log import ColumnMap, Table, compute_mapped_columns, format_names, read_table
 from tau_dyn.mechanism import Poses
 from tau_dyn.message_codes import CodedWarning
+from tau_dyn.results import Brief
 from tau_dyn.robot import Mimic
 
 POSITION = ("x_tool", "y_tool", "z_tool")
@@ -24,7 +25,7 @@ _MAX_COORDINATE_M = 1e3  # [m] from the device; farther is a file in mm
 
 
 @dataclass(frozen=True, eq=False)
-class PoseSet:
+class PoseSet(Brief):
     """Measured poses.
 
     Attributes:

@@ -21,6 +21,7 @@ from tau_dyn.calibrate.frames import DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.parameters import Parameter
+from tau_dyn.results import Brief
 
 STRUCTURAL = 1e-12
 """Part of the largest singular value below which a combination is blind whatever the noise."""
@@ -139,7 +140,7 @@ _FRAMES_FIRST = -1  # priority of device and target: below that of any parameter
 
 
 @dataclass(frozen=True, eq=False)
-class Unknowns:
+class Unknowns(Brief):
     """Names and kinds of all unknowns, free or not.
 
     Attributes:

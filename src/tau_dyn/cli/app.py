@@ -159,7 +159,7 @@ def parse(argv: Sequence[str] | None, app: App | None = None) -> Call:
         InputError: They make none.
     """
     app = app or build_app()
-    words = list(sys.argv[1:] if argv is None else argv)
+    words = _join_stdout(sys.argv[1:] if argv is None else argv)
     try:
         function, bound, _ = app.parse_args(words, exit_on_error=False, print_error=False)
     except CycloptsError as fault:
@@ -173,6 +173,17 @@ def parse(argv: Sequence[str] | None, app: App | None = None) -> Call:
         )
     command = next((words for words, f in COMMANDS.items() if f is function), "")
     return Call(command.split(" ")[0], function, bound)
+
+
+def _join_stdout(words: Sequence[str]) -> list[str]:
+    """Return the words with `--json -` as one: cyclopts takes a hyphen alone for an option without a name."""
+    joined: list[str] = []
+    for word in words:
+        if word == "-" and joined and joined[-1] == "--json":
+            joined[-1] = "--json=-"
+        else:
+            joined.append(word)
+    return joined
 
 
 def _refuse(app: App, fault: CycloptsError) -> NoReturn:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from tau_dyn.log import Log, Recording
     from tau_dyn.robot import Robot
 
+STDOUT = Path("-")
+"""A file's name that means stdout."""
 SEVERAL = (1, None)
 """An option that takes one value or more after it, and may be repeated."""
 
@@ -118,16 +120,18 @@ class Output:
     """What every command takes.
 
     Attributes:
-        json: Write the result here
+        json: Write the result here; - writes it to stdout, and nothing else
         report: Write one self-contained page here
         seed: Seed of everything random
         quiet: No progress, no result on the screen; warnings stay
+        verbose: Log what is done on stderr
     """
 
     json: Annotated[Path | None, Parameter(metavar="FILE")] = None
     report: Annotated[Path | None, Parameter(metavar="FILE.html")] = None
     seed: Whole = 0
     quiet: bool = False
+    verbose: bool = False
 
 
 @Parameter(name="*", group=_OUTPUT)

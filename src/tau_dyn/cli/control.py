@@ -21,7 +21,8 @@ from tau_dyn.cli.arguments import (
     build_destination,
     read_columns,
 )
-from tau_dyn.cli.execute import Outcome, show_progress
+from tau_dyn.cli.execute import Outcome
+from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError
 from tau_dyn.results import to_plain
 

@@ -11,7 +11,8 @@ import numpy as np
 from cyclopts import Parameter
 
 from tau_dyn.cli.arguments import Output, RobotOptions, build_destination
-from tau_dyn.cli.execute import Outcome, show_progress
+from tau_dyn.cli.execute import Outcome
+from tau_dyn.cli.progress import show_progress
 from tau_dyn.cli.run_folder import RunFolder
 from tau_dyn.exceptions import InputError
 

@@ -12,7 +12,8 @@ from typing import Annotated, Any, Literal
 from cyclopts import Group, Parameter
 
 from tau_dyn.cli import arguments as args
-from tau_dyn.cli.execute import Outcome, show_progress
+from tau_dyn.cli.execute import Outcome
+from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError
 
 _DESIGN = Group("Design (--method optimal)")

@@ -10,16 +10,17 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
 from rich.console import Console
 
-from tau_dyn.cli.arguments import is_model_file
+from tau_dyn.cli.arguments import STDOUT, is_model_file
 from tau_dyn.cli.call import Call
+from tau_dyn.cli.progress import LOGGER, log_to_stderr, show_progress
 from tau_dyn.cli.run_folder import RunFolder, collect_configuration
 from tau_dyn.exceptions import CannotAnswer, InputError, format_one_line
 from tau_dyn.files import compute_sha256, resolve_destination, write_atomically
@@ -99,6 +100,7 @@ class _Run:
         folder: The run folder, None where none was asked for.
         configuration: Its options, for the run folder.
         page_asked: Whether `--report` was given.
+        to_stdout: Whether stdout takes the result instead of what a person reads (`--json -`).
     """
 
     call: Call
@@ -106,6 +108,7 @@ class _Run:
     folder: RunFolder | None
     configuration: dict[str, Any]
     page_asked: bool
+    to_stdout: bool = False
 
     def destinations(self) -> list[Path]:
         """Return every file that will be written."""
@@ -124,7 +127,11 @@ def execute(call: Call, own_file: str = "") -> int:
         call: The command with its arguments.
         own_file: Usual name of the command's own file in a run folder; empty where it has none.
     """
-    run = _place_results(call, own_file)
+    with log_to_stderr(call.values()["verbose"]):
+        return _run(_place_results(call, own_file))
+
+
+def _run(run: _Run) -> int:
     before = _check_destinations(run)
     refusal = None
     try:
@@ -132,10 +139,14 @@ def execute(call: Call, own_file: str = "") -> int:
     except CannotAnswer as fault:
         refusal, outcome = fault, _build_unanswered(run.values, fault)
     if run.page_asked and refusal is None and not outcome.has_page():
-        raise InputError("bad_option", f"tau-dyn {call.command} has no report; leave --report out")
+        raise InputError("bad_option", f"tau-dyn {run.call.command} has no report; leave --report out")
     inputs = [item for item in outcome.inputs if item is not None]
     outcome = replace(outcome, inputs=inputs, warnings=[*outcome.warnings, *_list_changed(inputs, before)])
-    written = _write(run, outcome)
+    with show_progress(run.values["quiet"]) as step:
+        step("writing")
+        text, written = _write(run, outcome)
+    for path in written.values():
+        LOGGER.info("wrote %s", path)
     errors = Console(stderr=True, soft_wrap=True, highlight=False)
     sentences = [f"warning: {format_with_code(sentence)}" for sentence in dict.fromkeys(outcome.warnings)]
     if refusal is not None:
@@ -144,8 +155,10 @@ def execute(call: Call, own_file: str = "") -> int:
     with suppress(OSError):  # a screen that takes nothing; the files say it, too
         for sentence in sentences:
             errors.print(format_one_line(sentence), markup=False)
-    if refusal is None and not run.values["quiet"]:
-        _show(outcome, written)
+    if run.to_stdout:
+        _show(lambda screen: screen.file.write(text))
+    elif refusal is None and not run.values["quiet"]:
+        _show(lambda screen: outcome.print(screen, written))
     return outcome.exit_status
 
 
@@ -153,16 +166,19 @@ def _place_results(call: Call, own_file: str) -> _Run:
     """Return the run; with a run folder, what was not asked for elsewhere goes there under its usual name."""
     values = call.values()
     configuration, page_asked = collect_configuration(values), values["report"] is not None
+    to_stdout = values["json"] == STDOUT
+    values |= {"json": None} if to_stdout else {}
     folder = values.get("out")
     if not isinstance(folder, RunFolder):
-        return _Run(call, values, None, configuration, page_asked)
+        return _Run(call, values, None, configuration, page_asked, to_stdout)
     _, result, page = folder.files()
     placed = {
         "out": folder.path / own_file if own_file else folder.path,
         "json": values["json"] or result,
         "report": values["report"] or page,
     }
-    return _Run(call.replace(**placed), values | placed, folder, configuration, page_asked)
+    told = placed | {"json": STDOUT} if to_stdout else placed
+    return _Run(call.replace(**told), values | placed, folder, configuration, page_asked, to_stdout)
 
 
 def _check_destinations(run: _Run) -> dict[Path, tuple[int, int]]:
@@ -186,11 +202,13 @@ def _check_destinations(run: _Run) -> dict[Path, tuple[int, int]]:
     return {path: _stamp(path) for path in given}
 
 
-def _show(outcome: Outcome, written: dict[str, str]) -> None:
+def _show(put: Callable[[Console], Any]) -> None:
+    screen = _Screen(soft_wrap=False, highlight=False)
     try:
-        outcome.print(_Screen(soft_wrap=False, highlight=False), written)
+        put(screen)
+        screen.file.flush()
     except BrokenPipeError:
-        raise
+        screen.on_broken_pipe()
     except OSError as fault:
         raise InputError(
             "cannot_write", f"the result could not be shown ({fault.strerror}); the files asked for are written"
@@ -245,8 +263,12 @@ def _list_changed(inputs: Sequence[Path | tuple[str, str] | None], before: dict[
     ]
 
 
-def _write(run: _Run, outcome: Outcome) -> dict[str, str]:
-    """Write everything, the run folder last, all complete before the first takes its place; return what was written by name."""
+def _write(run: _Run, outcome: Outcome) -> tuple[str, dict[str, str]]:
+    """Write everything, the run folder last, all complete before the first takes its place.
+
+    Returns:
+        The result as JSON, empty where nobody wants it, and what was written, by name.
+    """
     values, folder, command_line = run.values, run.folder, format_command_line()
     about = build_result_envelope(run.call.command, values["seed"], outcome.inputs, "ok", outcome.warnings)
     files = {path: content for path, content in outcome.files.items() if path is not None}
@@ -255,8 +277,10 @@ def _write(run: _Run, outcome: Outcome) -> dict[str, str]:
     if values["report"] is not None and outcome.has_page():
         files |= dict.fromkeys(_twice(values["report"], folder, 2), outcome.build_page(command_line))
         named["report"] = values["report"]
-    if values["json"] is not None:
+    text = ""
+    if values["json"] is not None or run.to_stdout:
         text = format_json(about | outcome.result | format_warnings(outcome.warnings))
+    if values["json"] is not None:
         files |= dict.fromkeys(_twice(values["json"], folder, 1), text)
         named["result"] = values["json"]
     with ExitStack() as staged:
@@ -275,7 +299,7 @@ def _write(run: _Run, outcome: Outcome) -> dict[str, str]:
                 seed=values["seed"], exit_status=outcome.exit_status,
             )  # fmt: skip
             (room / folder.files()[0].name).write_text(format_json(record), encoding="utf-8")
-    return {name.replace("_", " "): str(path) for name, path in named.items() if path}
+    return text, {name.replace("_", " "): str(path) for name, path in named.items() if path}
 
 
 def _refuse_overwritten(run: _Run, files: Iterable[Path]) -> None:
@@ -349,17 +373,6 @@ def _hash_input(item: Path | tuple[str, str]) -> tuple[str, str]:
 def format_command_line() -> str:
     """Return how the program was called, for a page's provenance."""
     return shlex.join(["tau-dyn", *sys.argv[1:]])
-
-
-@contextmanager
-def show_progress(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Show a spinner with the current step on stderr, if somebody watches."""
-    console = Console(stderr=True)
-    if quiet or not console.is_terminal:
-        yield lambda step: None
-        return
-    with console.status("...") as status:
-        yield lambda step: status.update(step)
 
 
 def format_json(value: Any) -> str:

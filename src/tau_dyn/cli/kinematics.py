@@ -9,7 +9,8 @@ import numpy as np
 from cyclopts import Parameter
 
 from tau_dyn.cli import arguments as args
-from tau_dyn.cli.execute import Outcome, show_progress
+from tau_dyn.cli.execute import Outcome
+from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError
 
 

@@ -9,7 +9,8 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from tau_dyn.cli.arguments import FolderOutput, RobotOptions, read_arguments
-from tau_dyn.cli.execute import Outcome, show_progress
+from tau_dyn.cli.execute import Outcome
+from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError, UnknownName
 
 
@@ -87,7 +88,9 @@ def causes(cause: str | None = None, /, *, output: FolderOutput = FolderOutput()
     Args:
         cause: One cause in full, such as stribeck
     """
-    rows = _list_causes()
+    from tau_dyn.effects import list_causes
+
+    rows = list_causes()
     if cause is not None:
         known = dict.fromkeys(row["cause"] for row in rows)
         if cause not in known:
@@ -96,23 +99,6 @@ def causes(cause: str | None = None, /, *, output: FolderOutput = FolderOutput()
     return Outcome(
         result={"causes": rows}, show=lambda console, written: _show_causes(console, rows, whole=cause is not None)
     )
-
-
-def _list_causes() -> list[dict[str, str]]:
-    """Return one row a cause and a measurement that shows it."""
-    from tau_dyn.calibrate import CAUSE_EQUATIONS
-    from tau_dyn.diagnose import PARAMETER_CAUSES
-    from tau_dyn.effects import EFFECTS, describe_ranges
-
-    rows = [
-        {"cause": name, "named_by": "diagnose", "equation": effect.equation, "range": describe_ranges(effect.plausible),
-         "revealed_by": effect.reveals}
-        for name, effect in EFFECTS.items()
-        if effect.cause
-    ]  # fmt: skip
-    empty = {"range": "", "revealed_by": ""}
-    rows += [{"cause": n, "named_by": "diagnose", "equation": x, **empty} for n, x in PARAMETER_CAUSES.items()]
-    return rows + [{"cause": n, "named_by": "calibrate", "equation": x, **empty} for n, x in CAUSE_EQUATIONS.items()]
 
 
 def _show_causes(console, rows: list[dict[str, str]], *, whole: bool) -> None:

@@ -9,7 +9,8 @@ from typing import Annotated, Literal
 from cyclopts import Group, Parameter, validators
 
 from tau_dyn.cli import arguments as args
-from tau_dyn.cli.execute import Outcome, show_progress
+from tau_dyn.cli.execute import Outcome
+from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError
 from tau_dyn.message_codes import UNCODED, get_code
 

@@ -10,7 +10,8 @@ import numpy as np
 from cyclopts import Group, Parameter
 
 from tau_dyn.cli import arguments as args
-from tau_dyn.cli.execute import Outcome, show_progress
+from tau_dyn.cli.execute import Outcome
+from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError
 
 _COLUMNS = ("x_tool", "y_tool", "z_tool")

@@ -10,7 +10,8 @@ from cyclopts import Group, Parameter, Token, validators
 
 from tau_dyn.cli import arguments as args
 from tau_dyn.cli.calibrate import Frames
-from tau_dyn.cli.execute import Outcome, show_progress
+from tau_dyn.cli.execute import Outcome
+from tau_dyn.cli.progress import show_progress
 
 _DEVICE = Group(
     "What measures (default: everything seen with 0.1 mm and 0.1 mrad)", validator=validators.MutuallyExclusive()

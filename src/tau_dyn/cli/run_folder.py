@@ -191,7 +191,7 @@ def read_destination(text: str, own: str) -> Path | RunFolder:
 
 def collect_configuration(values: dict[str, Any]) -> dict[str, Any]:
     """Return every option of a call with its value, defaults included; what only says where results go is left out."""
-    aside = ("out", "json", "report", "quiet")
+    aside = ("out", "json", "report", "quiet", "verbose")
     return {name: to_plain(value) for name, value in sorted(values.items()) if name not in aside}
 
 

@@ -11,7 +11,8 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from tau_dyn.cli import arguments as args
-from tau_dyn.cli.execute import Outcome, show_progress
+from tau_dyn.cli.execute import Outcome
+from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError
 
 _HERE = ("127.0.0.1", "localhost", "::1")
@@ -64,7 +65,8 @@ def view(
     if contents.host not in _HERE:
         print(f"warning: everybody who reaches {contents.host} can look and move the sliders", file=sys.stderr)
     if not output.quiet:
-        print(f"{viewer.robot.name} at {viewer.url}   (Ctrl+C ends it)", flush=True)
+        screen = sys.stderr if output.json == args.STDOUT else sys.stdout
+        print(f"{viewer.robot.name} at {viewer.url}   (Ctrl+C ends it)", file=screen, flush=True)
     viewer.wait(seconds)
     return Outcome(
         result={"url": viewer.url},

@@ -8,7 +8,8 @@ from typing import Annotated
 from cyclopts import Group, Parameter
 
 from tau_dyn.cli import arguments as args
-from tau_dyn.cli.execute import Outcome, show_progress
+from tau_dyn.cli.execute import Outcome
+from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError
 
 _PLACES = Group("What is looked at")

@@ -66,6 +66,10 @@ class Feedforward:
         self.warnings = tuple(f"the feedforward leaves out {e.name}: {why[e]}" for e in self.left_out)
         self._parts = {frozenset(): self._sorted(frozenset())}
 
+    def __repr__(self) -> str:
+        """Return a line: whose forces."""
+        return f"Feedforward of {self.model.robot.name} ({', '.join(self.model.robot.actuated)}), {self.shape}"
+
     @classmethod
     def load(cls, path: str | Path, *, width: float | np.ndarray = 0.01, shape: str = "ramp") -> Feedforward:
         """Load from a model file that `identify` wrote; see `__init__` for the rest."""

@@ -5,7 +5,6 @@ from .diagnosis import (
     diagnose as diagnose,
     log_with_references as log_with_references,
 )
-from .nominal import PARAMETER_CAUSES as PARAMETER_CAUSES
 from .proposal.propose import propose_motion as propose_motion
 from .result import (
     Diagnosis as Diagnosis,

@@ -10,7 +10,7 @@ takes the better of its best group alone and of all groups together.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -181,7 +181,11 @@ def find_nonnegative(effect: Effect) -> np.ndarray:
 
 
 def scan_causes(
-    ground: NullModel, draws: np.ndarray, causes: Sequence[type[Effect]], taken: set[tuple]
+    ground: NullModel,
+    draws: np.ndarray,
+    causes: Sequence[type[Effect]],
+    taken: set[tuple],
+    progress: Callable[[str], None] = lambda step: None,
 ) -> list[CandidateCause]:
     """Try every cause; return those that can be tried at all.
 
@@ -190,9 +194,11 @@ def scan_causes(
         draws: Noise after the same projection (R, D).
         causes: The causes.
         taken: `(cause, joints)` that are in the model already.
+        progress: Told how far it is.
     """
     found = []
-    for cls in causes:
+    for k, cls in enumerate(causes, start=1):
+        progress(f"trying cause {k} of {len(causes)}: {cls.name}")
         tried = [fit_group(ground, draws, cls, group) for group in list_joint_groups(ground.channel, cls, taken)]
         fits = [fit for fit in tried if fit is not None]
         if fits:

@@ -21,18 +21,12 @@ from tau_dyn.diagnose.payload import (
     find_explanation,
 )
 from tau_dyn.diagnose.result import Finding
-from tau_dyn.effects import format_quantity
+from tau_dyn.effects import PARAMETER_CAUSES, format_quantity
 from tau_dyn.estimate import Estimate
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import NOMINAL_MASS_STDERR, Robot
 
-PARAMETER_CAUSES = {
-    "payload": "tau += Y_last(q, v, a) (ten inertial numbers of the payload)",
-    "link_mass": "a link's mass differs from its nominal value",
-    "force_scale": "tau_log = force_scale tau, of one joint",
-}
-"""Causes that only a trusted nominal value shows, with their equations; `drive_gain` is an effect, too."""
 SIGNIFICANCE_LEVEL = 0.01  # over all parameters together (Bonferroni)
 MAX_GAIN_RANGE = (0.5, 2.0)
 """Factor of a logged force: a torque constant is off by 30 % at most, a wrong pulley or winding by two; more is a unit."""

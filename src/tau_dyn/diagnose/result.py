@@ -13,7 +13,7 @@ from tau_dyn.identify import Preparation
 from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter
-from tau_dyn.results import Z95, Shown, to_plain
+from tau_dyn.results import Z95, Brief, Shown, to_plain
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ Status = Literal["confirmed", "suspected", "parameter"]
 
 
 @dataclass(frozen=True, eq=False)
-class Signature:
+class Signature(Brief):
     """A plot that shows a cause at a glance: the residual of one output against the variable that matters.
 
     Attributes:
@@ -122,7 +122,7 @@ class Signature:
 
 
 @dataclass(frozen=True, eq=False)
-class Finding:
+class Finding(Brief):
     """A cause that the data show.
 
     Attributes:
@@ -228,7 +228,7 @@ class Untestable:
 
 
 @dataclass(frozen=True, eq=False)
-class TimeTrace:
+class TimeTrace(Brief):
     """One run for the time view, all at the regression's rate.
 
     Attributes:

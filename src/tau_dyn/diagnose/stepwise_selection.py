@@ -274,7 +274,7 @@ def select_causes(
     found: list[SelectedCause] = []
     pending: list[tuple[str, ...]] = []  # rivals of each; the next round shows whether they still explain anything
     while True:
-        ground, candidates = _scan_beside(library, found, rng)
+        ground, candidates = _scan_beside(library, found, rng, progress)
         significant = [c for c in candidates if adjust_p_value_bonferroni(c, candidates) < level]
         if pending and len(pending) == len(found):
             still = {c.cause for c in significant}
@@ -292,7 +292,7 @@ def select_causes(
     kept = _reject_lack_of_fit(ground, kept, ground.draw_null_residuals(N_NULL_DRAWS, rng))
     if kept != found:
         kept = _refine_again(ground, kept)
-        ground, candidates = _scan_beside(library, kept, rng)
+        ground, candidates = _scan_beside(library, kept, rng, progress)
     return StepwiseSelection(tuple(kept), ground, tuple(candidates))
 
 
@@ -311,7 +311,10 @@ def adjust_p_value_bonferroni(candidate: CandidateCause, candidates: Sequence[Ca
 
 
 def _scan_beside(
-    library: ColumnCache, found: Sequence[SelectedCause], rng: np.random.Generator
+    library: ColumnCache,
+    found: Sequence[SelectedCause],
+    rng: np.random.Generator,
+    progress: Callable[[str], None],
 ) -> tuple[NullModel, list[CandidateCause]]:
     """Return the training part with the causes found accounted for, and all causes tried beside them."""
     effects = build_effects(found)
@@ -319,7 +322,7 @@ def _scan_beside(
     ground = NullModel.of(library, (TRAIN,), noise, effects)
     taken = {(effect.name, effect.joints) for effect in effects}
     draws = ground.draw_null_residuals(N_NULL_DRAWS, rng)
-    return ground, scan_causes(ground, draws, library.channel.causes, taken)
+    return ground, scan_causes(ground, draws, library.channel.causes, taken, progress)
 
 
 def _rescore_beside(

@@ -229,6 +229,11 @@ class Effect(ABC):
                 raise InputError("invalid_value", fault)
         self.settings: dict[str, float] = {**self.defaults, **{k: float(x) for k, x in settings.items()}}
 
+    def __repr__(self) -> str:
+        """Return a line: what acts where, with which settings."""
+        given = [*self.joints, *(f"{key}={value:g}" for key, value in self.settings.items())]
+        return f"{type(self).__name__}({', '.join(given)})"
+
     def _fault_of_setting(self, key: str, value: float) -> str:
         """Return what is wrong with a setting; empty where nothing is."""
         if key not in self.defaults:

@@ -20,7 +20,6 @@ import numpy as np
 
 from tau_dyn.effects.effect import Effect, format_amount, format_percent, format_quantity, spell_unit
 from tau_dyn.effects.motion import JointMotion, Motion, Scene
-from tau_dyn.log import differentiate
 from tau_dyn.parameters import Parameter, Parameters
 
 
@@ -147,6 +146,8 @@ def differentiate_columns(x: np.ndarray, t: np.ndarray | None) -> np.ndarray:
     """
     if t is None or len(t) < _MIN_SAMPLES or not np.any(x):
         return np.zeros(x.shape)
+    from tau_dyn.log import differentiate
+
     return differentiate(x, float(t[-1] - t[0]) / (len(t) - 1), accuracy=4)
 
 

@@ -19,7 +19,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy import signal
 
 from tau_dyn.effects.effect import PlausibleRange, build_slide_and_hinge_ranges, format_amount, spell_unit
 from tau_dyn.effects.jointwise import JointwiseDisplacement
@@ -229,6 +228,8 @@ def compute_swinging_response(F: np.ndarray, t: np.ndarray | None, frequency: fl
     """
     if t is None or len(t) < 2:
         return F
+    from scipy import signal
+
     dt = float(t[-1] - t[0]) / (len(t) - 1)
     w = 2 * np.pi * frequency
     sampled: Any = signal.cont2discrete(([w**2], [1.0, 2 * damping * w, w**2]), dt, method="foh")

@@ -22,7 +22,6 @@ from collections.abc import Iterable
 from typing import ClassVar
 
 import numpy as np
-from scipy.signal import lfilter
 
 from tau_dyn.effects.effect import Effect, PlausibleRange, format_amount
 from tau_dyn.effects.motion import Motion, Scene
@@ -203,6 +202,8 @@ def apply_first_order_lowpass(x: np.ndarray, t: np.ndarray, time_constant: float
     """
     if len(t) < 2 or time_constant <= 0:
         return x
+    from scipy.signal import lfilter
+
     dt = float(t[-1] - t[0]) / (len(t) - 1)
     keep, ratio = np.exp(-dt / time_constant), time_constant / dt
     now, before = 1 - ratio * (1 - keep), ratio * (1 - keep) - keep

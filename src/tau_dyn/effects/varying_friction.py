@@ -22,7 +22,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.polynomial import legendre
-from scipy.signal import lfilter
 
 from tau_dyn.effects.effect import Effect, PlausibleRange, format_amount, format_quantity, spell_unit
 from tau_dyn.effects.jointwise import JointwiseEffect
@@ -102,6 +101,8 @@ def filter_first_order(temperature: np.ndarray, t: np.ndarray | None, lag: float
     """Return temperatures (N,) after a first-order lag [s], in equilibrium at the first sample of the even clock (N,) [s]."""
     if t is None or lag <= 0 or len(t) < 2:
         return temperature
+    from scipy.signal import lfilter
+
     dt = float(t[-1] - t[0]) / (len(t) - 1)
     keep = np.exp(-dt / lag)
     return temperature[0] + lfilter([1 - keep], [1, -keep], temperature - temperature[0])

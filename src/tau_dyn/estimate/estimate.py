@@ -20,6 +20,7 @@ from tau_dyn.estimate.regression import Regression
 from tau_dyn.estimate.weights import build_prior_rows, solve_scaled
 from tau_dyn.exceptions import CannotAnswer, UnknownName
 from tau_dyn.parameters import Parameters
+from tau_dyn.results import Brief
 
 MAX_RELATIVE_STDERR = 0.30
 """Relative standard error below which a parameter counts as determined."""
@@ -30,7 +31,7 @@ _REFIT_TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class Estimate(Brief):
     """A solved `Regression`.
 
     Attributes:

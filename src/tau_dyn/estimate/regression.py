@@ -24,6 +24,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from tau_dyn.parameters import Parameters
+from tau_dyn.results import Brief
 
 _FACTORED_ROWS = 4096
 """Rows factored at once; more do not fit the processor's cache."""
@@ -116,7 +117,7 @@ def _factor(rows: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class RegressionRun:
+class RegressionRun(Brief):
     """One stretch of evenly sampled data.
 
     Attributes:
@@ -208,7 +209,7 @@ AS_RECORDED = Preparation(inf, inf, inf, np.zeros(0), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Regression:
+class Regression(Brief):
     """A stacked linear problem.
 
     Attributes:

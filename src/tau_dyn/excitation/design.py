@@ -188,17 +188,25 @@ def design_motion(
         begun + seconds,
         progress,
     )
-    progress(f"{trials} random motions")
     start, value, finished = _searched(search, rng, trials)
     if search.best is None or start is None:
         raise InputError(
             "unreachable", f"{model.robot.source}: no motion around home was found within the limits in {seconds:g} s"
         )
-    progress("predicting")
     motions = [build_full_motion(model, layout, x) for x in (search.best, start)]
     taken = time.monotonic() - begun
     try:
-        told, before = (predict(model, motion, noise, seed, driven=True) for motion in motions)
+        told, before = (
+            predict(
+                model,
+                motion,
+                noise,
+                seed,
+                driven=True,
+                progress=lambda share, k=k: progress(f"predicting errors: {50 * (k + share):.0f} %"),
+            )
+            for k, motion in enumerate(motions)
+        )
     except KeyboardInterrupt:  # who will not wait for the simulation
         told, before = (predict(model, motion, noise, seed) for motion in motions)
     return ExcitationDesign(

@@ -12,7 +12,7 @@ as white noise of variance `m^2 (2 pi f)^4 s_q^2 / 5` would, with m the inertia 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -138,7 +138,13 @@ class InformationPrediction:
 
 
 def predict(
-    model: Model, motion: Trajectory, noise: Noise, seed: int = 0, *, driven: bool = False
+    model: Model,
+    motion: Trajectory,
+    noise: Noise,
+    seed: int = 0,
+    *,
+    driven: bool = False,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> InformationPrediction:
     """Return the standard errors that a motion will give.
 
@@ -149,12 +155,15 @@ def predict(
         seed: Of the noise.
         driven: Whether the robot is simulated with its controller, which takes seconds; else it follows the motion exactly, which
             is enough to compare motions but misses what drives add (held forces, feedback of the encoders' noise).
+        progress: Is told the share of the simulation that is done.
 
     Raises:
         CannotAnswer: The motion tells nothing: too slow, too short.
     """
     model = model.steady()
-    log = simulate_log(model, motion, noise, seed) if driven else predict_ideal_log(model, motion, noise, seed)
+    log = (
+        simulate_log(model, motion, noise, seed, progress) if driven else predict_ideal_log(model, motion, noise, seed)
+    )
     estimate = solve_least_squares(build_regression(model, [log]))
     base = estimate.base
     rows = model.parameters.select([base.names[k] for k in base.kept])
@@ -180,11 +189,17 @@ def predict_ideal_log(model: Model, motion: Trajectory, noise: Noise, seed: int 
     return Log(moved.t, channels, "the predicted recording")
 
 
-def simulate_log(model: Model, motion: Trajectory, noise: Noise, seed: int = 0) -> Log:
+def simulate_log(
+    model: Model,
+    motion: Trajectory,
+    noise: Noise,
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Log:
     """Return the log that a simulated robot leaves, with its controller; one that it cannot follow is imagined instead."""
     sensors = Sensors(force_noise=noise.force.tolist(), encoder_noise=noise.encoder.tolist())
     try:
-        return simulate(model, motion, sensors=sensors, seed=seed, rate_hz=noise.rate_hz)
+        return simulate(model, motion, sensors=sensors, seed=seed, rate_hz=noise.rate_hz, progress=progress)
     except TauDynError:
         return predict_ideal_log(model, motion, noise, seed)
 

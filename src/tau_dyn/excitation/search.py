@@ -156,7 +156,8 @@ class MotionSearch:
     def start(self, rng: np.random.Generator, trials: int) -> None:
         """Try random motions, scaled to the bounds; the best of them is the first `best`, if any keeps them."""
         begun = time.monotonic()
-        for _ in range(trials):
+        for k in range(trials):
+            self.progress(f"random motion {k + 1} of {trials}")
             self._offer(self.series.random(rng))
             if self.best is not None and time.monotonic() > begun + _STARTING * (self.deadline - begun):
                 break

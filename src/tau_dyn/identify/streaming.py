@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import ctypes
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -310,7 +309,7 @@ def _summed(
     model = work.model
     zero = SufficientStatistics.zero(model.robot.na, len(model.parameters))
     used, whole = [zero] * 3, [zero] * 3
-    stored, shown, before, began = StoredRows(len(model.parameters)), [], -1, time.monotonic()
+    stored, shown, before = StoredRows(len(model.parameters)), [], -1
     for number, (block, done) in enumerate(zip(blocks, engine.compute(work, blocks), strict=True), start=1):
         if block.stretch != before:
             stored.begin()
@@ -323,8 +322,7 @@ def _summed(
             shown.append(done.run if len(blocks) == 1 else replace(done.run, name=name))
         if number % _TIDIED == 0:
             give_back()
-        left = (time.monotonic() - began) * (len(blocks) / number - 1)
-        progress(f"columns: block {number} of {len(blocks)}, {left:.0f} s left")
+        progress(f"columns: block {number} of {len(blocks)}")
 
     def regression(sections: Sequence[int], runs: Sequence[RegressionRun], rows) -> Regression:
         totals = [sum((of[s] for s in sections), zero) for of in (used, whole)]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -144,8 +144,7 @@ class Log(Shown):
 
     def window(self, start: int, stop: int) -> "Log":
         """Return the samples `start` to `stop - 1`, counted as Python slices count."""
-        part = slice(start, stop)
-        return replace(self, t=self.t[part], channels={key: value[part] for key, value in self.channels.items()})
+        return self._take(slice(start, stop))
 
     def select_time(self, t0: float, t1: float) -> "Log":
         """Return the samples with t0 <= t <= t1 [s]."""
@@ -157,6 +156,49 @@ class Log(Shown):
                 f"it runs from {self.t[0]:g} to {self.t[-1]:g} s.",
             )
         return self.window(int(start), int(stop))
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return self.n_samples
+
+    __iter__ = None  # neither a mapping nor a sequence: `t` and `channels` say what is meant
+
+    @overload
+    def __getitem__(self, key: str) -> NDArray[np.float64]: ...
+    @overload
+    def __getitem__(self, key: slice) -> "Log": ...
+    def __getitem__(self, key: str | slice) -> "NDArray[np.float64] | Log":
+        """Return a column (N,) by its name, or a part of the log: `log[100:200]` by samples, `log[10.0:20.0]` by time [s].
+
+        Whole numbers count samples as Python's slices do. Floats are times, start <= t < stop, so that parts do not overlap.
+
+        Raises:
+            InputError: There is no such column, the ends are of both kinds, or fewer than two samples are left.
+        """
+        if isinstance(key, slice):
+            return self._take(self._to_samples(key))
+        if key != "t" and key not in self.channels:
+            raise InputError(
+                "missing_column", describe_missing_column(self.name, key, ("t", *self.channels), more=_NAME_IT)
+            )
+        return self.t if key == "t" else self.channels[key]
+
+    def _to_samples(self, key: slice) -> slice:
+        """Return a slice of samples for one that may have times as its ends."""
+        ends = [x for x in (key.start, key.stop) if x is not None]
+        times = [isinstance(x, float | np.floating) for x in ends]
+        if not any(times):
+            return key
+        if not all(times) or key.step is not None:
+            raise InputError(
+                "invalid_value",
+                f"{self.name}: log[{key.start}:{key.stop}] mixes samples and times; write log[10.0:20.0]",
+            )
+        start, stop = (None if x is None else int(np.searchsorted(self.t, x)) for x in (key.start, key.stop))
+        return slice(start, stop)
+
+    def _take(self, part: slice) -> "Log":
+        return replace(self, t=self.t[part], channels={key: value[part] for key, value in self.channels.items()})
 
     def with_channels(self, **channels: ArrayLike) -> "Log":
         """Return the same log with channels (N,) added or replaced."""

@@ -9,6 +9,7 @@ each actuated joint, `x_tool y_tool z_tool` [m], `qx_tool qy_tool qz_tool qw_too
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from tau_dyn.log.rosbag_log import is_bag_folder, read_bag
 from tau_dyn.log.table import Table, read_table
 from tau_dyn.results import count
 
+_LOGGER = logging.getLogger(__name__)
 SUFFIXES = (".mcap", ".bag", ".db3", ".mat")
 
 
@@ -170,9 +172,11 @@ def read_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
     """
     if columns is None:
         table = read_any(path)
-        return _build({None: table}, table, _own_columns(table, tuple(table.cells)), warnings=table.warnings)
-    map_ = columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns)
-    return _read_foreign(Path(path), map_)
+        log = _build({None: table}, table, _own_columns(table, tuple(table.cells)), warnings=table.warnings)
+    else:
+        log = _read_foreign(Path(path), columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns))
+    _LOGGER.info("read %s: %d samples in %.6g s", log.name, log.n_samples, log.duration)
+    return log
 
 
 def refuse_few(name: str, n_samples: int) -> None:

@@ -26,7 +26,6 @@ from functools import cached_property
 from typing import NamedTuple, NoReturn, Self
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism.legs import Legs
@@ -40,6 +39,7 @@ from tau_dyn.mechanism.poses import (
     refuse_beyond_limits,
     require_poses,
     require_positions,
+    turn_rotations,
 )
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
@@ -98,8 +98,7 @@ class CommandedCoordinates:
         all_six = np.zeros((len(values), 6))
         all_six[:, :3] = self.home.position
         all_six[:, list(self.index)] = values
-        turned = Rotation.from_rotvec(all_six[:, 3:]).as_matrix() @ self.home.rotation[0]
-        return Poses(all_six[:, :3], turned)
+        return Poses(all_six[:, :3], turn_rotations(all_six[:, 3:], self.home.rotation))
 
 
 def choose_commanded(twists: np.ndarray, home: Poses, length: float) -> CommandedCoordinates:

@@ -191,6 +191,10 @@ class Mechanism(ABC):
         """Prepare for a robot and the values of its parameters."""
         self.robot = robot
 
+    def __repr__(self) -> str:
+        """Return a line: whose dynamics."""
+        return f"{type(self).__name__} of {self.robot.name} ({', '.join(self.robot.actuated)})"
+
     @cached_property
     def kinematics(self) -> Kinematics:
         """What the geometry answers, at the robot file's dimensions.

@@ -3,15 +3,15 @@ r"""Poses of a tool in the world, actuated positions as users give them, and wha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism.frames import compute_cross_product
+from tau_dyn.results import count
 from tau_dyn.robot import Robot
 
 _ROTATION = 1e-6  # largest departure of R'R from identity; numbers written with seven digits pass
@@ -29,6 +29,11 @@ class Poses(NamedTuple):
 
     position: np.ndarray
     rotation: np.ndarray
+
+    def __repr__(self) -> str:
+        """Return how many there are, and where the first is."""
+        first = f", the first at {np.array2string(self.position[0], precision=6)} m" if len(self.position) else ""
+        return f"Poses of {count(len(self.position), 'sample')}{first}"
 
     @property
     def n_samples(self) -> int:
@@ -56,12 +61,21 @@ class Poses(NamedTuple):
 
 
 def convert_to_quaternions(poses: Poses) -> np.ndarray:
-    """Return `x y z w` (N, 4) with `w >= 0`, as the columns qx_tool.. of a log; nan where a pose is."""
-    out = np.full((len(poses.position), 4), np.nan)
-    sound = np.isfinite(poses.rotation).all(axis=(1, 2))
-    if sound.any():
-        out[sound] = Rotation.from_matrix(poses.rotation[sound]).as_quat(canonical=True)
-    return out
+    """Return `x y z w` (N, 4) with `w >= 0`, as the columns qx_tool.. of a log; nan where a pose is.
+
+    The longest column of `4 q q'`, which is linear in the rotation (Bar-Itzhack's method for exact rotations).
+    """
+    sound = np.isfinite(poses.rotation).all(axis=(1, 2), keepdims=True)
+    R, outer = np.where(sound, poses.rotation, np.nan), np.empty((len(poses.rotation), 4, 4))
+    trace = np.trace(R, axis1=1, axis2=2)
+    outer[:, :3, :3] = R + np.swapaxes(R, 1, 2) + (1.0 - trace)[:, None, None] * np.eye(3)
+    outer[:, :3, 3] = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
+    outer[:, 3, :3], outer[:, 3, 3] = outer[:, :3, 3], 1.0 + trace
+    longest = np.argmax(np.diagonal(outer, axis1=1, axis2=2), axis=1)
+    q = np.take_along_axis(outer, longest[:, None, None], axis=1)[:, 0]
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    first = q[np.arange(len(q)), np.where(q[:, 3] != 0, 3, np.argmax(q != 0, axis=1))]  # of a half turn the first axis
+    return q * np.where(first < 0, -1.0, 1.0)[:, None]
 
 
 def convert_from_quaternions(position: np.ndarray, quaternion: np.ndarray) -> Poses:
@@ -86,6 +100,8 @@ def convert_from_quaternions(position: np.ndarray, quaternion: np.ndarray) -> Po
     rotation = np.full((len(position), 3, 3), np.nan)
     sound = np.isfinite(size)
     if sound.any():
+        from scipy.spatial.transform import Rotation
+
         units = np.where(size > _GIANT, size, 1.0)  # of numbers whose squares are beyond a float
         rotation[sound] = Rotation.from_quat((quaternion / units[:, None])[sound]).as_matrix()
     return Poses(position, rotation)
@@ -157,6 +173,11 @@ class _Judged:
 
     code: np.ndarray
 
+    def __repr__(self) -> str:
+        """Return how many samples have an answer, and why the others have none."""
+        why = [f"{np.sum(self.code == k)} {REASONS[k]}" for k in np.unique(self.code) if k != OK]
+        return f"{type(self).__name__}: {np.sum(self.ok)} of {len(self.code)} answered{', '.join(['', *why])}"
+
     @property
     def ok(self) -> np.ndarray:
         """Where there is an answer (N,)."""
@@ -168,7 +189,7 @@ class _Judged:
         return REASONS[self.code]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ForwardResult(_Judged):
     """Poses from actuated positions.
 
@@ -183,7 +204,7 @@ class ForwardResult(_Judged):
     code: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class InverseResult(_Judged):
     """Actuated positions from poses.
 
@@ -203,8 +224,8 @@ class InverseResult(_Judged):
     position_error: np.ndarray
     orientation_error: np.ndarray
     culprit: np.ndarray
-    unlimited: np.ndarray = field(repr=False)
-    rotation: np.ndarray = field(repr=False)
+    unlimited: np.ndarray
+    rotation: np.ndarray
 
 
 class InverseSolutions(NamedTuple):
@@ -354,5 +375,7 @@ def log_of(rotation: np.ndarray) -> np.ndarray:
     out = np.full((3, rotation.shape[2]), np.nan)
     sound = np.isfinite(rotation).all(axis=(0, 1))
     if sound.any():
+        from scipy.spatial.transform import Rotation
+
         out[:, sound] = Rotation.from_matrix(np.moveaxis(rotation[:, :, sound], 2, 0)).as_rotvec().T
     return out

@@ -23,7 +23,6 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import eig
 
 _ANGLES = 2 * np.pi / 3 * np.arange(3)  # [rad] where functions of harmonics -1, 0, 1 are sampled
 _ORDER = [2, 0, 1]  # of the discrete Fourier transform, so that harmonics run from -1 to 1
@@ -167,6 +166,8 @@ def _invariants(X: np.ndarray) -> np.ndarray:
 
 def _find_on_circle(P: _Polynomial) -> tuple[list[tuple[complex, int]], str]:
     """Return eigenvalues near the unit circle with how often each stands, and a doubt about the others."""
+    from scipy.linalg import eig
+
     zero, one, C = np.zeros((12, 12)), np.eye(12), P.square
     A, B = np.block([[zero, one], [-C[0], -C[1]]]), np.block([[one, zero], [zero, C[2]]])
     alpha, beta = np.asarray(eig(A, B, right=False, homogeneous_eigvals=True))

@@ -17,11 +17,11 @@ by its Karush-Kuhn-Tucker equations (Nocedal & Wright 2006, ch. 16); a small dia
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dgetrf, dgetri
 
 ILL = 1e8
 """Conditioning above which an inverse comes from singular values."""
@@ -32,9 +32,8 @@ _ROUNDING = 1e-10
 def invert_matrix(J: np.ndarray) -> np.ndarray:
     """Return the inverse (n, m) of a matrix (m, n) by LU; of one that is singular or not square, the pseudo-inverse."""
     if J.shape[0] == J.shape[1]:
-        lu, pivots, fault = dgetrf(J)
-        if fault == 0:
-            found = dgetri(lu, pivots)[0]
+        with suppress(np.linalg.LinAlgError):  # singular
+            found = np.linalg.inv(J)
             if np.abs(J).sum(axis=0).max() * np.abs(found).sum(axis=0).max() < ILL:
                 return found
     lengths = measure_column_lengths(J)

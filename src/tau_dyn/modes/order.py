@@ -36,6 +36,7 @@ from tau_dyn.modes.residuals import (
     measure_spread,
 )
 from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.results import Brief
 
 SELECT_SHARE = 0.25  # of the training data on which orders are compared
 MAX_SAMPLES = 6_000  # samples that the orders are compared on
@@ -95,7 +96,7 @@ class OrderTrial:
 
 
 @dataclass(frozen=True, eq=False)
-class OrderChoice:
+class OrderChoice(Brief):
     """The order, and what was known when it was chosen.
 
     Attributes:
@@ -218,9 +219,9 @@ class _Search:
 
     def scan(self, orders: Sequence[int]) -> list[_Row]:
         """Return first models of orders, unrefined; the scan stops where the data are explained and no order gains."""
-        self.say("scanning orders")
         rows: list[_Row] = []
-        for order in orders:
+        for k, order in enumerate(orders, start=1):
+            self.say(f"scanning orders, {k} of {len(orders)}")
             try:
                 row = self._judge(self.make(order))
             except (TauDynError, np.linalg.LinAlgError):

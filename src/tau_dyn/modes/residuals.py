@@ -28,6 +28,7 @@ from scipy.stats import chi2, norm
 
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.state_space import StateSpace, predict, simulate
+from tau_dyn.results import Brief
 
 SIMULATED = "output_error"
 PREDICTED = "prediction_error"
@@ -186,7 +187,7 @@ class FitQuality:
 
 
 @dataclass(frozen=True, eq=False)
-class CorrelationTest:
+class CorrelationTest(Brief):
     """One correlation curve, its band, and the judgement of all of it.
 
     Attributes:

@@ -25,6 +25,7 @@ from scipy.signal import get_window
 from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.state_space import StateSpace, simulate
+from tau_dyn.results import Brief
 
 STRETCHES = 5
 """Half-overlapping stretches besides one for each input: fewer leave too much scatter, more blur light damping."""
@@ -33,7 +34,7 @@ RESOLUTION = 6.0  # lines within the width of the narrowest resonance
 
 
 @dataclass(frozen=True, eq=False)
-class EmpiricalResponse:
+class EmpiricalResponse(Brief):
     """Response and coherence seen in the data.
 
     Attributes:
@@ -131,7 +132,7 @@ def _divide(top: np.ndarray, bottom: np.ndarray, where: np.ndarray) -> np.ndarra
 
 
 @dataclass(frozen=True, eq=False)
-class Response:
+class Response(Brief):
     """The model's frequency response with its uncertainty, on a grid of frequencies.
 
     Attributes:
@@ -146,7 +147,7 @@ class Response:
 
 
 @dataclass(frozen=True, eq=False)
-class ImpulseResponses:
+class ImpulseResponses(Brief):
     """Response to a unit pulse, measured and of the model, both seen through the same band of the inputs.
 
     Attributes:

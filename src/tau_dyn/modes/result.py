@@ -16,14 +16,14 @@ from tau_dyn.modes.order import OrderChoice
 from tau_dyn.modes.residuals import CorrelationTest, FitQuality
 from tau_dyn.modes.responses import EmpiricalResponse, ImpulseResponses, Response
 from tau_dyn.modes.state_space import ModelFile, StateSpace
-from tau_dyn.results import Shown, to_plain
+from tau_dyn.results import Brief, Shown, to_plain
 from tau_dyn.version import __version__
 
 NOT_IDENTIFIED: dict[str, Any] = {"status": "not_identifiable", **dict.fromkeys(("M", "D", "K", "stderr", "valid_hz"))}
 
 
 @dataclass(frozen=True, eq=False)
-class Trace:
+class Trace(Brief):
     """One record, measured and simulated.
 
     Attributes:

@@ -8,6 +8,7 @@ stay whole in a narrow terminal: columns that can be spared go, wide tables are 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from textwrap import shorten, wrap
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ MARGIN = (0, 0, 0, 2)
 GAP = 3  # columns between two of a table: two of padding, one of the box
 MIN_BAR, MAX_BAR = 4, {90: 24, 0: 16}
 """Shortest bar, and the longest by the columns that there are at least; words take the rest."""
+MAX_SENTENCE = 240  # characters of a sentence in a summary, three lines
 LEVEL_STYLE = {"good": "green", "care": "yellow", "poor": "bold red"}
 ROW_STYLE = {"weak": "dim", "unseen": "dim", "quiet": "dim", "changed": "bold", "start": "", "cause": "", "floor": ""}
 _EIGHTHS = " ▏▎▍▌▋▊▉█"
@@ -50,6 +52,21 @@ def print_result(console: Console, result: Any, written: Mapping[str, str] | Non
         _print_block(console, block)
     if written:
         say(console, "\n".join(f"{what} → {path}" for what, path in written.items()))
+
+
+def summarise(result: Any) -> str:
+    """Return a result in a few lines, as `repr` shows it: what it is of, what went in, headline, judgement, warnings."""
+    shown = present(result)
+    said = [f"{type(result).__name__}: {shown.about}", shown.summary, shown.headline]
+    if shown.verdict is not None:
+        said.append(f"{shown.verdict.badge}. {shown.verdict.sentence}")
+    if shown.warnings:
+        said.append(f"{r.count(len(shown.warnings), 'warning')}, first: {shown.warnings[0]}")
+    lines: list[str] = []
+    for text in filter(None, said):
+        plain = shorten(escape_control_characters(text).plain, MAX_SENTENCE, placeholder=" ...")
+        lines += wrap(plain, 88, initial_indent="  " if lines else "", subsequent_indent="  ")
+    return "\n".join(lines)
 
 
 def say(console: Console, text: str, style: str = "") -> None:

@@ -94,4 +94,4 @@ from .presentation import (
     tabulate_plainly as tabulate_plainly,
     tabulate_things as tabulate_things,
 )
-from .shown import Shown as Shown
+from .shown import Brief as Brief, Shown as Shown

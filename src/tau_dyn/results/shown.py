@@ -1,4 +1,4 @@
-"""What a result offers by itself: its presentation, its view in a notebook, its table.
+"""What a result offers by itself: a few lines as its `repr`, its presentation, its view in a notebook, its table.
 
 The words and figures of a result stand in `render/`, which reads results and therefore stands below every package that makes one.
 A result does not import them: a `Shown` asks `render` by its name, and only when somebody looks.
@@ -6,8 +6,13 @@ A result does not import them: a `Shown` asks `render` by its name, and only whe
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
+from dataclasses import fields, is_dataclass
 from importlib import import_module
+from textwrap import shorten, wrap
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -15,13 +20,60 @@ if TYPE_CHECKING:
     from tau_dyn.results.presentation import Presentation
 
 _RENDER = "tau_dyn.render"
-"""Has `present(result)`, `render_notebook(result)` and `tabulate(result)`."""
+"""Has `present(result)`, `summarise(result)`, `render_notebook(result)` and `tabulate(result)`."""
+_WIDTH = 88  # columns of a `repr`: what fits beside a debugger's or a notebook's margin
+_MAX_LINES = 12  # of a `repr`, so that the prompt stays on the screen
 
 
-class Shown:
-    """A result that can be presented, shows itself in a notebook and hands out its table."""
+class Brief:
+    """A dataclass whose `repr` says what its fields are, and repeats neither arrays nor texts."""
 
     __slots__ = ()
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Keep this `repr`: a dataclass writes its own where its class has none in its body."""
+        super().__init_subclass__(**options)
+        cls.__repr__ = cls.__repr__
+
+    def __repr__(self) -> str:
+        """Return a few lines: the fields in brief."""
+        said = [f"{f.name}={_shorten(getattr(self, f.name))}" for f in fields(self) if f.repr]  # pyright: ignore[reportArgumentType]
+        lines = wrap(
+            f"{type(self).__name__}({', '.join(said)})", _WIDTH, subsequent_indent="  ", break_long_words=False
+        )
+        return "\n".join([*lines[:_MAX_LINES], *(["  ..."] if len(lines) > _MAX_LINES else [])])
+
+
+def _shorten(value: Any) -> str:
+    """Return a value in a word or two: a number or a short text itself, the shape of an array, how many a collection holds."""
+    if isinstance(value, np.ndarray):
+        return f"array {value.shape}"
+    if isinstance(value, bool | int | float | None):
+        return f"{value:.6g}" if isinstance(value, float) else str(value)
+    if isinstance(value, str):
+        return repr(shorten(value, 50, placeholder=" ..."))
+    if isinstance(value, Collection) and not hasattr(value, "_fields"):
+        names = (
+            isinstance(value, tuple | list) and len(value) <= 6 and all(isinstance(x, str | float | int) for x in value)
+        )
+        return f"({', '.join(map(_shorten, value))})" if names else f"<{len(value)} {_name_things(value)}>"
+    return type(value).__name__ if is_dataclass(value) or hasattr(value, "_fields") else shorten(repr(value), 50)
+
+
+def _name_things(value: Collection[Any]) -> str:
+    """Return what a collection holds."""
+    kinds = {type(x).__name__ for x in (value.values() if isinstance(value, Mapping) else value)}
+    return kinds.pop() if len(kinds) == 1 else "items"
+
+
+class Shown(Brief):
+    """A result that says what it is, can be presented, shows itself in a notebook and hands out its table."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        """Return a few lines: what it is of, what went in, the headline, how far to trust it."""
+        return import_module(_RENDER).summarise(self)
 
     def present(self, **options: Any) -> Presentation:
         """Return headline, verdict, sections, warnings and data, for any renderer."""

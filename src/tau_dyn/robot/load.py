@@ -5,6 +5,7 @@ The file stays the single source for Pinocchio (which ignores the loop elements)
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import tempfile
@@ -25,6 +26,7 @@ from tau_dyn.robot.robot import NOT_GIVEN, LinkInertia, Loop, Robot, get_inertia
 from tau_dyn.robot.semantics import find_srdf, read_passive_joints
 from tau_dyn.robot.stock import StockRobot, find_described_robot
 
+_LOGGER = logging.getLogger(__name__)
 TOOL_NAMES = ("tool", "tool0", "tcp", "hand_tcp", "ee_link", "end_effector", "attachment_site", "flange")
 _MOUNTS = TOOL_NAMES[5:]  # carry tools: the only leaf behind one is the tool
 """Usual names of a tool frame, our own files', ROS-Industrial's, and those of common arms.
@@ -72,7 +74,7 @@ def load_robot(
     if fitted_inertias:
         urdf = re.sub(r"</robot>\s*$", f"{FITTED}</robot>", urdf)
     semantics = Path(srdf) if srdf is not None else find_srdf(path)
-    return load_robot_from_urdf(
+    found = load_robot_from_urdf(
         urdf,
         str(robot),
         actuated=actuated,
@@ -81,6 +83,8 @@ def load_robot(
         sha256=compute_sha256(path),
         passive=read_passive_joints(semantics) if semantics is not None else (),
     )
+    _LOGGER.info("loaded %s: %s", path, ", ".join(found.actuated))
+    return found
 
 
 def load_robot_from_urdf(

@@ -177,9 +177,10 @@ def plan_campaign(
         weighted=weighted,
     )
     choice = choose_from(design, n, criterion=criterion, target=required, seed=seed)
-    progress("simulated calibration")
     said = _weighing(choice)
-    rehearsal = simulate_calibrations(choice, device, runs=runs, seed=seed, fix=fix, free=free, known=known)
+    rehearsal = simulate_calibrations(
+        choice, device, runs=runs, seed=seed, fix=fix, free=free, known=known, progress=progress
+    )
     require_accuracy(choice, rehearsal, required)
     progress("ordering poses")
     tour = _tour(choice, robot, reach)

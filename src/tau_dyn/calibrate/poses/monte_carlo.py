@@ -7,7 +7,7 @@ experiment").
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,6 +96,7 @@ def simulate_calibrations(
     fix: Sequence[str] = (),
     free: Sequence[str] = (),
     known: Sequence[str] = (),
+    progress: Callable[[str], None] = lambda step: None,
 ) -> MonteCarloCalibration:
     """Calibrate simulated robots with the chosen poses.
 
@@ -107,6 +108,7 @@ def simulate_calibrations(
         fix: Names or patterns that stay, as in the choice.
         free: Names or patterns freed, as in the choice.
         known: `device`, `tool`: frames that are not fitted.
+        progress: Told how far it is.
 
     Raises:
         InputError: No runs.
@@ -117,7 +119,8 @@ def simulate_calibrations(
     p = len(geometry.parameters)
     device_free, tool_free = "device" not in known, "tool" not in known
     before, after, failures = [], [], []
-    for rng in np.random.default_rng(seed).spawn(runs):
+    for k, rng in enumerate(np.random.default_rng(seed).spawn(runs), start=1):
+        progress(f"simulated calibration {k} of {runs}")
         theta = draw_robot(geometry, np.vstack([choice.q, design.workspace]), design.unknowns.scales[:p], rng)
         poses = simulate_measurement(device, geometry, theta, choice.q, rng)
         places = transform_to_device(device.frames, geometry.forward(theta, design.workspace).poses)

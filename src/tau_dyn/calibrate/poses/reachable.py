@@ -132,7 +132,7 @@ def find_reachable(
     if machine.rods is not None:
         plain = replace(demands if demands is not None else PoseRequirements(), collisions=False)
         border = PoseChecker(machine, plain), safety.distance
-        q, tool, said = _on_grid(machine, strict, border, wanted, 0.0 if machine.rods.translates else tilt)
+        q, tool, said = _on_grid(machine, strict, border, wanted, 0.0 if machine.rods.translates else tilt, progress)
     else:
         q, tool, said = _over_travel(machine, check, wanted, seed)
     low, high = get_travel(machine.robot)
@@ -149,7 +149,12 @@ def find_reachable(
 
 
 def _on_grid(
-    machine: WorkspaceModel, demands: PoseRequirements, border: tuple[PoseChecker, float], wanted: int, tilt: float
+    machine: WorkspaceModel,
+    demands: PoseRequirements,
+    border: tuple[PoseChecker, float],
+    wanted: int,
+    tilt: float,
+    progress: Callable[[str], None],
 ) -> tuple[np.ndarray, Poses, tuple[str, ...]]:
     lower, upper = machine.reach()
     coarse = float(np.max(upper - lower)) / _CELLS
@@ -163,7 +168,8 @@ def _on_grid(
         every = np.linspace(0, len(places) - 1, max(1, int(np.ceil(2 * wanted / len(turns)))))
         places = places[np.unique(every.astype(int))]
     found_q, positions, rotations = [], [], []
-    for turn in turns:
+    for k, turn in enumerate(turns, start=1):
+        progress(f"orientation {k} of {len(turns)}")
         rotation = np.broadcast_to(turn @ space.rotation, (len(places), 3, 3))
         judged = space.judge.judge(Poses(places, rotation))
         good = np.flatnonzero(judged.code == INSIDE)

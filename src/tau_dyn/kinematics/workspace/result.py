@@ -17,6 +17,7 @@ from tau_dyn.kinematics.workspace.lattice import INSIDE, Lattice, Size
 from tau_dyn.kinematics.workspace.machine import WorkspaceModel, get_travel
 from tau_dyn.kinematics.workspace.pose_check import KINDS, PoseChecker, Reasons
 from tau_dyn.mechanism import Poses
+from tau_dyn.results import Brief
 
 _MEASURES = {1: ("length", "m"), 2: ("area", "m2"), 3: ("volume", "m3")}
 
@@ -44,7 +45,7 @@ class Footprint:
 
 
 @dataclass(frozen=True, eq=False)
-class Workspace:
+class Workspace(Brief):
     """Where the tool can be at one orientation.
 
     Attributes:

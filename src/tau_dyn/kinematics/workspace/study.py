@@ -333,8 +333,10 @@ def study_workspace(
     found = find_workspace(
         machine, demands=demands, resolution=resolution, rotation=rotation, seed=seed, progress=progress
     )
-    progress("judging sections")
-    cuts = [judge_section(found, axis, at, quality, names) for axis, at in planes or choose_usual_sections(found)]
+    cuts, planes = [], planes or choose_usual_sections(found)
+    for k, (axis, at) in enumerate(planes, start=1):
+        progress(f"judging section {k} of {len(planes)}")
+        cuts.append(judge_section(found, axis, at, quality, names))
     progress("maps over the workspace")
     figures = build_catalogue(found, quality)
     if tilt_at is not None and not np.isfinite(tilt_at).all():

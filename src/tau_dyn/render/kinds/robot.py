@@ -76,9 +76,12 @@ def present_model(model: Model) -> r.Presentation:
         r.Chapter("parameters", "Parameters", lambda: [_build_table(model.parameters, r.On.ALL)], r.On.ALL),
         *([beyond] if equations else []),
     ]
+    effects = (
+        f"beyond the rigid body: {r.format_list(dict.fromkeys(e.name for e in model.effects))}" if equations else ""
+    )
     facts = [(str(key), str(value)) for key, value in model.provenance.items() if not isinstance(value, list | Mapping)]
     return r.Presentation(
-        "Model", f"{robot.name}, {_count(model.parameters)}", f"{robot.name}: model", "", None, "", sections, (),
+        "Model", f"{robot.name}, {_count(model.parameters)}", f"{robot.name}: model", "", None, effects, sections, (),
         r.RobotPicture(robot),
         r.Provenance(facts, robot=robot), lambda: _tabulate(model.parameters), model, equations,
     )  # fmt: skip

@@ -1,0 +1,54 @@
+"""Every cause that `diagnose` and `calibrate` can name: its law, its plausible range, the motion that reveals it.
+
+A cause of forces is an effect of the catalogue, or a parameter off its trusted nominal value; a cause of geometry changes
+where joints and frames are.
+"""
+
+from __future__ import annotations
+
+from tau_dyn.effects.catalogue import EFFECTS
+from tau_dyn.effects.effect import describe_ranges
+
+PARAMETER_CAUSES = {
+    "payload": "tau += Y_last(q, v, a) (ten inertial numbers of the payload)",
+    "link_mass": "a link's mass differs from its nominal value",
+    "force_scale": "tau_log = force_scale tau, of one joint",
+}
+"""Causes that only a trusted nominal value shows, with their equations; `drive_gain` is an effect, too."""
+GEOMETRY_CAUSES = {
+    "rod_length": "|A - B| = L + dL",
+    "joint_placement": "A or B displaced by a constant in its link's frame",
+    "guideway_nonparallel": "A = A_0 + q v_i, v_i different for each guideway",
+    "pinion_scale": "A = A_0 + q (1 + pinion_scale) v",
+    "cart_tilt": "A = A_0 + q (v + drift), drift different for each rod on a cart",
+    "transmission_error": "q_real = q + error_sin sin(2 pi q / error_period) + error_cos cos(2 pi q / error_period)",
+    "guideway_not_straight": "A displaced by bend(q), linear between knots",
+    "guideway_compliance": "A displaced by guideway_compliance F across, drive_compliance F along the guideway, F the rods' pull",
+    "backlash": "q_real = q - backlash / 2 sign of the approach",
+    "joint_coupling": "q_real = q + coupling q_other",
+    "gravity_deflection": "q_real = q + gravity_compliance tau(q) + load_deflection tau_1(q), tau_1 of 1 kg at the tool",
+    "joint_eccentricity": "q_real = q + eccentricity_sin sin(q) + eccentricity_cos cos(q)",
+    "tool_frame": "the target sits elsewhere on the tool in another campaign",
+    "device_moved": "the device stood elsewhere when the held-out poses were measured",
+    "target_moved": "the target sat elsewhere on the tool when the held-out poses were measured",
+    "base_frame": "the robot's base stands elsewhere in the device's frame in another campaign",
+}
+"""Causes that `calibrate` names, with their equations."""
+
+
+def list_causes() -> list[dict[str, str]]:
+    """Return one row a cause and a command that names it: `cause`, `named_by`, `equation`, `range`, `revealed_by`.
+
+    Example:
+        >>> laws = {row["cause"]: row["equation"] for row in list_causes()}
+        >>> laws["stribeck"]
+    """
+    rows = [
+        {"cause": name, "named_by": "diagnose", "equation": effect.equation, "range": describe_ranges(effect.plausible),
+         "revealed_by": effect.reveals}
+        for name, effect in EFFECTS.items()
+        if effect.cause
+    ]  # fmt: skip
+    empty = {"range": "", "revealed_by": ""}
+    rows += [{"cause": n, "named_by": "diagnose", "equation": x, **empty} for n, x in PARAMETER_CAUSES.items()]
+    return rows + [{"cause": n, "named_by": "calibrate", "equation": x, **empty} for n, x in GEOMETRY_CAUSES.items()]
