@@ -115,7 +115,7 @@ def load_robot_from_urdf(
     if passive and not notes.loops:
         listed = ", ".join(passive)
         warnings.append(
-            f"{source}: {listed} neither have a <transmission> nor stand in a loop; they are taken as locked at zero"
+            f"{source}: held still at zero, for neither a motor nor a loop moves {'it' if len(passive) == 1 else 'them'}: {listed}"
         )
     if notes.loops and not passive:
         raise InputError(

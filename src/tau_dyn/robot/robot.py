@@ -220,6 +220,22 @@ class Robot(Shown):
         """Index of the tool frame, or None."""
         return self.model.getFrameId(self.tool) if self.tool else None
 
+    @property
+    def carrying_joints(self) -> tuple[str, ...]:
+        """The actuated joints between base and tool; without a tool those before the tree first forks."""
+        model = self.model
+        if self.tool_frame is not None:
+            joint = model.frames[self.tool_frame].parentJoint
+        else:
+            joint, parents = 0, list(model.parents)[1:]
+            while parents.count(joint) == 1:
+                joint = 1 + parents.index(joint)
+        chain = set()
+        while joint > 0:
+            chain.add(model.names[joint])
+            joint = model.parents[joint]
+        return tuple(name for name in self.actuated if name in chain)
+
     def require_unscaled_drives(self, what: str) -> None:
         """Refuse a robot with a drive's scale where something cannot carry one.
 
