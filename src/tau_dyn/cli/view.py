@@ -68,7 +68,7 @@ def view(
     viewer.wait(seconds)
     return Outcome(
         result={"url": viewer.url},
-        warnings=viewer.robot.warnings,
+        warnings=viewer.warnings,
         inputs=[*robot_options.list_files(robot), log, contents.simulated, *contents.result, contents.cloud],
     )
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -96,6 +97,7 @@ class Robot(Shown):
             they choose the assembly mode.
         mimics: Joints that follow an actuated one, directly or over others.
         friction: What the file says of the actuated joints' friction, their followers' included.
+        packages: Folders of ROS packages by name in which meshes lie, before those that are found.
     """
 
     name: str
@@ -120,6 +122,7 @@ class Robot(Shown):
     drive_scales: Mapping[str, float] = field(default_factory=dict)
     mimics: Mapping[str, Mimic] = field(default_factory=dict)
     friction: Mapping[str, JointFriction] = field(default_factory=dict)
+    packages: Mapping[str, str | Path] = field(default_factory=dict)
 
     @property
     def coupled_pairs(self) -> tuple[tuple[str, str], ...]:
