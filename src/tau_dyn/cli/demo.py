@@ -190,7 +190,7 @@ def load_arm(robot: str, options: RobotOptions) -> tuple[Robot, str]:
 
 
 def make_arm(robot: Robot, call: str, seed: int) -> Made:
-    """Return a serial arm with geared drives, a payload behind its last joint and Stribeck friction in its third joint or its last.
+    """Return a serial arm with geared drives, a payload on its last link and Stribeck friction in its third joint or its last.
 
     Raises:
         InputError: The robot has no effort and speed limits to scale its drives by.

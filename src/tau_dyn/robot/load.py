@@ -116,9 +116,9 @@ def load_robot_from_urdf(
     mimics = _resolve_mimics(model, notes, names, source)
     passive = [n for n in model.names[1:] if n not in names and n not in mimics]
     if passive and not notes.loops:
-        listed = ", ".join(passive)
+        moved = "it" if len(passive) == 1 else "them"
         warnings.append(
-            f"{source}: held still at zero, for neither a motor nor a loop moves {'it' if len(passive) == 1 else 'them'}: {listed}"
+            f"{source}: held still at zero, for neither a motor nor a loop moves {moved}: {', '.join(passive)}"
         )
     if notes.loops and not passive:
         raise InputError(

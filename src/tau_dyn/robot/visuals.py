@@ -1,7 +1,7 @@
-"""What a robot file draws: boxes, cylinders, spheres, and the triangles of its meshes, each in the frame of the joint that carries it.
+"""What a robot file draws: boxes, cylinders, spheres and triangles, each in the frame of the joint that carries it.
 
-A link without `<visual>` is drawn by its `<collision>`. Meshes are read by Coal, which comes with Pinocchio and reads STL, OBJ and
-Collada (.dae) with Assimp. A mesh that is not there or cannot be read costs the picture, never the answer.
+A link without `<visual>` is drawn by its `<collision>`. Meshes are read by Coal, which comes with Pinocchio and reads STL, OBJ
+and Collada (.dae) with Assimp. A mesh that is not there or cannot be read costs the picture, never the answer.
 """
 
 from __future__ import annotations

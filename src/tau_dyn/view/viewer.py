@@ -29,7 +29,7 @@ LOOPBACK = "127.0.0.1"
 FRAME = 1 / 30
 """Time between pictures [s]."""
 _MIN_ASPECT = 1.25
-"""Width over height of a window in which the view from `_aim` has the robot beside the panel; a narrower one looks from further."""
+"""Width over height of a window in which `_aim` has the robot beside the panel; a narrower one looks from further away."""
 _DEGREES = 0.1
 """Step of a slider for a turning joint [deg]."""
 _AWAY = np.array([0.56, -0.98, 0.42])
