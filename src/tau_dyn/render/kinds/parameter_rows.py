@@ -88,7 +88,7 @@ def build_parameter_table(
     """
     page, both = r.On.PAGE, r.On.DRAWN
     rows = _fold_unseen(rows)
-    nominal = both if truth or not any(entry.nominal for entry in rows) else r.On.ALL
+    nominal = r.On.NOTEBOOK if truth else both if not any(entry.nominal for entry in rows) else r.On.ALL
     columns = [
         r.Column("parameter", on=both),
         r.Column("identifiable alone", on=r.On.TERMINAL),
@@ -96,7 +96,7 @@ def build_parameter_table(
         *([r.Column("without the causes", "number", "quiet", on=page)] if before else []),
         r.Column("extended model ± standard error" if before else "estimate ±\nstandard error", "number", "strong"),
         r.Column("unit", "unit"),
-        *([] if before or truth else [r.Column("95 % interval", "number", "spare", on=both)]),
+        *([] if before else [r.Column("95 % interval", "number", "spare", on=both)]),
         r.Column("", "interval", on=both, scale=scale),
         *([r.Column("true", "number"), r.Column("error / standard error", "number", "far", on=page)] if truth else []),
         r.Column("remark", style="remark", on=both),
@@ -148,7 +148,7 @@ def _build_row(entry: ParameterRow, truth: bool, before: bool) -> r.Row:
     unseen = entry.state in ("unseen", "fold")
     value = f"{entry.estimate} {entry.unit}: " if unseen and entry.estimate else ""
     cells = [entry.name, entry.name, entry.nominal, *([entry.before] if before else []), entry.estimate, entry.unit]
-    cells += [] if before or truth else [entry.interval]
+    cells += [] if before else [entry.interval]
     cells += [entry.bar, *([entry.true, entry.distance] if truth else []), f"{value}{entry.note}".replace(" %", "\u00a0%")]
     return r.Row(cells, "fold" if unseen else entry.state, on=r.On.ALL if entry.interval else r.On.DRAWN)
 
