@@ -129,7 +129,8 @@ def test_a_stock_arm_whose_meshes_are_elsewhere_becomes_mjcf():
     )
     mujoco = pytest.importorskip("mujoco")
     made = build_mjcf(Model.of(load_robot_from_urdf(urdf, "arm", actuated=["turn"])))
-    assert "mesh" not in made.text and any("2 visual shapes" in sentence for sentence in made.left_out)
+    assert "mesh" not in made.text and not made.meshes
+    assert any("package://nowhere/base.dae" in sentence for sentence in made.left_out)
     assert mujoco.MjModel.from_xml_string(made.text).nbody == 2
 
 

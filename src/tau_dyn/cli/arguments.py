@@ -7,7 +7,7 @@ dataclasses of options that a command takes together.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -202,6 +202,15 @@ class RobotOptions:
             str(robot), actuated=self.actuated or None, tool=self.tool, xacro=not self.no_xacro,
             packages=self._read_packages(), srdf=self.srdf, fitted_inertias=self.fitted_inertias, **given,
         )  # fmt: skip
+
+    def hold_silent_joints(self, machine: Robot, robot: str | Path, logs: Sequence[Log | Recording]) -> Robot:
+        """Return the robot with those joints held still that neither carry the tool nor stand in a log, as a gripper's."""
+        if self.actuated or machine.loops or is_model_file(robot):
+            return machine
+        names = {name for log in logs for name in log.channels}
+        carrying = machine.carrying_joints
+        kept = [j for j in machine.actuated if j in carrying or not names.isdisjoint((f"q_{j}", f"tau_{j}"))]
+        return machine if len(kept) in (0, machine.na) else replace(self, actuated=tuple(kept)).load(robot)
 
     def _read_packages(self) -> dict[str, str]:
         pairs = {text: text.partition("=") for text in self.package}

@@ -18,7 +18,7 @@ from tau_dyn.exceptions import InputError
 
 if TYPE_CHECKING:
     from tau_dyn.model import Model
-    from tau_dyn.robot import Robot
+    from tau_dyn.robot import LinkInertia, Robot
 
 # Dressler 2012, Table 6.1: coulomb_neg, coulomb_pos [N], viscous_neg, viscous_pos [N/(m/s)] of each actuator
 TABLE_6_1 = ((145.69, 189.12, 158.01, 205.03), (119.23, 262.59, 133.76, 190.00), (177.22, 239.06, 197.52, 185.94))
@@ -42,11 +42,12 @@ PAYLOAD_GYRATION_M = 0.05
 _GEARED = {"coulomb": 0.05, "viscous": 0.05, "armature": 0.008, "stribeck": 0.035, "noise": 0.003}
 """What a geared drive has, as shares of its joint's effort limit: friction [N m] and its growth up to full speed [N m], reflected
 rotor inertia [kg m2 per N m], friction's peak at standstill and the noise of its torque [N m]; of the size of a UR5's."""
-_PEAK_SPEED = 0.08
-"""Speed over which the peak falls to a third [rad/s]."""
+_PEAK_SPEED = {"rad": 0.08, "m": 0.025}
+"""Speed over which the peak falls to a third [rad/s or m/s]."""
 _MASS_ERROR = 0.01
 """Largest relative error of a mass in the arm's file; makers state masses to about that."""
-_ENCODER_RAD = 2e-5  # rad, standard deviation; an encoder of 17 bits
+_ENCODER = {"rad": 2e-5, "m": 5e-6}
+"""Standard deviation of its positions [rad or m]: of an encoder of 17 bits, and of a linear scale."""
 
 
 _FOLDER = cast(Path, RunFolder(Path("tau_dyn_demo"), beside=True))  # a command is given the folder's path
@@ -85,7 +86,8 @@ def demo(
 
     Without a robot file it is the L1 Gantry-Tau with the asymmetric friction of Dressler 2012, Table 6.1, of whose pinion and
     Stribeck friction the fitted model does not know. With a serial arm's file, such as a stock UR5's, it is that arm with geared
-    drives, a payload of 2 kg at its flange and Stribeck friction in one joint.
+    drives, a payload of 2 kg at its flange and Stribeck friction in one joint. Joints that do not carry the tool, such as a
+    gripper's, stand still.
 
     Args:
         robot: The file of a serial arm, such as a UR5's (default: a Gantry-Tau)
@@ -99,7 +101,7 @@ def demo(
         from tau_dyn.simulate import Sensors, build_named_motion, simulate
 
         seed = output.seed
-        made = make_arm(robot_options.load(robot), robot, seed) if robot else make_gantry(seed)
+        made = make_arm(*load_arm(robot, robot_options), seed) if robot else make_gantry(seed)
         sensors, logs = Sensors(**made.sensors, log_rate_hz=RATE_HZ), []
         for k, (name, duration) in enumerate(SECONDS.items()):
             path = build_named_motion("fourier", made.truth, duration, seed + k)
@@ -166,18 +168,36 @@ def build_true_model(robot: Robot, seed: int) -> Model:
     return _extend(_with_friction(robot), (), values)
 
 
-def make_arm(robot: Robot, call: str, seed: int) -> Made:
-    """Return a serial arm with geared drives, a payload at its last link and Stribeck friction in its third joint or its last.
+def load_arm(robot: str, options: RobotOptions) -> tuple[Robot, str]:
+    """Return the robot with those joints actuated that carry its tool, and how a command names it.
 
     Raises:
-        InputError: The robot has loops, sliding joints, or no effort and speed limits to scale its drives by.
+        InputError: The robot has loops, or no joint carries its tool.
+    """
+    arm = options.load(robot)
+    if arm.loops:
+        raise InputError("unsupported", f"{robot}: the demo takes serial arms, or no robot for its own Gantry-Tau")
+    carrying = arm.carrying_joints
+    if not carrying:
+        missing = f"no joint carries {arm.tool}" if arm.tool else "several arms begin at its base"
+        raise InputError("bad_option", f"{robot}: {missing}; name the last link of an arm with --tool")
+    said = [str(robot), *(f"--set {text}" for text in options.set), *(f"--package {text}" for text in options.package)]
+    said += [f"--tool {options.tool}"] if options.tool else []
+    if options.actuated:
+        said.append(f"--actuated {' '.join(options.actuated)} --")
+    elif len(carrying) < arm.na:  # the logs lack the others, so that no command asks for them
+        arm = replace(options, actuated=carrying).load(robot)
+    return arm, " ".join(said)
+
+
+def make_arm(robot: Robot, call: str, seed: int) -> Made:
+    """Return a serial arm with geared drives, a payload on its last link and Stribeck friction in its third joint or its last.
+
+    Raises:
+        InputError: The robot has no effort and speed limits to scale its drives by.
     """
     from tau_dyn.effects import Stribeck
 
-    if robot.loops or "prismatic" in robot.joint_kinds:
-        raise InputError(
-            "unsupported", f"{call}: the demo takes serial arms of hinges, or no robot for its own Gantry-Tau"
-        )
     effort, speed = np.abs(robot.effort_limit), np.abs(robot.velocity_limit)
     if not (np.all(np.isfinite(effort * speed)) and np.all(effort * speed > 0)):
         raise InputError(
@@ -193,24 +213,26 @@ def make_arm(robot: Robot, call: str, seed: int) -> Made:
         rough = limit * rng.uniform(0.8, 1.2, 4) * (np.array([1, 1, 1 / fast, 1 / fast]) * _GEARED["coulomb"])
         values |= {f"{joint}.{quantity}": float(x) for quantity, x in zip(_QUANTITIES, rough, strict=True)}
         values[f"{joint}.armature"] = float(_GEARED["armature"] * limit)
-    values |= _with_payload(robot, values)
+    carrier = next(link for link in reversed(robot.links) if robot.model.names[link.joint_id] in robot.actuated)
+    values |= _with_payload(carrier, values)
     stiff = min(2, robot.na - 1)
     joint, peak = robot.actuated[stiff], float(_GEARED["stribeck"] * effort[stiff])
     values[f"{joint}.stribeck"] = peak
-    effect = Stribeck((joint,), (robot.force_units[stiff],), speed=_PEAK_SPEED)
+    unit = robot.force_units[stiff]
+    effect = Stribeck((joint,), (unit,), speed=_PEAK_SPEED[robot.position_units[stiff]])
     centre = ", ".join(f"{x:g}" for x in PAYLOAD_CENTRE)
-    joint_of_last = str(robot.model.names[robot.links[-1].joint_id])
     said = (
-        f"a payload of {PAYLOAD_KG:g} kg at ({centre}) m in the frame of {joint_of_last}, and Stribeck friction of "
-        f"{peak:.3g} N m in {joint}"
+        f"a payload of {PAYLOAD_KG:g} kg at ({centre}) m in the frame of {robot.model.names[carrier.joint_id]}, and Stribeck "
+        f"friction of {peak:.3g} {unit} in {joint}"
     )
-    sensors = {"encoder_noise": _ENCODER_RAD, "force_noise": (_GEARED["noise"] * effort).tolist(), "tool": False}
+    encoder = [_ENCODER[unit] for unit in robot.position_units]
+    sensors = {"encoder_noise": encoder, "force_noise": (_GEARED["noise"] * effort).tolist(), "tool": False}
     return Made(robot, _extend(_with_friction(robot), (effect,), values), sensors, ("payload", "stribeck"), said, call)
 
 
-def _with_payload(robot: Robot, values: dict[str, float]) -> dict[str, float]:
-    """Return the last link's ten numbers with the payload's added (Huygens-Steiner)."""
-    names, c = robot.links[-1].names, np.array(PAYLOAD_CENTRE)
+def _with_payload(link: LinkInertia, values: dict[str, float]) -> dict[str, float]:
+    """Return a link's ten numbers with the payload's added (Huygens-Steiner)."""
+    names, c = link.names, np.array(PAYLOAD_CENTRE)
     about = PAYLOAD_KG * (PAYLOAD_GYRATION_M**2 * np.eye(3) + (c @ c) * np.eye(3) - np.outer(c, c))
     more = [PAYLOAD_KG, *(PAYLOAD_KG * c), *(about[i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))]
     return {name: values[name] + float(x) for name, x in zip(names, more, strict=True)}

@@ -54,6 +54,7 @@ def diagnose(
 
         machine = robot_options.load(robot)
         trained, held = fitting.read_logs(logs), fitting.read_logs(holdout)
+        machine = robot_options.hold_silent_joints(machine, robot, trained)
         law = _read_law(controller, machine, trained)
         found = diagnose_robot(machine, trained, holdout=held, progress=step, **fitting.collect(model, output.seed))
         if law is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -146,7 +147,7 @@ def _make_exchanged(request: _Request) -> Made:
     from tau_dyn.exchange import build_mjcf, build_urdf, describe_price
 
     model = request.load_model()
-    made = build_urdf(model) if request.to == "urdf" else build_mjcf(model)
+    made = build_urdf(model) if request.to == "urdf" else build_mjcf(model, f"{request.out.stem}.")
     links = len(model.robot.links)
     kept = f"; nominal values, not identified: {', '.join(made.nominal)}" if made.nominal and model.provenance else ""
     shared = f"; one of many splits with the same forces: {', '.join(made.split)}" if made.split else ""
@@ -154,8 +155,10 @@ def _make_exchanged(request: _Request) -> Made:
     said = f"{model.robot.name} with {links} {carriers} mass -> {request.out}{kept}{shared}"
     changed = made.carried.parameters.values != model.parameters.values
     price = [describe_price(model, made.carried, request.source.parent)] if changed.any() else []
+    said += f" and {len(made.meshes)} meshes {request.out.stem}.*.stl" if made.meshes else ""
+    meshes = {request.out.parent / name: partial(_write_bytes, content) for name, content in made.meshes.items()}
     return Made(
-        {request.out: made.text},
+        {request.out: made.text, **meshes},
         said,
         {"left_out": list(made.left_out), "nominal": list(made.nominal), "price": price[0] if price else None},
         (*made.left_out, *price),
@@ -169,12 +172,13 @@ def _make_fmu(request: _Request) -> Made:
     model = request.load_model()
     made = build_fmu(model)
 
-    def write(path: Path) -> None:
-        path.write_bytes(made.content)
-
     said = f"{model.robot.name} for FMI 2.0 co-simulation, its equations compared with the simulator's -> {request.out}"
     result = {"left_out": list(made.left_out), "nominal": list(made.nominal), "difference": made.difference}
-    return Made({request.out: write}, said, result, made.left_out)
+    return Made({request.out: partial(_write_bytes, made.content)}, said, result, made.left_out)
+
+
+def _write_bytes(content: bytes, path: Path) -> None:
+    path.write_bytes(content)
 
 
 def _make_kinematics(request: _Request) -> Made:

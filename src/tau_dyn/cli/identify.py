@@ -48,6 +48,7 @@ def identify(
 
         machine = robot_options.load(robot)
         trained, held = fitting.open_logs(logs), fitting.open_logs(holdout)
+        machine = robot_options.hold_silent_joints(machine, robot, trained)
         found = identify_robot(
             machine,
             trained,

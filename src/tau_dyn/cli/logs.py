@@ -36,6 +36,8 @@ def check(
 
         machine = robot_options.load(robot) if robot else None
         read = read_log(log, columns)
+        if machine is not None and robot is not None:
+            machine = robot_options.hold_silent_joints(machine, robot, [read])
         checked = check_log(read, machine)
         if machine is not None:
             from tau_dyn.identify import check_against_robot

@@ -70,7 +70,7 @@ def view(
     viewer.wait(seconds)
     return Outcome(
         result={"url": viewer.url},
-        warnings=viewer.robot.warnings,
+        warnings=viewer.warnings,
         inputs=[*robot_options.list_files(robot), log, contents.simulated, *contents.result, contents.cloud],
     )
 
@@ -89,7 +89,9 @@ def open_window(
     playback = None
     if log is not None:
         ghost = None if contents.simulated is None else read_log(contents.simulated)
-        playback = build_playback(read_log(log, columns=contents.columns), machine, ghost)
+        recorded = read_log(log, columns=contents.columns)
+        machine = options.hold_silent_joints(machine, robot, [recorded])
+        playback = build_playback(recorded, machine, ghost)
     step("reading results")
     shown = [c for path in contents.result for c in read_result(path, machine, compute=contents.compute)]
     shown += [] if contents.cloud is None else [read_cloud(contents.cloud)]

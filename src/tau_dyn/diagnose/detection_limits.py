@@ -64,6 +64,10 @@ def compute_detection_limits(
     return tuple(limits), tuple(untestable)
 
 
+_MAX_LISTED_JOINTS = 3
+"""Joints of an effect that are named one by one where it acts on all."""
+
+
 def solve_noncentrality(level: float, dof: int, power: float = POWER) -> float:
     """Return the noncentrality at which a chi-square test of this level has this power."""
     critical = float(stats.chi2.isf(level, dof))
@@ -85,7 +89,9 @@ def _limit(ground: NullModel, candidate: CandidateCause, causes: int) -> Limit |
         first = next(iter(fit.effect.parameters))
         values = fit.effect.parameters.with_values({first.name: max(amplitude, first.lower)})
         plausible = not fit.effect.find_implausible(values, ground.channel.scene.scales)
-        (found if plausible else beyond).append((amplitude, first.unit, "+".join(fit.effect.joints)))
+        joints = fit.effect.joints
+        several = len(joints) > _MAX_LISTED_JOINTS and set(joints) == set(ground.channel.scene.joints)
+        (found if plausible else beyond).append((amplitude, first.unit, "all joints" if several else "+".join(joints)))
     if not found and beyond:
         amplitude, unit, joint = min(beyond)
         return (

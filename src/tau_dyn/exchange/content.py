@@ -11,8 +11,8 @@ combination is identified, the file holds one of many splits with the same force
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +46,7 @@ class Exported:
         nominal: Inertial parameters that no data excited; they have their nominal values.
         split: Inertial parameters of which only combinations are identified; their values are one of many splits of these
             combinations that give the same forces.
+        meshes: Files that the text names, by their paths from its folder.
     """
 
     text: str
@@ -53,6 +54,7 @@ class Exported:
     carried: Model
     nominal: tuple[str, ...]
     split: tuple[str, ...] = ()
+    meshes: Mapping[str, bytes] = field(default_factory=dict)
 
 
 class BodyInertia(NamedTuple):

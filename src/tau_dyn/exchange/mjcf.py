@@ -3,18 +3,18 @@
 MuJoCo's own URDF reader drops loops and drive inertia. Here every movable joint becomes a body with the model's inertia
 (links fixed to it merged in), `armature`, `damping` and `frictionloss`; a drive's gain and constant force stand at its actuator.
 Loops are tied at sites, which unlike ties between bodies do not depend on the pose that the file is compiled at. Bodies without
-mass get 1e-9 kg, which MuJoCo demands.
+mass get 1e-9 kg, which MuJoCo demands. Meshes are written as binary STL, since MuJoCo reads no Collada.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Comment, Element, SubElement
 
 import numpy as np
 import pinocchio as pin
-from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.exchange.content import (
@@ -30,6 +30,7 @@ from tau_dyn.exchange.content import (
 )
 from tau_dyn.mechanism import Joint, LoopSolver, list_joints
 from tau_dyn.model import Model
+from tau_dyn.robot import Mesh, Visual, list_missing_meshes, read_visuals
 
 TIMESTEP_S = 5e-4
 """Time step that the file asks for [s]: MuJoCo's step is of first order, and errs by less than 0.1 % in 0.5 s of free motion,
@@ -40,13 +41,19 @@ _STIFF = {"solref": f"{2 * TIMESTEP_S:g} 1", "solimp": "0.9999 0.99999 0.001"}
 leaves so little of a loop's acceleration. Its defaults, 20 ms and 0.9, open loops by millimetres."""
 
 _SEEN_ONLY = {"contype": "0", "conaffinity": "0", "mass": "0"}
+_MAX_STL_FACES = 200_000
+"""Triangles that MuJoCo takes from an STL file."""
 _LIGHT = 1e-9  # kg, of bodies without mass
 _MIN_INERTIAL = {"pos": "0 0 0", "mass": f"{_LIGHT:g}", "diaginertia": "1e-12 1e-12 1e-12"}
 _ROUNDED = 1e-6  # relative, of an interior-point solver's inertia
 
 
-def build_mjcf(model: Model) -> Exported:
+def build_mjcf(model: Model, meshes: str = "") -> Exported:
     """Return the model's robot as MJCF text.
+
+    Args:
+        model: The model.
+        meshes: With what the names of meshes' files begin, which stand beside the MJCF file; without it there are none.
 
     Raises:
         InputError: A joint has more than one degree of freedom, or a drive has a scale.
@@ -67,7 +74,9 @@ def build_mjcf(model: Model) -> Exported:
     world = SubElement(root, "worldbody")
     bodies, raised = _bodies(world, carried, joints)
     _add_weights(bodies, model)
-    shapes = _draw(model, [world, *bodies])
+    visuals, missing = read_visuals(robot)
+    files, shapes = _draw(root, visuals, [world, *bodies], meshes)
+    _mark_tool(model, [world, *bodies])
     _tie(root, model, [world, *bodies])
     _couple(root, model)
     actuator = SubElement(root, "actuator")
@@ -85,7 +94,8 @@ def build_mjcf(model: Model) -> Exported:
     SubElement(key, "key", name="home", qpos=_numbers(_home(model, joints, world)))
     ElementTree.indent(root)
     text = '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
-    return Exported(text, (*left_out, *raised, *shapes), carried, list_nominal_parameters(model), split(model))
+    said = (*left_out, *raised, *shapes, *list_missing_meshes(missing))
+    return Exported(text, said, carried, list_nominal_parameters(model), split(model), files)
 
 
 def _bodies(world: Element, model: Model, joints: list[Joint]) -> tuple[list[Element], list[str]]:
@@ -155,40 +165,76 @@ def _add_weights(bodies: list[Element], model: Model) -> None:
             SubElement(body, "inertial", _MIN_INERTIAL)
 
 
-def _draw(model: Model, bodies: list[Element]) -> list[str]:
-    """Add the visual boxes, cylinders and spheres, which touch nothing; say which meshes are left out."""
-    robot = model.robot
-    urdf, missing = _without_meshes(robot.urdf)
-    geometry = pin.buildGeomFromUrdfString(robot.model, urdf, pin.GeometryType.VISUAL)
-    for item in geometry.geometryObjects.tolist():
-        shape = _shape(item.geometry)
-        if shape is None or item.parentJoint >= len(bodies):
-            missing += 1
+def _draw(
+    root: Element, visuals: Sequence[Visual], bodies: list[Element], prefix: str
+) -> tuple[dict[str, bytes], list[str]]:
+    """Add what the robot's file draws, which touches nothing; return the meshes' files and what is left out."""
+    files: dict[str, bytes] = {}
+    names: dict[Mesh, str] = {}
+    left = 0
+    for visual in visuals:
+        shape = visual.shape
+        if isinstance(shape, Mesh) and prefix and len(shape.faces) <= _MAX_STL_FACES:
+            if shape not in names:
+                names[shape] = _name_mesh(shape, names)
+                files[f"{prefix}{names[shape]}.stl"] = format_stl(shape)
+            said: dict[str, str] | None = {"type": "mesh", "mesh": names[shape]}
+        else:
+            said = None if isinstance(shape, Mesh) else _format_primitive(shape)
+        if said is None or visual.joint >= len(bodies):
+            left += 1
             continue
-        place, turn = item.placement.translation, pin.Quaternion(item.placement.rotation)
-        pose = {"pos": _numbers(place), "quat": _numbers([turn.w, turn.x, turn.y, turn.z])}
-        SubElement(bodies[item.parentJoint], "geom", {**shape, **pose, **_SEEN_ONLY})
-    return [f"{missing} visual shapes that are no box, cylinder or sphere are left out"] if missing else []
+        place, turn = visual.placement.translation, pin.Quaternion(visual.placement.rotation)
+        said |= {"pos": _numbers(place), "quat": _numbers([turn.w, turn.x, turn.y, turn.z])}
+        said |= {} if visual.colour is None else {"rgba": _numbers(np.round(visual.colour, 4))}
+        SubElement(bodies[visual.joint], "geom", {**said, **_SEEN_ONLY})
+    if files:
+        asset = Element("asset")
+        for path, name in zip(files, names.values(), strict=True):
+            SubElement(asset, "mesh", name=name, file=path, inertia="shell")
+        root.insert(list(root).index(bodies[0]), asset)
+    return files, [f"{left} visual shapes are left out"] if left else []
 
 
-def _without_meshes(urdf: str) -> tuple[str, int]:
-    """Return a URDF without the shapes that stand in files of their own, which need not be there, and their number."""
-    root, count = fromstring(urdf, forbid_dtd=True), 0
-    for link in root.iter("link"):
-        for tag in ("visual", "collision"):
-            for shape in [x for x in link.findall(tag) if x.find("geometry/mesh") is not None]:
-                link.remove(shape)
-                count += tag == "visual"
-    return ElementTree.tostring(root, encoding="unicode"), count
+def _name_mesh(mesh: Mesh, names: Mapping[Mesh, str]) -> str:
+    stem = "".join(c if c.isalnum() or c in "-_" else "_" for c in mesh.path.stem)
+    taken, k = set(names.values()), 2
+    name = stem
+    while name in taken:
+        name, k = f"{stem}_{k}", k + 1
+    return name
 
 
-def _shape(shape: Any) -> dict[str, str] | None:
+def format_stl(mesh: Mesh) -> bytes:
+    """Return a mesh as a binary STL file: 80 bytes, the number of triangles, then 50 bytes for each."""
+    corners = mesh.vertices[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    rows = np.zeros(len(corners), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
+    rows["normal"], rows["corners"] = normals / np.where(length > 0, length, 1.0), corners
+    return bytes(80) + np.uint32(len(rows)).astype("<u4").tobytes() + rows.tobytes()
+
+
+def _format_primitive(shape: Any) -> dict[str, str] | None:
     kind = type(shape).__name__
     if kind == "Box":
         return {"type": "box", "size": _numbers(shape.halfSide)}
     if kind == "Cylinder":
         return {"type": "cylinder", "size": _numbers([shape.radius, shape.halfLength])}
     return {"type": "sphere", "size": _numbers([shape.radius])} if kind == "Sphere" else None
+
+
+def _mark_tool(model: Model, bodies: list[Element]) -> None:
+    """Add the tool's frame as a site."""
+    robot = model.robot
+    if robot.tool_frame is not None and all(body.get("name") != robot.tool for body in bodies):
+        frame = robot.model.frames[robot.tool_frame]
+        turn = pin.Quaternion(frame.placement.rotation)
+        pose = {
+            "pos": _numbers(frame.placement.translation),
+            "quat": _numbers([turn.w, turn.x, turn.y, turn.z]),
+        }
+        SubElement(bodies[frame.parentJoint], "site", {"name": robot.tool, **pose, "size": "0.005"})
 
 
 def _tie(root: Element, model: Model, bodies: list[Element]) -> None:

@@ -93,7 +93,7 @@ def _list_joints_drawn(picture: Any) -> list[str]:
     if not isinstance(picture, r.RobotPicture):
         return []
     names = zip(build_joint_labels(picture.robot), picture.robot.actuated, strict=True)
-    return [f"{number} {joint}" for number, joint in names if number != joint]
+    return [f"{number}\u00a0{joint}" for number, joint in names if number != joint]
 
 
 def _list_facts(provenance: r.Provenance) -> list[tuple[str, str]]:

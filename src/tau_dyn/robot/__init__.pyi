@@ -27,3 +27,9 @@ from .robot import (
     compute_inertia_matrix as compute_inertia_matrix,
 )
 from .stock import list_stock_robots as list_stock_robots
+from .visuals import (
+    Mesh as Mesh,
+    Visual as Visual,
+    list_missing_meshes as list_missing_meshes,
+    read_visuals as read_visuals,
+)

@@ -70,7 +70,8 @@ def load_robot(
     path = find_robot(robot)
     described = find_described_robot(str(robot)) or StockRobot(path)
     given = {k: str(v) for k, v in {**described.arguments, **arguments}.items()}
-    urdf = expand(path, given, evaluate=xacro, packages={**described.packages, **(packages or {})})
+    folders = {**described.packages, **(packages or {})}
+    urdf = expand(path, given, evaluate=xacro, packages=folders)
     if fitted_inertias:
         urdf = re.sub(r"</robot>\s*$", f"{FITTED}</robot>", urdf)
     semantics = Path(srdf) if srdf is not None else find_srdf(path)
@@ -82,6 +83,7 @@ def load_robot(
         arguments=given,
         sha256=compute_sha256(path),
         passive=read_passive_joints(semantics) if semantics is not None else (),
+        packages=folders,
     )
     _LOGGER.info("loaded %s: %s", path, ", ".join(found.actuated))
     return found
@@ -97,11 +99,12 @@ def load_robot_from_urdf(
     sha256: str = "",
     lock_springs: bool = True,
     passive: Iterable[str] = (),
+    packages: Mapping[str, str | Path] | None = None,
 ) -> Robot:
     """Build a robot from URDF text; `source` is how messages and saved models call it. See `load_robot`.
 
     Joints with a `<tau_dyn:spring>` are locked at zero, so that the robot is rigid; `lock_springs=False` leaves them movable.
-    Joints named `passive` are not taken as actuated unless the text or `actuated` says so.
+    Joints named `passive` are not taken as actuated unless the text or `actuated` says so. Meshes are looked for in `packages`.
     """
     notes = read_annotations(urdf, source)
     model = _build_model(urdf, source)
@@ -117,9 +120,9 @@ def load_robot_from_urdf(
     mimics = _resolve_mimics(model, notes, names, source)
     passive = [n for n in model.names[1:] if n not in names and n not in mimics]
     if passive and not notes.loops:
-        listed = ", ".join(passive)
+        moved = "it" if len(passive) == 1 else "them"
         warnings.append(
-            f"{source}: {listed} neither have a <transmission> nor stand in a loop; they are taken as locked at zero"
+            f"{source}: held still at zero, for neither a motor nor a loop moves {moved}: {', '.join(passive)}"
         )
     if notes.loops and not passive:
         raise InputError(
@@ -155,6 +158,7 @@ def load_robot_from_urdf(
         drive_scales=_drive_scales(names, notes, source),
         mimics=mimics,
         friction=_sum_friction(names, notes, mimics),
+        packages=dict(packages or {}),
     )
 
 

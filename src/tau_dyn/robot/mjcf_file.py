@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, ParseError
 
@@ -44,6 +44,13 @@ class Transform(NamedTuple):
     def invert(self) -> Transform:
         """Return the outer frame in this one."""
         return Transform(self.rotation.T, -self.rotation.T @ self.origin)
+
+
+class MeshAsset(NamedTuple):
+    """A mesh's path from the file's folder, and its scale (3,)."""
+
+    path: str
+    scale: np.ndarray
 
 
 STILL = Transform(np.eye(3), np.zeros(3))
@@ -139,6 +146,7 @@ class MjcfFile:
         root: Its `<mujoco>`, inclusions put in.
         compiler: Settings of all `<compiler>` elements, the last of each name.
         defaults: By class and element, the attributes.
+        meshes: Meshes in files of their own, by name.
     """
 
     def __init__(self, text: str, path: Path) -> None:
@@ -155,6 +163,26 @@ class MjcfFile:
             self.compiler |= dict(element.attrib)
         for element in self.root.findall("default"):
             self._read_defaults(element, element.get("class", _MAIN), {})
+        self.meshes = {name: mesh for name, mesh in map(self._read_mesh, self.sections("asset")) if mesh is not None}
+        self._colours = {
+            item.get("name"): item.numbers("rgba", "1 1 1 1", 4)
+            for item in (self.item(element) for element in self.sections("asset") if element.tag == "material")
+        }
+
+    def find_colour(self, geom: Item) -> np.ndarray | None:
+        """Return a geom's colour (4,), its own or its material's; None where it has none."""
+        return geom.numbers("rgba", "", 4) if "rgba" in geom.values else self._colours.get(geom.get("material"))
+
+    def _read_mesh(self, element: Element) -> tuple[str, MeshAsset | None]:
+        """Return a mesh's name and place; none of what is no mesh, stands in the file itself or is moved in its frame."""
+        item = self.item(element)
+        path = PurePosixPath(item.get("file").replace("\\", "/"))
+        if element.tag != "mesh" or not path.name or {"refpos", "refquat"} & set(item.values):
+            return "", None
+        stripped = self.compiler.get("strippath", "false") == "true"
+        folder = self.compiler.get("meshdir") or self.compiler.get("assetdir", "")
+        where = PurePosixPath(folder) / (path.name if stripped else path)
+        return item.get("name") or path.stem, MeshAsset(str(where), item.numbers("scale", "1 1 1", 3))
 
     def item(self, element: Element, child_class: str = "") -> Item:
         """Return an element with the defaults of its class, or else of the class that its body gives its children."""

@@ -95,6 +95,8 @@ class MjcfTree:
                     self._add_body(child, world, frame, child_class, moving=False)
                 elif child.tag == "site":
                     self._add_site(child, world, frame, child_class)
+                elif child.tag == "geom":
+                    self._draw(self._links[base], read_shape(self.file.item(child, child_class), frame), STILL)
 
     def list_equations(self, tag: str) -> list[Item]:
         """Return the active equations of a kind."""
@@ -285,9 +287,31 @@ class MjcfTree:
             entries = {f"i{'xyz'[i]}{'xyz'[j]}": format_numbers(inertia[i, j]) for i in range(3) for j in range(i, 3)}
             SubElement(inertial, "inertia", entries)
         for shape in shapes:
-            _draw(link, shape, place.inside)
+            self._draw(link, shape, place.inside)
         if item.number("gravcomp", 0.0):
             self.left_out.setdefault("gravity compensation of bodies", []).append(item.get("name"))
+
+    def _draw(self, link: Element, shape: Geom, inside: Transform) -> None:
+        """Add a shape to a link's picture; URDF has no capsule, whose tube alone is drawn, and no ellipsoid."""
+        group, pose = int(shape.item.number("group", 0.0)), inside @ shape.pose
+        mesh = self.file.meshes.get(shape.item.get("mesh")) if shape.kind == "mesh" else None
+        if group > _SHOWN_GROUPS or (mesh is None and shape.kind not in ("box", "sphere", "cylinder", "capsule")):
+            return
+        visual = SubElement(link, "visual")
+        SubElement(visual, "origin", xyz=format_numbers(pose.origin), rpy=format_numbers(compute_rpy(pose.rotation)))
+        geometry, (x, _, z) = SubElement(visual, "geometry"), shape.size
+        if mesh is not None:
+            SubElement(geometry, "mesh", filename=mesh.path, scale=format_numbers(mesh.scale))
+        elif shape.kind == "box":
+            SubElement(geometry, "box", size=format_numbers(2 * shape.size))
+        elif shape.kind == "sphere":
+            SubElement(geometry, "sphere", radius=format_numbers(x))
+        else:
+            SubElement(geometry, "cylinder", radius=format_numbers(x), length=format_numbers(2 * z))
+        colour = self.file.find_colour(shape.item)
+        if colour is not None:
+            material = SubElement(visual, "material", name=format_numbers(colour))
+            SubElement(material, "color", rgba=format_numbers(colour))
 
     def _add_site(self, element: Element, place: Place, frame: Transform, child_class: str) -> None:
         name = element.get("name")
@@ -333,23 +357,6 @@ def _move(kind: str, anchor: np.ndarray, axis: np.ndarray, position: float) -> T
         return Transform(np.eye(3), position * axis)
     turn = turn_about(axis, position)
     return Transform(turn, anchor - turn @ anchor)
-
-
-def _draw(link: Element, shape: Geom, inside: Transform) -> None:
-    """Add a shape to a link's picture; URDF has no capsule, whose tube alone is drawn, and no ellipsoid."""
-    group = int(shape.item.number("group", 0.0))
-    if group > _SHOWN_GROUPS or shape.kind not in ("box", "sphere", "cylinder", "capsule"):
-        return
-    visual = SubElement(link, "visual")
-    pose = inside @ shape.pose
-    SubElement(visual, "origin", xyz=format_numbers(pose.origin), rpy=format_numbers(compute_rpy(pose.rotation)))
-    geometry, (x, _, z) = SubElement(visual, "geometry"), shape.size
-    if shape.kind == "box":
-        SubElement(geometry, "box", size=format_numbers(2 * shape.size))
-    elif shape.kind == "sphere":
-        SubElement(geometry, "sphere", radius=format_numbers(x))
-    else:
-        SubElement(geometry, "cylinder", radius=format_numbers(x), length=format_numbers(2 * z))
 
 
 def format_numbers(values: float | Iterable[float]) -> str:

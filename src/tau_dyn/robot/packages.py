@@ -62,7 +62,7 @@ def resolve_mesh(name: str, near: Path, given: Mapping[str, str | Path] | None =
     elif scheme == "file":
         path = Path(rest)
     else:
-        package, _, inside = rest.partition("/")
+        package, _, inside = rest.lstrip("/").partition("/")  # some files have a slash too many
         try:
             path = find_package(package, near, given) / inside
         except InputError:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -96,6 +97,7 @@ class Robot(Shown):
             they choose the assembly mode.
         mimics: Joints that follow an actuated one, directly or over others.
         friction: What the file says of the actuated joints' friction, their followers' included.
+        packages: Folders of ROS packages by name in which meshes lie, before those that are found.
     """
 
     name: str
@@ -120,6 +122,7 @@ class Robot(Shown):
     drive_scales: Mapping[str, float] = field(default_factory=dict)
     mimics: Mapping[str, Mimic] = field(default_factory=dict)
     friction: Mapping[str, JointFriction] = field(default_factory=dict)
+    packages: Mapping[str, str | Path] = field(default_factory=dict)
 
     @property
     def coupled_pairs(self) -> tuple[tuple[str, str], ...]:
@@ -219,6 +222,22 @@ class Robot(Shown):
     def tool_frame(self) -> int | None:
         """Index of the tool frame, or None."""
         return self.model.getFrameId(self.tool) if self.tool else None
+
+    @property
+    def carrying_joints(self) -> tuple[str, ...]:
+        """The actuated joints between base and tool; without a tool those before the tree first forks."""
+        model = self.model
+        if self.tool_frame is not None:
+            joint = model.frames[self.tool_frame].parentJoint
+        else:
+            joint, parents = 0, list(model.parents)[1:]
+            while parents.count(joint) == 1:
+                joint = 1 + parents.index(joint)
+        chain = set()
+        while joint > 0:
+            chain.add(model.names[joint])
+            joint = model.parents[joint]
+        return tuple(name for name in self.actuated if name in chain)
 
     def require_unscaled_drives(self, what: str) -> None:
         """Refuse a robot with a drive's scale where something cannot carry one.

@@ -17,6 +17,8 @@ ROLES: dict[str, Rgb] = {
     "ball": (214, 218, 224),
 }
 """What a part of the robot does -> its colour; the robot files' own materials are the same."""
+CASING: Rgb = (226, 229, 233)
+"""An arm's meshes of which the robot file gives no colour."""
 NAMED: Rgb = (214, 40, 57)
 GHOST: Rgb = (22, 160, 110)
 QUIET: Rgb = (196, 202, 210)

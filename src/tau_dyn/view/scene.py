@@ -16,6 +16,7 @@ from tau_dyn.robot import Robot
 from tau_dyn.view.palette import NAMED, QUIET, Rgb
 from tau_dyn.view.shapes import Shape
 
+_SAME_PLACE_M = 1e-3  # m; labels of joints nearer than this would cover each other
 ShapePoses = list[tuple[np.ndarray, np.ndarray]]
 """Position (3,) [m] and quaternion (4,) w x y z in the world, of each shape."""
 
@@ -45,6 +46,10 @@ class Placer:
         """The tool's pose at the last call, or None for a robot without a tool."""
         frame = self.robot.tool_frame
         return None if frame is None else pin.SE3(self._solver.data.oMf[frame])
+
+    def pose(self, joint: str) -> pin.SE3:
+        """Return a joint's frame at the last call."""
+        return self._solver.data.oMi[self.robot.model.getJointId(joint)].copy()
 
     def at(self, joint: str) -> np.ndarray:
         """Return where a joint is at the last call (3,) [m]."""
@@ -119,6 +124,34 @@ class RobotFigure:
     def seen(self, visible: bool) -> None:
         """Show or hide it."""
         for handle in self.handles:
+            handle.visible = visible
+
+
+class JointFrames:
+    """The actuated joints' frames with their names, shown when asked for."""
+
+    def __init__(self, scene: Any, placer: Placer, length: float) -> None:
+        """Add them, hidden; axes of this length [m]: x red, y green, z blue. Joints in one place share a label."""
+        self._joints, names = placer.robot.actuated, dict[tuple[int, ...], tuple[int, list[str]]]()
+        self.handles = []
+        for k, joint in enumerate(self._joints):
+            names.setdefault(tuple((placer.at(joint) / _SAME_PLACE_M).round().astype(int)), (k, []))[1].append(joint)
+            self.handles.append(
+                scene.add_frame(f"/joints/{k}", axes_length=length, axes_radius=0.035 * length, visible=False)
+            )
+        self.labels = [
+            scene.add_label(f"/joints/{k}/name", ", ".join(several), anchor="bottom-left", visible=False)
+            for k, several in names.values()
+        ]
+
+    def move(self, placer: Placer) -> None:
+        """Move them to where the placer has the joints."""
+        for joint, handle in zip(self._joints, self.handles, strict=True):
+            handle.position, handle.wxyz = convert_pose(placer.pose(joint))
+
+    def seen(self, visible: bool) -> None:
+        """Show or hide them."""
+        for handle in (*self.handles, *self.labels):
             handle.visible = visible
 
 
@@ -197,5 +230,5 @@ def add_floor(scene: Any, low: np.ndarray, high: np.ndarray) -> None:
 def _corners(shape: Shape, position: np.ndarray, turn: np.ndarray) -> np.ndarray:
     w, x, y, z = turn
     cube = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    local = shape.size if shape.kind == "hull" else cube * shape.half
+    local = shape.size if shape.faces is not None else cube * shape.half
     return local @ pin.Quaternion(w, x, y, z).toRotationMatrix().T + position

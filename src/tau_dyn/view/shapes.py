@@ -1,23 +1,23 @@
 """What is drawn of a robot, coloured by what it does: the file's solids, and what an eye looks for beside them.
 
-The file's visual primitives are taken as they are, in its own colours where it has some; meshes are not read (a robot file should
-not open files). A visual named `envelope` is the room that a part takes, for programs that know nothing better: here the part is
-drawn through its joints instead, as the hull of balls in them, where it has three or more. A body without any visual is drawn as
-sticks from its own joint to those that it carries. Balls in joints, arms of bodies to them, and motors follow from the tree.
+What the file draws is taken as it is, meshes too, in its own colours where it has some. A visual named `envelope` is the room that
+a part takes, for programs that know nothing better: here the part is drawn through its joints instead, as the hull of balls in
+them, where it has three or more. A body without any visual is drawn as sticks from its own joint to those that it carries. Balls
+in joints, arms of bodies to them, and motors follow from the tree.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
-from xml.etree.ElementTree import Element
 
 import numpy as np
 import pinocchio as pin
+from defusedxml.ElementTree import fromstring
 from scipy.spatial import ConvexHull, QhullError
 
-from tau_dyn.robot import Robot
-from tau_dyn.view.palette import ROLES, Rgb
+from tau_dyn.robot import Mesh, Robot, Visual, read_visuals
+from tau_dyn.view.palette import CASING, ROLES, Rgb
 
 ENVELOPE = "envelope"
 _MIN = 1e-6  # m; a body smaller than this is not drawn
@@ -28,14 +28,14 @@ class Shape:
     """A solid in the frame of the joint that carries it.
 
     Attributes:
-        kind: `box`, `cylinder` (along z), `sphere` or `hull`.
-        size: Side lengths (3,), radius and height (2,), radius (1,) [m]; for a hull its vertices (n, 3) [m].
+        kind: `box`, `cylinder` (along z), `sphere`, `hull` or `mesh`.
+        size: Side lengths (3,), radius and height (2,), radius (1,) [m]; for a hull or mesh its vertices (n, 3) [m].
         joint: Pinocchio's index of the joint; 0 for the world.
         rotation: In the joint's frame (3, 3).
         position: In the joint's frame (3,) [m].
         role: What it does: a key of `palette.ROLES`.
         colour: Its colour.
-        faces: Of a hull (m, 3), counted outwards; else empty.
+        faces: Of a hull or mesh (m, 3), counted outwards; else empty.
         envelope: Whether it stands for something better.
     """
 
@@ -56,7 +56,7 @@ class Shape:
 
     @property
     def half(self) -> np.ndarray:
-        """Half the sides of the box around it (3,) [m]; of a hull nothing."""
+        """Half the sides of the box around it (3,) [m]; of a hull or mesh nothing."""
         if self.kind == "box":
             return self.size / 2
         if self.kind == "cylinder":
@@ -69,18 +69,16 @@ class Shape:
         return self.local.act(np.clip(self.local.actInv(point), -half, half))
 
 
-def build_visual_shapes(robot: Robot) -> list[Shape]:
-    """Return the file's primitives."""
-    root = _without_meshes(robot.urdf)
-    geometry = pin.buildGeomFromUrdfString(robot.model, _text(root), pin.GeometryType.VISUAL)
-    rooms, role = _envelopes(root), list_body_roles(robot)
+def build_visual_shapes(robot: Robot, visuals: Sequence[Visual] | None = None) -> list[Shape]:
+    """Return what the file draws, read already or not; a mesh that cannot be read is left out."""
+    rooms, role = _list_envelopes(robot), list_body_roles(robot)
     found = []
-    for item in geometry.geometryObjects.tolist():
-        shape = _primitive(item)
+    for visual in read_visuals(robot)[0] if visuals is None else visuals:
+        shape = _convert_visual(visual)
         if shape is not None:
-            own = ROLES[role[shape.joint]]
-            colour = _rgb(item.meshColor) if item.overrideMaterial else own
-            found.append(replace(shape, role=role[shape.joint], colour=colour, envelope=item.name in rooms))
+            own = CASING if shape.kind == "mesh" and not robot.loops else ROLES[role[shape.joint]]
+            colour = own if visual.colour is None else _rgb(visual.colour)
+            found.append(replace(shape, role=role[shape.joint], colour=colour, envelope=visual.name in rooms))
     return found
 
 
@@ -106,33 +104,19 @@ def _telescopes(robot: Robot, joint: int, driven: set[int]) -> bool:
     return any(c in driven and c in ends and robot.model.parents[c] == joint for c in range(robot.model.njoints))
 
 
-def _without_meshes(urdf: str) -> Element:
-    """Return the file with each mesh as a box of no size, so that no file is opened."""
-    from defusedxml.ElementTree import fromstring
-
-    root = fromstring(urdf, forbid_dtd=True)
-    for geometry in root.iter("geometry"):
-        for mesh in geometry.findall("mesh"):
-            geometry.remove(mesh)
-            geometry.append(geometry.makeelement("box", {"size": "0 0 0"}))
-    return root
-
-
-def _text(root: Element) -> str:
-    from defusedxml.ElementTree import tostring
-
-    return tostring(root, encoding="unicode")
-
-
-def _envelopes(root: Element) -> set[str]:
-    """Return Pinocchio's names of the visuals named `envelope`."""
-    links = {link.get("name", ""): link.findall("visual") for link in root.findall("link")}
+def _list_envelopes(robot: Robot) -> set[str]:
+    """Return the visuals named `envelope`, by link and place."""
+    links = {
+        link.get("name", ""): link.findall("visual") for link in fromstring(robot.urdf, forbid_dtd=True).findall("link")
+    }
     return {f"{n}_{k}" for n, all_ in links.items() for k, v in enumerate(all_) if v.get("name") == ENVELOPE}
 
 
-def _primitive(item: Any) -> Shape | None:
-    shape, kind = item.geometry, type(item.geometry).__name__
-    if kind == "Box":
+def _convert_visual(visual: Visual) -> Shape | None:
+    shape, kind, faces = visual.shape, type(visual.shape).__name__, None
+    if isinstance(shape, Mesh):
+        name, size, faces = "mesh", shape.vertices, shape.faces
+    elif kind == "Box":
         name, size = "box", 2 * np.asarray(shape.halfSide, float)
     elif kind == "Cylinder":
         name, size = "cylinder", np.array([shape.radius, 2 * shape.halfLength])
@@ -140,10 +124,10 @@ def _primitive(item: Any) -> Shape | None:
         name, size = "sphere", np.array([shape.radius])
     else:
         return None
-    if np.max(size) < _MIN:
+    if np.ptp(size) < _MIN if faces is not None else np.max(size) < _MIN:
         return None
-    place = item.placement
-    return Shape(name, size, int(item.parentJoint), place.rotation.copy(), place.translation.copy())
+    place = visual.placement
+    return Shape(name, size, visual.joint, place.rotation.copy(), place.translation.copy(), faces=faces)
 
 
 def _rgb(rgba: np.ndarray) -> Rgb:
@@ -171,9 +155,9 @@ class _Spot:
     ball: bool
 
 
-def build_furniture(robot: Robot) -> tuple[Shape, ...]:
-    """Return everything that is drawn of a robot: the file's primitives, and its furniture."""
-    drawn, role = build_visual_shapes(robot), list_body_roles(robot)
+def build_furniture(robot: Robot, visuals: Sequence[Visual] | None = None) -> tuple[Shape, ...]:
+    """Return everything that is drawn of a robot: what its file draws, and its furniture."""
+    drawn, role = build_visual_shapes(robot, visuals), list_body_roles(robot)
     spots, thin = _spots(robot, role), _thickness(robot, drawn)
     bare = set(range(1, robot.model.njoints)) - {shape.joint for shape in drawn}
     kept = [shape for shape in drawn if not shape.envelope]
@@ -263,8 +247,8 @@ def _brackets(drawn: list[Shape], spots: list[_Spot], thin: float) -> list[Shape
     """Return arms from what is drawn of a body to the joints beside it."""
     found = []
     for spot in spots:
-        own = [s for s in drawn if s.joint == spot.body and s.kind != "hull"]
-        if not own or any(s.kind == "hull" for s in drawn if s.joint == spot.body):
+        own = [s for s in drawn if s.joint == spot.body]
+        if not own or any(s.faces is not None for s in own):
             continue
         nearest, shape = min(
             ((s.nearest(spot.place), s) for s in own), key=lambda x: float(np.linalg.norm(x[0] - spot.place))

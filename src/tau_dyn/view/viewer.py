@@ -17,17 +17,23 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.exceptions import InputError, TauDynError
-from tau_dyn.robot import Robot
+from tau_dyn.robot import Robot, list_missing_meshes, read_visuals
 from tau_dyn.view.palette import format_panel
 from tau_dyn.view.panels import add_content
 from tau_dyn.view.playback import Playback, Player
 from tau_dyn.view.results import Content
-from tau_dyn.view.scene import Placer, RobotFigure, add_floor, compute_outline, convert_pose, light_scene
+from tau_dyn.view.scene import JointFrames, Placer, RobotFigure, add_floor, compute_outline, convert_pose, light_scene
 from tau_dyn.view.shapes import build_furniture
 
 LOOPBACK = "127.0.0.1"
 FRAME = 1 / 30
 """Time between pictures [s]."""
+_MIN_ASPECT = 1.25
+"""Width over height of a window in which `_aim` has the robot beside the panel; a narrower one looks from further away."""
+_DEGREES = 0.1
+"""Step of a slider for a turning joint [deg]."""
+_AWAY = np.array([0.56, -0.98, 0.42])
+"""From the robot to the eye, in sizes of the robot."""
 _FREE = {"m": 0.5, "rad": 3.1416}
 """How far a slider goes from home where the robot file gives no limit."""
 
@@ -39,6 +45,7 @@ class Viewer:
         robot: The robot.
         q: Actuated positions shown (na,) [m or rad].
         message: Empty, or why the last positions asked for cannot be reached.
+        warnings: The robot's, and which meshes are missing.
         figure: The robot in the scene.
         placer: Where its shapes are.
         size: Longest side of the robot [m].
@@ -62,7 +69,9 @@ class Viewer:
         viser = _viser()
         _refuse_address(host)
         self.robot, self.q, self.message = robot, np.array(robot.home, float), ""
-        self.placer = Placer(robot, build_furniture(robot))
+        visuals, missing = read_visuals(robot)
+        self.warnings = (*robot.warnings, *list_missing_meshes(missing))
+        self.placer = Placer(robot, build_furniture(robot, visuals))
         try:
             with redirect_stdout(StringIO()):  # stdout is ours: viser draws a banner there
                 self.server = viser.ViserServer(host=host, port=port, label=f"tau_dyn: {robot.name}", verbose=False)
@@ -76,10 +85,14 @@ class Viewer:
         self._show_nothing_of_viser()
         light_scene(self.server.scene, shadows)
         self.figure = RobotFigure(self.server.scene, "robot", self.placer.shapes)
-        self._tool = self._add_tool()
+        length = self._measure_axes()
+        self._tool = self._add_tool(length)
+        self._frames = JointFrames(self.server.scene, self.placer, length)
         self._sliders, self._told = self._add_sliders()
+        self._add_switch(missing)
         self.show(self.q)
         self.size = self._look()
+        self.server.on_client_connect(self._fit)
         threading.Thread(target=self._run, daemon=True).start()
 
     def show(self, q: np.ndarray) -> bool:
@@ -93,6 +106,7 @@ class Viewer:
                 return False
             self.q, self.message = np.array(q, float), ""
             self.figure.move(placed)
+            self._frames.move(self.placer)
             self._tell()
             tool = self.placer.tool
             if tool is not None and self._tool is not None:
@@ -152,31 +166,56 @@ class Viewer:
         )
         gui.add_html(format_panel(f'<b style="font-size:1.2em">{escape(robot.name)}</b><br>{freedoms}'))
 
-    def _add_tool(self) -> Any:
+    def _measure_axes(self) -> float:
+        """Return the length [m] in which axes are drawn."""
+        points = np.array([position for position, _ in self.placer(self.q)])
+        return 0.09 * float(np.ptp(points, axis=0).max(initial=0.3))
+
+    def _add_tool(self, length: float) -> Any:
         """Add the tool's axes: x red, y green, z blue."""
         if self.robot.tool_frame is None:
             return None
-        points = np.array([position for position, _ in self.placer(self.q)])
-        length = 0.09 * float(np.ptp(points, axis=0).max(initial=0.3))
         return self.server.scene.add_frame("/tool", axes_length=length, axes_radius=0.035 * length)
 
     def _add_sliders(self) -> tuple[list[Any], np.ndarray]:
         robot, sliders = self.robot, []
         self._scale = np.array([1.0 if unit == "m" else 180 / np.pi for unit in robot.position_units])
-        with self.server.gui.add_folder("joints"):
+        with self.server.gui.add_folder("joints [deg]" if "rad" in robot.position_units else "joints"):
             for k, (joint, unit) in enumerate(zip(robot.actuated, robot.position_units, strict=True)):
                 low = robot.lower[k] if np.isfinite(robot.lower[k]) else robot.home[k] - _FREE[unit]
                 high = robot.upper[k] if np.isfinite(robot.upper[k]) else robot.home[k] + _FREE[unit]
                 low, high = float(low * self._scale[k]), float(max(high, low + 1e-6) * self._scale[k])
+                if unit == "rad" and high - low > 10 * _DEGREES:  # readable numbers, within the limits
+                    low, high = (np.ceil(low / _DEGREES) * _DEGREES, np.floor(high / _DEGREES) * _DEGREES)
                 start = float(np.clip(robot.home[k] * self._scale[k], low, high))
-                label = f"{joint} [{'m' if unit == 'm' else 'deg'}]"
-                sliders.append(self.server.gui.add_slider(label, low, high, (high - low) / 1000, start))
+                label = f"{joint} [m]" if unit == "m" else joint
+                step = (high - low) / 1000 if unit == "m" else min(_DEGREES, (high - low) / 1000)
+                shown = start if unit == "m" else float(np.clip(round(start, 1), low, high))  # as many digits are shown
+                sliders.append(self.server.gui.add_slider(label, round(low, 9), round(high, 9), step, shown))
             home = self.server.gui.add_button("home")
             self._note = self.server.gui.add_html("")
         for slider in sliders:
             slider.on_update(self._moved)
         home.on_click(lambda _: self.show(self.robot.home))
         return sliders, np.array([s.value for s in sliders])
+
+    def _add_switch(self, missing: list[str]) -> None:
+        """Add what shows joint frames, and say which meshes are missing."""
+        switch = self.server.gui.add_checkbox("joint frames", False)
+        switch.on_update(lambda _: self._frames.seen(switch.value))
+        for sentence in list_missing_meshes(missing):
+            self.server.gui.add_html(format_panel(escape(sentence)))
+
+    def _fit(self, client: Any) -> None:
+        """Look from further away in a window that is narrow, and put the robot above the panel there."""
+        aspect = float(client.camera.aspect)
+        if aspect < _MIN_ASPECT:
+            low, high = self._sight.min(axis=0), self._sight.max(axis=0)
+            centre, far = (low + high) / 2, _MIN_ASPECT / aspect
+            reach = far * float(np.linalg.norm(high - low))
+            below = np.array([0.0, 0.0, 0.22 * reach])  # a phone's panel covers the lower half
+            client.camera.position = centre + reach * _AWAY - below
+            client.camera.look_at = centre - below
 
     def _tell(self) -> None:
         """Set the sliders to where the robot is, and remember it, so that this is not taken for a hand on them."""
@@ -210,10 +249,9 @@ class Viewer:
         """Look from the front right and above, all in sight, with room for the panel."""
         low, high = self._sight.min(axis=0), self._sight.max(axis=0)
         centre, reach = (low + high) / 2, float(np.linalg.norm(high - low))
-        away = np.array([0.56, -0.98, 0.42])
-        aside = 0.13 * reach * np.array([-away[1], away[0], 0.0]) / np.hypot(*away[:2])
+        aside = 0.13 * reach * np.array([-_AWAY[1], _AWAY[0], 0.0]) / np.hypot(*_AWAY[:2])
         camera = self.server.initial_camera
-        camera.position = tuple(centre + reach * away + aside)
+        camera.position = tuple(centre + reach * _AWAY + aside)
         camera.look_at = tuple(centre + aside)
         camera.fov = 0.75
 

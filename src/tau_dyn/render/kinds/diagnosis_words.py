@@ -165,8 +165,8 @@ def list_settings(settings: Mapping[str, Any], owner: str = "") -> list[tuple[st
         name = f"{owner}{str(key).replace('_', ' ')}"
         if isinstance(value, Mapping):
             rows += list_settings(value, f"{name}: ")
-        else:
-            rows.append((name, format_value(value)))
+        elif text := format_value(value):
+            rows.append((name, text))
     return rows
 
 

@@ -15,7 +15,8 @@ from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import NOMINAL_MASS_STDERR, load_robot_from_urdf
 
-State = Literal["known", "weak", "unseen"]
+_RIGID_BODY = "Rigid body"
+State = Literal["known", "weak", "unseen", "fold"]
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class ParameterRow:
     Attributes:
         name: Contract name.
         group: Heading it stands under.
-        state: `known` to 30 %, `weak`, or `unseen` by itself.
+        state: `known` to 30 %, `weak`, `unseen` by itself, or `fold` of several unseen ones.
         estimate: Value ± standard error; the nominal value where it is unseen.
         interval: 95 % interval.
         unit: Its unit.
@@ -52,18 +53,19 @@ class ParameterRow:
 
 
 def build_parameter_rows(found: Identification, truth: Mapping[str, float] | None = None) -> list[ParameterRow]:
-    """Return the table's lines, in the order of `found.rows()`."""
+    """Return the table's lines: the rigid body's, then each joint's in the robot's order."""
     raw = found.rows()
     scale = compute_bar_scale(raw)
     rows = [describe_row(entry, scale, name_group(found.model, entry["name"]), _note(found, entry)) for entry in raw]
-    return [
+    rows = [
         _compared(row, entry, truth[row.name]) if truth and row.name in truth else row
         for row, entry in zip(rows, raw, strict=True)
     ]
+    return _sort_groups(found.model, rows)
 
 
 def group_rows(rows: Sequence[ParameterRow]) -> list[tuple[str, list[ParameterRow]]]:
-    """Return the lines by heading, headings in the order in which they first appear."""
+    """Return the lines by heading, headings in the order of their first lines."""
     found: dict[str, list[ParameterRow]] = {}
     for row in rows:
         found.setdefault(row.group, []).append(row)
@@ -85,16 +87,16 @@ def build_parameter_table(
         on: Where the table stands.
     """
     page, both = r.On.PAGE, r.On.DRAWN
-    rows = rows if truth else _fold_unseen(rows)
-    nominal = both if truth or not any(entry.nominal for entry in rows) else r.On.ALL
+    rows = _fold_unseen(rows)
+    nominal = r.On.NOTEBOOK if truth else both if not any(entry.nominal for entry in rows) else r.On.ALL
     columns = [
         r.Column("parameter", on=both),
         r.Column("identifiable alone", on=r.On.TERMINAL),
-        r.Column("nominal", "number", on=nominal),
+        r.Column("nominal", "number", "spare", on=nominal),
         *([r.Column("without the causes", "number", "quiet", on=page)] if before else []),
         r.Column("extended model ± standard error" if before else "estimate ±\nstandard error", "number", "strong"),
         r.Column("unit", "unit"),
-        *([] if before else [r.Column("95 % interval", "number", on=both)]),
+        *([] if before else [r.Column("95 % interval", "number", "spare", on=both)]),
         r.Column("", "interval", on=both, scale=scale),
         *([r.Column("true", "number"), r.Column("error / standard error", "number", "far", on=page)] if truth else []),
         r.Column("remark", style="remark", on=both),
@@ -123,7 +125,16 @@ def _fold_unseen(rows: Sequence[ParameterRow]) -> list[ParameterRow]:
             owner, reason = _find_reason(row)
             parts = ", ".join(one.name.rsplit(".", 1)[1] for one in alike)
             folded.append(
-                replace(row, name=f"{owner}: {parts}", nominal="", estimate="", unit="", before="", note=reason)
+                replace(
+                    row,
+                    name=f"{owner}: {parts}",
+                    state="fold",
+                    nominal="",
+                    estimate="",
+                    unit="",
+                    before="",
+                    note=reason,
+                )
             )
     return folded
 
@@ -134,10 +145,12 @@ def _find_reason(row: ParameterRow) -> tuple[str, str]:
 
 
 def _build_row(entry: ParameterRow, truth: bool, before: bool) -> r.Row:
+    unseen = entry.state in ("unseen", "fold")
+    value = f"{entry.estimate} {entry.unit}: " if unseen and entry.estimate else ""
     cells = [entry.name, entry.name, entry.nominal, *([entry.before] if before else []), entry.estimate, entry.unit]
     cells += [] if before else [entry.interval]
-    cells += [entry.bar, *([entry.true, entry.distance] if truth else []), entry.note]
-    return r.Row(cells, entry.state, on=r.On.ALL if entry.interval else r.On.DRAWN)
+    cells += [entry.bar, *([entry.true, entry.distance] if truth else []), f"{value}{entry.note}".replace(" %", "\u00a0%")]
+    return r.Row(cells, "fold" if unseen else entry.state, on=r.On.ALL if entry.interval else r.On.DRAWN)
 
 
 def compute_bar_scale(rows: list[dict[str, Any]]) -> float:
@@ -180,7 +193,13 @@ def _compared(row: ParameterRow, entry: dict[str, Any], true: float) -> Paramete
 def name_group(model: Model, name: str) -> str:
     """Return the heading that a parameter stands under: its joint, or the rigid body."""
     owner = name.rsplit(".", 1)[0]
-    return "Rigid body" if name in model.robot.parameters and owner not in model.robot.actuated else owner
+    return _RIGID_BODY if name in model.robot.parameters and owner not in model.robot.actuated else owner
+
+
+def _sort_groups(model: Model, rows: Sequence[ParameterRow]) -> list[ParameterRow]:
+    """Return the lines with headings in the robot's order, those of effects on several joints last."""
+    place = {name: k for k, name in enumerate((_RIGID_BODY, *model.robot.actuated))}
+    return sorted(rows, key=lambda row: place.get(row.group, len(place)))
 
 
 def _note(found: Identification, entry: dict[str, Any]) -> str:
@@ -246,7 +265,7 @@ def build_extended_rows(model: Model, before: Parameters) -> tuple[list[Paramete
         describe_row(entry, scale, name_group(model, entry["name"]), _note_extended(entry, before)) for entry in raw
     ]
     known = {p.name: r.format_with_uncertainty(p.value, p.stderr) for p in before}
-    return [replace(row, before=known.get(row.name, "")) for row in rows], scale
+    return _sort_groups(model, [replace(row, before=known.get(row.name, "")) for row in rows]), scale
 
 
 def _raw(p: Parameter, nominal: Parameters) -> dict[str, Any]:

@@ -1,0 +1,139 @@
+"""What a robot file draws: boxes, cylinders, spheres and triangles, each in the frame of the joint that carries it.
+
+A link without `<visual>` is drawn by its `<collision>`. Meshes are read by Coal, which comes with Pinocchio and reads STL, OBJ
+and Collada (.dae) with Assimp. A mesh that is not there or cannot be read costs the picture, never the answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element
+
+import coal
+import numpy as np
+import pinocchio as pin
+from defusedxml.ElementTree import fromstring, tostring
+
+from tau_dyn.exceptions import TauDynError
+from tau_dyn.robot.expand import find_robot
+from tau_dyn.robot.numbers import parse_numbers
+from tau_dyn.robot.packages import resolve_mesh
+from tau_dyn.robot.robot import Robot
+
+MESH_SUFFIXES = (".stl", ".obj", ".dae")
+_MAX_LISTED = 3  # names of meshes in one sentence
+MAX_MESH_BYTES = 64 * 2**20
+"""[bytes] Of one mesh's file; a link of a stock arm has up to 2 MiB."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles.
+
+    Attributes:
+        path: The file.
+        vertices: Scaled as the robot file says (n, 3) [m].
+        faces: Indices of vertices (m, 3), counted outwards.
+    """
+
+    path: Path
+    vertices: np.ndarray
+    faces: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Visual:
+    """A solid that the file draws.
+
+    Attributes:
+        name: Its link's, and its place among the link's.
+        joint: Pinocchio's index of the joint that carries it; 0 for the world.
+        placement: In that joint's frame.
+        shape: Coal's box, cylinder or sphere, or triangles.
+        colour: Red, green, blue and opacity (4,) from 0 to 1, or None where the file says nothing.
+    """
+
+    name: str
+    joint: int
+    placement: pin.SE3
+    shape: Any
+    colour: np.ndarray | None
+
+
+def read_visuals(robot: Robot) -> tuple[list[Visual], list[str]]:
+    """Return what the file draws, and the names of meshes that are not there or cannot be read."""
+    root = fromstring(robot.urdf, forbid_dtd=True)
+    for link in root.findall("link"):
+        if link.find("visual") is None:
+            for element in link.findall("collision"):
+                element.tag = "visual"
+    meshes, missing = _take_meshes(root, robot)
+    geometry = pin.buildGeomFromUrdfString(robot.model, tostring(root, encoding="unicode"), pin.GeometryType.VISUAL)
+    found = []
+    for item in geometry.geometryObjects.tolist():
+        shape = meshes[item.name] if item.name in meshes else item.geometry
+        if shape is not None:
+            colour = np.asarray(item.meshColor, float) if item.overrideMaterial else None
+            found.append(Visual(item.name, int(item.parentJoint), item.placement.copy(), shape, colour))
+    return found, missing
+
+
+def _take_meshes(root: Element, robot: Robot) -> tuple[dict[str, Mesh | None], list[str]]:
+    """Put a small box in each mesh's place, so that Pinocchio opens no file; return the meshes by Pinocchio's names."""
+    found: dict[str, Mesh | None] = {}
+    missing: list[str] = []
+    read: dict[tuple[str, str], Mesh | None] = {}
+    near = _find_file(robot)
+    for link in root.findall("link"):
+        for k, visual in enumerate(link.findall("visual")):
+            geometry = visual.find("geometry")
+            mesh = None if geometry is None else geometry.find("mesh")
+            if geometry is None or mesh is None:
+                continue
+            key = mesh.get("filename", ""), mesh.get("scale", "1 1 1")
+            if key not in read:
+                read[key] = read_mesh(resolve_mesh(key[0], near, robot.packages), key[1])
+                missing += [key[0]] if read[key] is None else []
+            found[f"{link.get('name', '')}_{k}"] = read[key]
+            geometry.remove(mesh)
+            geometry.append(geometry.makeelement("box", {"size": "1 1 1"}))
+    return found, missing
+
+
+def _find_file(robot: Robot) -> Path:
+    try:
+        return find_robot(robot.source)
+    except TauDynError:  # a saved model's robot file may have gone
+        return Path(robot.source)
+
+
+def list_missing_meshes(names: Sequence[str]) -> list[str]:
+    """Return a sentence about meshes that are not there; none where all are."""
+    if not names:
+        return []
+    listed = ", ".join(names[:_MAX_LISTED]) + (" and more" if len(names) > _MAX_LISTED else "")
+    several = "meshes are" if len(names) > 1 else "mesh is"
+    return [
+        f"{len(names)} {several} not drawn, not found or not readable: {listed}; --package NAME=DIR says where one lies"
+    ]
+
+
+def read_mesh(path: Path | None, scale: str = "1 1 1") -> Mesh | None:
+    """Return a mesh, or None where there is none that can be read."""
+    factors = parse_numbers(scale) or []
+    if path is None or path.suffix.lower() not in MESH_SUFFIXES or len(factors) not in (1, 3):
+        return None
+    try:
+        if path.stat().st_size > MAX_MESH_BYTES:
+            return None
+        model = coal.MeshLoader().load(str(path), np.broadcast_to(np.array(factors, float), 3).copy())
+    except (OSError, ValueError, RuntimeError):
+        return None
+    vertices = np.array(model.vertices(), float).reshape(-1, 3)
+    faces = np.array([[f[0], f[1], f[2]] for f in map(model.tri_indices, range(model.num_tris))], int).reshape(-1, 3)
+    if not len(faces) or not np.isfinite(vertices).all():
+        return None
+    return Mesh(path, vertices, faces[:, ::-1] if np.prod(factors) < 0 else faces)
