@@ -3,15 +3,15 @@
     tau = offset + coulomb sign(v) + viscous v + armature a,     reported as (1 + gain_error) tau
 
 URDF knows no offset and no gain, MJCF knows both (an actuator's gain and bias), so Coulomb friction that differs by direction is
-exact in MJCF: its mean, and half its difference as an offset. Viscous friction is written as the mean of both directions. All
-other effects are left out, and said. Base parameters alone are what data determine (Khalil & Dombre 2002, ch. 9). Where only a
+exact in MJCF: its mean, and half its difference as an offset. Viscous friction is written as the mean of both directions. Other
+effects are left out, and said, or stand elsewhere in a format (`mjcf_effects.py`). Base parameters alone are what data determine (Khalil & Dombre 2002, ch. 9). Where only a
 combination is identified, the file holds one of many splits with the same forces.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -42,10 +42,11 @@ class Exported:
     Attributes:
         text: The file.
         left_out: What of the model the format cannot carry, a sentence each.
-        carried: The model with the values that the file has.
+        carried: The model with the values that the file has, its callback included.
         nominal: Inertial parameters that no data excited; they have their nominal values.
         split: Inertial parameters of which only combinations are identified; their values are one of many splits of these
             combinations that give the same forces.
+        callback: A Python module for what the format cannot say and the program can be told; empty where it is not needed.
     """
 
     text: str
@@ -53,6 +54,7 @@ class Exported:
     carried: Model
     nominal: tuple[str, ...]
     split: tuple[str, ...] = ()
+    callback: str = ""
 
 
 class BodyInertia(NamedTuple):
@@ -76,14 +78,15 @@ def build_body(link: LinkInertia, model: Model) -> BodyInertia:
     return BodyInertia(mass, centre, about_origin - shifted)
 
 
-def build_carried_model(model: Model, *, drives: bool) -> Model:
+def build_carried_model(model: Model, *, drives: bool, more: Collection[Effect] = ()) -> Model:
     """Return the model with the values that a file carries; what it leaves out is zero.
 
     Args:
         model: The model.
         drives: Whether the format knows a drive's gain and a constant force.
+        more: Further effects of the model that the file carries.
     """
-    values = {n: 0.0 for e in _list_unknown(model, drives) for n in e.parameters.names}
+    values = {n: 0.0 for e in _list_unknown(model, drives) if e not in more for n in e.parameters.names}
     for _, _, both in _list_pairs(model, drives):
         values |= dict.fromkeys(both, float(np.mean([model.effect_parameters[n].value for n in both])))
     return model.with_values(values)
@@ -163,6 +166,12 @@ def list_omissions(model: Model, *, drives: bool) -> tuple[str, ...]:
         f"effect {effect.name} of {', '.join(effect.joints)} is left out: the format does not know it"
         for effect in _list_unknown(model, drives)
     ]
+    return (*said, *list_means(model, drives=drives))
+
+
+def list_means(model: Model, *, drives: bool) -> tuple[str, ...]:
+    """Return where a file has the mean of both directions' friction, a sentence each."""
+    said = []
     for joint, part, both in _list_pairs(model, drives):
         a, b = (model.effect_parameters[n].value for n in both)
         if abs(a - b) > 1e-9 * (abs(a) + abs(b)):
