@@ -1,5 +1,7 @@
 """A model written for other programs and read back gives the same forces."""
 
+import sys
+from pathlib import Path
 from xml.etree.ElementTree import fromstring
 
 import numpy as np
@@ -8,10 +10,13 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.effects import EFFECTS, AsymmetricFriction, Stribeck, SymmetricFriction, build_friction_model
 from tau_dyn.exchange import build_mjcf, build_urdf
-from tau_dyn.mechanism import LoopSolver, TreeMechanism
+from tau_dyn.mechanism import TreeMechanism
 from tau_dyn.model import Model
 from tau_dyn.robot import list_stock_robots, load_robot, load_robot_from_urdf
 from tau_dyn.simulate import free_motion
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from mujoco_runs import FREE, SPEEDS, move_in_mujoco
 
 ROBOTS = {
     "simplified": lambda write: load_robot("gantry_tau", gravity_mass=22.38),
@@ -131,36 +136,6 @@ def test_a_stock_arm_whose_meshes_are_elsewhere_becomes_mjcf():
     made = build_mjcf(Model.of(load_robot_from_urdf(urdf, "arm", actuated=["turn"])))
     assert "mesh" not in made.text and any("2 visual shapes" in sentence for sentence in made.left_out)
     assert mujoco.MjModel.from_xml_string(made.text).nbody == 2
-
-
-FREE = {
-    "l1": lambda: load_robot("gantry_tau", gravity_mass=22.38),
-    "d1": lambda: load_robot("gantry_tau", arms="complete", prototype="d1"),
-    "f1": lambda: load_robot("gantry_tau_f1"),
-    "delta": lambda: load_robot("delta"),
-    "stewart": lambda: load_robot("stewart"),
-    "ur5": lambda: load_robot("ur5"),
-}
-SPEEDS = {"stewart": 0.02}
-"""Speed at the start [m/s or rad/s] where 0.2 would leave the workspace."""
-
-
-def move_in_mujoco(robot, text: str, v0: np.ndarray, force: np.ndarray, seconds: float) -> np.ndarray:
-    """Return actuated positions (n, na), one a millisecond, that `mj_step` makes of a file from home under constant forces."""
-    mujoco = pytest.importorskip("mujoco")
-    theirs = mujoco.MjModel.from_xml_string(text)
-    data = mujoco.MjData(theirs)
-    mujoco.mj_resetDataKeyframe(theirs, data, 0)
-    names = list(robot.model.names)[1:]
-    data.qvel[[theirs.joint(n).dofadr[0] for n in names]] = LoopSolver(robot).state(robot.home, v0, 0 * v0).v
-    theirs.actuator_ctrllimited[:] = False
-    data.ctrl[:] = force
-    drives = [theirs.joint(n).qposadr[0] for n in robot.actuated]
-    found = [data.qpos[drives].copy()]
-    for _ in range(round(seconds / theirs.opt.timestep)):
-        mujoco.mj_step(theirs, data)
-        found.append(data.qpos[drives].copy())
-    return np.array(found)[:: round(1e-3 / theirs.opt.timestep)]
 
 
 @pytest.mark.parametrize("friction", [False, True])

@@ -150,15 +150,21 @@ def _make_exchanged(request: _Request) -> Made:
     kept = f"; nominal values, not identified: {', '.join(made.nominal)}" if made.nominal and model.provenance else ""
     shared = f"; one of many splits with the same forces: {', '.join(made.split)}" if made.split else ""
     carriers = "link that carries" if links == 1 else "links that carry"
-    said = f"{model.robot.name} with {links} {carriers} mass -> {request.out}{kept}{shared}"
-    changed = made.carried.parameters.values != model.parameters.values
-    price = [describe_price(model, made.carried, request.source.parent)] if changed.any() else []
-    return Made(
-        {request.out: made.text},
-        said,
-        {"left_out": list(made.left_out), "nominal": list(made.nominal), "price": price[0] if price else None},
-        (*made.left_out, *price),
-    )
+    beside = request.out.with_name(f"{request.out.stem}_effects.py")
+    where = f"{request.out} and {beside}" if made.callback else request.out
+    said = f"{model.robot.name} with {links} {carriers} mass -> {where}{kept}{shared}"
+    versions = [made.carried, *([made.told] if made.told else [])]
+    changed = (made.carried.parameters.values != model.parameters.values).any()
+    price = [describe_price(model, versions, request.source.parent)] if changed else []
+    result = {
+        "left_out": list(made.left_out),
+        "nominal": list(made.nominal),
+        "price": price[0] if price else None,
+        "callback": str(beside) if made.callback else None,
+        "by_callback": list(made.by_callback),
+    }
+    files: dict[Path, Any] = {request.out: made.text, **({beside: made.callback} if made.callback else {})}
+    return Made(files, said, result, (*made.left_out, *made.by_callback, *price))
 
 
 def _make_fmu(request: _Request) -> Made:

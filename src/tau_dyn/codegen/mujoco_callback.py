@@ -2,9 +2,9 @@
 
     f = middle + half s,   -1 <= s <= 1,   s = sign(v) where the joint moves
 
-with `lower` and `upper` the effects' forces at sign -1 and +1, as the simulator asks for them, `middle` and `half` their mean and
-half their difference. `middle` is a passive force. `half` comes upon the joint's `frictionloss`, so that MuJoCo's own solver finds
-who sticks. Where the sum pushes forwards, the force at the current direction is taken, as in `simulate/forces.py`. Loads take the
+with `lower` and `upper` the effects' forces at sign -1 and +1 as the simulator asks for them, `middle` their mean and `half` half
+their difference. `middle` is a passive force. `half` comes upon the joint's `frictionloss`, so that MuJoCo's solver finds who
+sticks. Where the sum pushes forwards, the force at the current direction is taken, as in `simulate/forces.py`. Loads take the
 acceleration of the last step.
 """
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from tau_dyn.codegen.fmu_equations import AGREEMENT, trace_effect_bounds
 from tau_dyn.codegen.forms import TracingInputs, draw_random_states, find_loops
+from tau_dyn.codegen.loops import Loops
 from tau_dyn.codegen.python_writer import join_names, yield_assignments
 from tau_dyn.codegen.tracing import TracedFunction
 from tau_dyn.exceptions import InputError
@@ -44,30 +45,32 @@ def write_mujoco_callback(model: Model) -> str:
     if any(x != 0 for x in part.outputs["added"]):
         raise InputError("unsupported", "an effect that adds to the mass matrix cannot be written as a callback")
     passive = () if loops is None else tuple(model.robot.model.names[1 + k] for k in loops.passive)
-    known = {}
-    if loops is not None:
-        known["p"] = lambda q: np.array([loops.closed(x) for x in q])[:, loops.passive]
-    _compare_with_simulator(model, part, known)
+    _compare_with_simulator(model, part, loops)
     outputs = (*part.outputs["lower"], *part.outputs["upper"])
-    guards = part.graph.guards.items()
-    good = " and ".join(f"{'' if answer else 'not '}t{k}" for k, answer in guards) or "True"
-    needs_passive = any(n.op == "input" and n.args[0].rstrip("0123456789") == "p" for n in part.graph.needed(outputs))
-    about = "\n".join(
-        f"    {e.name} ({', '.join(e.joints)}{''.join(f', {k} = {x:g}' for k, x in e.settings.items())}): {e.equation}"
-        for e in model.effects
-    )
-    values = "\n".join(f"    {p.name} = {p.value:.9g} {p.unit}" for p in model.effect_parameters if p.value)
+    guards = [f"{'' if answer else 'not '}t{k}" for k, answer in part.graph.guards.items()]
+    inputs = {n.args[0].rstrip("0123456789") for n in part.graph.needed(outputs) if n.op == "input"}
+    settings = {e: "".join(f", {k} = {x:g}" for k, x in e.settings.items()) for e in model.effects}
     return _MODULE.format(
-        robot=model.robot.name, version=__version__, about=about, values=values, joints=model.robot.actuated,
-        passive=passive if needs_passive else (), body="\n".join(f"    {line}" for line in yield_assignments(part.graph, outputs)), good=good,
-        lower=join_names(part.outputs["lower"]), upper=join_names(part.outputs["upper"]),
-    )  # fmt: skip
+        robot=model.robot.name,
+        version=__version__,
+        about="\n".join(f"    {e.name} ({', '.join(e.joints)}{settings[e]}): {e.equation}" for e in model.effects),
+        values="\n".join(f"    {p.name} = {p.value:.9g} {p.unit}" for p in model.effect_parameters if p.value),
+        joints=model.robot.actuated,
+        passive=passive if "p" in inputs else (),
+        body="\n".join(f"    {line}" for line in yield_assignments(part.graph, outputs)),
+        good=" and ".join(guards) or "True",
+        lower=join_names(part.outputs["lower"]),
+        upper=join_names(part.outputs["upper"]),
+    )
 
 
-def _compare_with_simulator(model: Model, part: TracedFunction, known: dict) -> None:
+def _compare_with_simulator(model: Model, part: TracedFunction, loops: Loops | None) -> None:
     """Refuse expressions that differ from the simulator's bounds at random states."""
     q, v, a = draw_random_states(model, _STATES, np.random.default_rng(_SEED))
-    found = part.evaluate({"q": q, "v": v, "a": a, **{name: make(q) for name, make in known.items()}})
+    known = {"q": q, "v": v, "a": a}
+    if loops is not None:
+        known["p"] = np.array([loops.closed(x) for x in q])[:, loops.passive]
+    found = part.evaluate(known)
     lower, upper = found["lower"], found["upper"]
     now, pushing = np.where(v > 0, upper, lower), lower > upper
     both = np.stack([np.where(pushing, now, lower), np.where(pushing, now, upper)], axis=1)
@@ -77,7 +80,7 @@ def _compare_with_simulator(model: Model, part: TracedFunction, known: dict) -> 
     if not difference < AGREEMENT:
         raise InputError(
             "unsupported",
-            f"{model.robot.source}: the traced effects differ from the simulator's by {difference:.2g}, so no callback is written",
+            f"{model.robot.source}: the traced effects differ from the simulator's by {difference:.2g}; no callback is written",
         )
 
 

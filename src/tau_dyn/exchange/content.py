@@ -4,8 +4,8 @@
 
 URDF knows no offset and no gain, MJCF knows both (an actuator's gain and bias), so Coulomb friction that differs by direction is
 exact in MJCF: its mean, and half its difference as an offset. Viscous friction is written as the mean of both directions. Other
-effects are left out, and said, or stand elsewhere in a format (`mjcf_effects.py`). Base parameters alone are what data determine (Khalil & Dombre 2002, ch. 9). Where only a
-combination is identified, the file holds one of many splits with the same forces.
+effects are left out, and said, or stand elsewhere in a format (`mjcf_effects.py`). Base parameters alone are what data determine
+(Khalil & Dombre 2002, ch. 9). Where only a combination is identified, the file holds one of many splits with the same forces.
 """
 
 from __future__ import annotations
@@ -42,11 +42,13 @@ class Exported:
     Attributes:
         text: The file.
         left_out: What of the model the format cannot carry, a sentence each.
-        carried: The model with the values that the file has, its callback included.
+        carried: The model with the values that the file has.
         nominal: Inertial parameters that no data excited; they have their nominal values.
         split: Inertial parameters of which only combinations are identified; their values are one of many splits of these
             combinations that give the same forces.
-        callback: A Python module for what the format cannot say and the program can be told; empty where it is not needed.
+        callback: A Python module for effects that the format has no word for and its program can be told; empty for none.
+        by_callback: What it holds, a sentence each.
+        told: The model with the values of file and callback, where there is one.
     """
 
     text: str
@@ -55,6 +57,8 @@ class Exported:
     nominal: tuple[str, ...]
     split: tuple[str, ...] = ()
     callback: str = ""
+    by_callback: tuple[str, ...] = ()
+    told: Model | None = None
 
 
 class BodyInertia(NamedTuple):

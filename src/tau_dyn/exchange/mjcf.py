@@ -96,12 +96,11 @@ def build_mjcf(model: Model) -> Exported:
     ElementTree.indent(root)
     text = '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
     left_out = (*left_out, *raised, *shapes)
-    return Exported(text, left_out, places.known, list_nominal_parameters(model), split(model), places.callback)
+    told = (places.callback, places.said, places.known if places.callback else None)
+    return Exported(text, left_out, carried, list_nominal_parameters(model), split(model), *told)
 
 
-def _bodies(
-    world: Element, model: Model, joints: list[Joint], places: EffectPlaces
-) -> tuple[list[Element], list[str]]:
+def _bodies(world: Element, model: Model, joints: list[Joint], places: EffectPlaces) -> tuple[list[Element], list[str]]:
     """Return the bodies by joint index less one, each inside its parent's, and what is to be said of their inertias."""
     robot, found, raised = model.robot, [world], []
     inertias = {link.joint_id: link for link in robot.links}

@@ -3,7 +3,7 @@
     quadratic_drag      second coefficient of a joint's `damping`                       MuJoCo 3.7
     cyclic_ripple       passive `dcmotor` with `cogging`, one a harmonic                4.0
     hysteresis          passive `dcmotor` with `lugre`, Dahl's law: no damping, static = Coulomb    4.0
-    reducer_coupling    `tendon/fixed` of both joints with armature, damping and frictionloss       3.3
+    reducer_coupling    `tendon/fixed` of joints in one chain with armature, damping, frictionloss  3.3
     gravity_direction   `option/gravity`, in which forces at rest are linear
 
 What the installed MuJoCo is too old for goes to the callback, where the state determines it. What is lost feels a history, a
@@ -23,6 +23,7 @@ import numpy as np
 from tau_dyn.codegen import list_unsupported_effects, write_mujoco_callback
 from tau_dyn.effects import (
     Armature,
+    AsymmetricFriction,
     CyclicRipple,
     DriveGain,
     Effect,
@@ -37,7 +38,13 @@ from tau_dyn.exchange.content import build_carried_model, list_means
 from tau_dyn.mechanism import compute_perpendicular_axes
 from tau_dyn.model import Model
 
-_SINCE = {QuadraticDrag: (3, 7), CyclicRipple: (4, 0), Hysteresis: (4, 0), ReducerCoupling: (3, 3), GravityDirection: (3, 3)}
+_SINCE = {
+    QuadraticDrag: (3, 7),
+    CyclicRipple: (4, 0),
+    Hysteresis: (4, 0),
+    ReducerCoupling: (3, 3),
+    GravityDirection: (3, 3),
+}
 """First MuJoCo that reads what stands for an effect: the changelog's `damping` with three numbers, `dcmotor` without a motor
 constant, and what the project's oldest MuJoCo has."""
 
@@ -80,7 +87,8 @@ def place_effects(model: Model) -> EffectPlaces:
         text, why = ("", why) if why else _try_callback(model, [effect], change)
         (held if text else lost).append((effect, why))
     text = _try_callback(model, [e for e, _ in held], change)[0] if held else ""
-    said = [f"effect {e.name} of {', '.join(e.joints)} stands in the callback" for e, _ in held]
+    parts = [(e, " beyond its mean" if isinstance(e, AsymmetricFriction) else "") for e, _ in held]
+    said = [f"effect {e.name} of {', '.join(e.joints)}{part} stands in the callback" for e, part in parts]
     sentences = [f"effect {e.name} of {', '.join(e.joints)} is left out: {why}" for e, why in lost]
     if not text:
         sentences += list_means(model, drives=True)
@@ -113,7 +121,16 @@ def _is_native(effect: Effect, model: Model) -> bool:
     if isinstance(effect, Hysteresis):
         forces = {j: sum(force for _, force in _list_bristles(model.effects, model, j)) for j in effect.joints}
         return not effect.measured and all(force <= _find_dry(model, j) for j, force in forces.items())
+    if isinstance(effect, ReducerCoupling):
+        return _is_chained(model, *effect.joints)
     return not isinstance(effect, GravityDirection) or set(effect.joints) == set(model.robot.actuated)
+
+
+def _is_chained(model: Model, one: str, other: str) -> bool:
+    """Return whether one joint moves the other; MuJoCo's mass matrix has no place for what couples two branches."""
+    tree = model.robot.model
+    a, b = tree.getJointId(one), tree.getJointId(other)
+    return a in tree.supports[b] or b in tree.supports[a]
 
 
 def _find_dry(model: Model, joint: str) -> float:
@@ -138,7 +155,9 @@ def compute_gravity(model: Model, places: EffectPlaces) -> np.ndarray:
     for effect in places.native:
         if isinstance(effect, GravityDirection):
             tilts = model.effect_parameters.select(effect.parameters.names).values
-            turned += sum(t * np.cross(axis, gravity) for t, axis in zip(tilts, compute_perpendicular_axes(gravity), strict=True))
+            turned += sum(
+                t * np.cross(axis, gravity) for t, axis in zip(tilts, compute_perpendicular_axes(gravity), strict=True)
+            )
     return turned
 
 
