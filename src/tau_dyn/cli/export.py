@@ -15,6 +15,7 @@ from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
 
 _CODE = Group("--to c")
+_DRIVES = Group("--to mjlab, isaaclab")
 _SENT = Group("--to reference, rapid")
 
 
@@ -42,6 +43,7 @@ class ExportOptions:
 
     Attributes:
         name: With which all functions begin (default: the robot's name)
+        actuators: Fitted actuators, whose delays count (a file of `actuators`)
         motion: t, q_ref_J (or q_J) of each joint
         correction: Add this learned correction to the motion
         period: The controller's sample period
@@ -55,6 +57,7 @@ class ExportOptions:
     """
 
     name: Annotated[str | None, Parameter(group=_CODE, metavar="NAME")] = None
+    actuators: Annotated[Path | None, Parameter(group=_DRIVES, metavar="FILE.yaml")] = None
     motion: Annotated[Path | None, Parameter(group=_SENT, metavar="MOTION.csv")] = None
     correction: Annotated[Path | None, Parameter(group=_SENT, metavar="FILE.csv")] = None
     period: Annotated[args.Positive, Parameter(group=_SENT, metavar="S")] = 0.004
@@ -93,7 +96,7 @@ def export(
     model: Annotated[Path, Parameter(name="MODEL.yaml|ROBOT")],
     /,
     *,
-    to: Literal["urdf", "mjcf", "fmu", "c", "reference", "rapid"],
+    to: Literal["urdf", "mjcf", "fmu", "bam", "mjlab", "isaaclab", "c", "reference", "rapid"],
     out: Annotated[
         Path | None, args.build_destination("FILE", "By default beside the model, or here for a robot")
     ] = None,
@@ -101,7 +104,7 @@ def export(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """A robot or its identified model for another program: URDF, MJCF, FMU, C kinematics, controller references, RAPID.
+    """A robot or its identified model for another program: URDF, MJCF, FMU, drives, C kinematics, references, RAPID.
 
     Args:
         model: A model file of identify or diagnose; or a robot (file or short name), which stands for its nominal rigid body
@@ -118,7 +121,8 @@ def export(
     with show_progress(output.quiet) as step:
         step("writing")
         made = chosen.make(_Request(model, to, path, options, robot_options))
-    given = [p for p in (model, options.motion, options.correction) if p is not None and p.is_file()]
+    files = (model, options.motion, options.correction, options.actuators)
+    given = [p for p in files if p is not None and p.is_file()]
     return Outcome(
         result={"out": str(path), "format": to, **made.result},
         warnings=made.warnings,
@@ -165,6 +169,32 @@ def _make_exchanged(request: _Request) -> Made:
     }
     files: dict[Path, Any] = {request.out: made.text, **({beside: made.callback} if made.callback else {})}
     return Made(files, said, result, (*made.left_out, *made.by_callback, *price))
+
+
+def _make_drives(request: _Request) -> Made:
+    """Return the drives for BAM, mjlab or Isaac Lab."""
+    from tau_dyn.control.iterative import read_actuators
+    from tau_dyn.exchange import build_drive_files, describe_price
+
+    model, fitted = request.load_model(), request.options.actuators
+    joints = model.robot.actuated
+    delays = None
+    if fitted is not None:
+        delays = {j: a.delay for j, a in zip(joints, read_actuators(fitted, joints), strict=True)}
+    made = build_drive_files(model, request.to, delays)  # type: ignore[arg-type]
+    one = next(iter(made.values()))
+    names = {request.out.with_stem(f"{request.out.stem}_{j}") if j else request.out: x.text for j, x in made.items()}
+    changed = (one.carried.effect_parameters.values != model.effect_parameters.values).any()
+    price = [describe_price(model, [one.carried], request.source.parent)] if changed else []
+    count = len(made) if request.to == "bam" else len(joints)
+    drives = f"{count} {'drive' if count == 1 else 'drives'}"
+    said = f"{drives} of {model.robot.name} -> {', '.join(map(str, names))}"
+    result = {
+        "out": [str(path) for path in names],
+        "left_out": list(one.left_out),
+        "price": price[0] if price else None,
+    }
+    return Made(dict(names), said, result, (*one.left_out, *price))
 
 
 def _make_fmu(request: _Request) -> Made:
@@ -290,6 +320,9 @@ FORMATS: dict[str, Format] = {
     "urdf": Format(".urdf", _make_exchanged),
     "mjcf": Format(".xml", _make_exchanged),
     "fmu": Format(".fmu", _make_fmu),
+    "bam": Format(".json", _make_drives),
+    "mjlab": Format(".py", _make_drives),
+    "isaaclab": Format(".py", _make_drives),
     "c": Format(".c", _make_kinematics),
     "reference": Format(".csv", _make_reference, moves=True),
     "rapid": Format(".mod", _make_rapid, moves=True),
