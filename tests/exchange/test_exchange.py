@@ -1,7 +1,5 @@
 """A model written for other programs and read back gives the same forces."""
 
-import sys
-from pathlib import Path
 from xml.etree.ElementTree import fromstring
 
 import numpy as np
@@ -14,9 +12,6 @@ from tau_dyn.mechanism import TreeMechanism
 from tau_dyn.model import Model
 from tau_dyn.robot import list_stock_robots, load_robot, load_robot_from_urdf
 from tau_dyn.simulate import free_motion
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-from mujoco_runs import FREE, SPEEDS, move_in_mujoco
 
 ROBOTS = {
     "simplified": lambda write: load_robot("gantry_tau", gravity_mass=22.38),
@@ -138,9 +133,21 @@ def test_a_stock_arm_whose_meshes_are_elsewhere_becomes_mjcf():
     assert mujoco.MjModel.from_xml_string(made.text).nbody == 2
 
 
+FREE = {
+    "l1": lambda: load_robot("gantry_tau", gravity_mass=22.38),
+    "d1": lambda: load_robot("gantry_tau", arms="complete", prototype="d1"),
+    "f1": lambda: load_robot("gantry_tau_f1"),
+    "delta": lambda: load_robot("delta"),
+    "stewart": lambda: load_robot("stewart"),
+    "ur5": lambda: load_robot("ur5"),
+}
+SPEEDS = {"stewart": 0.02}
+"""Speed at the start [m/s or rad/s] where 0.2 would leave the workspace."""
+
+
 @pytest.mark.parametrize("friction", [False, True])
 @pytest.mark.parametrize("name", FREE)
-def test_mujoco_moves_as_we_do(name, friction, rng):
+def test_mujoco_moves_as_we_do(name, friction, rng, in_mujoco):
     """Half a second of `mj_step` from the file as it is, weight held, ends within 0.1 % of our own motion, friction included."""
     if name == "ur5" and name not in list_stock_robots():
         pytest.skip("example-robot-data is not installed")
@@ -158,7 +165,8 @@ def test_mujoco_moves_as_we_do(name, friction, rng):
     model = model.with_values({n: size[n.split(".")[1]][n.split(".")[0]] for n in model.effect_parameters.names})
     v0, force = speed * rng.standard_normal(robot.na), weight * (1.05 if friction else 1.0)
     ours = free_motion(model, robot.home, v0, 0.5, dt=5e-4, tau=force).q[::2]
-    theirs = move_in_mujoco(robot, build_mjcf(model).text, v0, force, 0.5)
+    with in_mujoco.open_in_mujoco(build_mjcf(model)) as opened:
+        theirs = in_mujoco.move_in_mujoco(robot, opened, v0, force, 0.5)
     assert np.abs(theirs - ours).max() < 1e-3 * np.ptp(ours, axis=0).max()
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
 from xml.etree.ElementTree import fromstring
 
 import numpy as np
@@ -15,11 +13,11 @@ from tau_dyn.model import Model
 from tau_dyn.robot import list_stock_robots, load_robot
 from tau_dyn.simulate import free_motion
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-from mujoco_runs import FREE, move_in_mujoco
-
-mujoco = pytest.importorskip("mujoco")
-
+ROBOTS = {
+    "l1": lambda: load_robot("gantry_tau", gravity_mass=22.38),
+    "delta": lambda: load_robot("delta"),
+    "ur5": lambda: load_robot("ur5"),
+}
 SPEED = 0.2  # m/s or rad/s, at the start
 SETTINGS = {
     "cyclic_ripple": {"period": 0.02, "harmonics": 2},
@@ -43,7 +41,7 @@ def build_model(name: str, causes: tuple[str, ...]) -> Model:
     """Return a robot with friction that differs by direction, and effects of a tenth to a third of its inertial forces."""
     if name == "ur5" and name not in list_stock_robots():
         pytest.skip("example-robot-data is not installed")
-    robot = FREE[name]()
+    robot = ROBOTS[name]()
     effects = [*build_friction_model("asymmetric", robot.actuated, robot.force_units)]
     for cause in causes:
         n = slice(-2, None) if cause == "reducer_coupling" else slice(None)
@@ -59,7 +57,13 @@ def build_model(name: str, causes: tuple[str, ...]) -> Model:
     return model.with_values(values)
 
 
-def compare_motions(model: Model) -> tuple[float, float]:
+@pytest.fixture
+def compare(in_mujoco):
+    """Return a function that compares motions, see `compare_motions`."""
+    return lambda model: compare_motions(in_mujoco, model)
+
+
+def compare_motions(in_mujoco, model: Model) -> tuple[float, float]:
     """Return how far MuJoCo's half second is from ours, in shares of the longest stroke: with the callback, and without."""
     robot = model.robot
     rng = np.random.default_rng(4)
@@ -68,7 +72,11 @@ def compare_motions(model: Model) -> tuple[float, float]:
     ours = free_motion(model, robot.home, v0, 0.5, dt=5e-4, tau=weight).q[::2]
     made = build_mjcf(model)
     assert not [sentence for sentence in made.left_out if "effect" in sentence]
-    with_it, alone = (move_in_mujoco(robot, made.text, v0, weight, 0.5, text) for text in (made.callback, ""))
+    found = []
+    for callback in (True, False):
+        with in_mujoco.open_in_mujoco(made, callback=callback) as theirs:
+            found.append(in_mujoco.move_in_mujoco(robot, theirs, v0, weight, 0.5))
+    with_it, alone = found
     stroke = np.ptp(ours, axis=0).max()
     return np.abs(with_it - ours).max() / stroke, np.abs(alone - ours).max() / stroke
 
@@ -77,21 +85,21 @@ def compare_motions(model: Model) -> tuple[float, float]:
     "cause", ["stribeck", "position_friction", "viscous_curvature", "viscous_asymmetry", "load_friction"]
 )
 @pytest.mark.parametrize("name", ["l1", "ur5"])
-def test_the_callback_moves_as_we_do(name, cause):
+def test_the_callback_moves_as_we_do(name, cause, compare):
     """Friction that MuJoCo has no word for: within 0.1 % of our motion with the callback, at least 1 % off without."""
-    with_it, alone = compare_motions(build_model(name, (cause,)))
+    with_it, alone = compare(build_model(name, (cause,)))
     assert with_it < 1e-3 < 1e-2 < alone
 
 
 @pytest.mark.parametrize("cause", ["stribeck", "position_friction"])
-def test_the_callback_of_solved_loops(cause):
+def test_the_callback_of_solved_loops(cause, compare):
     """On the Delta, whose loops both programs solve numerically."""
-    assert compare_motions(build_model("delta", (cause,)))[0] < 1e-3
+    assert compare(build_model("delta", (cause,)))[0] < 1e-3
 
 
-def test_bearings_of_a_closed_form():
+def test_bearings_of_a_closed_form(compare):
     """Friction of the L1's passive bearings acts on its drives through the loops."""
-    with_it, alone = compare_motions(build_model("l1", ("passive_joint_friction",)))
+    with_it, alone = compare(build_model("l1", ("passive_joint_friction",)))
     assert with_it < 1e-3 < 1e-2 < alone
 
 
@@ -105,29 +113,29 @@ NATIVE = {
 
 @pytest.mark.parametrize("cause", NATIVE)
 @pytest.mark.parametrize("name", ["l1", "ur5"])
-def test_what_mujoco_has_elements_for(name, cause):
+def test_what_mujoco_has_elements_for(name, cause, compare):
     """Ripples, bristles, drag and gravity's direction stand in the file; half a second is ours within 0.1 %."""
     model = build_model(name, (cause,))
     made = build_mjcf(model)
     assert fromstring(made.text).find(NATIVE[cause]) is not None
     assert not [sentence for sentence in made.by_callback if cause in sentence]
-    assert compare_motions(model)[0] < 1e-3
+    assert compare(model)[0] < 1e-3
 
 
 @pytest.mark.parametrize("cause", ["cyclic_ripple", "quadratic_drag"])
-def test_an_old_mujoco_gets_the_callback(cause, monkeypatch):
+def test_an_old_mujoco_gets_the_callback(cause, monkeypatch, compare):
     """What MuJoCo 3.3 cannot read stands in the callback, which moves the robot as the element does."""
     monkeypatch.setattr("tau_dyn.exchange.mjcf_effects.get_mujoco_version", lambda: (3, 3))
     model = build_model("l1", (cause,))
     assert "dcmotor" not in build_mjcf(model).text
-    assert compare_motions(model)[0] < 1e-3
+    assert compare(model)[0] < 1e-3
 
 
-def test_a_shared_motor_of_one_chain():
+def test_a_shared_motor_of_one_chain(compare):
     """A motor that turns with two wrist joints is a tendon of both, its inertia and viscous friction as ours within 0.1 %."""
     model = build_model("ur5", ("reducer_coupling",))
     assert fromstring(build_mjcf(model).text).find("tendon/fixed[@armature]") is not None
-    assert compare_motions(model)[0] < 1e-3
+    assert compare(model)[0] < 1e-3
 
 
 def test_a_shared_motor_of_two_branches_is_left_out():

@@ -96,7 +96,7 @@ def export(
     model: Annotated[Path, Parameter(name="MODEL.yaml|ROBOT")],
     /,
     *,
-    to: Literal["urdf", "mjcf", "fmu", "bam", "mjlab", "isaaclab", "c", "reference", "rapid"],
+    to: Literal["urdf", "mjcf", "sdf", "fmu", "bam", "mjlab", "isaaclab", "c", "reference", "rapid"],
     out: Annotated[
         Path | None, args.build_destination("FILE", "By default beside the model, or here for a robot")
     ] = None,
@@ -104,7 +104,7 @@ def export(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """A robot or its identified model for another program: URDF, MJCF, FMU, drives, C kinematics, references, RAPID.
+    """A robot or its identified model for another program: URDF, MJCF, SDF, FMU, drives, C kinematics, references, RAPID.
 
     Args:
         model: A model file of identify or diagnose; or a robot (file or short name), which stands for its nominal rigid body
@@ -145,11 +145,11 @@ def _name_beside(model: Path, motion: Path | None, ending: str) -> Path:
 
 
 def _make_exchanged(request: _Request) -> Made:
-    """Return URDF or MJCF."""
-    from tau_dyn.exchange import build_mjcf, build_urdf, describe_price
+    """Return URDF, MJCF or SDF."""
+    from tau_dyn.exchange import build_mjcf, build_sdf, build_urdf, describe_price
 
     model = request.load_model()
-    made = build_urdf(model) if request.to == "urdf" else build_mjcf(model)
+    made = {"urdf": build_urdf, "mjcf": build_mjcf, "sdf": build_sdf}[request.to](model)
     links = len(model.robot.links)
     kept = f"; nominal values, not identified: {', '.join(made.nominal)}" if made.nominal and model.provenance else ""
     shared = f"; one of many splits with the same forces: {', '.join(made.split)}" if made.split else ""
@@ -319,6 +319,7 @@ class Format:
 FORMATS: dict[str, Format] = {
     "urdf": Format(".urdf", _make_exchanged),
     "mjcf": Format(".xml", _make_exchanged),
+    "sdf": Format(".sdf", _make_exchanged),
     "fmu": Format(".fmu", _make_fmu),
     "bam": Format(".json", _make_drives),
     "mjlab": Format(".py", _make_drives),

@@ -5,4 +5,5 @@ from .drive_files import build_drive_files as build_drive_files
 from .fmu import ExportedFmu as ExportedFmu, build_fmu as build_fmu
 from .mjcf import build_mjcf as build_mjcf
 from .price import describe_price as describe_price
+from .sdf import build_sdf as build_sdf
 from .urdf import build_urdf as build_urdf
