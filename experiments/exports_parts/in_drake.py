@@ -1,4 +1,4 @@
-"""An exported SDF in Drake, which reads it with libsdformat: its tree as it is, its balls as constraints."""
+"""An exported SDF in Drake, which reads it with libsdformat: its tree as it is, its balls and followers as constraints."""
 
 from __future__ import annotations
 
@@ -27,6 +27,8 @@ def read_in_drake(text: str, step: float = 0.0) -> Any:
         at_rest.Finalize()
         for ball in balls:
             _tie(plant, at_rest, ball)
+        for joint in top.findall("joint[axis/mimic]"):
+            _couple(plant, joint)
     plant.Finalize()
     return plant
 
@@ -48,6 +50,15 @@ def _tie(plant: Any, at_rest: Any, ball: Element) -> None:
     held = at_rest.CalcPointsPositions(context, frames[1], place, frames[0])[:, 0]
     a, b = (plant.world_body() if name == "world" else plant.GetBodyByName(name) for name in names)
     plant.AddBallConstraint(a, held, b, place)
+
+
+def _couple(plant: Any, joint: Element) -> None:
+    """Let a joint follow another, which Drake's parser leaves out."""
+    mimic = joint.find("axis/mimic")
+    assert mimic is not None
+    ratio, offset = (float(mimic.findtext(key, "0")) for key in ("multiplier", "offset"))
+    follower, leader = (plant.GetJointByName(x.get(key, "")) for x, key in ((joint, "name"), (mimic, "joint")))
+    plant.AddCouplerConstraint(follower, leader, ratio, offset)
 
 
 def list_places(plant: Any, model: Model) -> tuple[list[int], list[int]]:
