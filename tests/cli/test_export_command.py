@@ -16,8 +16,8 @@ import pytest
 from tau_dyn.cli import main
 from tau_dyn.control import Correction, read_reference, write_correction, write_reference
 from tau_dyn.control.interface.reference import compute_digest
-from tau_dyn.effects import QuadraticDrag, build_friction_model
-from tau_dyn.exchange import build_mjcf, describe_price
+from tau_dyn.effects import QuadraticDrag, Stribeck, build_friction_model
+from tau_dyn.exchange import build_urdf, describe_price
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import Trajectory, build_named_motion, move, simulate
@@ -143,14 +143,31 @@ def test_the_price_of_what_a_file_leaves_out(tmp_path, monkeypatch, capsys) -> N
         ("none", "unknown"),
     ):
         replace(with_drag, provenance={use: [row]}).save("m.yaml")
-        assert main(["export", "m.yaml", "--to", "mjcf", "--json", "r.json"]) == 0
+        assert main(["export", "m.yaml", "--to", "urdf", "--json", "r.json"]) == 0
         assert said in capsys.readouterr().err and said in json.loads((tmp_path / "r.json").read_text())["price"]
     drawn = [float(x) for x in re.findall("([0-9.]+) %", describe_price(*_carried(with_drag, "held_out", row)))]
     assert drawn[0] < 1 < 3 < drawn[1]
     model.save("m.yaml")
-    assert main(["export", "m.yaml", "--to", "mjcf", "--json", "r.json"]) == 0
+    assert main(["export", "m.yaml", "--to", "urdf", "--json", "r.json"]) == 0
     assert json.loads((tmp_path / "r.json").read_text())["price"] is None
 
 
 def _carried(model, use, row):
-    return replace(model, provenance={use: [row]}), build_mjcf(model).carried, Path(".")
+    return replace(model, provenance={use: [row]}), [build_urdf(model).carried], Path(".")
+
+
+def test_the_price_with_and_without_the_callback(tmp_path, monkeypatch, capsys) -> None:
+    """A Stribeck peak stands in MuJoCo's callback, so the file alone costs and the pair costs nothing."""
+    monkeypatch.chdir(tmp_path)
+    robot = load_robot("linear_axis")
+    effects = [*build_friction_model("symmetric", robot.actuated, robot.force_units), Stribeck(("axis",), ("N",))]
+    model = Model.of(robot, effects).with_values({"axis.coulomb": 20.0, "axis.viscous": 100.0, "axis.stribeck": 30.0})
+    simulate(model, build_named_motion("exciting", model, 8.0, 1)).to_csv("log.csv")
+    row = {"path": "log.csv", "sha256": hashlib.sha256((tmp_path / "log.csv").read_bytes()).hexdigest()}
+    replace(model, provenance={"held_out": [row]}).save("m.yaml")
+    assert main(["export", "m.yaml", "--to", "mjcf", "--json", "r.json"]) == 0
+    made = json.loads((tmp_path / "r.json").read_text())
+    whole, alone, told = (float(x) for x in re.findall("([0-9.]+(?:e-[0-9]+)?) %", made["price"]))
+    assert whole == told < 0.01 < 0.1 < alone
+    assert made["left_out"] == [] and made["callback"] == "m_effects.py" and (tmp_path / "m_effects.py").is_file()
+    assert made["by_callback"] == ["effect stribeck of axis stands in the callback"]

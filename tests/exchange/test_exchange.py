@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.effects import EFFECTS, AsymmetricFriction, Stribeck, SymmetricFriction, build_friction_model
 from tau_dyn.exchange import build_mjcf, build_urdf
-from tau_dyn.mechanism import LoopSolver, TreeMechanism
+from tau_dyn.mechanism import TreeMechanism
 from tau_dyn.model import Model
 from tau_dyn.robot import list_stock_robots, load_robot, load_robot_from_urdf
 from tau_dyn.simulate import free_motion
@@ -146,27 +146,9 @@ SPEEDS = {"stewart": 0.02}
 """Speed at the start [m/s or rad/s] where 0.2 would leave the workspace."""
 
 
-def move_in_mujoco(robot, text: str, v0: np.ndarray, force: np.ndarray, seconds: float) -> np.ndarray:
-    """Return actuated positions (n, na), one a millisecond, that `mj_step` makes of a file from home under constant forces."""
-    mujoco = pytest.importorskip("mujoco")
-    theirs = mujoco.MjModel.from_xml_string(text)
-    data = mujoco.MjData(theirs)
-    mujoco.mj_resetDataKeyframe(theirs, data, 0)
-    names = list(robot.model.names)[1:]
-    data.qvel[[theirs.joint(n).dofadr[0] for n in names]] = LoopSolver(robot).state(robot.home, v0, 0 * v0).v
-    theirs.actuator_ctrllimited[:] = False
-    data.ctrl[:] = force
-    drives = [theirs.joint(n).qposadr[0] for n in robot.actuated]
-    found = [data.qpos[drives].copy()]
-    for _ in range(round(seconds / theirs.opt.timestep)):
-        mujoco.mj_step(theirs, data)
-        found.append(data.qpos[drives].copy())
-    return np.array(found)[:: round(1e-3 / theirs.opt.timestep)]
-
-
 @pytest.mark.parametrize("friction", [False, True])
 @pytest.mark.parametrize("name", FREE)
-def test_mujoco_moves_as_we_do(name, friction, rng):
+def test_mujoco_moves_as_we_do(name, friction, rng, in_mujoco):
     """Half a second of `mj_step` from the file as it is, weight held, ends within 0.1 % of our own motion, friction included."""
     if name == "ur5" and name not in list_stock_robots():
         pytest.skip("example-robot-data is not installed")
@@ -184,7 +166,8 @@ def test_mujoco_moves_as_we_do(name, friction, rng):
     model = model.with_values({n: size[n.split(".")[1]][n.split(".")[0]] for n in model.effect_parameters.names})
     v0, force = speed * rng.standard_normal(robot.na), weight * (1.05 if friction else 1.0)
     ours = free_motion(model, robot.home, v0, 0.5, dt=5e-4, tau=force).q[::2]
-    theirs = move_in_mujoco(robot, build_mjcf(model).text, v0, force, 0.5)
+    with in_mujoco.open_in_mujoco(build_mjcf(model)) as opened:
+        theirs = in_mujoco.move_in_mujoco(robot, opened, v0, force, 0.5)
     assert np.abs(theirs - ours).max() < 1e-3 * np.ptp(ours, axis=0).max()
 
 

@@ -17,6 +17,7 @@ from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError
 
 _CODE = Group("--to c")
+_DRIVES = Group("--to mjlab, isaaclab")
 _SENT = Group("--to reference, rapid")
 
 
@@ -44,6 +45,7 @@ class ExportOptions:
 
     Attributes:
         name: With which all functions begin (default: the robot's name)
+        actuators: Fitted actuators, whose delays count (a file of `actuators`)
         motion: t, q_ref_J (or q_J) of each joint
         correction: Add this learned correction to the motion
         period: The controller's sample period
@@ -57,6 +59,7 @@ class ExportOptions:
     """
 
     name: Annotated[str | None, Parameter(group=_CODE, metavar="NAME")] = None
+    actuators: Annotated[Path | None, Parameter(group=_DRIVES, metavar="FILE.yaml")] = None
     motion: Annotated[Path | None, Parameter(group=_SENT, metavar="MOTION.csv")] = None
     correction: Annotated[Path | None, Parameter(group=_SENT, metavar="FILE.csv")] = None
     period: Annotated[args.Positive, Parameter(group=_SENT, metavar="S")] = 0.004
@@ -95,7 +98,7 @@ def export(
     model: Annotated[Path, Parameter(name="MODEL.yaml|ROBOT")],
     /,
     *,
-    to: Literal["urdf", "mjcf", "fmu", "c", "reference", "rapid"],
+    to: Literal["urdf", "mjcf", "sdf", "fmu", "bam", "mjlab", "isaaclab", "c", "reference", "rapid"],
     out: Annotated[
         Path | None, args.build_destination("FILE", "By default beside the model, or here for a robot")
     ] = None,
@@ -103,7 +106,7 @@ def export(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """A robot or its identified model for another program: URDF, MJCF, FMU, C kinematics, controller references, RAPID.
+    """A robot or its identified model for another program: URDF, MJCF, SDF, FMU, drives, C kinematics, references, RAPID.
 
     Args:
         model: A model file of identify or diagnose; or a robot (file or short name), which stands for its nominal rigid body
@@ -120,7 +123,8 @@ def export(
     with show_progress(output.quiet) as step:
         step("writing")
         made = chosen.make(_Request(model, to, path, options, robot_options))
-    given = [p for p in (model, options.motion, options.correction) if p is not None and p.is_file()]
+    files = (model, options.motion, options.correction, options.actuators)
+    given = [p for p in files if p is not None and p.is_file()]
     return Outcome(
         result={"out": str(path), "format": to, **made.result},
         warnings=made.warnings,
@@ -143,26 +147,61 @@ def _name_beside(model: Path, motion: Path | None, ending: str) -> Path:
 
 
 def _make_exchanged(request: _Request) -> Made:
-    """Return URDF or MJCF."""
-    from tau_dyn.exchange import build_mjcf, build_urdf, describe_price
+    """Return URDF, MJCF or SDF."""
+    from tau_dyn.exchange import build_mjcf, build_sdf, build_urdf, describe_price
 
     model = request.load_model()
-    made = build_urdf(model) if request.to == "urdf" else build_mjcf(model, f"{request.out.stem}.")
+    if request.to == "mjcf":
+        made = build_mjcf(model, f"{request.out.stem}.")
+    else:
+        made = {"urdf": build_urdf, "sdf": build_sdf}[request.to](model)
     links = len(model.robot.links)
     kept = f"; nominal values, not identified: {', '.join(made.nominal)}" if made.nominal and model.provenance else ""
     shared = f"; one of many splits with the same forces: {', '.join(made.split)}" if made.split else ""
     carriers = "link that carries" if links == 1 else "links that carry"
-    said = f"{model.robot.name} with {links} {carriers} mass -> {request.out}{kept}{shared}"
-    changed = made.carried.parameters.values != model.parameters.values
-    price = [describe_price(model, made.carried, request.source.parent)] if changed.any() else []
+    beside = request.out.with_name(f"{request.out.stem}_effects.py")
+    where = f"{request.out} and {beside}" if made.callback else request.out
+    said = f"{model.robot.name} with {links} {carriers} mass -> {where}{kept}{shared}"
+    versions = [made.carried, *([made.told] if made.told else [])]
+    changed = (made.carried.parameters.values != model.parameters.values).any()
+    price = [describe_price(model, versions, request.source.parent)] if changed else []
+    result = {
+        "left_out": list(made.left_out),
+        "nominal": list(made.nominal),
+        "price": price[0] if price else None,
+        "callback": str(beside) if made.callback else None,
+        "by_callback": list(made.by_callback),
+    }
     said += f" and {len(made.meshes)} meshes {request.out.stem}.*.stl" if made.meshes else ""
-    meshes = {request.out.parent / name: partial(_write_bytes, content) for name, content in made.meshes.items()}
-    return Made(
-        {request.out: made.text, **meshes},
-        said,
-        {"left_out": list(made.left_out), "nominal": list(made.nominal), "price": price[0] if price else None},
-        (*made.left_out, *price),
-    )
+    files: dict[Path, Any] = {request.out: made.text, **({beside: made.callback} if made.callback else {})}
+    files |= {request.out.parent / name: partial(_write_bytes, content) for name, content in made.meshes.items()}
+    return Made(files, said, result, (*made.left_out, *made.by_callback, *price))
+
+
+def _make_drives(request: _Request) -> Made:
+    """Return the drives for BAM, mjlab or Isaac Lab."""
+    from tau_dyn.control.iterative import read_actuators
+    from tau_dyn.exchange import build_drive_files, describe_price
+
+    model, fitted = request.load_model(), request.options.actuators
+    joints = model.robot.actuated
+    delays = None
+    if fitted is not None:
+        delays = {j: a.delay for j, a in zip(joints, read_actuators(fitted, joints), strict=True)}
+    made = build_drive_files(model, request.to, delays)  # type: ignore[arg-type]
+    one = next(iter(made.values()))
+    names = {request.out.with_stem(f"{request.out.stem}_{j}") if j else request.out: x.text for j, x in made.items()}
+    changed = (one.carried.effect_parameters.values != model.effect_parameters.values).any()
+    price = [describe_price(model, [one.carried], request.source.parent)] if changed else []
+    count = len(made) if request.to == "bam" else len(joints)
+    drives = f"{count} {'drive' if count == 1 else 'drives'}"
+    said = f"{drives} of {model.robot.name} -> {', '.join(map(str, names))}"
+    result = {
+        "out": [str(path) for path in names],
+        "left_out": list(one.left_out),
+        "price": price[0] if price else None,
+    }
+    return Made(dict(names), said, result, (*one.left_out, *price))
 
 
 def _make_fmu(request: _Request) -> Made:
@@ -288,7 +327,11 @@ class Format:
 FORMATS: dict[str, Format] = {
     "urdf": Format(".urdf", _make_exchanged),
     "mjcf": Format(".xml", _make_exchanged),
+    "sdf": Format(".sdf", _make_exchanged),
     "fmu": Format(".fmu", _make_fmu),
+    "bam": Format(".json", _make_drives),
+    "mjlab": Format(".py", _make_drives),
+    "isaaclab": Format(".py", _make_drives),
     "c": Format(".c", _make_kinematics),
     "reference": Format(".csv", _make_reference, moves=True),
     "rapid": Format(".mod", _make_rapid, moves=True),

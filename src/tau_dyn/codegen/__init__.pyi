@@ -22,6 +22,7 @@ from .forms import draw_random_states as draw_random_states
 from .graph import Graph as Graph, Node as Node
 from .kinematics import KinematicsProgram as KinematicsProgram, build_kinematics as build_kinematics
 from .kinematics_c import write_kinematics_source as write_kinematics_source
+from .mujoco_callback import write_mujoco_callback as write_mujoco_callback
 from .program import ARGUMENTS as ARGUMENTS, Program as Program, build_program as build_program
 from .python_writer import write_python_source as write_python_source
 from .tracing import (

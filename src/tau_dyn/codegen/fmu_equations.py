@@ -88,7 +88,7 @@ def _trace_equations(model: Model) -> Equations:
     given = inputs()
     M, h = given.form.mass_and_bias(given.q[0], given.v[0])
     dynamics = _collect(given, "v theta", {"M": M, "h": h})
-    friction = _trace_friction(inputs()) if any(not acts_on_recording(e) for e in model.effects) else None
+    friction = trace_effect_bounds(inputs()) if any(not acts_on_recording(e) for e in model.effects) else None
     tool = None
     if model.robot.tool_frame is not None:
         given = inputs()
@@ -112,7 +112,7 @@ def _collect(given: TracingInputs, takes: str, made: dict[str, Any]) -> TracedFu
     return TracedFunction(given.graph, arguments | {x: sizes[x] for x in takes.split()}, flatten_outputs(made))
 
 
-def _trace_friction(given: TracingInputs) -> TracedFunction:
+def trace_effect_bounds(given: TracingInputs) -> TracedFunction:
     """Return the effects' forces at both signs, and what they add to the mass matrix; see `simulate/forces.py`."""
     n, rest = given.model.robot.na, as_expression_array(np.zeros((1, given.model.robot.na)))
     effects = [effect for effect in given.model.effects if not acts_on_recording(effect)]
@@ -144,7 +144,6 @@ def _trace_friction(given: TracingInputs) -> TracedFunction:
 
 def _ask(given: TracingInputs, effect: Any, a: Any, sign: float, force: Any = None) -> Any:
     """Return an effect's force (na,) at accelerations (1, na), and for effects that feel it at a force (na,)."""
-    assert given.theta is not None
     robot = given.model.robot
     signals = {n: COMPUTED[n](given.form, given.q, given.v, a) for n in effect.needs if n in COMPUTED}
     if force is not None:

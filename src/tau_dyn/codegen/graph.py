@@ -196,11 +196,13 @@ class Node:
         raise TypeError("this code needs a plain number where only an expression of the inputs is known")
 
     def __pow__(self, power: float) -> Any:
-        """Return a power: a whole number up to 8, or a half."""
+        """Return a power; one that is no half and no whole number up to 8 is that of a base from zero up."""
+        if power < 0:
+            return 1.0 / self**-power
         if power == 0.5:
             return self.sqrt()
         if power != int(power) or not 0 < power <= 8:
-            raise TypeError(f"the power {power:g} of an expression of the inputs")
+            return self.graph.apply("exp", power * self.graph.apply("log", self))
         half = self * self
         rest = half ** (int(power) // 2) if power >= 4 else half if power >= 2 else 1.0
         return rest * self if power % 2 else rest

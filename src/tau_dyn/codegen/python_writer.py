@@ -60,10 +60,10 @@ def write_python_source(program: Program, name: str = "tau_ff") -> str:
     if program.closure is not None:
         lines += [*_closing(program, program.closure), ""]
     lines += ["", f"def _forces(q, v, a{more}{', p' if program.loops is not None else ''}):"]
-    lines += [*_body(program.graph, program.outputs)]
+    lines += [*yield_assignments(program.graph, program.outputs)]
     guards = program.graph.guards.items()
     good = " & ".join(f"{'' if answer else '~'}np.asarray(t{k})" for k, answer in guards) or "True"
-    lines += [f"    return np.stack(np.broadcast_arrays({_listed(program.outputs)}), axis=-1), {good}", "", ""]
+    lines += [f"    return np.stack(np.broadcast_arrays({join_names(program.outputs)}), axis=-1), {good}", "", ""]
     na = program.feedforward.model.robot.na
     public = _PUBLIC + (_STRAIGHT if program.loops is None else _FOLLOWED) + _CHECKED
     lines += [public.format(name=name, more=more, na=na, most=MAX_NUMBER)]
@@ -80,15 +80,16 @@ def _closing(program: Program, closure: TracedFunction) -> Iterator[str]:
     yield ""
     yield ""
     yield "def _closure(q, p):"
-    yield from _body(closure.graph, closure.values)
+    yield from yield_assignments(closure.graph, closure.values)
     gap, J = closure.outputs["gap"], closure.outputs["J"]
-    yield f"    return np.array([{_listed(gap)}]), np.array([{_listed(J)}]).reshape({n}, {n})"
+    yield f"    return np.array([{join_names(gap)}]), np.array([{join_names(J)}]).reshape({n}, {n})"
     yield ""
     yield ""
     yield _CLOSED.format(na=robot.na, step=STEP, steps=STEPS, iterations=ITERATIONS)
 
 
-def _body(graph: Graph, outputs: Sequence[Any]) -> Iterator[str]:
+def yield_assignments(graph: Graph, outputs: Sequence[Any]) -> Iterator[str]:
+    """Yield one line a node, indented as a function's body."""
     for node in graph.needed(outputs):
         shown = [_named(graph.nodes[k]) for k in node.before]
         if node.op in ("input", "const", "item"):
@@ -115,7 +116,8 @@ def _named(x: Any) -> str:
     return f"t{x.args[0]}[{x.args[1]}]" if x.op == "item" else f"t{x.index}"
 
 
-def _listed(values: Sequence[Any]) -> str:
+def join_names(values: Sequence[Any]) -> str:
+    """Return what stands for nodes and numbers in these lines, with commas."""
     return ", ".join(_named(x) for x in values)
 
 

@@ -1,7 +1,9 @@
-"""A model back in the file formats of other programs: URDF (Pinocchio, Drake, ROS), MJCF (MuJoCo), FMU (Modelica)."""
+"""A model back in the files of other programs: URDF, SDF, MJCF, FMU, and drives for BAM, mjlab and Isaac Lab."""
 
 from .content import Exported as Exported
+from .drive_files import build_drive_files as build_drive_files
 from .fmu import ExportedFmu as ExportedFmu, build_fmu as build_fmu
 from .mjcf import build_mjcf as build_mjcf
 from .price import describe_price as describe_price
+from .sdf import build_sdf as build_sdf
 from .urdf import build_urdf as build_urdf

@@ -3,15 +3,15 @@
     tau = offset + coulomb sign(v) + viscous v + armature a,     reported as (1 + gain_error) tau
 
 URDF knows no offset and no gain, MJCF knows both (an actuator's gain and bias), so Coulomb friction that differs by direction is
-exact in MJCF: its mean, and half its difference as an offset. Viscous friction is written as the mean of both directions. All
-other effects are left out, and said. Base parameters alone are what data determine (Khalil & Dombre 2002, ch. 9). Where only a
-combination is identified, the file holds one of many splits with the same forces.
+exact in MJCF: its mean, and half its difference as an offset. Viscous friction is written as the mean of both directions. Other
+effects are left out, and said, or stand elsewhere in a format (`mjcf_effects.py`). Base parameters alone are what data determine
+(Khalil & Dombre 2002, ch. 9). Where only a combination is identified, the file holds one of many splits with the same forces.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -47,6 +47,9 @@ class Exported:
         split: Inertial parameters of which only combinations are identified; their values are one of many splits of these
             combinations that give the same forces.
         meshes: Files that the text names, by their paths from its folder.
+        callback: A Python module for effects that the format has no word for and its program can be told; empty for none.
+        by_callback: What it holds, a sentence each.
+        told: The model with the values of file and callback, where there is one.
     """
 
     text: str
@@ -55,6 +58,9 @@ class Exported:
     nominal: tuple[str, ...]
     split: tuple[str, ...] = ()
     meshes: Mapping[str, bytes] = field(default_factory=dict)
+    callback: str = ""
+    by_callback: tuple[str, ...] = ()
+    told: Model | None = None
 
 
 class BodyInertia(NamedTuple):
@@ -78,14 +84,15 @@ def build_body(link: LinkInertia, model: Model) -> BodyInertia:
     return BodyInertia(mass, centre, about_origin - shifted)
 
 
-def build_carried_model(model: Model, *, drives: bool) -> Model:
+def build_carried_model(model: Model, *, drives: bool, more: Collection[Effect] = ()) -> Model:
     """Return the model with the values that a file carries; what it leaves out is zero.
 
     Args:
         model: The model.
         drives: Whether the format knows a drive's gain and a constant force.
+        more: Further effects of the model that the file carries.
     """
-    values = {n: 0.0 for e in _list_unknown(model, drives) for n in e.parameters.names}
+    values = {n: 0.0 for e in _list_unknown(model, drives) if e not in more for n in e.parameters.names}
     for _, _, both in _list_pairs(model, drives):
         values |= dict.fromkeys(both, float(np.mean([model.effect_parameters[n].value for n in both])))
     return model.with_values(values)
@@ -165,6 +172,12 @@ def list_omissions(model: Model, *, drives: bool) -> tuple[str, ...]:
         f"effect {effect.name} of {', '.join(effect.joints)} is left out: the format does not know it"
         for effect in _list_unknown(model, drives)
     ]
+    return (*said, *list_means(model, drives=drives))
+
+
+def list_means(model: Model, *, drives: bool) -> tuple[str, ...]:
+    """Return where a file has the mean of both directions' friction, a sentence each."""
+    said = []
     for joint, part, both in _list_pairs(model, drives):
         a, b = (model.effect_parameters[n].value for n in both)
         if abs(a - b) > 1e-9 * (abs(a) + abs(b)):

@@ -1,7 +1,8 @@
 """A model's robot as MJCF for MuJoCo: nested bodies, loops as `<connect>` between sites, motors, home as a keyframe.
 
 MuJoCo's own URDF reader drops loops and drive inertia. Here every movable joint becomes a body with the model's inertia
-(links fixed to it merged in), `armature`, `damping` and `frictionloss`; a drive's gain and constant force stand at its actuator.
+(links fixed to it merged in), `armature`, `damping` and `frictionloss`; a drive's gain and constant force stand at its actuator,
+other effects where `mjcf_effects.py` says.
 Loops are tied at sites, which unlike ties between bodies do not depend on the pose that the file is compiled at. Bodies without
 mass get 1e-9 kg, which MuJoCo demands. Meshes are written as binary STL, since MuJoCo reads no Collada.
 """
@@ -20,13 +21,20 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.exchange.content import (
     Exported,
     build_body,
-    build_carried_model,
     format_header,
     list_nominal_parameters,
-    list_omissions,
     raise_moments,
     read_joint_law,
     split,
+)
+from tau_dyn.exchange.mjcf_effects import (
+    EffectPlaces,
+    add_passive_motors,
+    add_shared_motors,
+    compute_bristle_force,
+    compute_drag,
+    compute_gravity,
+    place_effects,
 )
 from tau_dyn.mechanism import Joint, LoopSolver, list_joints
 from tau_dyn.model import Model
@@ -65,20 +73,21 @@ def build_mjcf(model: Model, meshes: str = "") -> Exported:
         raise InputError(
             "unsupported", f"{robot.source}: MJCF is written for robots of joints with one degree of freedom each"
         )
-    carried = build_carried_model(model, drives=True)
-    left_out = list_omissions(model, drives=True)
+    places = place_effects(model)
+    carried, left_out = places.carried, places.lost
     root = Element("mujoco", model=robot.name)
-    root.append(Comment(f" {format_header(model, left_out)} "))
+    root.append(Comment(f" {format_header(model, (*places.said, *left_out))} "))
     SubElement(root, "compiler", angle="radian", autolimits="true", boundmass="1e-9", boundinertia="1e-12")
-    SubElement(root, "option", gravity=_numbers(robot.model.gravity.linear), timestep=_numbers([TIMESTEP_S]))
+    SubElement(root, "option", gravity=_numbers(compute_gravity(model, places)), timestep=_numbers([TIMESTEP_S]))
     world = SubElement(root, "worldbody")
-    bodies, raised = _bodies(world, carried, joints)
+    bodies, raised = _bodies(world, carried, joints, places)
     _add_weights(bodies, model)
     visuals, missing = read_visuals(robot)
     files, shapes = _draw(root, visuals, [world, *bodies], meshes)
     _mark_tool(model, [world, *bodies])
     _tie(root, model, [world, *bodies])
     _couple(root, model)
+    add_shared_motors(root, model, places, _STIFF)
     actuator = SubElement(root, "actuator")
     for joint, limit in zip(robot.actuated, robot.effort_limit, strict=True):
         more = {"ctrlrange": _numbers([-limit, limit])} if np.isfinite(limit) else {}
@@ -90,15 +99,26 @@ def build_mjcf(model: Model, meshes: str = "") -> Exported:
                 "biasprm": _numbers([-law.offset, 0, 0]),
             }
         SubElement(actuator, "general", {"name": f"{joint}_motor", "joint": joint, **more})
+    add_passive_motors(actuator, model, places)
     key = SubElement(root, "keyframe")
     SubElement(key, "key", name="home", qpos=_numbers(_home(model, joints, world)))
     ElementTree.indent(root)
     text = '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
-    said = (*left_out, *raised, *shapes, *list_missing_meshes(missing))
-    return Exported(text, said, carried, list_nominal_parameters(model), split(model), files)
+    left_out = (*left_out, *raised, *shapes, *list_missing_meshes(missing))
+    return Exported(
+        text,
+        left_out,
+        carried,
+        list_nominal_parameters(model),
+        split(model),
+        files,
+        places.callback,
+        places.said,
+        places.known if places.callback else None,
+    )
 
 
-def _bodies(world: Element, model: Model, joints: list[Joint]) -> tuple[list[Element], list[str]]:
+def _bodies(world: Element, model: Model, joints: list[Joint], places: EffectPlaces) -> tuple[list[Element], list[str]]:
     """Return the bodies by joint index less one, each inside its parent's, and what is to be said of their inertias."""
     robot, found, raised = model.robot, [world], []
     inertias = {link.joint_id: link for link in robot.links}
@@ -107,7 +127,7 @@ def _bodies(world: Element, model: Model, joints: list[Joint]) -> tuple[list[Ele
         rotation = pin.Quaternion(joint.rotation)
         pose = {"pos": _numbers(joint.offset), "quat": _numbers([rotation.w, rotation.x, rotation.y, rotation.z])}
         body = SubElement(found[joint.parent], "body", {"name": names[joint.index], **pose})
-        SubElement(body, "joint", _joint(model, joint))
+        SubElement(body, "joint", _joint(model, joint, places))
         if joint.index in inertias:
             carried = build_body(inertias[joint.index], model)
             said, sentence = _inertia(carried.inertia, inertias[joint.index].link)
@@ -132,7 +152,7 @@ def _inertia(inertia: np.ndarray, link: str) -> tuple[dict[str, str], str]:
     return said, f"{link}: no body has its inertia, so MJCF holds the next that one may have" if much else ""
 
 
-def _joint(model: Model, joint: Joint) -> dict[str, str]:
+def _joint(model: Model, joint: Joint, places: EffectPlaces) -> dict[str, str]:
     robot, name = model.robot, model.robot.model.names[joint.index]
     said = {"name": name, "type": "slide" if joint.slides else "hinge", "axis": _numbers(joint.axis)}
     item = robot.model.joints[joint.index]
@@ -141,10 +161,13 @@ def _joint(model: Model, joint: Joint) -> dict[str, str]:
         said["range"] = _numbers([lower, upper])
     if name in robot.actuated:
         law = read_joint_law(model, name)
-        said |= {"armature": _numbers([law.armature]), "damping": _numbers([law.viscous])}
-        if law.coulomb:
-            stiff = {f"{key}friction": value for key, value in _STIFF.items()}
-            said |= {"frictionloss": _numbers([law.coulomb]), **stiff}
+        drag = compute_drag(model, places, name)
+        said |= {"armature": _numbers([law.armature]), "damping": _numbers([law.viscous, *([drag] if drag else [])])}
+        dry = law.coulomb - compute_bristle_force(model, places, name)
+        if dry or places.callback:
+            said |= {f"{key}friction": value for key, value in _STIFF.items()}
+        if dry:
+            said["frictionloss"] = _numbers([dry])
     return said
 
 

@@ -18,40 +18,43 @@ from tau_dyn.log import Log, read_log
 from tau_dyn.model import Model
 
 
-def describe_price(model: Model, carried: Model, folder: Path) -> str:
-    """Return one sentence about what a file costs that holds `carried` instead of `model`.
+def describe_price(model: Model, versions: Sequence[Model], folder: Path) -> str:
+    """Return one sentence about what a file costs that holds less than `model`.
 
     Args:
         model: The model, with the provenance of its file.
-        carried: What the file carries of it.
+        versions: What the file carries of it; then, where there is a callback, what both carry.
         folder: Where the model file lies; its logs are looked for there and where the program runs.
     """
     held, trained = (_find_logs(model, use, folder) for use in ("held_out", "trained_on"))
     try:
         if held:
-            before, after = compute_held_out_errors(model, carried, held)
-            return f"the held-out force error is {before:.3g} % with the whole model, {after:.3g} % with what the file carries"
+            whole, *rest = compute_held_out_errors([model, *versions], held)
+            with_each = ", ".join(f"{x:.3g} % with {what}" for x, what in zip(rest, _WHAT, strict=False))
+            return f"the held-out force error is {whole:.3g} % with the whole model, {with_each}"
         if trained:
-            size = ", ".join(
-                f"{x:.3g} {unit} at {joint}"
-                for joint, x, unit in zip(
-                    model.robot.actuated,
-                    compute_lost_force(model, carried, trained),
-                    model.robot.force_units,
-                    strict=True,
-                )
-            )
-            return f"what is left out is {size} (RMS over the training logs' motion)"
+            forces = [_describe_force(model, carried, trained) for carried in versions]
+            told = f", with the callback {forces[1]}" if len(forces) > 1 else ""
+            return f"what is left out is {forces[0]}{told} (RMS over the training logs' motion)"
     except (InputError, CannotAnswer) as fault:
         return f"what that costs is unknown: {fault}"
     return "what that costs is unknown: the model's logs are not here"
 
 
-def compute_held_out_errors(model: Model, carried: Model, logs: Sequence[Log]) -> tuple[float, float]:
-    """Return the relative force error [%] of a model and of what is carried of it, both on the same filtered samples."""
-    regression = build_regression(model, logs)
-    before, after = (build_force_errors(regression, m.parameters.values) for m in (model, carried))
-    return before.relative_error_percent, after.relative_error_percent
+_WHAT = ("what the file carries", "the callback beside it")
+
+
+def _describe_force(model: Model, carried: Model, logs: Sequence[Log]) -> str:
+    """Return the RMS of the force that is left out, joint by joint."""
+    lost = compute_lost_force(model, carried, logs)
+    rows = zip(model.robot.actuated, lost, model.robot.force_units, strict=True)
+    return ", ".join(f"{x:.3g} {unit} at {joint}" for joint, x, unit in rows)
+
+
+def compute_held_out_errors(models: Sequence[Model], logs: Sequence[Log]) -> list[float]:
+    """Return the relative force error [%] of versions of one model, all on the same filtered samples."""
+    regression = build_regression(models[0], logs)
+    return [build_force_errors(regression, m.parameters.values).relative_error_percent for m in models]
 
 
 def compute_lost_force(model: Model, carried: Model, logs: Sequence[Log]) -> np.ndarray:

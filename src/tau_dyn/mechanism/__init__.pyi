@@ -51,6 +51,7 @@ from .mechanism import (
     build_kinematics as build_kinematics,
     compute_acceleration_bias as compute_acceleration_bias,
     compute_inverse_jacobian as compute_inverse_jacobian,
+    compute_perpendicular_axes as compute_perpendicular_axes,
     find_all_solutions as find_all_solutions,
     find_nearest_configuration as find_nearest_configuration,
     forward_kinematics as forward_kinematics,

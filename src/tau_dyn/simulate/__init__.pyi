@@ -31,7 +31,7 @@ from .limits import (
     compute_condition_bound as compute_condition_bound,
     describe_exceeded_limit as describe_exceeded_limit,
 )
-from .log_replay import Replay as Replay, replay as replay
+from .log_replay import Replay as Replay, StartPlant as StartPlant, SteppedPlant as SteppedPlant, replay as replay
 from .motions import (
     ACCELERATION as ACCELERATION,
     MOTIONS as MOTIONS,

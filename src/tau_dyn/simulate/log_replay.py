@@ -17,9 +17,9 @@ log's temperature where the model says so (`sensors.py`, `forces.py`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -29,7 +29,7 @@ from tau_dyn.log import ROOM_TEMPERATURE, Log, differentiate, ensure_even, find_
 from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw
-from tau_dyn.simulate.forces import EffectSurroundings, SampledForces
+from tau_dyn.simulate.forces import EffectSurroundings
 from tau_dyn.simulate.plant import OFTEN_AT_LIMIT, Plant, PlantRun, Progress
 from tau_dyn.simulate.sensors import EncoderErrors, record_run
 from tau_dyn.simulate.trajectory import Trajectory
@@ -142,6 +142,23 @@ START_S = 0.02
 """Stretch at the log's start from which its first position, speed and force are read, by a cubic through it [s]."""
 
 
+class SteppedPlant(Protocol):
+    """A robot that is stepped in time, such as `Plant`, or one in another program."""
+
+    @property
+    def q(self) -> np.ndarray:
+        """Positions (na,) [m or rad] at the current sample."""
+        ...
+
+    def step(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Apply forces (na,) around the sample; return its speed, acceleration and who is stuck, then move on."""
+        ...
+
+
+StartPlant = Callable[[Model, np.ndarray, np.ndarray, float], SteppedPlant]
+"""Starts a robot at positions and speeds (na,) with a step [s]."""
+
+
 def replay(
     model: Model,
     log: Log,
@@ -150,6 +167,7 @@ def replay(
     rate_hz: float | None = None,
     substeps: int = 1,
     cutoff_hz: float | None = None,
+    start_plant: StartPlant | None = None,
     progress: Progress | None = None,
 ) -> Replay:
     """Simulate a recording again and compare.
@@ -163,6 +181,7 @@ def replay(
         cutoff_hz: Low-pass before speeds and accelerations are taken [Hz], inf for none; by default as high as the measured
             encoders' noise allows (1e-4 of the acceleration's power, `find_motion_band`), and the same for later replays of
             the log.
+        start_plant: Starts the robot in another program; by default `Plant`, with the log's temperatures.
         progress: Is told the share that is done.
 
     Raises:
@@ -183,7 +202,8 @@ def replay(
     often = _per_sample(log, rate_hz)
     cutoff = _cutoff(log.joint("q", joints), _rate(log)) if cutoff_hz is None else cutoff_hz
     reference = log.joint("q_ref", joints)
-    run = _drive(model, log, controller_law, often, substeps, progress)
+    start_plant = start_plant or _start_with_temperatures(log, joints)
+    run = _drive(model, log, controller_law, _Pace(often, substeps), start_plant, progress)
     q = run.q if run.q_read is None else run.q_read
     tau = run.tau if run.tau_shown is None else run.tau_shown
     at_limit = np.mean(np.abs(run.tau) >= controller_law.limit * controller_law.force_per_unit * (1 - 1e-9), axis=0)
@@ -231,17 +251,34 @@ class _ResumedController(CascadeController):
         self._before, self._v_ref = (start.before[0], start.before[1]), v_before
 
 
-def _drive(model: Model, log: Log, law: CascadeLaw, often: int, substeps: int, progress: Progress | None) -> PlantRun:
+class _Pace(NamedTuple):
+    """Periods of the loop in a sample of the log, and steps of the plant in a period."""
+
+    often: int
+    substeps: int
+
+
+def _start_with_temperatures(log: Log, joints: tuple[str, ...]) -> StartPlant:
+    """Return how `Plant` starts in the surroundings that the log holds."""
+
+    def start(model: Model, q: np.ndarray, v: np.ndarray, dt: float) -> Plant:
+        return Plant(model, q, v, dt, _surroundings(log, joints))
+
+    return start
+
+
+def _drive(
+    model: Model, log: Log, law: CascadeLaw, pace: _Pace, start_plant: StartPlant, progress: Progress | None
+) -> PlantRun:
     """Return what happens, at the log's samples."""
-    joints = model.robot.actuated
+    joints, (often, substeps) = model.robot.actuated, pace
     reference = _reference(log, joints, often)
     period = 1 / (often * _rate(log))
     start, errors = _start(log, joints, period), EncoderErrors(model)
     controller = _ResumedController(law)
     controller.resume(reference, start)
     beside = EncoderErrors(model).read(start.q) - start.q if errors.any else 0.0
-    plant = Plant(model, start.q - beside, start.v, period / substeps)
-    plant.forces = SampledForces(model, _surroundings(log, joints))
+    plant = start_plant(model, start.q - beside, start.v, period / substeps)
     q, read, v, a, tau = np.empty((5, log.n_samples, len(joints)))
     stuck = np.zeros((log.n_samples, len(joints)), dtype=bool)
     far = 100 * (1 + np.max(np.abs(reference.q), axis=0))

@@ -1,0 +1,214 @@
+"""Where a model's effects stand for MuJoCo: in elements of the file that are exactly their laws, else in a callback beside it.
+
+    quadratic_drag      second coefficient of a joint's `damping`                       MuJoCo 3.7
+    cyclic_ripple       passive `dcmotor` with `cogging`, one a harmonic                4.0
+    hysteresis          passive `dcmotor` with `lugre`, Dahl's law: no damping, static = Coulomb    4.0
+    reducer_coupling    `tendon/fixed` of joints in one chain with armature, damping, frictionloss  3.3
+    gravity_direction   `option/gravity`, in which forces at rest are linear
+
+What the installed MuJoCo is too old for goes to the callback, where the state determines it. What is lost feels a history, a
+load of a loop that is solved numerically or a temperature, or distorts the recording alone and leaves the motion as it is.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from tau_dyn.codegen import list_unsupported_effects, write_mujoco_callback
+from tau_dyn.effects import (
+    Armature,
+    AsymmetricFriction,
+    CyclicRipple,
+    DriveGain,
+    Effect,
+    GravityDirection,
+    Hysteresis,
+    QuadraticDrag,
+    ReducerCoupling,
+    acts_on_recording,
+)
+from tau_dyn.exceptions import InputError
+from tau_dyn.exchange.content import build_carried_model, list_means
+from tau_dyn.mechanism import compute_perpendicular_axes
+from tau_dyn.model import Model
+
+_SINCE = {
+    QuadraticDrag: (3, 7),
+    CyclicRipple: (4, 0),
+    Hysteresis: (4, 0),
+    ReducerCoupling: (3, 3),
+    GravityDirection: (3, 3),
+}
+"""First MuJoCo that reads what stands for an effect: the changelog's `damping` with three numbers, `dcmotor` without a motor
+constant, and what the project's oldest MuJoCo has."""
+
+
+@dataclass(frozen=True, eq=False)
+class EffectPlaces:
+    """Where a model's effects stand.
+
+    Attributes:
+        native: Effects that elements of the file are, beside each joint's law.
+        carried: The model with the file's values.
+        callback: The callback's text; empty where none is needed.
+        said: What the callback holds, a sentence each.
+        lost: What neither holds, a sentence each.
+        known: The model with the values of file and callback.
+    """
+
+    native: tuple[Effect, ...]
+    carried: Model
+    callback: str
+    said: tuple[str, ...]
+    lost: tuple[str, ...]
+    known: Model
+
+
+def place_effects(model: Model) -> EffectPlaces:
+    """Return where each effect of a model stands for MuJoCo."""
+    native = tuple(effect for effect in model.effects if _is_native(effect, model))
+    carried = build_carried_model(model, drives=True, more=native)
+    rest = model.effect_parameters.values - carried.effect_parameters.values
+    change = dict(zip(model.effect_parameters.names, rest, strict=True))
+    beyond = [e for e in model.effects if any(change[n] for n in e.parameters.names)]
+    beyond = [e for e in beyond if not isinstance(e, Armature | DriveGain)]
+    missing = dict(list_unsupported_effects(model))
+    held, lost = [], []
+    for effect in beyond:
+        why = "it distorts what is recorded, not the motion" if acts_on_recording(effect) else ""
+        if not why and effect in missing:
+            why = f"it feels {missing[effect]}, which a state alone does not give"
+        text, why = ("", why) if why else _try_callback(model, [effect], change)
+        (held if text else lost).append((effect, why))
+    text = _try_callback(model, [e for e, _ in held], change)[0] if held else ""
+    parts = [(e, " beyond its mean" if isinstance(e, AsymmetricFriction) else "") for e, _ in held]
+    said = [f"effect {e.name} of {', '.join(e.joints)}{part} stands in the callback" for e, part in parts]
+    sentences = [f"effect {e.name} of {', '.join(e.joints)} is left out: {why}" for e, why in lost]
+    if not text:
+        sentences += list_means(model, drives=True)
+    gone = {n: 0.0 for e, _ in lost for n in e.parameters.names}
+    return EffectPlaces(native, carried, text, tuple(said), tuple(sentences), model.with_values(gone))
+
+
+def _try_callback(model: Model, effects: list[Effect], change: dict[str, float]) -> tuple[str, str]:
+    """Return the callback of effects at the values that the file lacks, and why there is none."""
+    kept = model.only(effects)
+    try:
+        return write_mujoco_callback(kept.with_values({n: change[n] for n in kept.effect_parameters.names})), ""
+    except InputError as fault:
+        return "", str(fault)
+
+
+def get_mujoco_version() -> tuple[int, ...]:
+    """Return the installed MuJoCo's version, the oldest that the project takes where there is none."""
+    try:
+        return tuple(int(x) for x in version("mujoco").split(".")[:2])
+    except PackageNotFoundError:
+        return (3, 3)
+
+
+def _is_native(effect: Effect, model: Model) -> bool:
+    """Return whether the installed MuJoCo has an element that is the effect's law."""
+    since = next((first for kind, first in _SINCE.items() if type(effect) is kind), None)
+    if since is None or get_mujoco_version() < since:
+        return False
+    if isinstance(effect, Hysteresis):
+        forces = {j: sum(force for _, force in _list_bristles(model.effects, model, j)) for j in effect.joints}
+        return not effect.measured and all(force <= _find_dry(model, j) for j, force in forces.items())
+    if isinstance(effect, ReducerCoupling):
+        return _is_chained(model, *effect.joints)
+    return not isinstance(effect, GravityDirection) or set(effect.joints) == set(model.robot.actuated)
+
+
+def _is_chained(model: Model, one: str, other: str) -> bool:
+    """Return whether one joint moves the other; MuJoCo's mass matrix has no place for what couples two branches."""
+    tree = model.robot.model
+    a, b = tree.getJointId(one), tree.getJointId(other)
+    return a in tree.supports[b] or b in tree.supports[a]
+
+
+def _find_dry(model: Model, joint: str) -> float:
+    """Return a joint's smaller Coulomb friction [N or N m]."""
+    found = model.effect_parameters
+    one = found[f"{joint}.coulomb"].value if f"{joint}.coulomb" in found else 0.0
+    sides = [found[n].value for n in (f"{joint}.coulomb_pos", f"{joint}.coulomb_neg") if n in found]
+    return one + min(sides, default=0.0)
+
+
+def _list_bristles(effects: Iterable[Effect], model: Model, joint: str) -> list[tuple[float, float]]:
+    """Return distance [m or rad] and force [N or N m] of each bristle on a joint."""
+    values = model.effect_parameters
+    kept = [e for e in effects if isinstance(e, Hysteresis) and joint in e.joints and not e.measured]
+    return [(e.settings["distance"], values[f"{joint}.hysteresis{e.label}"].value) for e in kept]
+
+
+def compute_gravity(model: Model, places: EffectPlaces) -> np.ndarray:
+    """Return gravity (3,) [m/s^2], turned by what the model says of its direction."""
+    gravity = np.asarray(model.robot.model.gravity.linear, float)
+    turned = gravity.copy()
+    for effect in places.native:
+        if isinstance(effect, GravityDirection):
+            tilts = model.effect_parameters.select(effect.parameters.names).values
+            turned += sum(
+                t * np.cross(axis, gravity) for t, axis in zip(tilts, compute_perpendicular_axes(gravity), strict=True)
+            )
+    return turned
+
+
+def compute_drag(model: Model, places: EffectPlaces, joint: str) -> float:
+    """Return a joint's drag by the speed squared [N s^2/m^2 or N m s^2/rad^2]."""
+    drags = [e for e in places.native if isinstance(e, QuadraticDrag) and joint in e.joints]
+    return sum(model.effect_parameters[f"{joint}.quadratic_drag{e.label}"].value for e in drags)
+
+
+def compute_bristle_force(model: Model, places: EffectPlaces, joint: str) -> float:
+    """Return the part of a joint's Coulomb friction that its bristles carry [N or N m]."""
+    return sum(force for _, force in _list_bristles(places.native, model, joint))
+
+
+def add_passive_motors(actuator: Element, model: Model, places: EffectPlaces) -> None:
+    """Add ripples and bristles as motors without an input, behind the drives."""
+    passive = {"input": "none", "motorconst": "0", "resistance": "1"}
+    count: Counter[str] = Counter()
+    for effect in places.native:
+        for joint in effect.joints if isinstance(effect, CyclicRipple | Hysteresis) else ():
+            count[joint] += 1
+            name = {"name": f"{joint}_{effect.name}_{count[joint]}", "joint": joint}
+            if isinstance(effect, Hysteresis):
+                ((distance, force),) = _list_bristles([effect], model, joint)
+                law = _write([force / distance, 0, force, force, 1])
+                if force:
+                    SubElement(actuator, "dcmotor", {**name, **passive, "lugre": law})
+                continue
+            amounts = [model.effect_parameters[f"{joint}.{term}{effect.label}"].value for term, _ in effect.terms]
+            for k in range(1, len(amounts) // 2 + 1):
+                sine, cosine = amounts[2 * k - 2 : 2 * k]
+                gear, size = 2 * np.pi * k / effect.settings["period"], float(np.hypot(sine, cosine))
+                law = _write([size / gear, 1, np.arctan2(cosine, sine) + np.pi])
+                if size:
+                    wave = {"name": f"{name['name']}_{k}", "joint": joint, "gear": _write([gear])}
+                    SubElement(actuator, "dcmotor", {**wave, **passive, "cogging": law})
+
+
+def add_shared_motors(root: Element, model: Model, places: EffectPlaces, stiff: dict[str, str]) -> None:
+    """Add motors that two joints share as tendons of both."""
+    shared = [e for e in places.native if isinstance(e, ReducerCoupling)]
+    tendon = SubElement(root, "tendon") if shared else root
+    for effect in shared:
+        inertia, viscous, coulomb = model.effect_parameters.select(effect.parameters.names).values
+        law = {"armature": _write([inertia]), "damping": _write([viscous])}
+        if coulomb:
+            law |= {"frictionloss": _write([coulomb]), **{f"{key}friction": x for key, x in stiff.items()}}
+        fixed = SubElement(tendon, "fixed", {"name": "_".join(effect.joints) + effect.label, **law})
+        for joint in effect.joints:
+            SubElement(fixed, "joint", joint=joint, coef="1")
+
+
+def _write(values: list[float]) -> str:
+    return " ".join(repr(float(x)) for x in values)
