@@ -16,12 +16,9 @@ from tau_dyn.robot import list_robot_names, list_stock_robots, load_robot
 
 pytest.importorskip("casadi")
 MOVES = {
-    "gantry_tau": ([], ["--from", "1.3", "-0.75", "0.65", "--to", "2.2", "-0.45", "0.85"]),
-    "ur5": (
-        [],
-        ["--from-joints", "0", "-1", "1", "0", "0.5", "0", "--to-joints", "0.8", "-0.7", "1.3", "0.4", "0.6", "1"],
-    ),
-    "delta": (["--set", "arms=simplified"], ["--from", "0", "0", "-0.79", "--to", "0.1", "0.05", "-0.74"]),
+    "gantry_tau": ["--from", "1.3", "-0.75", "0.65", "--to", "2.2", "-0.45", "0.85"],
+    "ur5": ["--from-joints", "0", "-1", "1", "0", "0.5", "0", "--to-joints", "0.8", "-0.7", "1.3", "0.4", "0.6", "1"],
+    "delta": ["--from", "0", "0", "-0.79", "--to", "0.1", "0.05", "-0.74"],
 }
 
 
@@ -31,18 +28,17 @@ def test_each_command_takes_what_the_last_one_wrote(name, tmp_path, monkeypatch)
     if name not in (*list_robot_names(), *list_stock_robots()):
         pytest.skip("example-robot-data is not installed")
     monkeypatch.chdir(tmp_path)
-    options, ends = MOVES[name]
     steps = [
-        ["plan-motion", name, *options, *ends, "--out", "plan.csv", "--json", "plan.json"],
-        ["export", name, *options, "--to", "reference", "--motion", "plan.csv", "--out", "ref.csv"],
-        ["export", name, *options, "--to", "rapid", "--motion", "ref.csv", "--out", "move.mod"],
-        ["export", name, *options, "--to", "c", "--out", "kin.c"],
-        ["feedforward", "export", name, *options, "--to", "c", "--out", "ff.c"],
-        ["simulate", name, *options, "--motion", "ref.csv", "--out", "log.csv"],
+        ["plan-motion", name, *MOVES[name], "--out", "plan.csv", "--json", "plan.json"],
+        ["export", name, "--to", "reference", "--motion", "plan.csv", "--out", "ref.csv"],
+        ["export", name, "--to", "rapid", "--motion", "ref.csv", "--out", "move.mod"],
+        ["export", name, "--to", "c", "--out", "kin.c"],
+        ["feedforward", "export", name, "--to", "c", "--out", "ff.c"],
+        ["simulate", name, "--motion", "ref.csv", "--out", "log.csv"],
     ]
     for step in steps:
         assert main([*step, "--quiet"]) == 0, step
-    robot = load_robot(name, **{"arms": "simplified"} if options else {})
+    robot = load_robot(name)
     reference, log = read_reference("ref.csv", robot.actuated), pd.read_csv("log.csv")
     assert reference.duration == pytest.approx(
         json.loads((tmp_path / "plan.json").read_text())["duration_s"], abs=0.006

@@ -67,7 +67,7 @@ def write_c_source(program: Program, name: str = "tau_ff") -> tuple[str, str]:
 def _list_statuses(program: Program) -> list[str]:
     solved = program.loops is not None
     lines = [
-        "Returns 0, or else leaves tau alone and returns",
+        f"Returns 0, or else leaves tau{' and start' * solved} alone and returns",
         f"  1  an input or a force is no number or beyond {MAX_NUMBER:g}, the position is out of reach,",
         "     or it is beside the sort of state that the function was written for",
         *(["  2  the loops could not be closed"] if solved else []),
@@ -121,8 +121,10 @@ def _yield_body(program: Program, name: str) -> Iterator[str]:
     yield "{"
     yield f"    if ({' || '.join(f'!sound(NA, {x})' for x in arguments)}) return 1;"
     if program.loops is not None:
-        yield "    const double *p = start + NA;"
-        yield "    if (!follow(start, q)) return 2;"
+        yield "    double next[NA + NZ];"
+        yield "    for (int k = 0; k < NA + NZ; ++k) next[k] = start[k];"
+        yield "    if (!follow(next, q)) return 2;"
+        yield "    const double *p = next + NA;"
     yield from yield_graph_lines(program.graph, program.outputs)
     yield from yield_guard_lines(program.graph)
     yield "    double force[NA];"
@@ -130,6 +132,8 @@ def _yield_body(program: Program, name: str) -> Iterator[str]:
     yield "    if (!sound(NA, force)) return 1;"
     yield "    for (int k = 0; k < NA; ++k) if (fabs(force[k]) > limit[k]) return 3;"
     yield "    for (int k = 0; k < NA; ++k) tau[k] = force[k];"
+    if program.loops is not None:
+        yield "    for (int k = 0; k < NA + NZ; ++k) start[k] = next[k];"
     yield "    return 0;"
     yield "}"
 

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from scipy.signal import sosfilt
 
 from tau_dyn.codegen.c_writer import (
     MAX_NUMBER,
@@ -24,6 +25,9 @@ from tau_dyn.codegen.c_writer import (
 )
 from tau_dyn.exceptions import InputError
 from tau_dyn.version import __version__
+
+
+_MEMORY = 100_000  # samples after which nothing is left of an impulse: poles up to 1 - 3e-4
 
 
 class FilterLaw(Protocol):
@@ -93,6 +97,7 @@ def _write_filters(law: FilterLaw, limit: float | Sequence[float], name: str) ->
         format_table("double", "forgetting", sections.ravel(), 6 * ends[-1]),
         format_table("int", "first", ends, "M + 1"),
         format_table("double", "limit", limits, "M"),
+        format_table("double", "most_in", [MAX_NUMBER / _compute_growth(q.sections) for q in law.forgetting], "M"),
         fill_template("checks"),
         fill_template("sections"),
         fill_template("learning", NAME=name, GAIN=repr(float(law.learning.gain))),
@@ -100,6 +105,13 @@ def _write_filters(law: FilterLaw, limit: float | Sequence[float], name: str) ->
     about = f"Sampling step {law.learning.dt!r} s. L: {law.learning.gain:g}, {law.learning.samples} samples ahead."
     declared = [f"#define {name.upper()}_CHANNELS {m}", *(line.format(name=name) for line in _LEARNING)]
     return format_source(name, first, parts), format_header(name, [first, about, "", *_LEARNING_WORDS], declared)
+
+
+def _compute_growth(sections: np.ndarray) -> float:
+    """Return a bound on what both passes make of a signal whose numbers are 1 at most: the square of the sum of |h|."""
+    impulse = np.zeros(_MEMORY)
+    impulse[0] = 1.0
+    return float(np.sum(np.abs(sosfilt(sections, impulse))) ** 2)
 
 
 _LEARNING = (
@@ -112,7 +124,8 @@ _LEARNING_WORDS = (
     "q: Q without weights, forwards and backwards, on one channel's n numbers in place.",
     "l: L on a signal; out must be another array.",
     "update: correction becomes weight Q (correction + L error); weight holds n numbers, or is NULL for ones; work holds",
-    f"n numbers a channel. Each returns 0; 1 where n < 1 or a number is none, or beyond {MAX_NUMBER:g}; update returns 2 where",
+    f"n numbers a channel. Each returns 0; 1 where n < 1 or a number, also of the answer, is none or can go beyond {MAX_NUMBER:g};",
+    "update returns 2 where",
     "a correction larger than the limit would leave. Then the outputs are left alone. No allocation, no state.",
     "Compile without -ffast-math, which takes the checks of numbers away.",
 )

@@ -143,7 +143,9 @@ _FOLLOWED = """\
     tau, start = np.empty(flat[0].shape), HOME
     for k, state in enumerate(zip(*flat)):
         start = _closed(start, state[0])
-        tau[k] = _forces(*state, start[{na}:])[0]
+        tau[k], good = _forces(*state, start[{na}:])
+        if not np.all(good):
+            raise ValueError("a position is out of reach")
     tau = tau.reshape(args[0].shape)
 """
 

@@ -1,10 +1,12 @@
 int @NAME@_fk(double start[NA + NZ], const double q[NA], double p[3], double R[9])
 {
-    double T[6 * NX], at[12];
+    double T[6 * NX], at[12], next[NA + NZ];
     if (!sound(NA, q)) return 1;
-    if (!follow(start, q)) return 2;
-    tool(q, start + NA, at, at + 3, T);
+    for (int k = 0; k < NA + NZ; ++k) next[k] = start[k];
+    if (!follow(next, q)) return 2;
+    tool(q, next + NA, at, at + 3, T);
     if (!sound(12, at)) return 1;
+    for (int k = 0; k < NA + NZ; ++k) start[k] = next[k];
     for (int k = 0; k < 3; ++k) p[k] = at[k];
     for (int k = 0; k < 9; ++k) R[k] = at[3 + k];
     return 0;
@@ -12,12 +14,13 @@ int @NAME@_fk(double start[NA + NZ], const double q[NA], double p[3], double R[9
 
 int @NAME@_jacobian(double start[NA + NZ], const double q[NA], double J[6 * NA])
 {
-    double gap[NT], G[NT * NX], A[NT * NT], T[6 * NX], p[3], R[9], out[6 * NA];
+    double gap[NT], G[NT * NX], A[NT * NT], T[6 * NX], p[3], R[9], out[6 * NA], next[NA + NZ];
     int rows[NT];
     if (!sound(NA, q)) return 1;
-    if (!follow(start, q)) return 2;
-    equations(q, start + NA, gap, G);
-    tool(q, start + NA, p, R, T);
+    for (int k = 0; k < NA + NZ; ++k) next[k] = start[k];
+    if (!follow(next, q)) return 2;
+    equations(q, next + NA, gap, G);
+    tool(q, next + NA, p, R, T);
     for (int i = 0; i < NT; ++i) for (int j = 0; j < NT; ++j) A[i * NT + j] = G[i * NX + NA + j];
     if (!factor(NT, A, rows)) return 2;
     for (int a = 0; a < NA; ++a) {
@@ -29,6 +32,7 @@ int @NAME@_jacobian(double start[NA + NZ], const double q[NA], double J[6 * NA])
         }
     }
     if (!sound(6 * NA, out)) return 1;
+    for (int k = 0; k < NA + NZ; ++k) start[k] = next[k];
     for (int k = 0; k < 6 * NA; ++k) J[k] = out[k];
     return 0;
 }

@@ -8,7 +8,8 @@ static void both_ways(int channel, int n, int m, double *x)
 
 int @NAME@_q(int channel, int n, double *x)
 {
-    if (channel < 0 || channel >= M || n < 1 || !sound(n, x)) return 1;
+    if (channel < 0 || channel >= M || n < 1) return 1;
+    for (int k = 0; k < n; ++k) if (!(fabs(x[k]) <= most_in[channel])) return 1;
     both_ways(channel, n, 1, x);
     return 0;
 }
@@ -16,6 +17,7 @@ int @NAME@_q(int channel, int n, double *x)
 int @NAME@_l(int n, const double *error, double *out)
 {
     if (n < 1 || n > 100000000 / M || !sound(n * M, error)) return 1;
+    for (int k = 0; k < n * M; ++k) if (!(fabs(@GAIN@ * error[k]) <= @MOST@)) return 1;
     for (int k = 0; k < n; ++k) for (int i = 0; i < M; ++i)
         out[k * M + i] = @GAIN@ * error[(k + SHIFT < n ? k + SHIFT : n - 1) * M + i];
     return 0;

@@ -15,9 +15,23 @@ static void both_ways(const double *f, int n, const double *x, double rest, int 
     for (int k = 2 * n - 1; k >= 0; --k) work[k] = one_step(f + 8, state, work[k] - end) + end * b / a;
 }
 
+static double largest(int n, const double *x)
+{
+    double most = 0.0;
+    for (int k = 0; k < n; ++k) if (!(fabs(x[k]) <= most)) most = fabs(x[k]);
+    return most;
+}
+
 int @NAME@_trial(int n, const double *kinematic, const double *acceleration, double *z, double *work)
 {
     if (n < 2 || n > 100000000 / M || !sound(n * M, kinematic) || !sound(n * M, acceleration)) return 1;
+    for (int i = 0; i < M; ++i) { /* no answer beyond @MOST@ is begun */
+        double most = fabs(kinematic[i]);
+        both_ways(filters + 32 * i, n, kinematic + i, kinematic[i], 1, work);
+        most += largest(n, work);
+        both_ways(filters + 32 * i + 16, n, acceleration + i, 0.0, 0, work);
+        if (!(most + largest(n, work) <= @MOST@)) return 1;
+    }
     for (int i = 0; i < M; ++i) {
         const double rest = kinematic[i];
         both_ways(filters + 32 * i, n, kinematic + i, rest, 1, work);

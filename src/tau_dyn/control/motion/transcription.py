@@ -32,6 +32,10 @@ from tau_dyn.control.motion.nodes import Nodes
 
 _MIN_STEP_S = 1e-3  # [s]
 _MAX_SOLVER_S = 90.0  # s; motions that are found at all take 1 to 30 s
+_MIN_PIVOT = 0.01
+"""Relative size of a pivot, MUMPS' own default. IPOPT's default of 1e-6 loses digits where loops are solved beside the motion:
+signs of eigenvalues come out wrong, IPOPT takes a convex step for none, and creeps (the delta with all rods: 500 iterations
+without an answer in place of 44)."""
 _WARM = {
     "ipopt.warm_start_init_point": "yes",
     "ipopt.mu_init": 1e-5,
@@ -160,5 +164,6 @@ def _options() -> dict[str, Any]:
         "ipopt.max_wall_time": _MAX_SOLVER_S,
         "ipopt.tol": 1e-8,
         "ipopt.acceptable_tol": 1e-6,
+        "ipopt.mumps_pivtol": _MIN_PIVOT,
         "error_on_fail": False,
     }
