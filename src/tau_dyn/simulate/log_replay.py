@@ -30,7 +30,8 @@ from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw
 from tau_dyn.simulate.forces import EffectSurroundings, SampledForces
-from tau_dyn.simulate.plant import OFTEN_AT_LIMIT, Plant, PlantRun, Progress
+from tau_dyn.simulate.plant import Plant
+from tau_dyn.simulate.plant_run import OFTEN_AT_LIMIT, PlantRun, Progress
 from tau_dyn.simulate.sensors import EncoderErrors, record_run
 from tau_dyn.simulate.trajectory import Trajectory
 

@@ -3,6 +3,9 @@ typedef struct {
     double h, time;                       /* last step and time [s] */
     int started, stuck[NA];
     double start[NA + NP];                /* where the loops were closed last */
+@IF REMEMBERS@
+    double memory[NM], felt[NR];          /* what effects remember, and temperatures */
+@END@
     double tau[NA], theta[NTHETA], q0[NA], v0[NA], step;
 } Plant;
 
@@ -88,8 +91,8 @@ static int slip(const double *A, const double *free_, const double *lower, const
 /* One slip with friction as it is at velocities v and accelerations a. */
 static int slip_at(Plant *s, const double *A, const double *free_, const double *v, const double *a, double *u)
 {
-    double lower[NA], upper[NA], added[NA * NA], f[NA];
-    const int status = friction(s->q, PASSIVE(s) v, a, s->theta, lower, upper, added);
+    double lower[NA], upper[NA], f[NA];
+    const int status = friction(s->q, PASSIVE(s) REMEMBERED(s) v, a, s->theta, lower, upper);
     if (status) return status;
     for (int i = 0; i < NA; ++i) {
         if (lower[i] > upper[i]) lower[i] = upper[i] = v[i] > 0.0 ? upper[i] : lower[i];
@@ -111,9 +114,9 @@ static int after(Plant *s, double kick, double *u)
     if (status) return status;
     status = dynamics(s->q, PASSIVE(s) v, s->theta, M, h);
     if (status) return status;
-@IF FRICTION@
-    double lower[NA], upper[NA], added[NA * NA], mean[NA], a[NA], held[NA];
-    status = friction(s->q, PASSIVE(s) v, s->a, s->theta, lower, upper, added);
+@IF MASS@
+    double added[NA * NA];
+    status = mass(s->q, PASSIVE(s) REMEMBERED(s) v, s->theta, added);
     if (status) return status;
     for (int i = 0; i < NA * NA; ++i) M[i] += added[i];
 @END@
@@ -125,6 +128,7 @@ static int after(Plant *s, double kick, double *u)
         u[i] = free_[i];
     }
 @IF FRICTION@
+    double mean[NA], a[NA], held[NA];
     for (int i = 0; i < NA; ++i) held[i] = s->held[i];
     status = slip_at(s, A, free_, v, s->a, u);
     if (status) return status;
@@ -177,13 +181,5 @@ static int advance(Plant *s, double h)
     }
     s->h = h;
     s->time += h;
-    if (!sound(NA, s->q) || !sound(NA, s->w) || !sound(NA, s->a)) return 3;
-    return CLOSED(s);
-}
-
-/* The velocity at the sample, extrapolated from half a step back as the dynamics take it. */
-static double velocity(const Plant *s, int i)
-{
-    if (!s->started) return s->w[i];
-    return s->stuck[i] ? 0.0 : s->w[i] + 0.5 * s->h * s->a[i];
+    return sound(NA, s->q) && sound(NA, s->w) && sound(NA, s->a) ? 0 : 3;
 }
