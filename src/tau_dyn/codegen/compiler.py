@@ -24,7 +24,7 @@ from tau_dyn.files import write_atomically
 SECONDS = 300  # s; a compiler that takes longer hangs
 MAX_LIBRARIES = 200
 """Libraries kept, about 50 kB each; the oldest leave."""
-_FLAGS = ("-std=c99", "-O1", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off")
+_FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off")
 
 
 def find_compiler() -> str | None:

@@ -196,9 +196,11 @@ class Node:
         raise TypeError("this code needs a plain number where only an expression of the inputs is known")
 
     def __pow__(self, power: float) -> Any:
-        """Return a power: a whole number up to 8, or a half."""
-        if power == 0.5:
-            return self.sqrt()
+        """Return a power: a whole number up to 8, or half of a whole number up to 4, of either sign."""
+        if power < 0:
+            return 1.0 / self**-power
+        if power in (0.5, 1.5, 2.5, 3.5):
+            return self.sqrt() * (self ** int(power) if power > 1 else 1.0)
         if power != int(power) or not 0 < power <= 8:
             raise TypeError(f"the power {power:g} of an expression of the inputs")
         half = self * self

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from tau_dyn.codegen.c_writer import fill_template, yield_function
+from tau_dyn.codegen.c_writer import STEP, fill_template, yield_function
 from tau_dyn.codegen.feedforward_c import yield_closing_parts
 from tau_dyn.codegen.plant_equations import Equations
 from tau_dyn.codegen.tracing import TracedFunction
@@ -48,7 +48,7 @@ def yield_plant_parts(equations: Equations, further: Sequence[str]) -> Iterator[
         (
             f"#define PASSIVE(s) {'(s)->start + NA,' if loops is not None else ''}",
             f"#define REMEMBERED(s) {felt}",
-            f"#define CLOSED(s) {'(follow((s)->start, (s)->q) ? 0 : 2)' if loops is not None else '0'}",
+            f"#define CLOSED(s) {'(close_loops(s) ? 0 : 2)' if loops is not None else '0'}",
         )
     )
     if loops is not None and equations.closure is not None:
@@ -58,8 +58,8 @@ def yield_plant_parts(equations: Equations, further: Sequence[str]) -> Iterator[
         part: TracedFunction | None = getattr(equations, name)
         if part is not None:
             yield _write_part(name, part, moved)
-    flags = {"FRICTION": equations.friction, "MASS": equations.mass, "REMEMBERS": remembers or None}
-    yield fill_template("plant", {flag for flag, part in flags.items() if part is not None})
+    flags = {"FRICTION": equations.friction, "MASS": equations.mass, "REMEMBERS": remembers or None, "LOOPS": loops}
+    yield fill_template("plant", {flag for flag, part in flags.items() if part is not None}, STEP=repr(STEP))
 
 
 def _write_part(name: str, part: TracedFunction, moved: dict[str, str]) -> str:

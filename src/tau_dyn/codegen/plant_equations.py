@@ -167,7 +167,8 @@ class _Inputs(TracingInputs):
     def ask(self, effect: Effect, a: Any, sign: float, force: Any = None) -> Any:
         """Return an effect's force (na,) at accelerations (1, na), and for effects that feel it at a force (na,)."""
         robot = self.model.robot
-        signals = {n: COMPUTED[n](self.form, self.q, self.v, a) for n in effect.needs if n in COMPUTED}
+        felt = [] if isinstance(effect, Hysteresis) else [n for n in effect.needs if n in COMPUTED]
+        signals = {n: COMPUTED[n](self.form, self.q, self.v, a) for n in felt}
         signals |= self.remembered.signals(effect, self.beside)
         if force is not None:
             signals["force"] = as_expression_array(force)[None]

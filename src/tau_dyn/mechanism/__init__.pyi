@@ -44,13 +44,14 @@ from .legs import (
     find_ball_joints as find_ball_joints,
 )
 from .loop_arrays import LoopArrays as LoopArrays
-from .loops import LoopSolver as LoopSolver, TreeState as TreeState
+from .loops import LoopSolver as LoopSolver, TreeState as TreeState, find_passive_pairs as find_passive_pairs
 from .mechanism import (
     SINGULAR as SINGULAR,
     Mechanism as Mechanism,
     build_kinematics as build_kinematics,
     compute_acceleration_bias as compute_acceleration_bias,
     compute_inverse_jacobian as compute_inverse_jacobian,
+    compute_perpendicular_axes as compute_perpendicular_axes,
     find_all_solutions as find_all_solutions,
     find_nearest_configuration as find_nearest_configuration,
     forward_kinematics as forward_kinematics,

@@ -10,14 +10,19 @@ simulator's at random states, built once and kept (`codegen/compiler.py`). One l
 A run that cannot be finished (a loop opens, a number is not finite, a decision falls otherwise than while tracing) returns None;
 then `plant.py` decides what that means. What cannot be traced, and all where there is no compiler, is simulated there too.
 
-Building pays where it takes less time than it saves. One step of `plant.py` takes 0.25 ms or more; tracing takes about as long as
-`MIN_SAMPLES` of them, and compiling 0.15 ms a line.
+Building pays where it takes less time than it saves: one step of `plant.py` takes 0.2 to 0.5 ms, and building half a second to
+three, the more the more joints there are.
+
+Encoders that round make a loop that is open below their step: without friction, differences of 1e-16 grow there until a rounding
+tips, and two runs then differ by a step of the encoders, as those of two computers do.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,22 +39,51 @@ from tau_dyn.codegen import (
     is_compiling_allowed,
     write_plant_source,
 )
-from tau_dyn.effects import acts_on_recording
+from tau_dyn.effects import DisplacementEffect, acts_on_recording
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.simulate.controllers import Servo
 from tau_dyn.simulate.forces import EffectSurroundings, SampledForces
 from tau_dyn.simulate.sensors import EncoderErrors
 
-MIN_SAMPLES = 400
-"""Shorter runs are not worth tracing the equations."""
-SAMPLES_PER_LINE = 0.6
-"""Further samples a line of C that make compiling worth it, where the library is not kept from an earlier run."""
+MIN_SAMPLES_PER_DRIVE, MIN_SAMPLES_PER_PASSIVE_JOINT = 300, 150
+"""Shorter runs are over before a library is built. What is kept from earlier runs makes no difference: the same call takes the
+same path each time, since the paths differ by rounding."""
 AGREEMENT = 1e-9
 """How far equations and simulator may differ at random states, relative to the largest value."""
 
 _STATES, _SEED = 15, 2
 _LIBRARIES = LibraryCache()
+
+
+class _TracedModels:
+    """Equations and source of the models that were simulated last; models that differ in values alone share them."""
+
+    _MAX = 8  # models; a study goes round a few
+
+    def __init__(self) -> None:
+        self._known: dict[tuple, tuple[Model, tuple[Equations, str]]] = {}
+
+    def find(self, model: Model, shown: Sequence[DisplacementEffect], campaign: float | None) -> tuple[Equations, str]:
+        """Return a model's equations, traced if need be; the model is kept alive, by whose parts it is known."""
+        key = _identify(model, shown, campaign)
+        if key not in self._known:
+            equations = build_equations(model, encoders=shown, campaign=campaign)
+            while len(self._known) >= self._MAX:
+                self._known.pop(next(iter(self._known)))
+            self._known[key] = model, (equations, write_plant_source(equations))
+        return self._known[key][1]
+
+
+def _identify(model: Model, shown: Sequence[DisplacementEffect], campaign: float | None) -> tuple:
+    """Return what tells two models apart but for their values."""
+    robot = model.robot
+    parts = (getattr(robot, f.name) for f in fields(robot) if f.name != "parameters")
+    names = model.parameters.names
+    return *map(id, parts), names, *map(id, (*model.effects, *shown)), campaign
+
+
+_TRACED = _TracedModels()
 
 
 class PlantMotion(NamedTuple):
@@ -74,7 +108,8 @@ class CompiledPlant:
         self.library, self._surroundings = library, surroundings or EffectSurroundings()
         names, felt = model.parameters.names, equations.model.parameters.names
         self.places = [names.index(felt[k]) for k in equations.parameters]
-        library.plant_size.restype = library.plant_run.restype = ctypes.c_int64
+        for function in (library.plant_size, library.plant_run, library.plant_inertia):
+            function.restype = ctypes.c_int64
 
     @classmethod
     def find(
@@ -88,21 +123,49 @@ class CompiledPlant:
             surroundings: By default a room that warms up.
             encoders: Whether the encoders' errors are felt.
         """
-        if n_samples < MIN_SAMPLES or not is_compiling_allowed() or find_compiler() is None:
+        robot = model.robot
+        passive = robot.model.nv - robot.na if robot.loops and model.mechanism.equations == "tree" else 0
+        if n_samples < MIN_SAMPLES_PER_DRIVE * robot.na + MIN_SAMPLES_PER_PASSIVE_JOINT * passive:
+            return None
+        if not is_compiling_allowed() or find_compiler() is None:
             return None
         shown = EncoderErrors(model).effects if encoders else ()
         kept = model.only((*(e for e in model.effects if not acts_on_recording(e)), *shown))
         campaign = None if surroundings is None else surroundings.campaign
         try:
-            equations = build_equations(kept, encoders=shown, campaign=campaign)
-            source = write_plant_source(equations)
+            equations, source = _TRACED.find(kept, shown, campaign)
             library = _LIBRARIES.find(source)
-            if library is None and n_samples >= MIN_SAMPLES + SAMPLES_PER_LINE * source.count("\n"):
+            if library is None:
                 compare_equations(equations, surroundings)
                 library = _LIBRARIES.build(source)
         except InputError:
             return None
         return None if library is None else cls(model, equations, library, surroundings)
+
+    def compute_inertia(self, law_model: Model, q: np.ndarray) -> np.ndarray | None:
+        """Return the mass matrix (N, na, na) of a model of the same robot along positions (N, na), or None.
+
+        None where the robots differ in more than values, or where a position cannot be reached.
+        """
+        names = law_model.parameters.names
+        own = [self.model.parameters.names[k] for k in self.places]
+        if law_model.robot.model is not self.model.robot.model:
+            return None
+        values = [law_model.parameters[x].value if x in names else 0.0 for x in own] or [0.0]
+        q, theta = np.ascontiguousarray(q, float), np.array(values)
+        out = np.empty((len(q), self.na, self.na))
+        state = self.begin(q[0], np.zeros(self.na))
+        done = self.library.plant_inertia(state, *(_point(x) for x in (theta, q, out)), ctypes.c_int64(len(q)))
+        return out if done == len(q) else None
+
+    def begin(self, q0: np.ndarray, v0: np.ndarray, *controller: np.ndarray) -> Any:
+        """Return the library's state at positions, velocities (na,) and, where there is one, the controller's numbers."""
+        loops = self.equations.loops
+        passive = np.zeros(0) if loops is None else loops.closed(q0)[loops.passive]
+        given = [np.ascontiguousarray(x, float) for x in (q0, v0, passive, *controller)]
+        state = ctypes.create_string_buffer(self.library.plant_size())
+        self.library.plant_start_at(state, *(_point(x) for x in given), *[None] * (6 - len(given)))
+        return state
 
     def apply_forces(
         self, q0: np.ndarray, v0: np.ndarray, dt: float, tau: np.ndarray, *, parameters: np.ndarray | None = None
@@ -162,6 +225,10 @@ class CompiledPlant:
         return np.hstack(columns)
 
 
+def _point(array: np.ndarray) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
 class _Fields(ctypes.Structure):
     """`Run` of `c/plant_run.c`."""
 
@@ -189,16 +256,14 @@ class _Run:
         often: int = 1,
         substeps: int = 1,
     ) -> None:
-        equations, na = plant.equations, plant.na
+        na = plant.na
         self._library, self._n, self._na = plant.library, n, na
         values = plant.model.parameters.values if parameters is None else np.asarray(parameters, float)
         self._fields = _Fields(often=often, substeps=substeps, inertia_every=1, dt=dt, period=dt)
         self._arrays: dict[str, Any] = {}
         self._put("theta", values[plant.places] if plant.places else np.zeros(1))
         self._put("felt", plant.temperatures(n * substeps, dt))
-        loops, start = equations.loops, np.asarray(q0, float)
-        passive = np.zeros(0) if loops is None else loops.closed(start)[loops.passive]
-        self._start = [np.ascontiguousarray(x, float) for x in (start, v0, passive)]
+        self._begin = partial(plant.begin, np.asarray(q0, float), v0)
         rows = (len(range(0, n, often)), na)
         for name in ("q", "v", "a"):
             self._put(name, np.empty(rows))
@@ -207,7 +272,7 @@ class _Run:
     def take(self, tau: np.ndarray) -> None:
         """Have forces (N, na) drive the robot."""
         self._put("tau", tau)
-        self._begin()
+        self._state = self._begin()
 
     def follow(self, servo: Servo, hold: bool) -> None:
         """Have a cascade drive the robot."""
@@ -220,7 +285,7 @@ class _Run:
         self._put("resolution", None if servo.resolution is None else np.broadcast_to(servo.resolution, (na,)))
         for name in ("read", "tau"):
             self._put(name, np.empty_like(self._arrays["q"]))
-        self._begin(servo.before, servo.v_before, servo.integral)
+        self._state = self._begin(servo.before, servo.v_before, servo.integral)
 
     def finish(self, watch: Callable[[int, np.ndarray], bool] | None) -> PlantMotion | None:
         """Run to the end, about a hundredth at once."""
@@ -235,12 +300,6 @@ class _Run:
         return PlantMotion(
             found["q"], found["v"], found["a"], found["tau"], found["stuck"].astype(bool), found.get("read")
         )
-
-    def _begin(self, *controller: np.ndarray) -> None:
-        self._state = ctypes.create_string_buffer(self._library.plant_size())
-        given = [np.ascontiguousarray(x, float) for x in controller]
-        pointers = [ctypes.c_void_p(x.ctypes.data) for x in (*self._start, *given)]
-        self._library.plant_start_at(self._state, *pointers, *[None] * (3 - len(given)))
 
     def _put(self, name: str, values: np.ndarray | None, kind: Any = float) -> None:
         """Hand an array over; None for none."""

@@ -213,16 +213,25 @@ class CascadeController:
             rest = np.zeros((1, na))
             self._integral = self._start.torque(reference.q[:1], rest, rest, rest)[0] / self.law.force_per_unit
 
-    def describe(self, reference: Trajectory) -> Servo:
-        """Return the controller as `reset` left it, with all that it will look up along the reference."""
+    def describe(
+        self, reference: Trajectory, look_up: Callable[[Model, np.ndarray], np.ndarray | None] | None = None
+    ) -> Servo:
+        """Return the controller as `reset` left it, with all that it will need along the reference.
+
+        Args:
+            reference: The reference.
+            look_up: Gives a model's mass matrices (N, na, na) along positions faster than the model itself, or None.
+        """
         inertia, every = self.law.inertia, max(1, round(INERTIA_EVERY_S / self._dt))
-        looked_up = None
-        if inertia is not None:
-            q = reference.q[::every]
-            looked_up = inertia.along(q) if isinstance(inertia, ModelInertia) else np.array([inertia(x) for x in q])
+        matrices, q = None, reference.q[::every]
+        if isinstance(inertia, ModelInertia):
+            matrices = None if look_up is None else look_up(inertia.model, q)
+            matrices = inertia.along(q) if matrices is None else matrices
+        elif inertia is not None:
+            matrices = np.array([inertia(x) for x in q])
         return Servo(
             self.law, self._dt, reference.q, reference.v, self._forces, np.array(self._before), self._v_ref,
-            self._integral, looked_up, every,
+            self._integral, matrices, every,
         )  # fmt: skip
 
     def force(

@@ -203,7 +203,7 @@ class SampledForces:
         return (force[1:] - force[0]).T
 
     def _feels_acceleration(self, effect: Effect, values: np.ndarray) -> bool:
-        if {"passive", "gravity_turn"} & set(effect.needs):
+        if {"passive", "gravity_turn"} & set(effect.needs) or isinstance(effect, Hysteresis):
             return False  # feel speeds or places alone, and not every state by chance closes the loops
         states = np.random.default_rng(0).uniform(-1, 1, (_PROBES, 2, self.na))
         return any(np.any(self._per_acceleration(effect, values, q, v) != 0) for q, v in states)

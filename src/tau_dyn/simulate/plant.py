@@ -210,7 +210,7 @@ def _run_compiled(
         return _is_near(q, reference)
 
     try:
-        servo = controller.describe(reference)
+        servo = controller.describe(reference, compiled.compute_inertia)
     except LoopClosureError:
         return None
     if encoder is not None:

@@ -3,12 +3,36 @@ typedef struct {
     double h, time;                       /* last step and time [s] */
     int started, stuck[NA];
     double start[NA + NP];                /* where the loops were closed last */
+@IF LOOPS@
+    double earlier[2][NP];                /* passive joints one sample and two before that */
+    int known;                            /* how many of these there are */
+@END@
 @IF REMEMBERS@
     double memory[NM], felt[NR];          /* what effects remember, and temperatures */
 @END@
     double tau[NA], theta[NTHETA], q0[NA], v0[NA], step;
 } Plant;
 
+@IF LOOPS@
+/* Close the loops: from a parabola through the last three samples one step of Newton's method does; else follow the drives. */
+static int close_loops(Plant *s)
+{
+    double z[NP], far = 0.0;
+    const double *last = s->start + NA;
+    for (int i = 0; i < NA; ++i) far = fmax(far, fabs(s->q[i] - s->start[i]));
+    const int smooth = far <= @STEP@;
+    for (int k = 0; k < NP; ++k) z[k] = 3.0 * (last[k] - s->earlier[0][k]) + s->earlier[1][k];
+    const int found = smooth && s->known == 2 && newton(s->q, z);
+    memcpy(s->earlier[1], s->earlier[0], sizeof z);
+    memcpy(s->earlier[0], last, sizeof z);
+    s->known = !smooth ? 0 : s->known < 2 ? s->known + 1 : 2;
+    if (!found) return follow(s->start, s->q);
+    memcpy(s->start, s->q, sizeof s->q);
+    memcpy(s->start + NA, z, sizeof z);
+    return 1;
+}
+
+@END@
 /* X of A X = B by elimination with row exchanges; B (n, m) becomes X. 0 where A is singular. */
 static int eliminate(int n, int m, double *A, double *B)
 {
@@ -153,6 +177,9 @@ static void begin(Plant *s)
         s->stuck[i] = 0;
     }
     s->started = 0;
+@IF LOOPS@
+    s->known = 0;
+@END@
     s->h = 0.0;
 }
 

@@ -40,6 +40,20 @@ EXPORT void plant_start_at(State *s, const double *q, const double *v, const dou
     memcpy(s->integral, integral, sizeof s->integral);
 }
 
+/* Mass matrices at n positions, followed from a start that plant_start_at set; n, or the first that failed. */
+EXPORT int64_t plant_inertia(State *s, const double *theta, const double *q, double *M, int64_t n)
+{
+    Plant *p = &s->plant;
+    const double rest[NA] = {0.0};
+    double h[NA];
+    memcpy(p->theta, theta, sizeof p->theta);
+    for (int64_t k = 0; k < n; ++k) {
+        memcpy(p->q, q + k * NA, sizeof p->q);
+        if (CLOSED(p) || dynamics(p->q, PASSIVE(p) rest, p->theta, M + k * NA * NA, h)) return k;
+    }
+    return n;
+}
+
 /* What the encoders show of the true positions; noise and rounding come last. */
 static int read_encoders(State *s, const Run *r, int64_t k, double *shown)
 {
