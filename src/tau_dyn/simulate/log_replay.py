@@ -28,9 +28,10 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log import ROOM_TEMPERATURE, Log, differentiate, ensure_even, find_motion_band, lowpass
 from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
+from tau_dyn.simulate.compiled_plant import CompiledPlant
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw
 from tau_dyn.simulate.forces import EffectSurroundings, SampledForces
-from tau_dyn.simulate.plant import Plant
+from tau_dyn.simulate.plant import Plant, follow_cascade
 from tau_dyn.simulate.plant_run import OFTEN_AT_LIMIT, PlantRun, Progress
 from tau_dyn.simulate.sensors import EncoderErrors, record_run
 from tau_dyn.simulate.trajectory import Trajectory
@@ -241,11 +242,23 @@ def _drive(model: Model, log: Log, law: CascadeLaw, often: int, substeps: int, p
     controller = _ResumedController(law)
     controller.resume(reference, start)
     beside = EncoderErrors(model).read(start.q) - start.q if errors.any else 0.0
-    plant = Plant(model, start.q - beside, start.v, period / substeps)
-    plant.forces = SampledForces(model, _surroundings(log, joints))
+    plant, room = Plant(model, start.q - beside, start.v, period / substeps), _surroundings(log, joints)
+    plant.forces = SampledForces(model, room)
+    far = 100 * (1 + np.max(np.abs(reference.q), axis=0))
+    compiled = CompiledPlant.find(model, substeps * reference.n_samples, room, encoders=True)
+    if compiled is not None:
+
+        def watch(k: int, q: np.ndarray) -> bool:
+            if progress is not None:
+                progress(k / reference.n_samples)
+            return bool(np.all(np.abs(q) < far))
+
+        options = {"often": often, "substeps": substeps, "hold": True, "watch": watch}
+        moved = follow_cascade(compiled, controller, reference, (plant.q, plant.w), **options)
+        if moved is not None:
+            return record_run(PlantRun(model, log.t, *moved[:5], reference.every(often), moved.read))
     q, read, v, a, tau = np.empty((5, log.n_samples, len(joints)))
     stuck = np.zeros((log.n_samples, len(joints)), dtype=bool)
-    far = 100 * (1 + np.max(np.abs(reference.q), axis=0))
     last = None
     for k in range(reference.n_samples):
         place, shown = plant.q, errors.read(plant.q) if errors.any else plant.q

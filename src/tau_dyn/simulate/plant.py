@@ -24,7 +24,7 @@ Reference: Hairer, Lubich & Wanner 2003 (leapfrog); Moreau 1988; Stewart & Trink
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -201,21 +201,32 @@ def _run_compiled(
     if type(controller) is not CascadeController:
         return None
     compiled = CompiledPlant.find(model, reference.n_samples, encoders=encoder is not None)
-    if compiled is None:
-        return None
 
     def watch(k: int, q: np.ndarray) -> bool:
         if progress is not None:
             progress(k / reference.n_samples)
         return _is_near(q, reference)
 
+    start = reference.q[0], np.zeros(model.robot.na)
+    return None if compiled is None else follow_cascade(compiled, controller, reference, start, encoder, watch=watch)
+
+
+def follow_cascade(
+    compiled: CompiledPlant,
+    controller: CascadeController,
+    reference: Trajectory,
+    start: tuple[np.ndarray, np.ndarray],
+    encoder: EncoderReadings | None = None,
+    **options: Any,
+) -> PlantMotion | None:
+    """Return the run of a controller that is ready, from positions and velocities (na,); see `CompiledPlant.follow`."""
     try:
         servo = controller.describe(reference, compiled.compute_inertia)
     except LoopClosureError:
         return None
     if encoder is not None:
         servo = replace(servo, noise=encoder.noise, resolution=encoder.resolution)
-    return compiled.follow(reference.q[0], np.zeros(model.robot.na), servo, watch=watch)
+    return compiled.follow(*start, servo, **options)
 
 
 def free_motion(
