@@ -113,7 +113,9 @@ def test_a_watched_terminal_shows_the_steps(stroke):
     """Where stderr is a terminal the steps stand there, and stdout holds the result alone."""
     ours, theirs = pty.openpty()
     command = [sys.executable, "-m", "tau_dyn", "identify", "linear_axis", stroke, "--json", "-"]
-    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=theirs, env={**os.environ, "TERM": "xterm"}, check=True)
+    done = subprocess.run(
+        command, stdout=subprocess.PIPE, stderr=theirs, env={**os.environ, "TERM": "xterm"}, check=True
+    )
     os.close(theirs)
     shown = b""
     while chunk := _read(ours):

@@ -164,11 +164,13 @@ def test_what_needs_a_history_is_refused_by_name(cause: str) -> None:
     assert build_program(Feedforward(model.steady())).difference < 1e-10
 
 
-def test_load_friction_on_loops_solved_numerically_is_refused() -> None:
-    """What guides carry there is not written out; nothing wrong is written instead."""
+@pytest.mark.parametrize("cause", ["load_friction", "passive_joint_friction", "gravity_direction"])
+def test_what_a_mechanism_carries_is_written_out_with_loops_too(cause: str) -> None:
+    """Loads of guides, turning of bearings and weights under another gravity are Pinocchio's, loops' forces included."""
     robot = load_robot("gantry_tau", arms="complete")
-    with raises_code("unsupported"):
-        build_program(Feedforward(made(robot, EFFECTS["load_friction"](robot.actuated, robot.force_units))))
+    model = Model.of(robot, [EFFECTS[cause](robot.actuated, robot.force_units)])
+    model = model.with_values({name: 0.1 + 0.1 * k for k, name in enumerate(model.effect_parameters.names)})
+    assert build_program(Feedforward(model)).difference < 1e-9
 
 
 class _Branching(JointwiseEffect):

@@ -19,7 +19,7 @@ from raising import raises_code
 from tau_dyn.cli import main
 from tau_dyn.codegen import build_equations, write_fmu_source
 from tau_dyn.codegen.fmu_writer import build_base_units
-from tau_dyn.effects import EFFECTS, SymmetricFriction, build_friction_model
+from tau_dyn.effects import EFFECTS, JointwiseEffect, SymmetricFriction, build_friction_model
 from tau_dyn.exchange import build_fmu
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot, load_robot_from_urdf
@@ -238,10 +238,21 @@ def test_what_a_state_does_not_determine_is_left_out_and_said(monkeypatch):
     assert "no C compiler" in said
 
 
-def test_what_cannot_be_traced_is_refused_in_a_sentence(write):
-    """Friction that grows with a guide's load is not known on loops solved numerically."""
-    with raises_code("unsupported"):
-        build_equations(made(load_robot_from_urdf(write.four_bar(), "four_bar"), "load_friction"))
+class _Table(JointwiseEffect):
+    """A law that is looked up in a table."""
+
+    name, equation, quantities = "table", "none", (("table", "F"),)
+
+    def per_joint(self, joint):
+        """Return a value between two rows."""
+        return [np.interp(np.asarray(joint.q, float), [0.0, 1.0], [0.0, 2.0])]
+
+
+def test_what_cannot_be_traced_is_refused_in_a_sentence():
+    """A table is no expression of the state."""
+    robot = load_robot("linear_axis")
+    with raises_code("unsupported", "table"):
+        build_equations(Model.of(robot, [_Table(robot.actuated, robot.force_units)]))
 
 
 def test_numbers_are_written_to_the_last_digit():

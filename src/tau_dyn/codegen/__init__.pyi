@@ -5,13 +5,14 @@ from .c_writer import (
     include_header as include_header,
     locate_header as locate_header,
 )
+from .compiler import (
+    LibraryCache as LibraryCache,
+    compile_library as compile_library,
+    find_compiler as find_compiler,
+    is_compiling_allowed as is_compiling_allowed,
+)
 from .feedforward_c import write_c_source as write_c_source
 from .filters import write_learning_source as write_learning_source, write_observer_source as write_observer_source
-from .fmu_equations import (
-    Equations as Equations,
-    build_equations as build_equations,
-    list_unsupported_effects as list_unsupported_effects,
-)
 from .fmu_writer import (
     build_variables as build_variables,
     format_description as format_description,
@@ -19,10 +20,16 @@ from .fmu_writer import (
     write_fmu_source as write_fmu_source,
 )
 from .forms import draw_random_states as draw_random_states
-from .graph import Graph as Graph, Node as Node
+from .graph import Graph as Graph, Node as Node, evaluate_graph as evaluate_graph
 from .kinematics import KinematicsProgram as KinematicsProgram, build_kinematics as build_kinematics
 from .kinematics_c import write_kinematics_source as write_kinematics_source
 from .mujoco_callback import write_mujoco_callback as write_mujoco_callback
+from .plant_c import write_plant_source as write_plant_source
+from .plant_equations import (
+    Equations as Equations,
+    build_equations as build_equations,
+    list_unsupported_effects as list_unsupported_effects,
+)
 from .program import ARGUMENTS as ARGUMENTS, Program as Program, build_program as build_program
 from .python_writer import write_python_source as write_python_source
 from .tracing import (

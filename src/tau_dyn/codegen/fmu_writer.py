@@ -1,6 +1,6 @@
 """The files of an FMU for co-simulation (FMI 2.0): its C source, and `modelDescription.xml`.
 
-The source: the model's equations as functions, the simulator's step (`c/fmu_plant.c`: leapfrog with sharp friction, as
+The source: the model's equations as functions, the simulator's step (`c/plant.c`: leapfrog with sharp friction, as
 `simulate/plant.py` has it, so that with equal steps the trajectory is the simulator's but for rounding),
 the functions of FMI (`c/fmu_interface.c`). A step that cannot be made leaves the state alone, is logged, and is an error. An
 instance is one block of memory, so its state is stored and restored as bytes.
@@ -19,10 +19,9 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from tau_dyn.codegen.c_writer import escape_comment_line, fill_template, list_numbers, yield_function
-from tau_dyn.codegen.feedforward_c import yield_closing_parts
-from tau_dyn.codegen.fmu_equations import Equations
-from tau_dyn.codegen.tracing import TracedFunction
+from tau_dyn.codegen.c_writer import escape_comment_line, fill_template, list_numbers
+from tau_dyn.codegen.plant_c import yield_plant_parts
+from tau_dyn.codegen.plant_equations import Equations
 from tau_dyn.version import __version__
 
 
@@ -54,37 +53,14 @@ def _yield_parts(equations: Equations, guid: str, about: str) -> Iterator[str]:
         )
     )
     yield fill_template("checks")
-    if loops is not None and equations.closure is not None:
-        yield from yield_closing_parts(loops, equations.closure, "plant")
-    moved = {f"theta[{k}]": f"theta[{i}]" for i, k in enumerate(places)}
-    for name in ("dynamics", "friction", "tool"):
-        part: TracedFunction | None = getattr(equations, name)
-        if part is not None:
-            yield _write_part(name, part, moved)
-    yield fill_template("fmu_plant", {"FRICTION"} if equations.friction is not None else ())
+    yield from yield_plant_parts(equations, ("tool",))
     yield fill_template("fmu_interface")
 
 
 def _yield_macros(equations: Equations, guid: str) -> Iterator[str]:
-    solved = equations.loops is not None
     yield f'#define GUID "{guid}"'
-    yield f"#define PASSIVE(s) {'(s)->start + NA,' if solved else ''}"
-    yield f"#define CLOSED(s) {'(follow((s)->start, (s)->q) ? 0 : 2)' if solved else '0'}"
-    yield f"#define START(s) {'plant_start((s)->start)' if solved else '((void)0)'}"
+    yield f"#define START(s) {'plant_start((s)->start)' if equations.loops is not None else '((void)0)'}"
     yield f"#define TOOL(s, x) {'tool((s)->q, PASSIVE(s) x)' if equations.tool else '0'}"
-
-
-def _write_part(name: str, part: TracedFunction, moved: dict[str, str]) -> str:
-    """Return one part as a function that leaves with 0, or with 1 where the robot cannot be; parameters by their FMU's places."""
-    takes = ", ".join(f"const double *{array}" for array in part.arguments)
-    gives = ", ".join(f"double {array}[{len(values)}]" for array, values in part.outputs.items())
-    head = f"static int {name}({takes}, {gives})"
-    text = "\n".join(yield_function(head, part.graph, list(part.arguments), part.outputs))
-    pieces = text.split("theta[")
-    for k, piece in enumerate(pieces[1:], start=1):
-        index, _, rest = piece.partition("]")
-        pieces[k] = moved[f"theta[{index}]"] + rest
-    return "".join(pieces)
 
 
 _BASE = {

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -18,7 +18,17 @@ from tau_dyn.codegen.loops import Loops, trace_frames
 from tau_dyn.codegen.tracing import ExpressionArray, as_expression_array, build_inputs
 from tau_dyn.codegen.tree import Tree
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism import GantryTauMechanism, Mechanism, Rods, TreePose, forward_kinematics, get_robot
+from tau_dyn.mechanism import (
+    Frames,
+    GantryTauMechanism,
+    Mechanism,
+    Rods,
+    TreePose,
+    compute_perpendicular_axes,
+    find_passive_pairs,
+    forward_kinematics,
+    get_robot,
+)
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 
@@ -36,6 +46,13 @@ class ClosedForm(GantryTauMechanism):
         M, h = self.mass_and_bias(q[0], v[0])
         return as_expression_array((M @ a[0] + h)[None])
 
+    def gravity_turn(self, q: np.ndarray) -> np.ndarray:
+        """Return how the forces at rest change per turn of gravity (1, na, 2); see `Mechanism.gravity_turn`."""
+        turned = [copy(self) for _ in range(2)]
+        for form, axis in zip(turned, compute_perpendicular_axes(self.gravity), strict=True):
+            form.gravity = np.cross(axis, self.gravity)
+        return _rest_forces(turned, q)
+
     def open_parameters(self, value: Any) -> None:
         """Put expressions in the place of the masses; `value` gives a parameter by its name."""
         robot = self.robot
@@ -46,6 +63,12 @@ class ClosedForm(GantryTauMechanism):
         weight = f"{robot.plate}.gravity_mass"
         self.m_gravity = as_expression_array(value(weight)) if weight in robot.parameters else 0.0
         self._armature = lambda: armature  # type: ignore[method-assign]
+
+
+def _rest_forces(forms: list[Any], q: np.ndarray) -> Any:
+    """Return the forces at rest (1, na, n) of several forms."""
+    rest = as_expression_array(np.zeros(np.shape(q)))
+    return as_expression_array(np.stack([np.asarray(form.inverse_dynamics(q, rest, rest)) for form in forms], axis=2))
 
 
 def _refuse(what: str) -> Any:
@@ -107,6 +130,13 @@ class TreeForm(Mechanism):
         columns = [light.inverse_dynamics(q[None], rest, as_expression_array(unit[None]))[0] for unit in np.eye(n)]
         return as_expression_array(np.array(columns, dtype=object).T), self.inverse_dynamics(q[None], v[None], rest)[0]
 
+    def gravity_turn(self, q: np.ndarray) -> np.ndarray:
+        """Return how the forces at rest change per turn of gravity (1, na, 2); see `Mechanism.gravity_turn`."""
+        gravity, turned = self.tree.gravity, [copy(self) for _ in range(2)]
+        for form, axis in zip(turned, compute_perpendicular_axes(gravity), strict=True):
+            form.tree = self.tree.under(np.cross(axis, gravity))
+        return _rest_forces(turned, q)
+
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """Return the tool's position (1, 3) [m]."""
         engine = TreePose(self.robot)
@@ -147,6 +177,10 @@ class LoopForm(TreeForm):
 
     def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the forces (1, na) of one sample: the passive joints' motion, the tree's forces, virtual work."""
+        driven = [self.tree.armature[n] * x for n, x in zip(self.robot.actuated, a[0], strict=True)]
+        return as_expression_array((self._close(q, v, a).felt + np.array(driven, dtype=object))[None])
+
+    def _close(self, q: Any, v: Any, a: Any) -> _ClosedTree:
         loops, graph = self.loops, self.graph
         place, at = self.place(q[0]), loops.frames(q[0], self.passive)
         J = loops.closure(at)[1][loops.rows]
@@ -154,14 +188,52 @@ class LoopForm(TreeForm):
         speeds = loops.rates(v[0], graph.solved(factor, -(J_a @ v[0])))
         drift = loops.drift(at, speeds)[loops.rows]
         change = loops.rates(a[0], graph.solved(factor, -(J_a @ a[0] + drift)))
-        tau, _ = self.tree.forces(place, speeds, change)
+        tau, beyond = self.tree.forces(place, speeds, change)
         held = np.array(graph.solved(factor, [tau[k] for k in loops.passive], transposed=True), dtype=object)
-        driven = [self.tree.armature[n] * x for n, x in zip(self.robot.actuated, a[0], strict=True)]
-        felt = np.array([tau[k] for k in loops.active], dtype=object) - J_a.T @ held + np.array(driven, dtype=object)
-        return as_expression_array(felt[None])
+        felt = np.array([tau[k] for k in loops.active], dtype=object) - J_a.T @ held
+        return _ClosedTree(at, felt, beyond, held)
 
-    guide_load = _refuse("what its guides carry, on a robot whose loops are solved numerically")
-    passive_rates = _refuse("passive joints' friction, on a robot whose loops are solved numerically")
+    def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return what each guide or reducer carries (1, na), loops included; see `Mechanism.guide_load`."""
+        closed, load = self._close(q, v, a), []
+        for k, place in enumerate(self.order):
+            joint = self.tree.joints[place]
+            pull = self.loops.carried_force(closed.held, joint.index)
+            turned = closed.at.rotation[joint.index][:, :, 0].T @ pull
+            beyond = np.asarray(closed.beyond[place] + turned, dtype=object)
+            across = beyond - joint.axis * (joint.axis @ beyond)
+            size = np.sqrt(as_expression_array([across @ across]))[0]
+            load.append(size if joint.slides else abs(closed.felt[k]))
+        return as_expression_array([load])
+
+    def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
+        """Return how fast passive bearings turn per actuated speed (1, n, 3, na); see `Mechanism.passive_rates`."""
+        loops, graph, n = self.loops, self.graph, self.robot.na
+        at = loops.frames(q[0], self.passive)
+        J = loops.closure(at)[1][loops.rows]
+        J_a, factor = J[:, loops.active], graph.factored(J[:, loops.passive])
+        G = np.array(
+            [loops.rates(list(unit), graph.solved(factor, -(J_a @ unit))) for unit in np.eye(n)], dtype=object
+        ).T
+        pairs = find_passive_pairs(self.robot, self.robot.model)
+        out = np.zeros((1, len(pairs), 3, n), dtype=object)
+        for k, pair in enumerate(pairs):
+            if pair.hinge is not None:
+                out[0, k, 0] = G[pair.hinge]
+                continue
+            for joint in self.tree.joints:
+                if pair.weights[joint.v] and not joint.slides:
+                    out[0, k] = out[0, k] + np.outer(at.axis[joint.index][:, 0] * pair.weights[joint.v], G[joint.v])
+        return tuple(pair.name for pair in pairs), as_expression_array(out)
+
+
+class _ClosedTree(NamedTuple):
+    """A tree with its loops closed, in motion: frames, drives' forces without their inertia (na,), children's forces, loops'."""
+
+    at: Frames
+    felt: np.ndarray
+    beyond: list[np.ndarray]
+    held: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)

@@ -196,11 +196,11 @@ class Node:
         raise TypeError("this code needs a plain number where only an expression of the inputs is known")
 
     def __pow__(self, power: float) -> Any:
-        """Return a power; one that is no half and no whole number up to 8 is that of a base from zero up."""
+        """Return a power; one that is neither a whole number up to 8 nor half of one up to 4 is that of a base from zero up."""
         if power < 0:
             return 1.0 / self**-power
-        if power == 0.5:
-            return self.sqrt()
+        if power in (0.5, 1.5, 2.5, 3.5):
+            return self.sqrt() * (self ** int(power) if power > 1 else 1.0)
         if power != int(power) or not 0 < power <= 8:
             return self.graph.apply("exp", power * self.graph.apply("log", self))
         half = self * self

@@ -88,6 +88,12 @@ class Loops:
         moving = compute_motion(self._joints, at, as_expression_array(v)[:, None], None, np.zeros(3))
         return as_expression_array(self._arrays.gap_acceleration(at, moving)[:, 0])
 
+    def carried_force(self, held: Any, joint: int) -> Any:
+        """Return the loops' force (3,) on what a joint carries, by its index, of the forces on the solved equations."""
+        forces = as_expression_array(np.zeros(3 * len(self.robot.loops)))
+        forces[self.rows] = held
+        return self._arrays.carried_force(forces, joint)
+
     def trace_closure(self, q: np.ndarray) -> TracedFunction:
         """Return `gap`, and `J`, the derivative of the chosen equations by the solved joints, of drives `q` and joints `p`."""
 

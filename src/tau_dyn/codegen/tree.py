@@ -76,9 +76,13 @@ class Tree:
 
     def without_weight(self) -> Tree:
         """Return the same tree without gravity."""
-        light = copy(self)
-        light.gravity, light.weights = np.zeros(3), []
-        return light
+        return self.under(np.zeros(3))
+
+    def under(self, gravity: np.ndarray) -> Tree:
+        """Return the same tree under another gravity (3,) [m/s^2]."""
+        other = copy(self)
+        other.gravity, other.weights = gravity, self.weights if np.any(gravity) else []
+        return other
 
     def motions(self, q: Any, v: Any, a: Any, gravity: np.ndarray) -> list[LinkMotion]:
         """Return every link's motion; q, v, a one number or node a joint, `gravity` (3,) in base axes."""

@@ -48,6 +48,7 @@ from .lost_motion import (
     Backlash as Backlash,
     Hysteresis as Hysteresis,
     JointCompliance as JointCompliance,
+    follow_reversal as follow_reversal,
 )
 from .motion import JointMotion as JointMotion, JointScales as JointScales, Motion as Motion, Scene as Scene
 from .periodic import CyclicRipple as CyclicRipple, TransmissionError as TransmissionError

@@ -160,6 +160,12 @@ class Hysteresis(JointwiseDisplacement):
         return [{"distance": float(x) * way, "displaced": displaced} for x in np.geomspace(*_DISTANCES, _N_TRIALS)]
 
 
+def follow_reversal(travel: np.ndarray, heading: np.ndarray, dq: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the way since the last reversal [m or rad] and the direction of motion, each (...), after moving by `dq` (...)."""
+    sign = np.sign(dq)
+    return np.abs(dq) + np.where(sign * heading < 0, 0.0, travel), np.where(sign == 0, heading, sign)
+
+
 def integrate_bristle(q: np.ndarray, distance: float) -> np.ndarray:
     """Return z (N,) along positions (N,) in order, exact where a joint does not turn between two samples.
 

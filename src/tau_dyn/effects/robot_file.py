@@ -190,7 +190,8 @@ class GravityDirection(Effect):
 
     def columns(self, motion: Motion) -> np.ndarray:
         """Return force per radian of each turn (N, na, 2)."""
-        out, turned = np.zeros((*motion.v.shape, 2)), motion.signal(GRAVITY_TURN)
+        turned = motion.signal(GRAVITY_TURN)
+        out = np.zeros_like(turned)
         for k in self._indices(motion):
             out[:, k] = turned[:, k]
         return out

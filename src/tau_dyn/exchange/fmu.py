@@ -8,39 +8,27 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
 import platform
-import shutil
-import subprocess
 import sys
-import tempfile
 import zipfile
 from dataclasses import dataclass
 from html import escape
-from pathlib import Path
 
 from tau_dyn.codegen import (
     build_equations,
     build_variables,
+    compile_library,
+    find_compiler,
     format_description,
     format_identifier,
     list_unsupported_effects,
     write_fmu_source,
 )
 from tau_dyn.effects import acts_on_recording
-from tau_dyn.exceptions import InputError
 from tau_dyn.exchange.content import list_nominal_parameters
 from tau_dyn.model import Model
+from tau_dyn.simulate import compare_equations
 from tau_dyn.version import __version__
-
-SECONDS = 300  # s; a compiler that takes longer hangs
-_FLAGS = ("-std=c99", "-O1", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off")
-
-
-def find_compiler() -> str | None:
-    """Return the C compiler: `$CC`, else `cc`, `gcc` or `clang`; None where there is none."""
-    named = os.environ.get("CC", "").split()
-    return next((found for name in (*named[:1], "cc", "gcc", "clang") if (found := shutil.which(name))), None)
 
 
 def get_library_path(identifier: str) -> str:
@@ -51,36 +39,6 @@ def get_library_path(identifier: str) -> str:
         return f"binaries/darwin64/{identifier}.dylib"
     machine = platform.machine().lower()
     return f"binaries/{'linux64' if machine in ('x86_64', 'amd64') else f'{machine}-linux'}/{identifier}.so"
-
-
-def compile_library(source: str, with_: str) -> bytes:
-    """Return the shared library of a source.
-
-    Args:
-        source: C99.
-        with_: The compiler.
-
-    Raises:
-        InputError: The compiler does not take it.
-    """
-    with tempfile.TemporaryDirectory(prefix="tau_dyn_") as folder:
-        text, library = Path(folder) / "fmu.c", Path(folder) / "fmu.so"
-        text.write_text(source, encoding="utf-8")
-        try:
-            done = subprocess.run(
-                [with_, *_FLAGS, str(text), "-o", str(library), "-lm"], capture_output=True, text=True, timeout=SECONDS
-            )
-        except (OSError, subprocess.TimeoutExpired) as fault:
-            raise InputError(
-                "not_available", f"the C compiler {with_} did not run ({fault}); name another one in CC"
-            ) from None
-        if done.returncode or not library.is_file():
-            why = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
-            raise InputError(
-                "not_available",
-                f"the C compiler {with_} did not take the FMU's source ({why.strip()}); name another one in CC",
-            )
-        return library.read_bytes()
 
 
 _WHEN = (1980, 1, 1, 0, 0, 0)  # the same model is the same file
@@ -121,6 +79,7 @@ def build_fmu(model: Model) -> ExportedFmu:
     beyond = [e for e, _ in list_unsupported_effects(model)]
     kept = model.only(e for e in model.effects if e not in beyond and not acts_on_recording(e))
     equations, about = build_equations(kept), _describe(kept)
+    difference = compare_equations(equations)
     identifier = format_identifier(kept.robot.name)
     content = write_fmu_source(equations, "", about) + format_description(equations, "", about)
     guid = "{" + hashlib.sha256(content.encode()).hexdigest()[:32] + "}"
@@ -138,7 +97,7 @@ def build_fmu(model: Model) -> ExportedFmu:
         )
     else:
         files[get_library_path(identifier)] = compile_library(source, tool)
-    return ExportedFmu(_zipped(files), tuple(left_out), list_nominal_parameters(kept), equations.difference)
+    return ExportedFmu(_zipped(files), tuple(left_out), list_nominal_parameters(kept), difference)
 
 
 def _zipped(files: dict[str, bytes]) -> bytes:

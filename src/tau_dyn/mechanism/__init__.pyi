@@ -44,7 +44,7 @@ from .legs import (
     find_ball_joints as find_ball_joints,
 )
 from .loop_arrays import LoopArrays as LoopArrays
-from .loops import LoopSolver as LoopSolver, TreeState as TreeState
+from .loops import LoopSolver as LoopSolver, TreeState as TreeState, find_passive_pairs as find_passive_pairs
 from .mechanism import (
     SINGULAR as SINGULAR,
     Mechanism as Mechanism,

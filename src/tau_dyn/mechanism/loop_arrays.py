@@ -241,6 +241,13 @@ class LoopArrays:
         """Return the points `p_A` of all loops, each (3, N) [m]."""
         return [transform_point(at, a.joint, a.local) for a, _ in self._ends]
 
+    def carried_force(self, forces: np.ndarray, joint: int) -> np.ndarray:
+        """Return the force (3, ...) on what a joint carries, by its index, of forces (3 * loops, ...) on the loops' gaps."""
+        total = np.zeros_like(forces, shape=(3, *forces.shape[1:]))
+        for force, (a, b) in zip(np.split(forces, len(self._ends)), self._ends, strict=True):
+            total = total + force * float((joint in a.carriers) - (joint in b.carriers))
+        return total
+
     def gap_acceleration(self, at: Frames, moving: FrameMotion) -> np.ndarray:
         """Return the gaps' accelerations (3 * loops, N) [m/s^2]."""
 

@@ -1,5 +1,10 @@
 """A model, a motion, a controller and sensors become a `Log`."""
 
+from .compiled_plant import (
+    CompiledPlant as CompiledPlant,
+    PlantMotion as PlantMotion,
+    compare_equations as compare_equations,
+)
 from .contact import (
     ContactRun as ContactRun,
     ContactSensors as ContactSensors,
@@ -12,6 +17,7 @@ from .controllers import (
     CascadeController as CascadeController,
     CascadeLaw as CascadeLaw,
     Controller as Controller,
+    Servo as Servo,
     read_law_file as read_law_file,
 )
 from .flexible import (
@@ -47,8 +53,9 @@ from .motions import (
     compute_reach as compute_reach,
     compute_top_speed as compute_top_speed,
 )
-from .plant import PlantRun as PlantRun, free_motion as free_motion, run_plant as run_plant
-from .sensors import Sensors as Sensors, measure as measure
+from .plant import free_motion as free_motion, run_plant as run_plant
+from .plant_run import PlantRun as PlantRun
+from .sensors import EncoderReadings as EncoderReadings, Sensors as Sensors, measure as measure
 from .simulation import read_effects_file as read_effects_file, simulate as simulate, simulate_drive as simulate_drive
 from .trajectory import (
     MotionProfile as MotionProfile,

@@ -63,6 +63,21 @@ class Controller(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
+class ModelInertia:
+    """The mass matrix of a model, as a law looks it up."""
+
+    model: Model
+
+    def __call__(self, q: np.ndarray) -> np.ndarray:
+        """Return it (na, na) at positions (na,)."""
+        return self.model.mechanism.mass_and_bias(q, np.zeros(len(q)))[0]
+
+    def along(self, q: np.ndarray) -> np.ndarray:
+        """Return it (N, na, na) at positions (N, na)."""
+        return self.model.mechanism.inertia(q)
+
+
+@dataclass(frozen=True, eq=False)
 class CascadeLaw:
     """Gains of a cascade, one number a joint (na,).
 
@@ -123,12 +138,45 @@ class CascadeLaw:
         law = cls.of(
             slow, fast, na=na, integral_rate=fast / 5, speed_feedforward=1.0, limit=model.robot.effort_limit.tolist()
         )
-        return replace(law, inertia=lambda q: model.mechanism.mass_and_bias(q, np.zeros(na))[0])
+        return replace(law, inertia=ModelInertia(model))
 
     @classmethod
     def emps(cls) -> CascadeLaw:
         """Return the published law of the EMPS drive."""
         return cls.of(160.18, 243.45, na=1, force_per_unit=35.150652, limit=10.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Servo:
+    """A cascade and what it follows, as numbers, for compiled code.
+
+    Attributes:
+        law: Its gains; `inertia` is looked up in the array of that name.
+        period: Its period [s].
+        q_ref: Reference positions (N, na); also `v_ref`.
+        v_ref: Reference speeds (N, na).
+        forward: Output added to the law's (N, na), in the drive's unit.
+        before: The two positions read before the start (2, na).
+        v_before: The reference speed before the start (na,).
+        integral: What the velocity loop has integrated at the start (na,), in the drive's unit.
+        inertia: Mass matrices (m, na, na), one every `inertia_every` samples, or None.
+        inertia_every: Samples for which a mass matrix is kept.
+        noise: Added to what the encoders read (N, na), or None.
+        resolution: Step that readings are rounded to (na,), or None; 0 for none.
+    """
+
+    law: CascadeLaw
+    period: float
+    q_ref: np.ndarray
+    v_ref: np.ndarray
+    forward: np.ndarray
+    before: np.ndarray
+    v_before: np.ndarray
+    integral: np.ndarray
+    inertia: np.ndarray | None = None
+    inertia_every: int = 1
+    noise: np.ndarray | None = None
+    resolution: np.ndarray | None = None
 
 
 class CascadeController:
@@ -164,6 +212,27 @@ class CascadeController:
         elif self._start is not None:
             rest = np.zeros((1, na))
             self._integral = self._start.torque(reference.q[:1], rest, rest, rest)[0] / self.law.force_per_unit
+
+    def describe(
+        self, reference: Trajectory, look_up: Callable[[Model, np.ndarray], np.ndarray | None] | None = None
+    ) -> Servo:
+        """Return the controller as `reset` left it, with all that it will need along the reference.
+
+        Args:
+            reference: The reference.
+            look_up: Gives a model's mass matrices (N, na, na) along positions faster than the model itself, or None.
+        """
+        inertia, every = self.law.inertia, max(1, round(INERTIA_EVERY_S / self._dt))
+        matrices, q = None, reference.q[::every]
+        if isinstance(inertia, ModelInertia):
+            matrices = None if look_up is None else look_up(inertia.model, q)
+            matrices = inertia.along(q) if matrices is None else matrices
+        elif inertia is not None:
+            matrices = np.array([inertia(x) for x in q])
+        return Servo(
+            self.law, self._dt, reference.q, reference.v, self._forces, np.array(self._before), self._v_ref,
+            self._integral, matrices, every,
+        )  # fmt: skip
 
     def force(
         self, k: int, t: float, q_ref: np.ndarray, v_ref: np.ndarray, a_ref: np.ndarray, q_measured: np.ndarray

@@ -23,7 +23,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.effects import STATE, Effect, Hysteresis, JointMotion, JointwiseEffect, Motion, acts_on_recording
+from tau_dyn.effects import (
+    STATE,
+    Effect,
+    Hysteresis,
+    JointMotion,
+    JointwiseEffect,
+    Motion,
+    acts_on_recording,
+    follow_reversal,
+)
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import BY_STATE, COMPUTED, Model
 
@@ -85,9 +94,7 @@ class Memory:
             self._warm[key] = keep * self._warm[key] + (1 - keep) * self._temperature()
         for key, (effect, z) in self._bristles.items():
             self._bristles[key] = (effect, effect.followed(z, dq))
-        sign = np.sign(dq)
-        self._travel = np.abs(dq) + np.where(sign * self._heading < 0, 0.0, self._travel)
-        self._heading = np.where(sign == 0, self._heading, sign)
+        self._travel, self._heading = follow_reversal(self._travel, self._heading, dq)
 
     def _temperature(self) -> np.ndarray:
         return np.broadcast_to(np.asarray(self.surroundings.temperature(self._t), float), (self._na,))

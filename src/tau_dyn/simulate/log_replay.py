@@ -28,9 +28,11 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log import ROOM_TEMPERATURE, Log, differentiate, ensure_even, find_motion_band, lowpass
 from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
+from tau_dyn.simulate.compiled_plant import CompiledPlant
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw
 from tau_dyn.simulate.forces import EffectSurroundings
-from tau_dyn.simulate.plant import OFTEN_AT_LIMIT, Plant, PlantRun, Progress
+from tau_dyn.simulate.plant import Plant, follow_cascade
+from tau_dyn.simulate.plant_run import OFTEN_AT_LIMIT, PlantRun, Progress
 from tau_dyn.simulate.sensors import EncoderErrors, record_run
 from tau_dyn.simulate.trajectory import Trajectory
 
@@ -181,7 +183,7 @@ def replay(
         cutoff_hz: Low-pass before speeds and accelerations are taken [Hz], inf for none; by default as high as the measured
             encoders' noise allows (1e-4 of the acceleration's power, `find_motion_band`), and the same for later replays of
             the log.
-        start_plant: Starts the robot in another program; by default `Plant`, with the log's temperatures.
+        start_plant: Starts the robot in another program; by default `Plant`, compiled where it can be.
         progress: Is told the share that is done.
 
     Raises:
@@ -202,7 +204,6 @@ def replay(
     often = _per_sample(log, rate_hz)
     cutoff = _cutoff(log.joint("q", joints), _rate(log)) if cutoff_hz is None else cutoff_hz
     reference = log.joint("q_ref", joints)
-    start_plant = start_plant or _start_with_temperatures(log, joints)
     run = _drive(model, log, controller_law, _Pace(often, substeps), start_plant, progress)
     q = run.q if run.q_read is None else run.q_read
     tau = run.tau if run.tau_shown is None else run.tau_shown
@@ -268,7 +269,7 @@ def _start_with_temperatures(log: Log, joints: tuple[str, ...]) -> StartPlant:
 
 
 def _drive(
-    model: Model, log: Log, law: CascadeLaw, pace: _Pace, start_plant: StartPlant, progress: Progress | None
+    model: Model, log: Log, law: CascadeLaw, pace: _Pace, start_plant: StartPlant | None, progress: Progress | None
 ) -> PlantRun:
     """Return what happens, at the log's samples."""
     joints, (often, substeps) = model.robot.actuated, pace
@@ -278,10 +279,26 @@ def _drive(
     controller = _ResumedController(law)
     controller.resume(reference, start)
     beside = EncoderErrors(model).read(start.q) - start.q if errors.any else 0.0
+    far = 100 * (1 + np.max(np.abs(reference.q), axis=0))
+    compiled = None
+    if start_plant is None:
+        room = _surroundings(log, joints)
+        compiled = CompiledPlant.find(model, substeps * reference.n_samples, room, encoders=True)
+    if compiled is not None:
+
+        def watch(k: int, q: np.ndarray) -> bool:
+            if progress is not None:
+                progress(k / reference.n_samples)
+            return bool(np.all(np.abs(q) < far))
+
+        options = {"often": often, "substeps": substeps, "hold": True, "watch": watch}
+        moved = follow_cascade(compiled, controller, reference, (start.q - beside, start.v), **options)
+        if moved is not None:
+            return record_run(PlantRun(model, log.t, *moved[:5], reference.every(often), moved.read))
+    start_plant = start_plant or _start_with_temperatures(log, joints)
     plant = start_plant(model, start.q - beside, start.v, period / substeps)
     q, read, v, a, tau = np.empty((5, log.n_samples, len(joints)))
     stuck = np.zeros((log.n_samples, len(joints)), dtype=bool)
-    far = 100 * (1 + np.max(np.abs(reference.q), axis=0))
     last = None
     for k in range(reference.n_samples):
         place, shown = plant.q, errors.read(plant.q) if errors.any else plant.q

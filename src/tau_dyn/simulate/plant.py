@@ -23,17 +23,18 @@ Reference: Hairer, Lubich & Wanner 2003 (leapfrog); Moreau 1988; Stewart & Trink
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.model import Model
-from tau_dyn.simulate.controllers import Controller
+from tau_dyn.simulate.compiled_plant import CompiledPlant, PlantMotion
+from tau_dyn.simulate.controllers import CascadeController, Controller
 from tau_dyn.simulate.forces import EffectSurroundings, SampledForces
+from tau_dyn.simulate.plant_run import PlantRun, Progress
+from tau_dyn.simulate.sensors import EncoderReadings
 from tau_dyn.simulate.trajectory import Trajectory
 
 _SWEEPS = 500  # Gauss-Seidel sweeps over the contacts at most; tens are usual
@@ -82,79 +83,6 @@ def _gauss_seidel(
         if largest <= enough:
             break
     return force
-
-
-Progress = Callable[[float], None]
-"""Called with the share of the work that is done, from 0 to 1, about a hundred times."""
-
-OFTEN_AT_LIMIT = 0.05
-"""Share of the samples at a joint's force limit, or at its controller's, above which a run or a replay warns."""
-
-
-@dataclass(frozen=True, eq=False)
-class PlantRun:
-    """What really happened, before any sensor saw it.
-
-    Attributes:
-        model: The plant.
-        t: Time (N,) [s].
-        q: True positions (N, na) [m or rad].
-        v: True velocities (N, na), the mean of the half steps around each sample, which central differences reproduce.
-        a: True accelerations (N, na).
-        tau: Forces applied (N, na) [N or N m].
-        stuck: Where friction held a joint (N, na).
-        reference: What the controller was asked for, on the same clock; None for a free motion.
-        q_read: What the encoders told the controller (N, na); None where it knew the true positions.
-        q_shown: What perfect encoders would show (N, na) where an effect makes them read beside the loads.
-        tau_shown: What perfect sensors would log of the forces (N, na) where an effect makes them late.
-        tool_shown: Where the tool is (N, 3) [m] where an effect moves carts off their guideways.
-    """
-
-    model: Model
-    t: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    tau: np.ndarray
-    stuck: np.ndarray
-    reference: Trajectory | None = None
-    q_read: np.ndarray | None = None
-    q_shown: np.ndarray | None = None
-    tau_shown: np.ndarray | None = None
-    tool_shown: np.ndarray | None = None
-
-    @property
-    def sticking_share(self) -> np.ndarray:
-        """Share of the samples in which friction held each joint (na,)."""
-        return self.stuck.mean(axis=0)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences about the run: the reference's notes, and joints that were often at their force limit."""
-        robot = self.model.robot
-        share = np.mean(np.abs(self.tau) >= robot.effort_limit * (1 - 1e-9), axis=0)
-        at_limit = (
-            f"joint {joint} was at its force limit of {limit:g} {unit} in {100 * part:.0f} % of the samples; it did not "
-            "follow the reference freely, and its feedback may swing between the limits"
-            for joint, limit, unit, part in zip(
-                robot.actuated, robot.effort_limit, robot.force_units, share, strict=True
-            )
-            if part > OFTEN_AT_LIMIT
-        )
-        return (*(self.reference.notes if self.reference is not None else ()), *at_limit)
-
-    @cached_property
-    def tool(self) -> np.ndarray:
-        """True tool positions (N, 3) [m]."""
-        return self.model.mechanism.tool_position(self.q)
-
-    def every(self, step: int) -> PlantRun:
-        """Return every `step`-th sample."""
-        keep = slice(None, None, step)
-        names = ("t", "q", "v", "a", "tau", "stuck", "q_read", "q_shown", "tau_shown", "tool_shown")
-        arrays = {key: getattr(self, key)[keep] for key in names if getattr(self, key) is not None}
-        reference = self.reference.every(step) if self.reference is not None else None
-        return replace(self, **arrays, reference=reference)
 
 
 class Plant:
@@ -220,10 +148,12 @@ def run_plant(
     reference: Trajectory,
     controller: Controller,
     *,
-    encoder: Callable[[int, np.ndarray], np.ndarray] | None = None,
+    encoder: EncoderReadings | None = None,
     progress: Progress | None = None,
 ) -> PlantRun:
     """Let a controller drive the robot along a reference, from rest at the reference's start.
+
+    A cascade runs as compiled code where that is possible and pays (`compiled_plant.py`).
 
     Args:
         model: The plant.
@@ -238,8 +168,12 @@ def run_plant(
     """
     dt = reference.duration / (reference.n_samples - 1)
     plant = Plant(model, reference.q[0], np.zeros(model.robot.na), dt)
-    record = _Recorder(model, reference.n_samples)
     controller.reset(reference)
+    moved = _run_compiled(model, reference, controller, encoder, progress)
+    if moved is not None:
+        read = None if encoder is None else moved.read
+        return PlantRun(model, np.array(reference.t), *moved[:5], reference, read)
+    record = _Recorder(model, reference.n_samples)
     read = np.empty_like(reference.q)
     for k in range(reference.n_samples):
         read[k] = plant.q if encoder is None else encoder(k, plant.q)
@@ -249,10 +183,50 @@ def run_plant(
         except LoopClosureError as fault:
             raise _ran_away(reference, k) if _is_far(plant, reference, k) else fault from None
         if k % max(1, reference.n_samples // 100) == 0:
-            _check_finite(plant, reference, k)
+            if not _is_near(plant.q, reference):
+                raise _ran_away(reference, k)
             if progress is not None:
                 progress(k / reference.n_samples)
     return record.run(np.array(reference.t), reference, None if encoder is None else read)
+
+
+def _run_compiled(
+    model: Model,
+    reference: Trajectory,
+    controller: Controller,
+    encoder: EncoderReadings | None,
+    progress: Progress | None,
+) -> PlantMotion | None:
+    """Return the run of a cascade as compiled code; None where this is not possible or does not end well."""
+    if type(controller) is not CascadeController:
+        return None
+    compiled = CompiledPlant.find(model, reference.n_samples, encoders=encoder is not None)
+
+    def watch(k: int, q: np.ndarray) -> bool:
+        if progress is not None:
+            progress(k / reference.n_samples)
+        return _is_near(q, reference)
+
+    start = reference.q[0], np.zeros(model.robot.na)
+    return None if compiled is None else follow_cascade(compiled, controller, reference, start, encoder, watch=watch)
+
+
+def follow_cascade(
+    compiled: CompiledPlant,
+    controller: CascadeController,
+    reference: Trajectory,
+    start: tuple[np.ndarray, np.ndarray],
+    encoder: EncoderReadings | None = None,
+    **options: Any,
+) -> PlantMotion | None:
+    """Return the run of a controller that is ready, from positions and velocities (na,); see `CompiledPlant.follow`."""
+    try:
+        servo = controller.describe(reference, compiled.compute_inertia)
+    except LoopClosureError:
+        return None
+    if encoder is not None:
+        servo = replace(servo, noise=encoder.noise, resolution=encoder.resolution)
+    return compiled.follow(*start, servo, **options)
 
 
 def free_motion(
@@ -262,6 +236,10 @@ def free_motion(
     n = round(duration / dt) + 1
     plant = Plant(model, q0, v0, dt)
     force = np.zeros(model.robot.na) if tau is None else np.asarray(tau, float)
+    compiled = CompiledPlant.find(model, n)
+    moved = compiled and compiled.apply_forces(q0, v0, dt, np.tile(force, (n, 1)))
+    if moved:
+        return PlantRun(model, np.arange(n) * dt, *moved[:5])
     record = _Recorder(model, n)
     for k in range(n):
         record.step(k, plant, force)
@@ -284,10 +262,9 @@ class _Recorder:
         return PlantRun(self.model, t, self.q, self.v, self.a, self.tau, self.stuck, reference, read)
 
 
-def _check_finite(plant: Plant, reference: Trajectory, k: int) -> None:
-    far = 100 * (1 + float(np.max(np.abs(reference.q))))
-    if not np.all(np.abs(plant.q) < far):
-        raise _ran_away(reference, k)
+def _is_near(q: np.ndarray, reference: Trajectory) -> bool:
+    """Tell whether positions (na,) are finite and anywhere near where the reference goes."""
+    return bool(np.all(np.abs(q) < 100 * (1 + float(np.max(np.abs(reference.q))))))
 
 
 def _is_far(plant: Plant, reference: Trajectory, k: int) -> bool:

@@ -37,7 +37,7 @@ from tau_dyn.model import COMPUTED, Model
 from tau_dyn.robot import Robot
 from tau_dyn.simulate.controllers import PerJoint
 from tau_dyn.simulate.forces import Memory, compute_warm_up, repeat_signals
-from tau_dyn.simulate.plant import PlantRun
+from tau_dyn.simulate.plant_run import PlantRun
 
 _FOR_FORCES = frozenset(DisplacementEffect.needs)
 _PATH = _FOR_FORCES | {"reversal"}
@@ -57,6 +57,11 @@ class EncoderErrors:
     def any(self) -> bool:
         """Whether there are such effects."""
         return bool(self._effects)
+
+    @property
+    def effects(self) -> tuple[DisplacementEffect, ...]:
+        """These effects."""
+        return tuple(effect for effect, _ in self._effects)
 
     def read(self, q: np.ndarray) -> np.ndarray:
         """Return what perfect encoders show of the next true positions (na,) [m or rad]."""
@@ -241,6 +246,22 @@ class Sensors:
         if self.force_power_law:
             return _power_law(self.force_power_law, shape, rng)
         return rng.standard_normal(shape)
+
+
+class EncoderReadings:
+    """What a controller reads of the true positions, sample by sample: its encoders' errors, noise, rounding."""
+
+    def __init__(self, model: Model, sensors: Sensors, n_samples: int, rng: np.random.Generator) -> None:
+        """Draw the noise of all samples."""
+        na = model.robot.na
+        sd = broadcast_per_joint(sensors.encoder_noise, na, "encoder_noise")
+        self.noise = sd * rng.standard_normal((n_samples, na))
+        self.resolution = broadcast_per_joint(sensors.encoder_resolution, na, "encoder_resolution")
+        self._sensors, self._errors = sensors, EncoderErrors(model)
+
+    def __call__(self, k: int, q: np.ndarray) -> np.ndarray:
+        """Return what is read in sample k of positions (na,)."""
+        return self._sensors.rounded((self._errors.read(q) if self._errors.any else q) + self.noise[k])
 
 
 def measure(run: PlantRun, sensors: Sensors, rng: np.random.Generator, name: str = "simulated") -> Log:

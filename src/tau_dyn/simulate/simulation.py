@@ -31,8 +31,9 @@ from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw, Controller
 from tau_dyn.simulate.limits import describe_exceeded_limit
-from tau_dyn.simulate.plant import PlantRun, Progress, run_plant
-from tau_dyn.simulate.sensors import EncoderErrors, Sensors, broadcast_per_joint, measure, record_run
+from tau_dyn.simulate.plant import run_plant
+from tau_dyn.simulate.plant_run import PlantRun, Progress
+from tau_dyn.simulate.sensors import EncoderReadings, Sensors, measure, record_run
 from tau_dyn.simulate.trajectory import Trajectory
 
 Feedback = Literal["encoder", "ideal"]
@@ -104,14 +105,7 @@ def simulate_drive(
         return record_run(run_plant(model, reference, controller, progress=progress))
     if feedback != "encoder":
         raise InputError("invalid_value", f"feedback is 'encoder' or 'ideal', not '{feedback}'")
-    noise = broadcast_per_joint(sensors.encoder_noise, model.robot.na, "encoder_noise") * rng.standard_normal(
-        reference.q.shape
-    )
-    errors = EncoderErrors(model)
-
-    def encoder(k: int, q: np.ndarray) -> np.ndarray:
-        return sensors.rounded((errors.read(q) if errors.any else q) + noise[k])
-
+    encoder = EncoderReadings(model, sensors, reference.n_samples, rng)
     return record_run(run_plant(model, reference, controller, encoder=encoder, progress=progress))
 
 

@@ -35,6 +35,13 @@ typedef struct {
     char name[];
 } Instance;
 
+/* The velocity at the sample, extrapolated from half a step back as the dynamics take it. */
+static double velocity(const Plant *s, int i)
+{
+    if (!s->started) return s->w[i];
+    return s->stuck[i] ? 0.0 : s->w[i] + 0.5 * s->h * s->a[i];
+}
+
 static Status fault(Instance *m, String what)
 {
     if (m->callbacks.logger) m->callbacks.logger(m->callbacks.environment, m->name, ERROR, "logStatusError", what);
@@ -186,7 +193,8 @@ EXPORT Status FMI(fmi2DoStep)(Component c, double time, double size, int keeps)
     const Plant before = m->plant;
     const int steps = many < 1.0 ? 1 : (int)many;
     for (int k = 0; k < steps && size > 0.0; ++k) {
-        const int status = advance(&m->plant, size / steps);
+        int status = advance(&m->plant, size / steps);
+        if (!status && k + 1 == steps) status = CLOSED(&m->plant);
         if (status) {
             m->plant = before;
             return fault(m, reason(status));

@@ -3,9 +3,36 @@ typedef struct {
     double h, time;                       /* last step and time [s] */
     int started, stuck[NA];
     double start[NA + NP];                /* where the loops were closed last */
+@IF LOOPS@
+    double earlier[2][NP];                /* passive joints one sample and two before that */
+    int known;                            /* how many of these there are */
+@END@
+@IF REMEMBERS@
+    double memory[NM], felt[NR];          /* what effects remember, and temperatures */
+@END@
     double tau[NA], theta[NTHETA], q0[NA], v0[NA], step;
 } Plant;
 
+@IF LOOPS@
+/* Close the loops: from a parabola through the last three samples one step of Newton's method does; else follow the drives. */
+static int close_loops(Plant *s)
+{
+    double z[NP], far = 0.0;
+    const double *last = s->start + NA;
+    for (int i = 0; i < NA; ++i) far = fmax(far, fabs(s->q[i] - s->start[i]));
+    const int smooth = far <= @STEP@;
+    for (int k = 0; k < NP; ++k) z[k] = 3.0 * (last[k] - s->earlier[0][k]) + s->earlier[1][k];
+    const int found = smooth && s->known == 2 && newton(s->q, z);
+    memcpy(s->earlier[1], s->earlier[0], sizeof z);
+    memcpy(s->earlier[0], last, sizeof z);
+    s->known = !smooth ? 0 : s->known < 2 ? s->known + 1 : 2;
+    if (!found) return follow(s->start, s->q);
+    memcpy(s->start, s->q, sizeof s->q);
+    memcpy(s->start + NA, z, sizeof z);
+    return 1;
+}
+
+@END@
 /* X of A X = B by elimination with row exchanges; B (n, m) becomes X. 0 where A is singular. */
 static int eliminate(int n, int m, double *A, double *B)
 {
@@ -88,8 +115,8 @@ static int slip(const double *A, const double *free_, const double *lower, const
 /* One slip with friction as it is at velocities v and accelerations a. */
 static int slip_at(Plant *s, const double *A, const double *free_, const double *v, const double *a, double *u)
 {
-    double lower[NA], upper[NA], added[NA * NA], f[NA];
-    const int status = friction(s->q, PASSIVE(s) v, a, s->theta, lower, upper, added);
+    double lower[NA], upper[NA], f[NA];
+    const int status = friction(s->q, PASSIVE(s) REMEMBERED(s) v, a, s->theta, lower, upper);
     if (status) return status;
     for (int i = 0; i < NA; ++i) {
         if (lower[i] > upper[i]) lower[i] = upper[i] = v[i] > 0.0 ? upper[i] : lower[i];
@@ -111,9 +138,9 @@ static int after(Plant *s, double kick, double *u)
     if (status) return status;
     status = dynamics(s->q, PASSIVE(s) v, s->theta, M, h);
     if (status) return status;
-@IF FRICTION@
-    double lower[NA], upper[NA], added[NA * NA], mean[NA], a[NA], held[NA];
-    status = friction(s->q, PASSIVE(s) v, s->a, s->theta, lower, upper, added);
+@IF MASS@
+    double added[NA * NA];
+    status = mass(s->q, PASSIVE(s) REMEMBERED(s) v, s->theta, added);
     if (status) return status;
     for (int i = 0; i < NA * NA; ++i) M[i] += added[i];
 @END@
@@ -125,6 +152,7 @@ static int after(Plant *s, double kick, double *u)
         u[i] = free_[i];
     }
 @IF FRICTION@
+    double mean[NA], a[NA], held[NA];
     for (int i = 0; i < NA; ++i) held[i] = s->held[i];
     status = slip_at(s, A, free_, v, s->a, u);
     if (status) return status;
@@ -149,6 +177,9 @@ static void begin(Plant *s)
         s->stuck[i] = 0;
     }
     s->started = 0;
+@IF LOOPS@
+    s->known = 0;
+@END@
     s->h = 0.0;
 }
 
@@ -177,13 +208,5 @@ static int advance(Plant *s, double h)
     }
     s->h = h;
     s->time += h;
-    if (!sound(NA, s->q) || !sound(NA, s->w) || !sound(NA, s->a)) return 3;
-    return CLOSED(s);
-}
-
-/* The velocity at the sample, extrapolated from half a step back as the dynamics take it. */
-static double velocity(const Plant *s, int i)
-{
-    if (!s->started) return s->w[i];
-    return s->stuck[i] ? 0.0 : s->w[i] + 0.5 * s->h * s->a[i];
+    return sound(NA, s->q) && sound(NA, s->w) && sound(NA, s->a) ? 0 : 3;
 }
