@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from tau_dyn.log import Log, Recording
+    from tau_dyn.model import Model
     from tau_dyn.robot import Robot
 
 SEVERAL = (1, None)
@@ -198,6 +199,22 @@ class RobotOptions:
             str(robot), actuated=self.actuated or None, tool=self.tool, xacro=not self.no_xacro,
             packages=self._read_packages(), srdf=self.srdf, fitted_inertias=self.fitted_inertias, **given,
         )  # fmt: skip
+
+    def load_model(self, robot: str | Path) -> Model:
+        """Load the model that ROBOT names: a file of ours with its effects, or a rigid robot.
+
+        Raises:
+            InputError: Options that belong elsewhere, or a file that holds neither.
+        """
+        from tau_dyn.model import Model
+
+        if not is_saved_model(robot):
+            return Model.of(self.load(robot))
+        if self.set or self.actuated:
+            raise InputError(
+                "bad_option", f"{robot} is a model file, which carries its own robot; leave --set and --actuated out"
+            )
+        return Model.load(robot)
 
     def _read_packages(self) -> dict[str, str]:
         pairs = {text: text.partition("=") for text in self.package}
