@@ -290,7 +290,7 @@ def is_saved_model(path: str | Path) -> bool:
 
 
 ColumnMapFile = Annotated[Path | None, Parameter(metavar="MAP.yaml", help="How to read foreign column names and units")]
-_CHOICES = Group("Parameters, by name or pattern")
+CHOICES = Group("Parameters, by name or pattern")
 
 
 @Parameter(name="*")
@@ -306,9 +306,9 @@ class FittingOptions:
     """
 
     columns: ColumnMapFile = None
-    fix: Annotated[tuple[str, ...], Parameter(group=_CHOICES, metavar="NAME[=VALUE[+-SIGMA]]")] = ()
-    free: Annotated[tuple[str, ...], Parameter(group=_CHOICES, metavar="NAME")] = ()
-    bound: Annotated[tuple[str, ...], Parameter(group=_CHOICES, metavar="NAME=LO:HI")] = ()
+    fix: Annotated[tuple[str, ...], Parameter(group=CHOICES, metavar="NAME[=VALUE[+-SIGMA]]")] = ()
+    free: Annotated[tuple[str, ...], Parameter(group=CHOICES, metavar="NAME")] = ()
+    bound: Annotated[tuple[str, ...], Parameter(group=CHOICES, metavar="NAME=LO:HI")] = ()
     exclude: Annotated[tuple[str, ...], Parameter(metavar="COLUMN")] = ()
 
     def open_logs(self, paths: Sequence[str]) -> list[Log | Recording]:

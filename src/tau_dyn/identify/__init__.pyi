@@ -22,6 +22,12 @@ from .log_integrity import (
     check_integrity as check_integrity,
     is_diagnosis_invalid as is_diagnosis_invalid,
 )
+from .per_log import (
+    LogValue as LogValue,
+    PerLogParameter as PerLogParameter,
+    compute_contrast_p_value as compute_contrast_p_value,
+    name_apart as name_apart,
+)
 from .preparation import (
     CODE as CODE,
     EXPERIMENT as EXPERIMENT,
