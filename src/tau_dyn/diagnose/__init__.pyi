@@ -6,6 +6,11 @@ from .diagnosis import (
     log_with_references as log_with_references,
 )
 from .nominal import PARAMETER_CAUSES as PARAMETER_CAUSES
+from .payload import (
+    compute_body_properties as compute_body_properties,
+    differentiate_body_properties as differentiate_body_properties,
+    find_end_link as find_end_link,
+)
 from .proposal.propose import propose_motion as propose_motion
 from .result import (
     Diagnosis as Diagnosis,

@@ -1,6 +1,7 @@
 """Torque logs -> masses and friction."""
 
 from .data import (
+    Data as Data,
     drop_repeated_logs as drop_repeated_logs,
     get_log_list as get_log_list,
     log_warnings as log_warnings,
