@@ -134,7 +134,7 @@ def _pose_table(path: Path) -> None:
 
 def _path_points(path: Path) -> None:
     """Read the points of a path, and lay the spline through them, as `plan-motion --path` does."""
-    from tau_dyn.cli.plan_motion import Ends
+    from tau_dyn.cli.plan import Ends
     from tau_dyn.control.motion import MotionLimits
     from tau_dyn.control.motion.coordinates import build_tool_path
 

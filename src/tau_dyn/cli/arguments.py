@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from tau_dyn.log import Log, Recording
+    from tau_dyn.model import Model
     from tau_dyn.robot import Robot
 
 STDOUT = Path("-")
@@ -212,6 +213,22 @@ class RobotOptions:
         kept = [j for j in machine.actuated if j in carrying or not names.isdisjoint((f"q_{j}", f"tau_{j}"))]
         return machine if len(kept) in (0, machine.na) else replace(self, actuated=tuple(kept)).load(robot)
 
+    def load_model(self, robot: str | Path) -> Model:
+        """Load the model that ROBOT names: a file of ours with its effects, or a rigid robot.
+
+        Raises:
+            InputError: Options that belong elsewhere, or a file that holds neither.
+        """
+        from tau_dyn.model import Model
+
+        if not is_saved_model(robot):
+            return Model.of(self.load(robot))
+        if self.set or self.actuated:
+            raise InputError(
+                "bad_option", f"{robot} is a model file, which carries its own robot; leave --set and --actuated out"
+            )
+        return Model.load(robot)
+
     def _read_packages(self) -> dict[str, str]:
         pairs = {text: text.partition("=") for text in self.package}
         for text, (name, _, folder) in pairs.items():
@@ -286,7 +303,7 @@ def is_saved_model(path: str | Path) -> bool:
 
 
 ColumnMapFile = Annotated[Path | None, Parameter(metavar="MAP.yaml", help="How to read foreign column names and units")]
-_CHOICES = Group("Parameters, by name or pattern")
+CHOICES = Group("Parameters, by name or pattern")
 
 
 @Parameter(name="*")
@@ -302,9 +319,9 @@ class FittingOptions:
     """
 
     columns: ColumnMapFile = None
-    fix: Annotated[tuple[str, ...], Parameter(group=_CHOICES, metavar="NAME[=VALUE[+-SIGMA]]")] = ()
-    free: Annotated[tuple[str, ...], Parameter(group=_CHOICES, metavar="NAME")] = ()
-    bound: Annotated[tuple[str, ...], Parameter(group=_CHOICES, metavar="NAME=LO:HI")] = ()
+    fix: Annotated[tuple[str, ...], Parameter(group=CHOICES, metavar="NAME[=VALUE[+-SIGMA]]")] = ()
+    free: Annotated[tuple[str, ...], Parameter(group=CHOICES, metavar="NAME")] = ()
+    bound: Annotated[tuple[str, ...], Parameter(group=CHOICES, metavar="NAME=LO:HI")] = ()
     exclude: Annotated[tuple[str, ...], Parameter(metavar="COLUMN")] = ()
 
     def open_logs(self, paths: Sequence[str]) -> list[Log | Recording]:

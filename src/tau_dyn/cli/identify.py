@@ -22,6 +22,7 @@ def identify(
     holdout: Annotated[args.Strings, Parameter(metavar="LOG")] = (),
     model: Annotated[str, Parameter(metavar="MODEL")] = "asymmetric",
     fitting: args.FittingOptions = args.FittingOptions(),
+    per_log: Annotated[args.Strings, Parameter(group=args.CHOICES, metavar="NAME")] = (),
     out: Annotated[Path | None, args.build_destination("MODEL.yaml", "Write the identified model here")] = None,
     estimator: Literal["auto", "wls", "ml", "iv", "robust"] = "auto",
     jobs: Annotated[args.Whole, Parameter(group=_BLOCKS, metavar="N")] = 0,
@@ -35,6 +36,7 @@ def identify(
         holdout: Held-out logs, for evaluation only
         model: Friction model: rigid (none), symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg); or a model
             file, which gives start values and effects
+        per_log: Estimate a value for each log, everything else shared, and test whether the logs differ
         estimator: wls: weighted least squares of filtered signals; ml: maximum likelihood at the full rate with encoder
             noise; iv: ml with instrumental variables from q_ref_J, for encoder noise that the controller feeds back;
             robust: ml with outlier weights; auto: iv or ml if the residual is consistent with noise, else wls
@@ -55,6 +57,7 @@ def identify(
             holdout=held,
             progress=step,
             engine=BlockExecutor(jobs or count_cores(), cluster),
+            per_log=per_log,
             estimator=estimator,
             **fitting.collect(model, output.seed),
         )

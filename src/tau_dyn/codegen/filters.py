@@ -125,7 +125,8 @@ _LEARNING_WORDS = (
     "update: correction becomes weight Q (correction + L error); weight holds n numbers, or is NULL for ones; work holds",
     "n numbers a channel. Each returns 0; 1 where n < 1 or a number, also of the answer, is none or can go beyond "
     f"{MAX_NUMBER:g};",
-    "update returns 2 where a correction larger than the limit would leave. Then the outputs are left alone. No allocation, no state.",
+    "update returns 2 where a correction larger than the limit would leave. Then the outputs are left alone. No allocation,",
+    "no state.",
     "Compile without -ffast-math, which takes the checks of numbers away.",
 )
 

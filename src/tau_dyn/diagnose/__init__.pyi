@@ -5,6 +5,11 @@ from .diagnosis import (
     diagnose as diagnose,
     log_with_references as log_with_references,
 )
+from .payload import (
+    compute_body_properties as compute_body_properties,
+    differentiate_body_properties as differentiate_body_properties,
+    find_end_link as find_end_link,
+)
 from .proposal.propose import propose_motion as propose_motion
 from .result import (
     Diagnosis as Diagnosis,

@@ -183,18 +183,45 @@ def find_end_link(robot: Robot) -> LinkInertia | None:
     return leaves[0] if len(leaves) == 1 else None
 
 
+def compute_body_properties(pi: np.ndarray, R: np.ndarray | None = None, p: np.ndarray | None = None) -> np.ndarray:
+    """Return mass, centre and inertia about the centre of ten inertial numbers (10,), in another frame of the body.
+
+    Args:
+        pi: Mass, first moments, inertia about the origin (10,) [kg, kg m, kg m^2], Pinocchio's order.
+        R: Axes of the other frame, as columns (3, 3); by default the same.
+        p: Its origin (3,) [m]; by default the same.
+
+    Returns:
+        Mass [kg], centre x y z [m], `ixx ixy iyy ixz iyz izz` about the centre [kg m^2] (10,).
+    """
+    R, p = np.eye(3) if R is None else R, np.zeros(3) if p is None else p
+    mass, centre = pi[0], pi[1:4] / pi[0]
+    ixx, ixy, iyy, ixz, iyz, izz = pi[4:]
+    about_origin = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+    inertia = R.T @ (about_origin - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))) @ R
+    return np.array([mass, *(R.T @ (centre - p)), *inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+
+
+def differentiate_body_properties(
+    pi: np.ndarray, R: np.ndarray | None = None, p: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the derivative (10, 10) of `compute_body_properties` by the ten numbers, by complex steps."""
+    steps = 1e-30j * np.eye(10)
+    return np.column_stack([compute_body_properties(pi + step, R, p).imag / 1e-30 for step in steps])
+
+
 def compute_payload_parameters(explanation: Explanation, joint: str) -> tuple[Parameter, ...]:
     """Return a payload's mass and its centre in the frame of the last joint, with standard errors."""
-    m, first = float(explanation.amplitudes[0]), explanation.amplitudes[1:4]
     cov = explanation.cov
+    m = float(explanation.amplitudes[0])
     rows = [Parameter("payload.mass", m, "kg", stderr=_error(cov[0, 0]), origin="payload")]
     if len(explanation.amplitudes) == 10:
-        for k, axis in enumerate("xyz"):
-            slope = np.zeros(len(cov))
-            slope[0], slope[1 + k] = -first[k] / m**2, 1 / m
-            error = _error(float(slope @ cov @ slope)) if np.isfinite(cov[1 + k, 1 + k]) else None
+        values = compute_body_properties(explanation.amplitudes)
+        slopes = differentiate_body_properties(explanation.amplitudes)[:, :4]
+        for k, axis in enumerate("xyz", start=1):
+            error = _error(float(slopes[k] @ cov[:4, :4] @ slopes[k])) if np.isfinite(cov[k, k]) else None
             name = f"payload.centre_{axis}"
-            rows.append(Parameter(name, float(first[k]) / m, "m", stderr=error, origin=f"in the frame of {joint}"))
+            rows.append(Parameter(name, float(values[k]), "m", stderr=error, origin=f"in the frame of {joint}"))
     return tuple(rows)
 
 

@@ -277,6 +277,16 @@ class Regression(Brief):
         """Return measured minus predicted with no sample left out (n, m), of each run."""
         return [run.y_all - run.W_all @ theta for run in self.runs]
 
+    def combine_columns(self, parameters: Parameters, maps: Sequence[np.ndarray]) -> Regression:
+        """Return the same data with other parameters, whose columns are combinations of these, in each run of its own.
+
+        Args:
+            parameters: The other parameters, k of them.
+            maps: For each run, its columns (p) of each new column (p, k).
+        """
+        runs = [replace(run, W=run.W @ S, W_all=run.W_all @ S) for run, S in zip(self.runs, maps, strict=True)]
+        return replace(self, parameters=parameters, runs=tuple(runs))
+
     def with_parameters(self, parameters: Parameters) -> Regression:
         """Return the same data with other values, bounds or freedoms."""
         return replace(self, parameters=parameters)

@@ -7,5 +7,6 @@ from .prediction import (
     Noise as Noise,
     estimate_log_noise as estimate_log_noise,
     predict as predict,
+    predict_ideal_log as predict_ideal_log,
 )
 from .search import choose_by_exchange as choose_by_exchange

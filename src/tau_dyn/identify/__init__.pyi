@@ -1,6 +1,7 @@
 """Torque logs -> masses and friction."""
 
 from .data import (
+    Data as Data,
     drop_repeated_logs as drop_repeated_logs,
     get_log_list as get_log_list,
     log_warnings as log_warnings,
@@ -21,6 +22,12 @@ from .log_integrity import (
     check_against_robot as check_against_robot,
     check_integrity as check_integrity,
     is_diagnosis_invalid as is_diagnosis_invalid,
+)
+from .per_log import (
+    LogValue as LogValue,
+    PerLogParameter as PerLogParameter,
+    compute_contrast_p_value as compute_contrast_p_value,
+    name_apart as name_apart,
 )
 from .preparation import (
     CODE as CODE,

@@ -18,6 +18,7 @@ from tau_dyn.estimate import ROUNDING, Preparation, Regression
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.fitted_model import scale_outputs
 from tau_dyn.identify.log_integrity import check_integrity
+from tau_dyn.identify.per_log import split_by_log
 from tau_dyn.identify.preparation import SATURATION_RATIO, list_crumbs, refuse_short
 from tau_dyn.identify.regression import build_regression_of_pieces
 from tau_dyn.identify.streaming import (
@@ -171,6 +172,7 @@ class Data:
         exclude: Columns whose nonzero samples are left out.
         factors: Factor of an output's measurements, by name.
         campaigns: Names of logs that are numbered before these.
+        per_log: Parameters that have a value per log.
         engine: Who computes blocks.
         progress: Told how far it is.
     """
@@ -182,6 +184,7 @@ class Data:
     exclude: tuple[str, ...] = ()
     factors: Mapping[str, float] = field(default_factory=dict)
     campaigns: tuple[str, ...] = ()
+    per_log: tuple[str, ...] = ()
     engine: BlockExecutor = BlockExecutor()
     progress: Progress = lambda step: None
 
@@ -218,6 +221,10 @@ class Data:
     def build(self, at: Model) -> BuiltData:
         """Return the regression, with signals at a model's values."""
         if self.streams:
+            if self.per_log:
+                raise InputError(
+                    "unsupported", "--per-log needs all rows in memory, and a recording is too large; give an excerpt"
+                )
             built = build_stream_regression(
                 self.model,
                 self.logs,
@@ -240,6 +247,8 @@ class Data:
         )
         data = replace(self, pieces=tuple(kept.of(self.pieces)), preparation=built.preparation)
         regression = scale_outputs(built, self.factors) if self.factors else built
+        if self.per_log:
+            regression = split_by_log(regression, self.per_log)
         return BuiltData(data, regression, None, (*list_crumbs(logs), *kept.warnings))
 
     def shifted(self, seconds: float) -> Data:

@@ -21,6 +21,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.data import BuiltData
 from tau_dyn.identify.fitted_model import build_physical_constraints
 from tau_dyn.identify.full_rate import FullRateEstimate, estimate_full_rate
+from tau_dyn.identify.per_log import average_over_logs, split_bodies
 from tau_dyn.log import Log, estimate_encoder_noise
 from tau_dyn.model import Model
 
@@ -84,8 +85,8 @@ class Estimator:
     def solve(self, built: BuiltData, part: Regression | None = None) -> Estimate:
         """Return the estimate that answers, of data or of a part of their regression; full rate reads the data's own pieces."""
         sigmas = {joint: sigma for joint, (_, sigma) in self.gains.items()}
-        physics = build_physical_constraints(self.model)
         regression = built.regression if part is None else part
+        physics = split_bodies(build_physical_constraints(self.model), regression.parameters)
         first = solve_least_squares(regression, physics=physics, structural=self.structural, gains=sigmas)
         return replace(self, pieces=built.data.pieces)(first)
 
@@ -226,7 +227,7 @@ def iterate_to_fixed_point(built: BuiltData, solver: Estimator) -> Settled:
         return Settled(built, estimate, estimate.warnings)
     for _ in range(MAX_ITERATIONS):
         before, theta = built.regression, estimate.theta
-        built = built.data.build(model.with_parameters(estimate.parameters))
+        built = built.data.build(model.with_parameters(average_over_logs(estimate, model.parameters)))
         estimate = solver.solve(built)
         moved, left = _changed(before, theta, built.regression, estimate.theta)
         if moved <= RELATIVE_CHANGE_TOL * left:

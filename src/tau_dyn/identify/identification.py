@@ -30,6 +30,14 @@ from tau_dyn.identify.estimate_warnings import (
 )
 from tau_dyn.identify.estimators import Estimator, Settled, iterate_to_fixed_point
 from tau_dyn.identify.fitted_model import Choices, build_model, build_physical_constraints, find_structural_base
+from tau_dyn.identify.per_log import (
+    average_over_logs,
+    choose_per_log,
+    compare_logs,
+    list_comparison_warnings,
+    name_apart,
+    split_bodies,
+)
 from tau_dyn.identify.preparation import TooShort, count_information, list_information_warnings
 from tau_dyn.identify.result import ForceErrors, Identification, build_force_errors
 from tau_dyn.identify.streaming import BlockExecutor
@@ -37,6 +45,7 @@ from tau_dyn.identify.timing import ForceOffset, build_offset_columns, estimate_
 from tau_dyn.log import Log, Recording
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.model import Model
+from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 from tau_dyn.scale import count_cores
 
@@ -50,6 +59,7 @@ def identify(
     choices: Choices | None = None,
     preparation: Preparation | None = None,
     exclude: tuple[str, ...] = (),
+    per_log: Sequence[str] = (),
     estimator: str = "auto",
     seed: int = 0,
     engine: BlockExecutor | None = None,
@@ -65,6 +75,7 @@ def identify(
         choices: What is fixed, free, bounded or measured beforehand.
         preparation: Filters and masks; by default chosen from the training logs.
         exclude: Log columns whose nonzero samples are left out.
+        per_log: Names or patterns of parameters that have a value per log, estimated by `wls`.
         estimator: `wls`, `ml`, `iv`, `robust` or `auto`; see `estimators.py`.
         seed: Seed of the random states of the structural study.
         engine: Who computes the blocks of recordings on disk; by default as many threads as there are cores.
@@ -75,11 +86,13 @@ def identify(
         CannotAnswer: The logs determine nothing.
     """
     given, judged = get_log_list(logs), get_log_list(holdout)
+    if per_log:
+        given, estimator = name_apart(given), _require_wls(estimator)
     warnings: list[str] = []  # what was doubtful on the way; where no answer comes, often the reason
     try:
         how = {"engine": engine or BlockExecutor(count_cores()), "progress": progress}
         data, held_out, gains, doubled = _gather_data(
-            choices or Choices(), build_model(robot, model), given, judged, preparation, exclude, how
+            choices or Choices(), build_model(robot, model), given, judged, preparation, exclude, per_log, how
         )
         fitted, train, held = data.model, data.logs, held_out.logs
         _refuse_in_blocks(estimator, data)
@@ -111,24 +124,41 @@ def identify(
         fault.warnings = tuple(dict.fromkeys(warnings))
         raise
     trained, estimate = build_force_errors(settled.built.regression, settled.estimate.theta), settled.estimate
+    split = settled.built.regression.parameters
+    nominal = fitted.parameters + Parameters([p for p in split if p.name not in fitted.parameters])
+    compared = compare_logs(estimate, data.per_log, nominal)
+    warnings += list_comparison_warnings(compared)
     warnings += list_unjudged_joint_warnings(trained, errors.errors)
     warnings += list_held_out_warnings(trained, errors.errors if held else None)
-    warnings += [*list_estimate_warnings(estimate), *list_inertia_scale_warnings(estimate, fitted.parameters)]
+    warnings += [*list_estimate_warnings(estimate), *list_inertia_scale_warnings(estimate, nominal)]
     return Identification(
-        model=replace(fitted.with_parameters(estimate.parameters), provenance=_list_provenance(train, held, seed)),
+        model=replace(_place(fitted, estimate), provenance=_list_provenance(train, held, seed)),
         estimate=estimate,
         train=trained,
         holdout=errors.errors,
         holdout_how=errors.how,
         held=errors.regression,
-        nominal=fitted.parameters,
+        nominal=nominal,
         friction=model if isinstance(model, str) and model in FRICTION_MODELS else "",
         warnings=tuple(dict.fromkeys(warnings)),
         equivalent=list_equivalent_models(estimate, fitted.robot.actuated),
         seed=seed,
         logs=train,
         force_offset=offset,
+        per_log=compared,
     )
+
+
+def _require_wls(estimator: str) -> str:
+    """Return the estimator of values per log; the others look at the log's own samples with shared columns."""
+    if estimator not in ("auto", "wls"):
+        raise InputError("bad_option", f"--per-log goes with --estimator wls, not with {estimator}")
+    return "wls"
+
+
+def _place(model: Model, estimate: Estimate) -> Model:
+    """Return a model at an estimate's values."""
+    return model.with_parameters(average_over_logs(estimate, model.parameters))
 
 
 class _Gathered(NamedTuple):
@@ -147,6 +177,7 @@ def _gather_data(
     judged: Sequence[Log | Recording],
     preparation: Preparation | None,
     exclude: tuple[str, ...],
+    per_log: Sequence[str],
     how: Mapping[str, Any],
 ) -> _Gathered:
     """Return the data of the model that was asked for; nothing of it is computed yet."""
@@ -157,7 +188,14 @@ def _gather_data(
     train, held, doubled = drop_repeated_logs(given, judged)
     require_forces(fitted.robot, [*train, *held])
     how = {**how, "factors": {joint: factor for joint, (factor, _) in gains.items()}}
-    data = Data.of(fitted, train, preparation=preparation, exclude=exclude, **how)
+    data = Data.of(
+        fitted,
+        train,
+        preparation=preparation,
+        exclude=exclude,
+        per_log=choose_per_log(fitted.parameters, per_log),
+        **how,
+    )
     return _Gathered(data, Data.of(fitted, held, campaigns=tuple(log.name for log in train), **how), gains, doubled)
 
 
@@ -180,11 +218,12 @@ def _account_for_timing(settled: Settled, solver: Estimator) -> tuple[Settled, F
     """Return the fit with forces read when they acted, and intervals that hold for what is not known of it."""
     built, estimate, model = settled.built, settled.estimate, solver.model
     pieces = built.data.pieces
-    columns = build_offset_columns(model.with_parameters(estimate.parameters), pieces, built.regression)
+    columns = build_offset_columns(_place(model, estimate), pieces, built.regression)
     if columns is None:
         return settled, None
     period = max(piece.dt for piece in pieces)
-    offset = estimate_offset(built.regression, columns, period, build_physical_constraints(model))
+    physics = split_bodies(build_physical_constraints(model), built.regression.parameters)
+    offset = estimate_offset(built.regression, columns, period, physics)
     if offset.is_shown:
         late = built.data.shifted(offset.seconds)
         settled = iterate_to_fixed_point(late.build(model), solver)
@@ -209,12 +248,15 @@ def _judge_held_out(held_out: Data, settled: Settled, offset: ForceOffset | None
     if offset is not None and offset.corrected:
         alike = alike.shifted(offset.seconds)
     try:
-        built = alike.build(held_out.model.with_parameters(settled.estimate.parameters))
+        model = _place(held_out.model, settled.estimate)
+        built = alike.build(model)
     except TooShort as fault:
         said = CodedWarning("short_log", f"{fault.missing}; there are no held-out errors")
         return _Judged(None, None, "no held-out log was long enough", (said,))
     how = "held-out logs: " + ", ".join(log.name for log in held_out.logs)
-    errors = build_force_errors(built.regression, settled.estimate.theta)
+    if settled.built.data.per_log:
+        how += f", with the mean over the training logs of {', '.join(settled.built.data.per_log)}"
+    errors = build_force_errors(built.regression, model.parameters.values)
     return _Judged(built.regression, errors, how, built.left_out)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Regression, SufficientStatistics
+from tau_dyn.identify.per_log import PerLogParameter
 from tau_dyn.identify.timing import ForceOffset
 from tau_dyn.log import Log, Recording
 from tau_dyn.message_codes import format_warnings
@@ -103,6 +104,7 @@ class Identification(Shown):
         seed: Seed of whatever was random.
         logs: The training logs, for going on with them.
         force_offset: How late forces were logged; None where it was not looked at.
+        per_log: Parameters that have a value per log; `model` holds their mean.
     """
 
     model: Model
@@ -118,11 +120,12 @@ class Identification(Shown):
     seed: int
     logs: tuple[Log | Recording, ...] = ()
     force_offset: ForceOffset | None = None
+    per_log: tuple[PerLogParameter, ...] = ()
 
     @property
     def parameters(self) -> Parameters:
-        """Identified parameters."""
-        return self.estimate.parameters
+        """Identified parameters; of one with a value per log, the mean."""
+        return self.model.parameters
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the parameter table in the contract's form.
@@ -130,7 +133,7 @@ class Identification(Shown):
         What cannot be identified alone has its nominal value as `value` and no standard error; `split_value` is what the
         model holds: one of many splits of the identified combinations that give the same forces.
         """
-        return [self._row(p) for p in self.estimate.parameters if p.free]
+        return [self._row(p) for p in self.parameters if p.free]
 
     def base_rows(self) -> list[dict[str, Any]]:
         """Return the base parameters with their expressions."""
@@ -158,7 +161,7 @@ class Identification(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's JSON result, without what the command adds (version, inputs, status)."""
-        fixed = [p for p in self.estimate.parameters if not p.free]
+        fixed = [p for p in self.parameters if not p.free]
         return {
             "seed": self.seed,
             **format_warnings(self.warnings),
@@ -167,6 +170,7 @@ class Identification(Shown):
             "parameters": self.rows(),
             "fixed_parameters": [{"name": p.name, "value": p.value, "unit": p.unit, "origin": p.origin} for p in fixed],
             "base_parameters": self.base_rows(),
+            **({"per_log": [one.to_dict() for one in self.per_log]} if self.per_log else {}),
             "correlation": self.estimate.correlation.tolist(),
             "equivalent_descriptions": list(self.equivalent),
             "train": self.train.to_dict(),
@@ -202,7 +206,7 @@ class Identification(Shown):
         return base.depends_on(base.names.index(name)) if name in base.names else ()
 
     def _is_friction(self, name: str) -> bool:
-        return name in self.model.effect_parameters
+        return name.partition("@")[0] in self.model.effect_parameters
 
 
 def _uncertainty(value: float, stderr: float | None, p: Parameter | None) -> dict[str, Any]:

@@ -49,6 +49,7 @@ def present_identification(found: Identification, *, truth: Mapping[str, float] 
         r.Chapter("force", "Measured and predicted force", lambda: _build_forces(found)),
         *_list_friction(found, list(dict.fromkeys(fits))),
         r.Chapter("parameters", "Parameters", lambda: _build_parameters(found, rows, truth), r.On.ALL),
+        *_list_per_log(found),
         r.Chapter("uncertain", "", lambda: _list_uncertain(found), r.On.TERMINAL),
         r.Chapter("trust", "Quality of fit", lambda: _build_quality(found)),
     ]
@@ -175,6 +176,33 @@ def _build_parameters(
     fixed = fit_quality.describe_fixed(found)
     if fixed:
         yield r.explain(f"Fixed: {'; '.join(fixed)}.")
+
+
+def _list_per_log(found: Identification) -> list[r.Chapter]:
+    """Return the section of parameters with a value per log; none where there are none."""
+    if not found.per_log:
+        return []
+
+    def build() -> Iterator[r.Element]:
+        columns = [r.Column("parameter"), r.Column("log"), r.Column("value", "number"), r.Column("95 % interval", "number"),
+                   r.Column("", "unit"), r.Column("", style="remark")]  # fmt: skip
+        rows = []
+        for one in found.per_log:
+            chance = "cannot be compared" if one.p_value is None else f"p = {r.format_number(one.p_value, 2)}"
+            said = f"logs {'differ' if one.differ else 'do not differ'} ({chance})"
+            for k, (log, value, stderr) in enumerate(one.values):
+                ends = one.values[k].to_dict()["ci95"]
+                shown = r.format_number(value) if stderr is None else r.format_with_uncertainty(value, stderr)
+                interval = "" if stderr is None else r.format_interval(ends, stderr)
+                unit = r.format_unit(one.unit)
+                rows.append(r.Row([one.name if k == 0 else "", log, shown, interval, unit, said if k == 0 else ""]))
+        yield r.ResultTable(columns, rows, on=r.On.ALL)
+        yield r.explain(
+            "One estimate of all logs; everything else is shared. p is the chance of such differences between equal logs, "
+            "over all these parameters together. The table above and the model hold the mean."
+        )
+
+    return [r.Chapter("per_log", "Values by log", build, r.On.ALL)]
 
 
 def _list_uncertain(found: Identification) -> Iterator[r.Element]:

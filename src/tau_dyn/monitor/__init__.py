@@ -1,0 +1,5 @@
+"""A payload from two recordings, and what has changed on a running robot since when."""
+
+from tau_dyn.public_names import attach_public_names
+
+__getattr__, __dir__, __all__ = attach_public_names(__name__, __file__)

@@ -1,0 +1,466 @@
+r"""A payload from logs without and with it: its mass, centre and inertia, in one estimate that shares everything else.
+
+    tau = Y theta + [loaded] (Y_last pi + sum_j (c_j sign(v_j) + d_j v_j))
+
+`pi` are the ten inertial numbers of a rigid body fixed to a link, so that what the model misses in both recordings alike does not
+reach them. Coulomb friction depends on the load that a gear or a guide carries, and on its temperature: each joint's Coulomb and
+viscous friction may differ between empty and loaded, by the same amount in both directions, and a test says where it does. The
+part of load friction that follows the force within the motion stays in the residual, whose scatter the intervals allow for. The
+payload is kept physical: its pseudo-inertia is positive semidefinite (`estimate/physical_consistency.py`). The robot's drive gains
+scale the result: a force scale that is 2 % off makes a mass 2 % off. Reference: Khalil, Gautier & Lemoine 2007.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tau_dyn.diagnose import compute_body_properties, differentiate_body_properties, find_end_link
+from tau_dyn.estimate import (
+    MAX_RELATIVE_STDERR,
+    Estimate,
+    InertialBody,
+    PhysicalConstraints,
+    Regression,
+    solve_least_squares,
+)
+from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError, UnknownName
+from tau_dyn.excitation import Noise, predict_ideal_log
+from tau_dyn.identify import (
+    Data,
+    build_model,
+    build_physical_constraints,
+    compute_contrast_p_value,
+    drop_repeated_logs,
+    list_information_warnings,
+    name_apart,
+    require_forces,
+)
+from tau_dyn.log import Log
+from tau_dyn.message_codes import format_warnings
+from tau_dyn.model import Model
+from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.results import Z95, Shown, format_list
+from tau_dyn.robot import INERTIAL, LinkInertia, Robot
+from tau_dyn.simulate import build_fourier_motion
+
+SIGNIFICANCE_LEVEL = 0.01
+"""Chance at which two equal recordings are said to differ by a payload."""
+MAX_HIDDEN_SHARE = 0.05
+"""Part of the robot's own mass that may hide in the interval of an answer "no payload": an arm's rated payload is a quarter."""
+_EXPERIMENT_S = 20.0  # of the motion by which the length of the one to make is predicted
+_MAX_EXPERIMENT_S = 600.0  # a longer motion than ten minutes is no short one; more accuracy asks for another motion
+_MIN_JOINT_SHARE = 0.1  # of the information about a payload's mass that makes a joint worth naming
+_MIN_LENGTH_M = 0.05  # lever by which a centre counts as known where the payload sits at the frame's origin
+
+CENTRE = ("x", "y", "z")
+INERTIA = INERTIAL[4:]
+
+
+class PropertyEstimate(NamedTuple):
+    """Mass, centre or inertia of a payload: values (k,), standard errors (k,; NaN for none), whether they are determined."""
+
+    values: np.ndarray
+    stderr: np.ndarray
+    unit: str
+    determined: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers; those that the data do not tell are None."""
+        told = np.isfinite(self.stderr)
+        values = [float(x) if ok else None for x, ok in zip(self.values, told, strict=True)]
+        ends = [
+            [float(x - Z95 * s), float(x + Z95 * s)] if ok else None
+            for x, s, ok in zip(self.values, self.stderr, told, strict=True)
+        ]
+        stderr = [float(s) if ok else None for s, ok in zip(self.stderr, told, strict=True)]
+        rows: dict[str, Any] = {"value": values, "stderr": stderr, "ci95": ends}
+        if len(values) == 1:
+            rows = {name: row[0] for name, row in rows.items()}
+        return rows | {"unit": self.unit, "determined": self.determined}
+
+
+class FrictionDifference(NamedTuple):
+    """By how much one joint's friction is higher in the loaded logs; the p-value counts all joints (Bonferroni)."""
+
+    joint: str
+    coulomb: Parameter
+    viscous: Parameter
+    p_value: float | None
+
+    @property
+    def differs(self) -> bool:
+        """Whether the friction differs."""
+        return self.p_value is not None and self.p_value < SIGNIFICANCE_LEVEL
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers."""
+        parts = (("coulomb_change", self.coulomb), ("viscous_change", self.viscous))
+        rows = {name: {"value": p.value, "stderr": p.stderr, "unit": p.unit} for name, p in parts}
+        return {"joint": self.joint, **rows, "p_value": self.p_value, "differ": self.differs}
+
+
+@dataclass(frozen=True, eq=False)
+class PayloadEstimate(Shown):
+    """What the loaded logs carry beyond the empty ones.
+
+    Attributes:
+        robot: The robot.
+        link: Link that carries it.
+        frame: Frame of centre and inertia.
+        mass: Mass.
+        centre: Centre in that frame.
+        inertia: `ixx ixy iyy ixz iyz izz` about the centre, along the frame's axes.
+        plain_mass: The mass before physics held it [kg].
+        p_value: Chance of such a difference between equal recordings.
+        friction: Differences of friction.
+        logs: Names of the empty and of the loaded logs.
+        estimate: The solved regression.
+        warnings: What is doubtful.
+    """
+
+    robot: Robot
+    link: str
+    frame: str
+    mass: PropertyEstimate
+    centre: PropertyEstimate
+    inertia: PropertyEstimate
+    plain_mass: float
+    p_value: float
+    friction: tuple[FrictionDifference, ...]
+    logs: tuple[tuple[str, ...], tuple[str, ...]]
+    estimate: Estimate
+    warnings: tuple[str, ...]
+
+    @property
+    def differs(self) -> bool:
+        """Whether the loaded logs carry anything."""
+        return self.p_value < SIGNIFICANCE_LEVEL
+
+    @property
+    def largest_mass(self) -> float:
+        """Upper end of the mass' 95 % interval [kg]."""
+        return max(float(self.mass.values[0]), 0.0) + Z95 * float(self.mass.stderr[0])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's JSON result, without what the command adds."""
+        parts = (("mass", self.mass), ("centre", self.centre), ("inertia", self.inertia))
+        return {
+            "payload": {
+                "link": self.link, "frame": self.frame, **{name: part.to_dict() for name, part in parts},
+                "inertia_components": list(INERTIA),
+            },
+            "p_value": self.p_value,
+            "differ": self.differs,
+            "friction": [row.to_dict() for row in self.friction],
+            **format_warnings(self.warnings),
+        }  # fmt: skip
+
+
+def identify_payload(
+    robot: Robot | Model,
+    empty: Sequence[Log],
+    loaded: Sequence[Log],
+    *,
+    link: str | None = None,
+    exclude: tuple[str, ...] = (),
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda step: None,
+) -> PayloadEstimate:
+    """Identify what the loaded logs carry beyond the empty ones.
+
+    Args:
+        robot: The robot, whose friction is then asymmetric; or a model with its effects.
+        empty: Logs with `q_J` and `tau_J` without the payload.
+        loaded: The same robot with it; the same motion or another.
+        link: Link that carries it; by default the one with the tool, or the tree's only leaf.
+        exclude: Log columns whose nonzero samples are left out.
+        seed: Of the motion that is proposed where these are too short.
+        progress: Called with a word for each step.
+
+    Raises:
+        InputError: A log or the link is at fault.
+        CannotAnswer: The logs are too short or too dull, with the motion that would do.
+    """
+    model = robot if isinstance(robot, Model) else build_model(robot, "asymmetric")
+    body = _find_link(model.robot, link)
+    try:
+        return _identify(model, body, empty, loaded, exclude, seed, progress)
+    except CannotAnswer as fault:
+        if isinstance(fault, TooLittleTold):
+            raise
+        progress("the motion to make")
+        told = replace_experiment(fault, _propose_motion(model, body, None, None, seed))
+        raise told from fault
+
+
+class TooLittleTold(CannotAnswer):
+    """The logs do not tell a payload's mass."""
+
+
+def replace_experiment(fault: CannotAnswer, experiment: str) -> CannotAnswer:
+    """Return a refusal with another experiment."""
+    found = TooLittleTold(fault.code, fault.missing, experiment)
+    found.warnings = fault.warnings
+    return found
+
+
+def _identify(
+    model: Model,
+    body: LinkInertia,
+    empty: Sequence[Log],
+    loaded: Sequence[Log],
+    exclude: tuple[str, ...],
+    seed: int,
+    progress: Callable[[str], None],
+) -> PayloadEstimate:
+    without, with_it = _tell_apart(model.robot, empty, loaded)
+    progress("columns")
+    data = Data.of(_untie(model, body), [*without, *with_it], exclude=exclude)
+    built = data.build(data.model)
+    names = {log.name for log in with_it}
+    regression = add_payload_columns(model, body, built.regression, names)
+    progress("estimate")
+    estimate = solve_payload(model, regression)
+    found = describe_payload(model, body, estimate, ([log.name for log in without], [log.name for log in with_it]))
+    said = [*data.warnings(), *model.robot.warnings, *built.left_out]
+    said += list_information_warnings(built.regression, estimate.base.rank)
+    found = replace(found, warnings=tuple(dict.fromkeys([*said, *_list_warnings(found)])))
+    _refuse_undetermined(model, body, found, seed, progress)
+    return found
+
+
+def _find_link(robot: Robot, name: str | None) -> LinkInertia:
+    if name is None:
+        body = find_end_link(robot)
+        if body is None:
+            raise InputError(
+                "bad_option",
+                f"{robot.name} has several ends; say which link carries the payload with --link, or --tool",
+            )
+        return body
+    body = next((link for link in robot.links if link.link == name), None)
+    if body is None:
+        raise UnknownName("link that moves", name, [link.link for link in robot.links])
+    return body
+
+
+def _tell_apart(robot: Robot, empty: Sequence[Log], loaded: Sequence[Log]) -> tuple[list[Log], list[Log]]:
+    """Return the logs with names of their own.
+
+    Raises:
+        InputError: One kind is missing, or a log is of both kinds.
+    """
+    if not empty or not loaded:
+        raise InputError("missing_input", "a payload takes logs without it and, after --loaded, logs with it")
+    once, held, said = drop_repeated_logs(empty, loaded)
+    if said:
+        raise InputError("bad_option", f"{said[0].split(';')[0]}; an empty and a loaded log are two recordings")
+    require_forces(robot, [*once, *held])
+    named = name_apart([*once, *held])
+    return named[: len(once)], named[len(once) :]
+
+
+def _untie(model: Model, body: LinkInertia) -> Model:
+    """Return the model with all ten numbers of a link as columns."""
+    robot = model.robot.untied(f"{body.link}.{quantity}" for quantity in INERTIAL)
+    return replace(model, robot=robot)
+
+
+def add_payload_columns(model: Model, body: LinkInertia, regression: Regression, loaded: set[str]) -> Regression:
+    """Return the regression of a model, a payload and friction that differs, from one whose link has all ten columns.
+
+    Args:
+        model: The model.
+        body: The link that carries the payload.
+        regression: Of the model with this link untied.
+        loaded: Names of the runs with the payload.
+    """
+    names = regression.parameters.names
+    shared = np.zeros((len(names), len(model.parameters)))
+    for k, name in enumerate(model.parameters.names):
+        shared[names.index(name), k] = 1.0
+    ten = [names.index(f"{body.link}.{quantity}") for quantity in INERTIAL]
+    own = [model.parameters.names.index(name) for name in body.names]
+    shared[np.ix_(ten, own)] = body.map
+    extra = [Parameter(f"payload.{quantity}", 0.0, unit, lower=0.0 if quantity == "mass" else -np.inf)
+             for quantity, unit in zip(INERTIAL, ("kg", *["kg m"] * 3, *["kg m^2"] * 6), strict=True)]  # fmt: skip
+    columns = list(np.eye(len(names))[ten])
+    for joint in model.robot.actuated:
+        for law in ("coulomb", "viscous"):
+            mine = [k for k, name in enumerate(names) if name in _friction_names(joint, law)]
+            if mine:
+                extra.append(Parameter(f"{joint}.{law}_change", 0.0, model.parameters[names[mine[0]]].unit))
+                columns.append(np.isin(range(len(names)), mine).astype(float))
+    more = np.column_stack(columns)
+    maps = [np.hstack([shared, more * (run.name in loaded)]) for run in regression.runs]
+    return regression.combine_columns(model.parameters + Parameters(extra), maps)
+
+
+def _friction_names(joint: str, law: str) -> tuple[str, ...]:
+    return f"{joint}.{law}", f"{joint}.{law}_pos", f"{joint}.{law}_neg"
+
+
+def solve_payload(model: Model, regression: Regression) -> Estimate:
+    """Return the joint estimate, links and payload kept physical."""
+    physics = build_physical_constraints(model)
+    body = InertialBody("payload", tuple(f"payload.{quantity}" for quantity in INERTIAL), np.eye(10))
+    return solve_least_squares(regression, physics=PhysicalConstraints((*physics.bodies, body), physics.rotors))
+
+
+def describe_payload(
+    model: Model, body: LinkInertia, estimate: Estimate, logs: tuple[Sequence[str], Sequence[str]]
+) -> PayloadEstimate:
+    """Return mass, centre and inertia with their errors, and the tests."""
+    robot, base = model.robot, estimate.base
+    frame, R, p = _find_frame(robot, body)
+    kept = [base.names[k] for k in base.kept]
+    pi = estimate.parameters.select(f"payload.{quantity}" for quantity in INERTIAL)
+    place = {name: k for k, name in enumerate(kept) if base.alone[base.kept[k]]}
+    mine = np.eye(base.rank)[[k for k, name in enumerate(kept) if name.startswith("payload.")]]
+    p_value = compute_contrast_p_value(estimate, mine)
+    mass, rows = pi["payload.mass"].value, np.zeros((10, base.rank))
+    for k, name in enumerate(pi.names):
+        if name in place:
+            rows[k, place[name]] = 1.0
+    seen = np.array([name in place for name in pi.names])
+    at = pi.values if mass > 0 else np.array([1.0, *np.zeros(9)])  # without a mass there is no centre to speak of
+    values = compute_body_properties(at, R, p)
+    slopes = differentiate_body_properties(at, R, p)
+    needs = np.abs(slopes) > 1e-12 * np.abs(slopes).max()
+    known = ~np.any(needs & ~seen, axis=1) & np.array([True, *[mass > 0] * 9])
+    errors = [estimate.stderr_of(slope @ rows) if ok else np.nan for slope, ok in zip(slopes, known, strict=True)]
+    stderr = np.array(errors)
+    values[0] = mass
+    lever = max(float(np.linalg.norm(values[1:4])), _MIN_LENGTH_M)
+    size = np.array([abs(mass), *[lever] * 3, *[float(np.abs(values[4:]).max())] * 6])
+    told = np.nan_to_num(stderr, nan=np.inf) < MAX_RELATIVE_STDERR * size
+    parts = [
+        PropertyEstimate(values[k], stderr[k], unit, bool(told[k].all()))
+        for k, unit in ((slice(0, 1), "kg"), (slice(1, 4), "m"), (slice(4, 10), "kg m^2"))
+    ]
+    plain = float(estimate.beta_plain[place["payload.mass"]]) if "payload.mass" in place else np.nan
+    return PayloadEstimate(
+        robot, body.link, frame, parts[0], parts[1], parts[2], plain, 1.0 if p_value is None else p_value,
+        _compare_friction(robot, estimate), (tuple(logs[0]), tuple(logs[1])), estimate, (),
+    )  # fmt: skip
+
+
+def _find_frame(robot: Robot, body: LinkInertia) -> tuple[str, np.ndarray, np.ndarray]:
+    """Return the frame in which a payload is told, its axes and origin in the joint's: the tool where it is on the link."""
+    tool = robot.tool_frame
+    if tool is not None and int(robot.model.frames[tool].parentJoint) == body.joint_id:
+        at = robot.model.frames[tool].placement
+        return str(robot.model.frames[tool].name), np.array(at.rotation), np.array(at.translation)
+    return body.link, np.eye(3), np.zeros(3)
+
+
+def _compare_friction(robot: Robot, estimate: Estimate) -> tuple[FrictionDifference, ...]:
+    found, kept = [], [estimate.base.names[k] for k in estimate.base.kept]
+    for joint in robot.actuated:
+        names = [f"{joint}.{law}_change" for law in ("coulomb", "viscous")]
+        if not all(name in estimate.parameters for name in names):
+            continue
+        rows = np.eye(len(kept))[[k for k, name in enumerate(kept) if name in names]]
+        p = compute_contrast_p_value(estimate, rows)
+        corrected = None if p is None else min(1.0, robot.na * p)
+        found.append(FrictionDifference(joint, *(estimate.parameters[name] for name in names), corrected))
+    return tuple(found)
+
+
+def _list_warnings(found: PayloadEstimate) -> list[str]:
+    said = []
+    changed = [row.joint for row in found.friction if row.differs]
+    if changed:
+        said.append(
+            f"the friction of {format_list(changed)} differs between empty and loaded logs; each recording has its own in the "
+            "estimate, as friction follows load and temperature"
+        )
+    if found.differs and found.plain_mass < -Z95 * float(found.mass.stderr[0]):
+        said.append(
+            f"the loaded logs are lighter than the empty ones by {-found.plain_mass:.3g} kg; are they exchanged?"
+        )
+    missing = [name for name, part in (("centre", found.centre), ("inertia", found.inertia)) if not part.determined]
+    if found.differs and missing:
+        said.append(
+            f"this motion does not determine the payload's {' and '.join(missing)}; turn the tool more, and faster"
+        )
+    return said
+
+
+def _refuse_undetermined(
+    model: Model, body: LinkInertia, found: PayloadEstimate, seed: int, progress: Callable[[str], None]
+) -> None:
+    """Refuse logs that do not tell the mass, and say which motion would.
+
+    Raises:
+        TooLittleTold: The mass' error is too large for an answer.
+    """
+    stderr, own = float(found.mass.stderr[0]), _compute_own_mass(model)
+    allowed = MAX_HIDDEN_SHARE * own / Z95
+    if found.differs and found.mass.values[0] > 0:
+        allowed = max(MAX_RELATIVE_STDERR * float(found.mass.values[0]), 1e-3 * allowed)
+    if stderr < allowed:
+        return
+    progress("the motion to make")
+    told = (
+        f"its standard error is {stderr:.2g} kg"
+        if np.isfinite(stderr)
+        else "no joint feels it by itself in these motions"
+    )
+    raise TooLittleTold(
+        "too_little_data",
+        f"the logs do not tell the payload's mass: {told}",
+        _propose_motion(model, body, found.estimate.sigma, allowed, seed),
+    )
+
+
+def _compute_own_mass(model: Model) -> float:
+    return float(
+        sum(model.robot.model_with(model.robot.parameters).inertias[link.joint_id].mass for link in model.robot.links)
+    )
+
+
+def _propose_motion(model: Model, body: LinkInertia, sigma: np.ndarray | None, allowed: float | None, seed: int) -> str:
+    """Return which joints to move and how long, from the errors that a Fourier motion of 20 s is predicted to leave.
+
+    Args:
+        model: The model.
+        body: The link that carries the payload.
+        sigma: Residual deviation of each joint (na,), which enlarges the noise of good drives.
+        allowed: Standard error of the mass to reach [kg].
+        seed: Of the motion and its noise.
+    """
+    seconds, named = _EXPERIMENT_S, list(model.robot.actuated)
+    try:
+        still = model.steady()
+        motion = build_fourier_motion(still, _EXPERIMENT_S, seed)
+        noise = Noise.typical(still, still.torque(motion.q, motion.v, motion.a), 500.0)
+        logs = [replace(predict_ideal_log(still, motion, noise, seed + k), name=str(k)) for k in range(2)]
+        data = Data.of(_untie(still, body), logs)
+        estimate = solve_payload(still, add_payload_columns(still, body, data.build(data.model).regression, {"1"}))
+        stderr = float(describe_payload(still, body, estimate, (("0",), ("1",))).mass.stderr[0])
+        if sigma is not None:
+            stderr *= float(np.max(np.maximum(sigma / estimate.sigma, 1.0)))
+        if allowed is not None and np.isfinite(stderr):
+            seconds = _EXPERIMENT_S * max(1.0, (stderr / allowed) ** 2)
+        named = _list_feeling(estimate)
+    except TauDynError:
+        pass  # a robot that cannot make the motion; the advice is then the general one
+    length = 10 * np.ceil(min(seconds, _MAX_EXPERIMENT_S) / 10)
+    return (
+        f"move {format_list(named)} over their range in both directions for {length:g} s, once without and once with the payload, "
+        f"such as the motion of tau-dyn excite ROBOT --duration {length:g}"
+    )
+
+
+def _list_feeling(estimate: Estimate) -> list[str]:
+    """Return the joints that feel a payload's mass most."""
+    column = estimate.regression.parameters.names.index("payload.mass")
+    felt = sum(np.sum((run.W[:, :, column] * run.usable) ** 2, axis=0) for run in estimate.regression.runs)
+    share = felt / estimate.sigma**2
+    share = share / max(float(share.sum()), 1e-300)
+    return [joint for joint, x in zip(estimate.regression.outputs, share, strict=True) if x >= _MIN_JOINT_SHARE]
