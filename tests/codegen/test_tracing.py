@@ -52,7 +52,7 @@ def test_a_question_becomes_a_guard() -> None:
 
 @pytest.mark.parametrize(
     "code",
-    [lambda x: float(x[0]), lambda x: np.arccosh(x), lambda x: x**2.5, lambda x: bool(x[0])],
+    [lambda x: float(x[0]), lambda x: np.arccosh(x), lambda x: bool(x[0])],
 )
 def test_what_cannot_be_recorded_is_refused(code) -> None:
     """Nothing is written out that was only half understood."""

@@ -145,14 +145,10 @@ def test_a_shared_motor_of_two_branches_is_left_out():
 
 
 def test_what_neither_can_hold_is_said():
-    """A late force distorts the log, a temperature is no state, and loads of solved loops have no formula."""
+    """A late force distorts the log, and a temperature is no state."""
     robot = load_robot("gantry_tau_f1")
-    effects = [EFFECTS[c](robot.actuated, robot.force_units) for c in ("delay", "thermal_drift", "load_friction")]
+    effects = [EFFECTS[c](robot.actuated, robot.force_units) for c in ("delay", "thermal_drift")]
     model = Model.of(robot, effects)
     left_out = build_mjcf(model.with_values(dict.fromkeys(model.effect_parameters.names, 1e-3))).left_out
-    for name, why in (
-        ("delay", "distorts what is recorded"),
-        ("thermal_drift", "temperature"),
-        ("load_friction", "solved"),
-    ):
+    for name, why in (("delay", "distorts what is recorded"), ("thermal_drift", "temperature")):
         assert any(name in sentence and why in sentence for sentence in left_out)
