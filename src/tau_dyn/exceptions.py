@@ -39,6 +39,13 @@ class TauDynError(Exception):
 
     Attributes:
         code: One of `message_codes.ERROR_CODES`; sentences may be reworded, codes stay.
+
+    Example:
+        >>> try:
+        ...     td.Log(np.array([0.0, 0.0]), {})
+        ... except td.TauDynError as fault:
+        ...     print(fault.code, fault.exit_status)
+        time_stamps 2
     """
 
     exit_status = 1
@@ -64,7 +71,13 @@ def _restore(kind: type[TauDynError], args: tuple[Any, ...], state: dict[str, An
 
 
 class InputError(TauDynError, ValueError):
-    """The input is at fault; the message names the place and what would be right."""
+    """The input is at fault; the message names the place and what would be right.
+
+    Example:
+        >>> td.load_robot("gantry_tua")
+        Traceback (most recent call last):
+        tau_dyn.exceptions.UnknownName: ...(did you mean gantry_tau?)...
+    """
 
     exit_status = 2
 
@@ -91,7 +104,16 @@ class LoopClosureError(InputError):
 
 
 class CannotAnswer(TauDynError):
-    """The data are sound but cannot answer the question; carries what is missing and the experiment that would tell."""
+    """The data are sound but cannot answer the question; carries what is missing and the experiment that would tell.
+
+    Example:
+        >>> t = np.arange(0.0, 5.0, 0.01)
+        >>> try:
+        ...     td.identify(td.load_robot("linear_axis"), td.Log(t, {"q_axis": 0.0 * t, "tau_axis": 0.0 * t}))
+        ... except td.CannotAnswer as fault:
+        ...     print(fault.exit_status, bool(fault.experiment))
+        3 True
+    """
 
     exit_status = 3
 

@@ -51,6 +51,14 @@ class Model(Shown):
         effects: The effects beyond the rigid body.
         effect_parameters: Values of the effects' parameters, in the effects' order.
         provenance: Where the values came from: logs and hashes, versions, seed.
+
+    Example:
+        >>> model = td.Model.of(td.load_robot("linear_axis")).with_values({"carriage_link.mass": 90.0})
+        >>> model.torque(np.array([[0.0]]), np.array([[0.0]]), np.array([[2.0]]))
+        array([[180.]])
+        >>> model.save("axis.yaml")
+        >>> td.Model.load("axis.yaml").parameters["carriage_link.mass"].value
+        90.0
     """
 
     robot: Robot

@@ -375,3 +375,14 @@ def test_a_device_moved_before_the_held_out_poses_is_said_with_its_amount(moved,
     amounts = [float(w.partition(", by ")[2].split()[0]) for w in found.warnings if "seems to have moved" in w]
     assert amounts == (pytest.approx([1e3 * moved], abs=0.1) if said else []), found.warnings
     found.to_dict()
+
+
+def test_a_robot_all_of_whose_frames_are_known_has_nothing_to_fit_but_its_dimensions():
+    """With both frames known the smallest model has no unknown: its error is what 3 mm of a rod do, and rods explain it."""
+    rng, robot = np.random.default_rng(0), load_robot("gantry_tau")
+    built = load_robot("gantry_tau", **{"simplified.arms.1.rods.1.length": 2.053})
+    q = robot.home + rng.uniform(-0.3, 0.3, (20, 3))
+    poses = PoseSet(q, forward_kinematics(built, q).poses.position + 1e-5 * rng.standard_normal((20, 3)))
+    plain, fitted = (calibrate(robot, poses, model=m, device=False, tool=False) for m in ("frames", "ideal"))
+    assert plain.fit.n_estimated == 0 and plain.parameter_rows() == []
+    assert plain.errors(plain.chosen).position_size.rms > 2e-3 > 100 * fitted.errors(fitted.chosen).position_size.rms

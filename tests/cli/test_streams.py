@@ -8,6 +8,7 @@ import logging
 import os
 import pty
 import re
+import shutil
 import subprocess
 import sys
 from typing import get_type_hints
@@ -139,3 +140,15 @@ def test_completion_names_every_command(shell, capsys):
     assert main(["completion", shell]) == 0
     script = capsys.readouterr().out
     assert all(words.split(" ")[0] in script for words in COMMANDS) and "holdout" in script
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_bash_completes_commands_and_options(tmp_path, capsys):
+    """What a press of the tabulator gives: the command that begins so, and the option of that command."""
+    assert main(["completion", "bash"]) == 0
+    script = tmp_path / "completion.bash"
+    script.write_text(capsys.readouterr().out)
+    ask = 'complete_line() { COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); _tau_dyn; echo "${COMPREPLY[*]}"; }'
+    lines = f"source {script}; {ask}; complete_line tau-dyn ide; complete_line tau-dyn identify --hol"
+    done = subprocess.run(["bash", "-c", lines], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["identify", "--holdout"]

@@ -186,7 +186,7 @@ class _ProjectedResidual:
     def __init__(self, fitted: GeometryFit) -> None:
         self.fitted = fitted
         self.sigma = fitted.sigma
-        self.q = np.linalg.qr(fitted.columns.reshape(-1, fitted.columns.shape[2]))[0]
+        self.q = np.linalg.qr(np.concatenate(fitted.columns))[0]
         flat = np.where(fitted.state.ok[:, None], fitted.residuals / self.sigma, 0.0).ravel()
         self.r = self.free(flat)
         self.total = float(self.r @ self.r)
@@ -328,7 +328,7 @@ def find_move_within(fitted: GeometryFit, family: Family, spec: Spec) -> MoveWit
         columns = columns / fitted.sigma[:, :, None]
         for place in places:
             later = np.where(np.arange(poses.n)[:, None, None] >= place, columns, 0.0)
-            freed = rest.free(later.reshape(-1, columns.shape[2]))
+            freed = rest.free(np.concatenate(later))
             move = np.linalg.lstsq(freed, rest.r, rcond=1e-6)[0]
             gain = rest.total - float(np.sum((rest.r - freed @ move) ** 2))
             p, share = rest.judged(gain, len(move), 2 * len(places))

@@ -73,6 +73,16 @@ def calibrate(
     Raises:
         InputError: Poses that cannot be used; says why.
         CannotAnswer: Poses in one plane, or a robot that cannot reach them.
+
+    Example:
+        >>> from tau_dyn.calibrate import PoseSet
+        >>> rng, robot = np.random.default_rng(0), td.load_robot("gantry_tau")
+        >>> built = td.load_robot("gantry_tau", **{"simplified.arms.1.rods.1.length": 2.053})  # 3 mm too long
+        >>> q = robot.home + rng.uniform(-0.3, 0.3, (20, 3))
+        >>> measured = td.forward_kinematics(built, q).poses.position + 1e-5 * rng.standard_normal((20, 3))
+        >>> found = td.calibrate(robot, PoseSet(q, measured), model="ideal", device=False, tool=False)
+        >>> [round(row["value"], 3) for row in found.parameter_rows() if row["name"] == "arm1.length"]
+        [2.053]
     """
     options = Options(tuple(fix), tuple(free), residual, robust, device, tool, seed, prior=tuple(prior))
     poses, said = drop_duplicate_poses(poses)

@@ -271,7 +271,7 @@ class WeightedProblem:
     def linearise(self, state: FitState) -> LinearSystem:
         """Return the linear system about a state: the poses' rows, then the prior's."""
         r, w = self.whiten(state)
-        rows = np.vstack([self.columns(state, w).reshape(-1, len(self.free)), np.diag(self.trust / self.scales)])
+        rows = np.vstack([self.columns(state, w).reshape(r.size, len(self.free)), np.diag(self.trust / self.scales)])
         target = np.concatenate([(r * np.sqrt(w)[:, None]).ravel(), -self._prior(state)])
         return factor_system(rows, target, self.scales, _RANK_TOLERANCE)
 
@@ -316,7 +316,7 @@ class WeightedProblem:
     def identify(self, state: FitState) -> Identifiability:
         """Return what the poses can tell at a state, or prior knowledge of what is known beforehand."""
         u = self.problem.unknowns
-        columns = self.columns(state, self.whiten(state)[1]).reshape(-1, len(self.free))
+        columns = self.columns(state, self.whiten(state)[1]).reshape(self.sigma.size, len(self.free))
         priority = u.priority[self.free]
         known = np.diag(1 / self.scales)[priority == KNOWN_BEFOREHAND]
         return find_identifiable(

@@ -90,7 +90,7 @@ def compute_structural_rank(problem: Problem) -> int:
     )
     columns = wide.columns(state)[:, :, unknowns.free]
     names = tuple(np.array(unknowns.names)[unknowns.free])
-    flat = columns.reshape(-1, columns.shape[2])
+    flat = np.concatenate(columns)
     return find_identifiable(flat, names, unknowns.scales[unknowns.free], unknowns.priority[unknowns.free]).rank
 
 

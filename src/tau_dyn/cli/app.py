@@ -45,8 +45,7 @@ from tau_dyn.cli import (
     workspace,
 )
 from tau_dyn.cli.arguments import Kind
-from tau_dyn.cli.call import Call
-from tau_dyn.cli.execute import Outcome
+from tau_dyn.cli.execute import Call, Outcome
 from tau_dyn.cli.run_folder import RunFolder
 from tau_dyn.exceptions import InputError, suggest_nearest
 from tau_dyn.version import __version__

@@ -57,8 +57,7 @@ def actuators(
         from tau_dyn.log import read_log
 
         read = [read_log(path, columns) for path in logs]
-        step("fitting")
-        found = fit_actuator_models(read, inputs, outputs)
+        found = fit_actuator_models(read, inputs, outputs, step)
     return Outcome(
         result={"axes": to_plain(found.to_rows()), "sample_time_s": found.dt},
         warnings=[*(w for log in read for w in log.warnings), *found.warnings],

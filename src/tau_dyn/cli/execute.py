@@ -6,20 +6,20 @@ file written), 3 the data cannot answer (`--json` and the run folder say so), 1 
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
 from rich.console import Console
 
 from tau_dyn.cli.arguments import STDOUT, is_model_file
-from tau_dyn.cli.call import Call
 from tau_dyn.cli.progress import LOGGER, log_to_stderr, show_progress
 from tau_dyn.cli.run_folder import RunFolder, collect_configuration
 from tau_dyn.exceptions import CannotAnswer, InputError, format_one_line
@@ -32,6 +32,51 @@ _TWICE = "two outputs are to be written to one file; give each its own"
 
 _OUTPUTS = ("json", "report", "out", "propose", "save_cameras", "rapid", "resume", "corrected")
 """Arguments that name files to write."""
+
+
+@dataclass(frozen=True)
+class Call:
+    """A command with its arguments.
+
+    Attributes:
+        command: Its first word, as results name it.
+        function: What it calls.
+        bound: With which arguments.
+    """
+
+    command: str
+    function: Callable[..., Any]
+    bound: inspect.BoundArguments
+
+    def run(self) -> Any:
+        """Call the function."""
+        return self.function(*self.bound.args, **self.bound.kwargs)
+
+    def values(self) -> dict[str, Any]:
+        """Return every argument by name, those of shared options beside the others, defaults included."""
+        complete = inspect.BoundArguments(self.bound.signature, self.bound.arguments.copy())
+        complete.apply_defaults()
+        return dict(_flatten_options(complete.arguments))
+
+    def replace(self, **values: Any) -> Call:
+        """Return the call with other values of some arguments."""
+        complete = inspect.BoundArguments(self.bound.signature, self.bound.arguments.copy())
+        complete.apply_defaults()
+        for name, value in complete.arguments.items():
+            if name in values:
+                complete.arguments[name] = values[name]
+            elif is_dataclass(value) and not isinstance(value, type):
+                own = {f.name: values[f.name] for f in fields(value) if f.name in values}
+                complete.arguments[name] = replace(value, **own) if own else value
+        return Call(self.command, self.function, complete)
+
+
+def _flatten_options(arguments: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    for name, value in arguments.items():
+        if is_dataclass(value) and not isinstance(value, type) and hasattr(type(value), "__cyclopts__"):
+            yield from _flatten_options({f.name: getattr(value, f.name) for f in fields(value)})
+        else:
+            yield name, value
 
 
 @dataclass(frozen=True)

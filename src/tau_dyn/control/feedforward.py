@@ -35,6 +35,11 @@ class Feedforward:
         shape: 'ramp' or 'tanh'.
         left_out: Effects that a single state does not determine; a call with the signals that they feel has them.
         warnings: A sentence for each of them.
+
+    Example:
+        >>> feedforward = td.Feedforward(td.Model.of(td.load_robot("linear_axis")))
+        >>> feedforward(np.array([0.0]), np.array([0.0]), np.array([1.0]))
+        array([95.])
     """
 
     def __init__(self, model: Model, *, width: float | np.ndarray = 0.01, shape: str = "ramp") -> None:
@@ -60,10 +65,12 @@ class Feedforward:
         widths = np.broadcast_to(widths, (model.robot.na,)).copy()
         if not np.all(np.isfinite(widths) & (widths > 0)):
             raise InputError("invalid_value", f"the width of the smoothed sign must be a positive speed, not {width}")
-        self.model, self.width, self.shape = model, widths, shape
+        self.model: Model = model
+        self.width: np.ndarray = widths
+        self.shape: str = shape
         why = {effect: describe_missing_state(effect, BY_STATE) for effect in model.effects}
-        self.left_out = tuple(effect for effect, reason in why.items() if reason)
-        self.warnings = tuple(f"the feedforward leaves out {e.name}: {why[e]}" for e in self.left_out)
+        self.left_out: tuple[Effect, ...] = tuple(effect for effect, reason in why.items() if reason)
+        self.warnings: tuple[str, ...] = tuple(f"the feedforward leaves out {e.name}: {why[e]}" for e in self.left_out)
         self._parts = {frozenset(): self._sorted(frozenset())}
 
     def __repr__(self) -> str:

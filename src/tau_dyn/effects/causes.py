@@ -40,8 +40,9 @@ def list_causes() -> list[dict[str, str]]:
     """Return one row a cause and a command that names it: `cause`, `named_by`, `equation`, `range`, `revealed_by`.
 
     Example:
-        >>> laws = {row["cause"]: row["equation"] for row in list_causes()}
-        >>> laws["stribeck"]
+        >>> laws = {row["cause"]: row["equation"] for row in td.list_causes()}
+        >>> laws["delay"], laws["rod_length"]
+        ('tau_log(t) = tau(t - delay)', '|A - B| = L + dL')
     """
     rows = [
         {"cause": name, "named_by": "diagnose", "equation": effect.equation, "range": describe_ranges(effect.plausible),

@@ -39,6 +39,12 @@ class Choices:
         fix: `NAME`, `NAME=VALUE` or `NAME=VALUE+-SIGMA`.
         free: `NAME`.
         bound: `NAME=LO:HI`.
+
+    Example:
+        >>> model = td.Model.of(td.load_robot("linear_axis"))
+        >>> fixed = td.Choices(fix=("carriage_link.mass=91.5",)).apply(model).parameters["carriage_link.mass"]
+        >>> fixed.value, fixed.free
+        (91.5, False)
     """
 
     fix: tuple[str, ...] = ()

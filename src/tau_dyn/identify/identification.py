@@ -84,6 +84,17 @@ def identify(
     Raises:
         InputError: A log, the model or a choice is at fault.
         CannotAnswer: The logs determine nothing.
+
+    Example:
+        >>> t, w = np.arange(0.0, 10.0, 0.005), np.array([[3.0], [7.0]])
+        >>> q, v, a = (np.sum(x, axis=0) for x in (0.1 * np.sin(w * t), 0.1 * w * np.cos(w * t), -0.1 * w**2 * np.sin(w * t)))
+
+        >>> log = td.Log(t, {"q_axis": q, "tau_axis": 90.0 * a + 20.0 * np.sign(v)})
+        >>> found = td.identify(td.load_robot("linear_axis"), log)
+        >>> round(found.parameters["carriage_link.mass"].value, 1)
+        90.0
+        >>> found.parameters.select("*.coulomb_*").names
+        ('axis.coulomb_pos', 'axis.coulomb_neg')
     """
     given, judged = get_log_list(logs), get_log_list(holdout)
     if per_log:

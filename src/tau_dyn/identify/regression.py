@@ -52,7 +52,7 @@ MIN_SHARE = 0.5
 
 def build_regression(
     model: Model,
-    logs: Iterable[Log],
+    logs: Log | Iterable[Log],
     *,
     preparation: Preparation | None = None,
     exclude: tuple[str, ...] = (),
@@ -72,8 +72,18 @@ def build_regression(
     Raises:
         InputError: A log lacks a column that the robot or an effect needs, or the robot cannot reach a logged position.
         CannotAnswer: No piece is long enough for the filters, or the masks leave nothing.
+
+    Example:
+        >>> t, w = np.arange(0.0, 10.0, 0.005), np.array([[3.0], [7.0]])
+        >>> q, v, a = (np.sum(x, axis=0) for x in (0.1 * np.sin(w * t), 0.1 * w * np.cos(w * t), -0.1 * w**2 * np.sin(w * t)))
+
+        >>> log = td.Log(t, {"q_axis": q, "tau_axis": 90.0 * a})
+        >>> regression = td.build_regression(td.Model.of(td.load_robot("linear_axis")), log)
+        >>> W, y, _ = regression.stacked()
+        >>> bool(np.abs(y - 90.0 * W[:, 0]).max() < 0.01 * np.abs(y).max())
+        True
     """
-    logs = list(logs)
+    logs = [logs] if isinstance(logs, Log) else list(logs)
     if not logs:
         raise InputError("missing_input", "no log was given")
     pieces = [piece for log in logs for piece in resample_segments(log)]

@@ -201,6 +201,12 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
 
     Returns:
         Findings in the order clock, reading, columns, units, channels, motion, and the numbers behind them.
+
+    Example:
+        >>> t = np.delete(np.arange(0.0, 10.0, 0.01), slice(300, 400))
+        >>> log = td.Log(t, {"q_axis": np.sin(t), "tau_axis": np.cos(t)}, "lost.csv")
+        >>> [finding.topic for finding in td.check_log(log).findings if finding.severity != "ok"]
+        ['gaps', 'excitation']
     """
     findings, numbers = check_clock(log)
     findings += [

@@ -115,7 +115,7 @@ class TemporaryFolder:
     def __init__(self) -> None:
         """Make it where the system keeps temporary files (`TMPDIR`); those of killed processes go."""
         remove_stale_files(Path(tempfile.gettempdir()), "tau_dyn_")
-        self.path = Path(tempfile.mkdtemp(prefix=f"tau_dyn_{get_owner_name()}.", suffix=".part"))
+        self.path: Path = Path(tempfile.mkdtemp(prefix=f"tau_dyn_{get_owner_name()}.", suffix=".part"))
         weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
 

@@ -37,6 +37,15 @@ class Log(Shown):
         name: File name for messages, or what the simulator called the log.
         sha256: Hash of the bytes of the file or files; empty for a simulated log.
         warnings: What was doubtful on the way in, one sentence each.
+
+    Example:
+        >>> t = np.arange(0.0, 10.0, 0.01)
+        >>> log = td.Log(t, {"q_axis": np.sin(t), "tau_axis": np.cos(t)}, "monday.csv")
+        >>> log[100:200]
+        Log: monday.csv
+          0.99 s at 100 Hz, 100 samples; axis.
+        >>> len(log[2.0:3.0]), float(log["q_axis"].max() <= 1.0)
+        (100, 1.0)
     """
 
     t: NDArray[np.float64]

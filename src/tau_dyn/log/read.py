@@ -169,6 +169,12 @@ def read_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
 
     Raises:
         InputError: The file cannot be used; the message names file, line and column.
+
+    Example:
+        >>> t = np.arange(0.0, 1.0, 0.01)
+        >>> td.Log(t, {"q_axis": np.sin(t)}).to_csv("monday.csv")
+        >>> td.read_log("monday.csv").joints("q")
+        ('axis',)
     """
     if columns is None:
         table = read_any(path)

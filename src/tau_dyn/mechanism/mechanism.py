@@ -92,7 +92,16 @@ def get_solver(robot: Robot | Kinematics) -> object:
 
 
 def forward_kinematics(robot: Robot | Kinematics, q: np.ndarray, *, start: Poses | None = None) -> ForwardResult:
-    """Return where the tool is at actuated positions; see `Kinematics.forward`."""
+    """Return where the tool is at actuated positions; see `Kinematics.forward`.
+
+    Example:
+        >>> robot = td.load_robot("gantry_tau")
+        >>> found = td.forward_kinematics(robot, robot.home)
+        >>> found
+        ForwardResult: 1 of 1 answered
+        >>> found.poses.position.round(3).tolist()
+        [[1.75, -0.6, 0.75]]
+    """
     return build_kinematics(robot).forward(q, start=start)
 
 
@@ -109,7 +118,14 @@ def inverse_kinematics(
     start: np.ndarray | None = None,
     limits: bool = True,
 ) -> InverseResult:
-    """Return the actuated positions that put the tool at poses; see `Kinematics.inverse`."""
+    """Return the actuated positions that put the tool at poses; see `Kinematics.inverse`.
+
+    Example:
+        >>> robot = td.load_robot("gantry_tau")
+        >>> poses = td.forward_kinematics(robot, robot.home).poses
+        >>> bool(np.allclose(td.inverse_kinematics(robot, poses).q, robot.home))
+        True
+    """
     return build_kinematics(robot).inverse(poses, configuration=configuration, start=start, limits=limits)
 
 

@@ -192,6 +192,11 @@ def build_mechanism(robot: Robot) -> Mechanism:
 
     It holds where rods are slender, sit on the carts' origins and follow their masses; one sample near home shows it. Dynamics
     remember the last closure, so every call makes its own; its kinematics are kept beside the robot (`build_kinematics`).
+
+    Example:
+        >>> mechanism = td.build_mechanism(td.load_robot("linear_axis"))
+        >>> mechanism.inverse_dynamics(np.array([[0.0]]), np.array([[0.0]]), np.array([[1.0]]))
+        array([[95.]])
     """
     mechanism: Mechanism = TreeMechanism(robot)
     if GantryTauMechanism.describes(robot):

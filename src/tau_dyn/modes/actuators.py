@@ -12,7 +12,7 @@ kink where the delay passes a sample, so the search goes from one sample's width
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -136,8 +136,14 @@ def fit_actuator(t: np.ndarray, reference: np.ndarray, position: np.ndarray) -> 
     return found
 
 
-def fit_actuators(records: Sequence[Record]) -> tuple[ActuatorFit, ...]:
+def fit_actuators(
+    records: Sequence[Record], progress: Callable[[str], None] = lambda step: None
+) -> tuple[ActuatorFit, ...]:
     """Return the actuator of each axis from all tests: input k is the reference of output k.
+
+    Args:
+        records: The tests.
+        progress: Told how far it is.
 
     Raises:
         InputError: References and positions do not pair, the tests differ in rate, or numbers are missing.
@@ -151,7 +157,11 @@ def fit_actuators(records: Sequence[Record]) -> tuple[ActuatorFit, ...]:
         raise InputError("mismatch", "the tests differ in their axes or their sampling rate")
     if not all(np.all(np.isfinite(r.u)) and np.all(np.isfinite(r.y)) for r in records):
         raise InputError("bad_sample", "a reference or a position is not a number")
-    return tuple(_axis([(r.u[:, k], r.y[:, k]) for r in records], records[0].dt) for k in range(records[0].u.shape[1]))
+    fits, n_axes = [], records[0].u.shape[1]
+    for k in range(n_axes):
+        progress(f"fitting axis {k + 1} of {n_axes}")
+        fits.append(_axis([(r.u[:, k], r.y[:, k]) for r in records], records[0].dt))
+    return tuple(fits)
 
 
 Tests = list[tuple[np.ndarray, np.ndarray]]

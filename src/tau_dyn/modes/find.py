@@ -93,6 +93,15 @@ def find_modes(
     Raises:
         InputError: A column, an option or the logs do not fit.
         CannotAnswer: The data are sound but too few, or no stable model follows from them.
+
+    Example:
+        >>> from scipy.signal import lfilter
+        >>> t, force = np.arange(1200) * 0.01, np.random.default_rng(0).choice([-1.0, 1.0], 600).repeat(2)
+        >>> pole = np.exp(0.01 * 2 * np.pi * 8.0 * (-0.02 + 1j))
+        >>> x = lfilter([0.0, 1.0], [1.0, -2 * pole.real, abs(pole) ** 2], force)
+        >>> found = td.find_modes(td.Log(t, {"force": force, "x": x}), ["force"], ["x"], order=2, delay=0)
+        >>> round(found.modes[0].frequency_hz, 2)
+        8.0
     """
     say = progress or (lambda step: None)
     asked = read_whole_number("order", order, 1, MAX_REQUESTED_ORDER, f"states from 1 to {MAX_REQUESTED_ORDER}")

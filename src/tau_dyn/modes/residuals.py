@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.fft import irfft, rfft
@@ -218,7 +219,7 @@ class CorrelationTest(Brief):
         """Share of judged lags outside the band; 1 % of them by chance."""
         return float(np.mean(np.abs(self.values[self.judged]) > self.band)) if self.judged.any() else 0.0
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
         """Return it for the JSON result."""
         name = {"output": self.output} | ({"input": self.input} if self.input else {})
         return name | {"p_value": self.p_value, "passed": self.passed, "share_outside_99_percent": self.outside}

@@ -29,7 +29,14 @@ from tau_dyn.version import __version__
 
 
 def write_report(path: str | Path, result: Any, **options: Any) -> None:
-    """Write any result's page; it appears whole or not at all. Options are those of `build_page`."""
+    """Write any result's page; it appears whole or not at all. Options are those of `build_page`.
+
+    Example:
+        >>> from pathlib import Path
+        >>> td.write_report("robot.html", td.load_robot("linear_axis"))
+        >>> Path("robot.html").read_text()[:15]
+        '<!doctype html>'
+    """
     write_whole(path, build_page(result, **options))
 
 

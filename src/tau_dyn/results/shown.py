@@ -53,10 +53,10 @@ def _shorten(value: Any) -> str:
     if isinstance(value, str):
         return repr(shorten(value, 50, placeholder=" ..."))
     if isinstance(value, Collection) and not hasattr(value, "_fields"):
-        names = (
-            isinstance(value, tuple | list) and len(value) <= 6 and all(isinstance(x, str | float | int) for x in value)
-        )
-        return f"({', '.join(map(_shorten, value))})" if names else f"<{len(value)} {_name_things(value)}>"
+        few = isinstance(value, tuple | list) and len(value) <= 6
+        if few and all(isinstance(x, str | float | int) for x in value):
+            return f"({', '.join(map(_shorten, value))}{',' * (len(value) == 1)})"
+        return f"<{len(value)} {_name_things(value)}>"
     return type(value).__name__ if is_dataclass(value) or hasattr(value, "_fields") else shorten(repr(value), 50)
 
 

@@ -49,7 +49,12 @@ def list_robot_names() -> dict[str, Path]:
 
 
 def list_robots() -> dict[str, Path]:
-    """Return every robot that a name may mean: name -> file."""
+    """Return every robot that a name may mean: name -> file.
+
+    Example:
+        >>> td.list_robots()["gantry_tau"].name
+        'gantry_tau.urdf.xacro'
+    """
     return {
         **list_robot_names(),
         **{n: p for n, p in sorted(list_stock_robots().items()) if n not in list_robot_names()},

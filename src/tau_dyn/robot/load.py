@@ -66,6 +66,11 @@ def load_robot(
     Raises:
         InputError: The file cannot be read, expanded or understood; a looped robot names no actuated joints.
         UnknownName: An unknown robot, xacro argument, joint or frame.
+
+    Example:
+        >>> robot = td.load_robot("delta")
+        >>> robot.actuated
+        ('arm1', 'arm2', 'arm3')
     """
     path = find_robot(robot)
     described = find_described_robot(str(robot)) or StockRobot(path)

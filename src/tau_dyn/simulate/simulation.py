@@ -70,6 +70,14 @@ def simulate(
 
     Raises:
         InputError: The motion leaves the robot's limits, the log rate does not fit, or the feedback is unstable.
+
+    Example:
+        >>> from tau_dyn.simulate import Trajectory
+        >>> robot, t = td.load_robot("linear_axis"), np.linspace(0.0, 1.0, 101)
+        >>> motion = Trajectory.through(robot.actuated, t, 0.05 * np.sin(np.pi * t[:, None]) ** 4)
+        >>> td.simulate(td.Model.of(robot), motion)
+        Log: simulated
+          1 s at 1000 Hz, 1001 samples; axis.
     """
     sensors = sensors or Sensors()
     sensors.step(1 / rate_hz)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -159,7 +160,7 @@ class Cameras:
         place = np.hstack([turned, self.position[1:] - other.position[1:]])
         return np.concatenate([(self.intrinsics - other.intrinsics).ravel(), place.ravel()])
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
         """Return values and standard errors, camera by camera."""
         stderr = dict(zip(self.names, self.stderr, strict=True))
         out = []

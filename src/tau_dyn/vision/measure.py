@@ -7,6 +7,7 @@ import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -93,7 +94,7 @@ class CameraPoseTable:
             write.writerow([escape_formula(name), *(f"{v:.9g}" for v in row)])
         return out.getvalue()
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
         """Return what a result file holds."""
         return {
             **self.cameras.to_dict(),

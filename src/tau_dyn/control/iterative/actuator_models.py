@@ -5,7 +5,7 @@ Each axis is `time_constant y' + y = gain r(t - delay)`, (6.11) of the thesis, f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -76,13 +76,19 @@ class ActuatorModels(Shown):
         write_whole(path, yaml.safe_dump({"tau_dyn_actuators": _FORMAT, "axes": axes}, sort_keys=False))
 
 
-def fit_actuator_models(logs: Sequence[Log], inputs: Sequence[str] = (), outputs: Sequence[str] = ()) -> ActuatorModels:
+def fit_actuator_models(
+    logs: Sequence[Log],
+    inputs: Sequence[str] = (),
+    outputs: Sequence[str] = (),
+    progress: Callable[[str], None] = lambda step: None,
+) -> ActuatorModels:
     """Return the actuators of logs' axes.
 
     Args:
         logs: Steps or multisines of the references.
         inputs: Reference columns; by default every `q_ref_J` beside which there is a `q_J`.
         outputs: Position columns, in the order of the inputs.
+        progress: Told how far it is.
 
     Raises:
         InputError: A column is missing, or no reference is found.
@@ -99,7 +105,7 @@ def fit_actuator_models(logs: Sequence[Log], inputs: Sequence[str] = (), outputs
             "and --outputs in one order",
         )
     records = [r for log in logs for r in build_records(log, inputs, outputs)]
-    return ActuatorModels(tuple(inputs), tuple(outputs), fit_actuators(records), tuple(records))
+    return ActuatorModels(tuple(inputs), tuple(outputs), fit_actuators(records, progress), tuple(records))
 
 
 def read_actuators(path: str | Path, axes: Sequence[str] = ()) -> tuple[Actuator, ...]:
