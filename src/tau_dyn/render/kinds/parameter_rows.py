@@ -149,7 +149,11 @@ def _build_row(entry: ParameterRow, truth: bool, before: bool) -> r.Row:
     value = f"{entry.estimate} {entry.unit}: " if unseen and entry.estimate else ""
     cells = [entry.name, entry.name, entry.nominal, *([entry.before] if before else []), entry.estimate, entry.unit]
     cells += [] if before else [entry.interval]
-    cells += [entry.bar, *([entry.true, entry.distance] if truth else []), f"{value}{entry.note}".replace(" %", "\u00a0%")]
+    cells += [
+        entry.bar,
+        *([entry.true, entry.distance] if truth else []),
+        f"{value}{entry.note}".replace(" %", "\u00a0%"),
+    ]
     return r.Row(cells, "fold" if unseen else entry.state, on=r.On.ALL if entry.interval else r.On.DRAWN)
 
 
