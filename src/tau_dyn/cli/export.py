@@ -144,12 +144,13 @@ def _name_beside(model: Path, motion: Path | None, ending: str) -> Path:
 def _make_exchanged(request: _Request) -> Made:
     """Return URDF or MJCF."""
     from tau_dyn.exchange import build_mjcf, build_urdf, describe_price
+    from tau_dyn.results import format_list
 
     model = request.load_model()
     made = build_urdf(model) if request.to == "urdf" else build_mjcf(model, f"{request.out.stem}.")
     links = len(model.robot.links)
-    kept = f"; nominal values, not identified: {', '.join(made.nominal)}" if made.nominal and model.provenance else ""
-    shared = f"; one of many splits with the same forces: {', '.join(made.split)}" if made.split else ""
+    kept = f"; nominal values, not identified: {format_list(made.nominal)}" if made.nominal and model.provenance else ""
+    shared = f"; one of many splits with the same forces: {format_list(made.split)}" if made.split else ""
     carriers = "link that carries" if links == 1 else "links that carry"
     said = f"{model.robot.name} with {links} {carriers} mass -> {request.out}{kept}{shared}"
     changed = made.carried.parameters.values != model.parameters.values

@@ -1,9 +1,9 @@
 """What is drawn of a robot, coloured by what it does: the file's solids, and what an eye looks for beside them.
 
-What the file draws is taken as it is, meshes too, in its own colours where it has some. A visual named `envelope` is the room that
-a part takes, for programs that know nothing better: here the part is drawn through its joints instead, as the hull of balls in
-them, where it has three or more. A body without any visual is drawn as sticks from its own joint to those that it carries. Balls
-in joints, arms of bodies to them, and motors follow from the tree.
+What the file draws is taken as it is, meshes too, in its own colours where it has some. A visual named `envelope` is the room
+that a part takes, for programs that know nothing better: here the part is drawn through its joints instead, as the hull of balls
+in them, where it has three or more. A body without any visual is drawn as sticks from its own joint to those that it carries.
+Balls in joints, arms of bodies to them, and motors follow from the tree.
 """
 
 from __future__ import annotations
