@@ -152,10 +152,10 @@ def _make_exchanged(request: _Request) -> Made:
     kept = f"; nominal values, not identified: {format_list(made.nominal)}" if made.nominal and model.provenance else ""
     shared = f"; one of many splits with the same forces: {format_list(made.split)}" if made.split else ""
     carriers = "link that carries" if links == 1 else "links that carry"
-    said = f"{model.robot.name} with {links} {carriers} mass -> {request.out}{kept}{shared}"
+    drawn = f" and {len(made.meshes)} meshes {request.out.stem}.*.stl" if made.meshes else ""
+    said = f"{model.robot.name} with {links} {carriers} mass -> {request.out}{drawn}{kept}{shared}"
     changed = made.carried.parameters.values != model.parameters.values
     price = [describe_price(model, made.carried, request.source.parent)] if changed.any() else []
-    said += f" and {len(made.meshes)} meshes {request.out.stem}.*.stl" if made.meshes else ""
     meshes = {request.out.parent / name: partial(_write_bytes, content) for name, content in made.meshes.items()}
     return Made(
         {request.out: made.text, **meshes},
