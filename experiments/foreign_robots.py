@@ -9,9 +9,9 @@ MJCF is taken. For each of them:
     identify   from a log that MuJoCo makes with viscous friction, 10 s of four sines a joint; what is left of the force
     export     URDF and MJCF, both read again, forces compared
 
-A robot that is refused is listed with its sentence. No file is written.
+A robot that is refused is listed with its sentence. `--out` writes the table, as docs/results/data/foreign_robots.csv is.
 
-    python experiments/foreign_robots.py ur5 panda /ROS/ur.urdf.xacro,name=ur,ur_type=ur5e /MENAGERIE/unitree_go1 --limits
+    python experiments/foreign_robots.py ur5 panda /ROS/ur.urdf.xacro,name=ur,ur_type=ur5e /MENAGERIE/unitree_go1 --out TABLE.csv
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ import argparse
 import tempfile
 import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
+import pandas as pd
 import pinocchio as pin
 
 from tau_dyn.exceptions import TauDynError
@@ -242,12 +243,9 @@ def compare_export(model: Model) -> tuple[float, float]:
     return float(apart[0]), float(apart[1])
 
 
-def study(case: Case) -> tuple[str, str]:
-    """Return the row of one robot and 'pass', 'refused' or what is wrong."""
-    try:
-        robot = load_robot(case.name, **case.arguments)
-    except TauDynError as fault:
-        return str(fault), "refused"
+def study(case: Case) -> dict[str, Any]:
+    """Return the row of one robot; its outcome is 'pass', or what is wrong."""
+    robot = load_robot(case.name, **case.arguments)
     if not robot.tool:
         leaf = read_annotations(robot.urdf, robot.source).leaves[0]
         robot = load_robot(case.name, tool=leaf, **case.arguments)
@@ -263,27 +261,32 @@ def study(case: Case) -> tuple[str, str]:
     limits = {"fk": EXACT, "regressor": EXACT, "identify": LEFT_PERCENT, "urdf": EXACT, "mjcf": ROUNDED}
     wrong = [name for name, value in found.items() if not value <= limits[name]]
     by = "MuJoCo" if reference is not None and not robot.loops else "ours"
-    row = f"{robot.na:3d} joints, tool {robot.tool:18.18s} log by {by}: " + ", ".join(
-        f"{k} {x:.2g}" for k, x in found.items()
-    )
-    return row, "pass" if not wrong else f"wrong: {', '.join(wrong)}"
+    outcome = "pass" if not wrong else f"wrong: {' '.join(wrong)}"
+    return {"outcome": outcome, "joints": robot.na, "tool": robot.tool, "log_by": by, **found}
 
 
 def main() -> None:
     """Study what the command line names."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("robots", nargs="+", help="a name, PATH[,NAME=VALUE...] or a folder")
-    outcomes = []
-    for case in list_cases(parser.parse_args().robots):
-        start = time.perf_counter()
+    parser.add_argument("--out", type=Path, help="write the table here (CSV)")
+    given = parser.parse_args()
+    rows = []
+    for case in list_cases(given.robots):
+        start, short = time.perf_counter(), "/".join(Path(case.name).parts[-2:])
         try:
-            row, outcome = study(case)
+            row = study(case)
         except TauDynError as fault:
-            row, outcome = str(fault), "refused"
-        outcomes.append(outcome)
-        short = "/".join(Path(case.name).parts[-2:])
-        print(f"{short:45.45s} {outcome:8s} {time.perf_counter() - start:5.1f} s  {row}", flush=True)
-    print({outcome: outcomes.count(outcome) for outcome in sorted(set(outcomes))})
+            sentence = str(fault).replace(str(Path(case.name).parent), "").lstrip("/")
+            row = {"outcome": "refused", "sentence": sentence}
+        row = {"robot": " ".join([short, *case.arguments.values()]), **row}
+        rows.append(row)
+        said = ", ".join(f"{k} {x:.2g}" if isinstance(x, float) else f"{k} {x}" for k, x in list(row.items())[2:])
+        print(f"{row['robot']:45.45s} {row['outcome']:8s} {time.perf_counter() - start:5.1f} s  {said}", flush=True)
+    table = pd.DataFrame(rows)
+    print(table["outcome"].value_counts().to_dict())
+    if given.out:
+        table.to_csv(given.out, index=False, float_format="%.2g")
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from page_replay import replay
 
 QUICK = (
     "experiments/first_hour.md",
+    "docs/tutorials/stock_arms.md",
     "docs/tutorials/calibrate.md",
     "docs/tutorials/resonances.md",
     "docs/tutorials/controller.md",

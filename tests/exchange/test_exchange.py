@@ -3,6 +3,7 @@
 from xml.etree.ElementTree import fromstring
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
@@ -10,7 +11,7 @@ from tau_dyn.effects import EFFECTS, AsymmetricFriction, Stribeck, SymmetricFric
 from tau_dyn.exchange import build_mjcf, build_urdf
 from tau_dyn.mechanism import TreeMechanism
 from tau_dyn.model import Model
-from tau_dyn.robot import list_stock_robots, load_robot, load_robot_from_urdf
+from tau_dyn.robot import list_stock_robots, load_robot, load_robot_from_urdf, read_visuals
 from tau_dyn.simulate import free_motion
 
 ROBOTS = {
@@ -132,6 +133,36 @@ def test_a_stock_arm_whose_meshes_are_elsewhere_becomes_mjcf():
     assert "mesh" not in made.text and not made.meshes
     assert any("package://nowhere/base.dae" in sentence for sentence in made.left_out)
     assert mujoco.MjModel.from_xml_string(made.text).nbody == 2
+
+
+def test_meshes_in_mjcf_stand_where_the_urdf_has_them(tmp_path):
+    """MuJoCo draws a Panda's hand where its Collada file is put; the tool is a site; pictures weigh nothing."""
+    mujoco, q = pytest.importorskip("mujoco"), np.array([0.3, -0.5, 0.2, -2.0, 0.4, 1.5, 0.6, 0.01])
+    robot = (
+        load_robot("panda") if "panda" in list_stock_robots() else pytest.skip("example-robot-data is not installed")
+    )
+    made = build_mjcf(Model.of(robot), "p.")
+    assert len(made.meshes) == 10 and not made.left_out  # both fingers are one mesh
+    for name, content in made.meshes.items():
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "p.xml").write_text(made.text)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "p.xml"))
+    theirs, data = mujoco.MjData(model), robot.model.createData()
+    theirs.qpos[:] = [*q, q[-1]]
+    mujoco.mj_kinematics(model, theirs)
+    pin.forwardKinematics(robot.model, data, np.array([*q, q[-1]]))
+    pin.updateFramePlacements(robot.model, data)
+    assert_allclose(theirs.site(robot.tool).xpos, data.oMf[robot.tool_frame].translation, atol=1e-9)
+    (hand,) = [v for v in read_visuals(robot)[0] if v.name == "panda_hand_0"]
+    place = data.oMi[hand.joint] * hand.placement
+    ours = hand.shape.vertices @ place.rotation.T + place.translation
+    mesh = model.mesh("hand").id
+    (geom,) = np.flatnonzero(model.geom_dataid == mesh)
+    start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    drawn = model.mesh_vert[start : start + count] @ theirs.geom_xmat[geom].reshape(3, 3).T + theirs.geom_xpos[geom]
+    assert_allclose(drawn.min(axis=0), ours.min(axis=0), atol=1e-6)
+    assert_allclose(drawn.max(axis=0), ours.max(axis=0), atol=1e-6)
+    assert model.body_mass.sum() == pytest.approx(sum(link.nominal[0] for link in robot.links), rel=1e-6)
 
 
 FREE = {

@@ -9,14 +9,15 @@ from tau_dyn.kinematics.solids import read_bodies
 from tau_dyn.mechanism import LoopSolver
 from tau_dyn.robot import list_robot_names, load_robot, load_robot_from_urdf
 from tau_dyn.view import Placer, build_furniture
-from tau_dyn.view.palette import ROLES
+from tau_dyn.view.palette import CASING, ROLES
+from tau_dyn.view.scene import compute_outline
 from tau_dyn.view.shapes import build_visual_shapes, list_body_roles
 
 ENDS = '<visual><geometry><mesh filename="/etc/passwd"/></geometry></visual></link>'
 
 
 def test_every_link_is_seen(write):
-    """A file without any visual shape is drawn as sticks, one with shapes as they are; meshes are not opened."""
+    """A file without any visual shape is drawn as sticks, one with shapes as they are; what is no mesh file is not opened."""
     assert {s.kind for s in build_visual_shapes(load_robot("gantry_tau"))} == {"box", "cylinder"}
     bare = load_robot_from_urdf(write.two_link(), "bare")
     assert {s.joint for s in build_furniture(bare)} >= {1}
@@ -85,6 +86,24 @@ def test_a_file_s_own_colours_are_kept(write):
     look = '<visual><geometry><box size="1 1 1"/></geometry><material name="x"><color rgba="1 0 0 1"/></material></visual></link>'
     robot = load_robot_from_urdf(write.two_link().replace("</link>", look, 1), "red")
     assert build_visual_shapes(robot)[0].colour == (255, 0, 0)
+
+
+def test_a_mesh_takes_the_place_of_sticks_and_keeps_its_corners(write, tmp_path):
+    """A link with a mesh is no stick; its outline is the mesh's, where the joint carries it; a missing mesh leaves sticks."""
+    (tmp_path / "t.obj").write_text("v 0 0 0\nv 0.4 0 0\nv 0 0 0.1\nv 0 0.1 0\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    path = tmp_path / "robot.urdf"
+    look = '</inertial><visual><geometry><mesh filename="t.obj"/></geometry></visual></link>'
+    path.write_text(write.two_link().replace("</inertial></link>", look, 1))
+    robot = load_robot(path)
+    place = Placer(robot, build_furniture(robot))
+    (mesh,) = [s for s in place.shapes if s.joint == 1]
+    assert mesh.kind == "mesh" and mesh.colour == CASING
+    turned = place(np.array([np.pi / 2, 0.0]))  # about y: x points down
+    corners = compute_outline([mesh], [turned[place.shapes.index(mesh)]])
+    assert_allclose(corners.min(axis=0), [0, 0, -0.4], atol=1e-7)
+    assert_allclose(corners.max(axis=0), [0.1, 0.1, 0], atol=1e-7)
+    (tmp_path / "t.obj").unlink()
+    assert {s.kind for s in build_furniture(load_robot(path))} == {"cylinder"}
 
 
 def test_parts_are_found_by_joint_link_or_rod():

@@ -1,6 +1,7 @@
 """The window: open to this computer only, follows the sliders where the loops close, plays, and lights what it is told."""
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -64,6 +65,54 @@ def test_turning_joints_are_shown_in_degrees():
         _settle(lambda: abs(made.q[0] + np.deg2rad(10.0)) < 1e-9)
     finally:
         made.close()
+
+
+def test_joint_frames_follow_the_joints_when_asked_for():
+    """Hidden at first; shown, each stands where its joint is, and joints in one place share a label."""
+    made = Viewer(load_robot("scara_tau"), port=18090)
+    try:
+        frames = made._frames
+        assert not any(h.visible for h in (*frames.handles, *frames.labels))
+        frames.seen(True)
+        assert all(h.visible for h in (*frames.handles, *frames.labels))
+        made.show(made.robot.home + 0.02)
+        for joint, handle in zip(made.robot.actuated, frames.handles, strict=True):
+            assert_allclose(handle.position, made.placer.at(joint), atol=1e-12)
+        named = [name for label in frames.labels for name in label.text.split(", ")]
+        assert sorted(named) == sorted(made.robot.actuated)
+    finally:
+        made.close()
+
+
+def test_a_narrow_window_has_the_robot_in_sight(viewer):
+    """A telephone's camera stands further away than a screen's and looks below the robot; a screen's is left alone."""
+    phone, screen = _Client(0.5), _Client(1.6)
+    viewer._fit(phone)
+    viewer._fit(screen)
+    assert screen.camera.position is None
+    low, high = viewer._sight.min(axis=0), viewer._sight.max(axis=0)
+    away = np.linalg.norm(phone.camera.position - phone.camera.look_at)
+    half_width = 0.5 * np.tan(0.75 / 2) * away  # of what is in sight, to either side
+    assert half_width > 0.5 * np.linalg.norm((high - low)[:2]) and phone.camera.look_at[2] < low[2]
+
+
+def test_missing_meshes_are_named(write, tmp_path):
+    """The window opens without them and its warnings say which."""
+    path = tmp_path / "robot.urdf"
+    look = '</inertial><visual><geometry><mesh filename="gone.stl"/></geometry></visual></link>'
+    path.write_text(write.two_link().replace("</inertial></link>", look, 1))
+    made = Viewer(load_robot(path), port=18095)
+    try:
+        assert any("gone.stl" in sentence for sentence in made.warnings)
+    finally:
+        made.close()
+
+
+class _Client:
+    """A page that has just opened, this wide for its height."""
+
+    def __init__(self, aspect):
+        self.camera = SimpleNamespace(aspect=aspect, position=None, look_at=None)
 
 
 def test_the_window_is_open_to_this_computer_only(viewer):

@@ -149,6 +149,7 @@ def _name_beside(model: Path, motion: Path | None, ending: str) -> Path:
 def _make_exchanged(request: _Request) -> Made:
     """Return URDF, MJCF or SDF."""
     from tau_dyn.exchange import build_mjcf, build_sdf, build_urdf, describe_price
+    from tau_dyn.results import format_list
 
     model = request.load_model()
     if request.to == "mjcf":
@@ -156,12 +157,13 @@ def _make_exchanged(request: _Request) -> Made:
     else:
         made = {"urdf": build_urdf, "sdf": build_sdf}[request.to](model)
     links = len(model.robot.links)
-    kept = f"; nominal values, not identified: {', '.join(made.nominal)}" if made.nominal and model.provenance else ""
-    shared = f"; one of many splits with the same forces: {', '.join(made.split)}" if made.split else ""
+    kept = f"; nominal values, not identified: {format_list(made.nominal)}" if made.nominal and model.provenance else ""
+    shared = f"; one of many splits with the same forces: {format_list(made.split)}" if made.split else ""
     carriers = "link that carries" if links == 1 else "links that carry"
     beside = request.out.with_name(f"{request.out.stem}_effects.py")
     where = f"{request.out} and {beside}" if made.callback else request.out
-    said = f"{model.robot.name} with {links} {carriers} mass -> {where}{kept}{shared}"
+    drawn = f" and {len(made.meshes)} meshes {request.out.stem}.*.stl" if made.meshes else ""
+    said = f"{model.robot.name} with {links} {carriers} mass -> {where}{drawn}{kept}{shared}"
     versions = [made.carried, *([made.told] if made.told else [])]
     changed = (made.carried.parameters.values != model.parameters.values).any()
     price = [describe_price(model, versions, request.source.parent)] if changed else []
@@ -172,7 +174,6 @@ def _make_exchanged(request: _Request) -> Made:
         "callback": str(beside) if made.callback else None,
         "by_callback": list(made.by_callback),
     }
-    said += f" and {len(made.meshes)} meshes {request.out.stem}.*.stl" if made.meshes else ""
     files: dict[Path, Any] = {request.out: made.text, **({beside: made.callback} if made.callback else {})}
     files |= {request.out.parent / name: partial(_write_bytes, content) for name, content in made.meshes.items()}
     return Made(files, said, result, (*made.left_out, *made.by_callback, *price))

@@ -246,7 +246,7 @@ class _Fitter:
         np.add.at(scores, block, D * r[:, None])
         inverse = np.linalg.pinv(gram)
         variance = np.diag(inverse @ (scores.T @ scores) @ inverse)
-        return np.sqrt(np.maximum(variance, np.diag(inverse)))
+        return np.sqrt(np.maximum(0.0, np.maximum(variance, np.diag(inverse))))  # zero: a joint that tells nothing
 
 
 def _passed(

@@ -168,8 +168,8 @@ def end_sentence(text: str) -> str:
 
 
 def capitalise(text: str) -> str:
-    """Return a text with a capital in front, the rest as it is."""
-    return text[:1].upper() + text[1:]
+    """Return a text with a capital in front where it begins with a word and not a name, such as a file's or a channel's."""
+    return text[:1].upper() + text[1:] if text.split(" ", 1)[0].rstrip(",:;").isalpha() else text
 
 
 def replace_plus_minus(text: str) -> str:

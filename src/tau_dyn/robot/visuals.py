@@ -6,6 +6,7 @@ and Collada (.dae) with Assimp. A mesh that is not there or cannot be read costs
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,8 @@ from tau_dyn.robot.numbers import parse_numbers
 from tau_dyn.robot.packages import resolve_mesh
 from tau_dyn.robot.robot import Robot
 
+_UNIT = re.compile(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([0-9.eE+-]+)[\"']")
+_HEAD_BYTES = 2**16  # of a Collada file, in which its <asset> stands
 MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _MAX_LISTED = 3  # names of meshes in one sentence
 MAX_MESH_BYTES = 64 * 2**20
@@ -129,7 +132,8 @@ def read_mesh(path: Path | None, scale: str = "1 1 1") -> Mesh | None:
     try:
         if path.stat().st_size > MAX_MESH_BYTES:
             return None
-        model = coal.MeshLoader().load(str(path), np.broadcast_to(np.array(factors, float), 3).copy())
+        size = np.broadcast_to(np.array(factors, float), 3) * _read_unit(path)
+        model = coal.MeshLoader().load(str(path), size)
     except (OSError, ValueError, RuntimeError):
         return None
     vertices = np.array(model.vertices(), float).reshape(-1, 3)
@@ -137,3 +141,12 @@ def read_mesh(path: Path | None, scale: str = "1 1 1") -> Mesh | None:
     if not len(faces) or not np.isfinite(vertices).all():
         return None
     return Mesh(path, vertices, faces[:, ::-1] if np.prod(factors) < 0 else faces)
+
+
+def _read_unit(path: Path) -> float:
+    """Return the unit [m] of a mesh's numbers: Collada says it and Assimp leaves it alone; elsewhere it is the metre."""
+    if path.suffix.lower() != ".dae":
+        return 1.0
+    with path.open("rb") as file:
+        found = _UNIT.search(file.read(_HEAD_BYTES))
+    return float(found.group(1)) if found else 1.0

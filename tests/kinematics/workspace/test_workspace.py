@@ -16,7 +16,7 @@ from tau_dyn.kinematics.accuracy import ActuatorError, ErrorBounds, sample_defau
 from tau_dyn.kinematics.obstacles import build_surroundings
 from tau_dyn.kinematics.workspace import PoseRequirements, build_machine, find_workspace, measure_tilt, study_workspace
 from tau_dyn.mechanism import Poses, forward_kinematics
-from tau_dyn.robot import load_robot
+from tau_dyn.robot import list_stock_robots, load_robot
 
 
 def _robots():
@@ -314,3 +314,17 @@ def test_errors_of_a_3_prs_are_looked_for_over_its_motion() -> None:
     found = study_accuracy(robot, errors, robot.home[None], home, methods=["linear", "exact"]).accuracy
     assert found is not None and set(found.turned) == {"linear", "exact"}
     np.testing.assert_allclose([found.largest["linear"][0], found.largest["exact"][0]], 1e-4, rtol=1e-6)
+
+
+def test_an_arm_whose_home_is_singular_starts_from_a_bent_one():
+    """A stock UR5's home is stretched: alone it is refused; bent by quarter turns its workspace is nearly its sphere."""
+    if "ur5" not in list_stock_robots():
+        pytest.skip("example-robot-data is not installed")
+    robot = load_robot("ur5")
+    with raises_code("unreachable"):
+        find_workspace(build_machine(robot), resolution=0.1)
+    found = study_workspace(robot, resolution=0.1)
+    assert any("home is singular" in sentence for sentence in found.warnings)
+    turns = found.workspace.machine.robot.home - robot.home
+    assert np.count_nonzero(turns) == 2 and np.allclose(np.abs(turns[turns != 0]), np.pi / 2)
+    assert 0.8 < found.workspace.size.value / (4 / 3 * np.pi * 0.91**3) < 1.05  # upper arm, forearm and wrist: 0.91 m

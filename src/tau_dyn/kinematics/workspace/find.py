@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -114,6 +116,37 @@ def _touched(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return at which ends of the axes (3,), (3,) the set touches the lattice's edge."""
     sides = [(inside.take(0, k).any(), inside.take(-1, k).any(), n > 1) for k, n in enumerate(inside.shape)]
     return np.array([low and wide for low, _, wide in sides]), np.array([high and wide for _, high, wide in sides])
+
+
+def leave_singular_home(machine: WorkspaceModel, demands: PoseRequirements | None = None) -> WorkspaceModel:
+    """Return an arm whose home is singular with a home that is bent out of it; any other mechanism as it is.
+
+    Stock arms give no home, and the middle of their limits is often the stretched arm. Quarter turns of the fewest joints
+    are taken that leave a well-conditioned Jacobian.
+    """
+    robot = machine.robot
+    judge = PoseChecker(machine, demands if demands is not None else PoseRequirements())
+    code = int(judge.judge(machine.place(machine.home_place[None], np.asarray(machine.home.rotation)[0])).code[0])
+    if robot.loops or code == INSIDE or "singularity" not in judge.reasons.words(code) or robot.na > _MAX_BENT:
+        return machine
+    turns = np.array([kind == "revolute" for kind in robot.joint_kinds])
+    signs = np.array(list(product((0, 1, -1), repeat=robot.na)), float)
+    signs = signs[(np.abs(signs)[:, ~turns] == 0).all(axis=1)]
+    q = robot.home + signs * np.minimum(np.pi / 2, 0.4 * (robot.upper - robot.lower))
+    J = machine.kinematics.jacobian(q).copy()
+    J[:, 3:] *= machine.length
+    values = np.linalg.svd(J, compute_uv=False)
+    condition = values[:, 0] / np.maximum(values[:, -1], np.finfo(float).tiny)
+    good = condition <= _GOOD_CONDITION
+    if not good.any():
+        return machine
+    bends = np.abs(signs).sum(axis=1)
+    few = np.flatnonzero(good & (bends == bends[good].min()))
+    return build_machine(replace(robot, home=q[few[np.argmin(condition[few])]]))
+
+
+_MAX_BENT = 8  # joints; 3^8 postures are looked at in a tenth of a second
+_GOOD_CONDITION = 30.0  # of a Jacobian with lengths in the robot's own; below it the tool turns and moves to all sides
 
 
 def _check_home(machine: WorkspaceModel, judge: PoseChecker, turn: np.ndarray) -> None:

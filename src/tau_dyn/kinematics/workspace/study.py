@@ -16,7 +16,7 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.kinematics.workspace.find import find_workspace
+from tau_dyn.kinematics.workspace.find import find_workspace, leave_singular_home
 from tau_dyn.kinematics.workspace.lattice import INSIDE
 from tau_dyn.kinematics.workspace.machine import build_machine
 from tau_dyn.kinematics.workspace.maps import Catalogue, Quality, build_catalogue, build_elasticity
@@ -322,7 +322,7 @@ def study_workspace(
     Raises:
         InputError: Some of it is at fault.
     """
-    machine = build_machine(robot)
+    machine = leave_singular_home(build_machine(robot), demands)
     planes = [parse_section(text, machine.axes) for text in sections]
     quality = Quality(machine, build_elasticity(machine, rod_stiffness, actuator_stiffness))
     names = list(dict.fromkeys(maps)) or quality.available()
@@ -347,6 +347,9 @@ def study_workspace(
         else None
     )
     warnings = [*found.warnings]
+    if not np.array_equal(machine.robot.home, robot.home):
+        posture = ", ".join(f"{joint} {x:.4g}" for joint, x in zip(robot.actuated, machine.robot.home, strict=True))
+        warnings.append(f"{robot.source}: home is singular; the workspace is that around {posture}")
     if quality.elasticity.assumed:
         warnings.append(f"stiffness: {quality.elasticity.origin}")
     return Study(found, quality, names, cuts, figures, lean, tuple(warnings))

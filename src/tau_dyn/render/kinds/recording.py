@@ -294,9 +294,7 @@ def resample_evenly(log: Log, names: Sequence[str]) -> tuple[np.ndarray, dict[st
 
 def _capital(finding: CheckFinding, name: str) -> str:
     """Return a finding's sentence with a capital in front, where it begins with a word and not a channel's name."""
-    text = describe_check(finding, name)
-    first = text.split(" ", 1)[0]
-    return text[:1].upper() + text[1:] if first.isalpha() else text
+    return r.capitalise(describe_check(finding, name))
 
 
 def _join_alike(findings: Sequence[CheckFinding], name: str) -> list[tuple[str, list[str]]]:

@@ -1,0 +1,97 @@
+"""Arms with grippers: which joints move, what a log without the gripper means, and the demo on such an arm."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from tau_dyn.cli import demo as demo_module, main
+from tau_dyn.cli.arguments import RobotOptions
+from tau_dyn.cli.demo import load_arm, make_arm
+from tau_dyn.exceptions import InputError
+from tau_dyn.robot import load_robot
+
+
+@pytest.fixture
+def arm(write, tmp_path):
+    """Two rods that turn about y, and two fingers on the second, of which one follows the other."""
+
+    def finger(side: str, more: str = "") -> str:
+        slide = write.joint(side, "prismatic", "lower_link", f"{side}_link", "0 1 0", "0.3 0 0")
+        return write.link(f"{side}_link", 0.1, "0 0 0.02", "1e-5 1e-5 1e-5") + slide.replace(
+            "</joint>", f"{more}</joint>"
+        )
+
+    path = tmp_path / "gripping.urdf"
+    parts = (
+        write.rod("upper_link", 3, 0.4),
+        write.joint("shoulder", "revolute", "base_link", "upper_link", "0 1 0"),
+        write.rod("lower_link", 2, 0.3),
+        write.joint("elbow", "revolute", "upper_link", "lower_link", "0 1 0", "0.4 0 0"),
+        finger("left"),
+        finger("right", '<mimic joint="left"/>'),
+    )
+    path.write_text(write.text("gripping", *parts))
+    return path
+
+
+def test_the_joints_that_carry_the_tool_are_told_from_the_gripper(arm):
+    """Without a tool it is the joints before the tree forks; with a finger as tool, those up to the finger."""
+    robot = load_robot(arm)
+    assert robot.actuated == ("shoulder", "elbow", "left") and robot.mimics["right"].joint == "left"
+    assert robot.carrying_joints == ("shoulder", "elbow")
+    assert load_robot(arm, tool="left_link").carrying_joints == robot.actuated
+
+
+def test_a_log_without_the_gripper_holds_it_still(arm, tmp_path, capsys):
+    """`identify` takes a log of the arm's joints alone and says that the finger is held; an arm's joint is still asked for."""
+    log, result = tmp_path / "log.csv", tmp_path / "result.json"
+    quiet = ["--quiet", "--force-noise", "0.01", "--encoder-noise", "1e-5", "--duration", "12"]
+    assert main(["simulate", str(arm), "--actuated", "shoulder", "elbow", "--out", str(log), *quiet]) == 0
+    capsys.readouterr()
+    assert main(["identify", str(arm), str(log), "--json", str(result), "--quiet"]) == 0
+    assert "held still at zero" in capsys.readouterr().err
+    found = json.loads(result.read_text())
+    assert list(found["train"]["per_joint"]) == ["shoulder", "elbow"]
+    assert found["train"]["relative_error_percent"] < 1.0
+    lines = [line.split(",") for line in log.read_text().splitlines()]
+    lacking = [k for k, name in enumerate(lines[0]) if name.endswith("_elbow")]
+    log.write_text("\n".join(",".join(x for k, x in enumerate(row) if k not in lacking) for row in lines) + "\n")
+    assert main(["identify", str(arm), str(log), "--quiet"]) == 2
+    assert "q_elbow" in capsys.readouterr().err
+
+
+def test_the_demo_holds_the_gripper_and_loads_the_arm(arm):
+    """Only the arm's joints have friction; the payload is on the last link that they carry, and weighs what it says."""
+    robot, call = load_arm(str(arm), RobotOptions())
+    assert robot.actuated == ("shoulder", "elbow") and call == str(arm)
+    made = make_arm(robot, call, seed=0)
+    values = {p.name: p.value for p in made.truth.parameters}
+    heavier = values["lower_link.mass"] - robot.parameters["lower_link.mass"].value
+    assert abs(heavier - demo_module.PAYLOAD_KG) <= 0.011 * robot.parameters["lower_link.mass"].value
+    assert "left.coulomb_pos" not in values and values["elbow.stribeck"] > 0
+    hanging = made.truth.mechanism.inverse_dynamics(*np.zeros((3, 1, 2)))[0, 0]
+    nominal = load_robot(arm, actuated=robot.actuated)
+    bare = make_arm(nominal, call, seed=0).truth.with_values(
+        {n: nominal.parameters[n].value for n in nominal.parameters.names}
+    )
+    weighed = bare.mechanism.inverse_dynamics(*np.zeros((3, 1, 2)))[0, 0]
+    reach = 0.4 + demo_module.PAYLOAD_CENTRE[0]
+    assert hanging - weighed == pytest.approx(-9.81 * demo_module.PAYLOAD_KG * reach, rel=0.05)
+
+
+def test_the_demo_asks_which_of_several_arms(write, tmp_path):
+    """Where two arms begin at the base, the sentence says how to choose; chosen, the other arm stands still."""
+    path = tmp_path / "two_arms.urdf"
+    parts = (
+        write.link(f"{side}_link", 1.0, "0 0 -0.2", "1e-3 1e-3 1e-3")
+        + write.joint(side, "revolute", "base_link", f"{side}_link", "0 1 0")
+        for side in ("left", "right")
+    )
+    path.write_text(write.text("two_arms", *parts))
+    with pytest.raises(InputError, match="--tool"):
+        load_arm(str(path), RobotOptions())
+    robot, call = load_arm(str(path), RobotOptions(tool="right_link"))
+    assert robot.actuated == ("right",) and "--tool right_link" in call
