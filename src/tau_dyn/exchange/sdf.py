@@ -71,7 +71,7 @@ def build_sdf(model: Model) -> Exported:
     ElementTree.indent(root)
     text = '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
     lost = {f"{j}.armature": 0.0 for j in robot.actuated}
-    lost |= {n: 0.0 for n in carried.effect_parameters.names if n.endswith(".armature_error")}
+    lost |= {n: 0.0 for n in carried.parameters.names if n.endswith((".armature_error", ".gravity_mass"))}
     return Exported(text, tuple(left_out), carried.with_values(lost), list_nominal_parameters(model), split(model))
 
 
