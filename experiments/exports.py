@@ -54,8 +54,8 @@ from tau_dyn.simulate import (
 )
 
 SECONDS, DT = 0.5, 5e-4  # of free motion, s
-LOG_SECONDS = 6.0
-REPLAYED_SECONDS = 2.0  # a log's part that is repeated in closed loop
+LOG_SECONDS = 4.0
+REPLAYED_SECONDS = 1.0  # a log's part that is repeated in closed loop
 SUBSTEPS = 2  # of a millisecond, so that one is a step of the file's
 STATES = 20
 NOISE = Sensors(encoder_resolution=1e-6, force_noise_relative=0.01)
