@@ -150,14 +150,31 @@ def test_a_shared_motor_of_two_branches_is_left_out():
     assert any("adds to the mass matrix" in sentence for sentence in build_mjcf(model).left_out)
 
 
+def test_a_late_force_is_a_late_sensor(in_mujoco):
+    """What the log shows 2.3 ms late, MuJoCo's sensor shows so: a sine of 6 Hz to 1e-4 of its size."""
+    mujoco = pytest.importorskip("mujoco")
+    robot = load_robot("linear_axis")
+    model = Model.of(robot, [EFFECTS["delay"](robot.actuated, robot.force_units)]).with_values({"axis.delay": 2.3e-3})
+    made = build_mjcf(model)
+    assert not [sentence for sentence in made.left_out if "effect" in sentence]
+    with in_mujoco.open_in_mujoco(made) as theirs:
+        data, found = mujoco.MjData(theirs), []
+        for _ in range(300):
+            data.ctrl[:], t = np.sin(40 * data.time), data.time
+            mujoco.mj_step(theirs, data)
+            found.append((t, data.sensordata[0]))
+    t, shown = np.array(found)[20:].T
+    assert np.abs(shown - np.sin(40 * (t - 2.3e-3))).max() < 1e-4
+
+
 def test_what_neither_can_hold_is_said():
-    """A late force distorts the log, a temperature is no state, and loads of solved loops have no formula."""
+    """A low-pass distorts the log, a temperature is no state, and loads of solved loops have no formula."""
     robot = load_robot("gantry_tau_f1")
-    effects = [EFFECTS[c](robot.actuated, robot.force_units) for c in ("delay", "thermal_drift", "load_friction")]
+    effects = [EFFECTS[c](robot.actuated, robot.force_units) for c in ("drive_lag", "thermal_drift", "load_friction")]
     model = Model.of(robot, effects)
     left_out = build_mjcf(model.with_values(dict.fromkeys(model.effect_parameters.names, 1e-3))).left_out
     for name, why in (
-        ("delay", "distorts what is recorded"),
+        ("drive_lag", "distorts what is recorded"),
         ("thermal_drift", "temperature"),
         ("load_friction", "solved"),
     ):

@@ -9,7 +9,6 @@ Reference: sdformat.org, specification 1.11.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Comment, Element, SubElement
@@ -173,7 +172,7 @@ def _add_joint(top: Element, model: Model, joint: Joint, q: float, names: dict[i
 
 
 def _add_pose(element: Element, place: Any, turn: np.ndarray | None = None, **more: str) -> None:
-    rpy: Sequence[float] = np.zeros(3) if turn is None else pin.rpy.matrixToRpy(np.asarray(turn, float))
+    rpy = np.zeros(3) if turn is None else pin.rpy.matrixToRpy(np.asarray(turn, float))
     SubElement(element, "pose", more).text = _numbers([*np.asarray(place, float), *rpy])
 
 
