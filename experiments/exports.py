@@ -231,9 +231,8 @@ def main(robots: list[str], seed: int, out: Path | None) -> None:
         for row in run_robot(name, seed):
             rows.append({"robot": name, **row})
             print({k: f"{x:.3g}" if isinstance(x, float) else x for k, x in rows[-1].items()}, flush=True)
-    table = pd.DataFrame(rows, columns=list(COLUMNS))
-    if out is not None:
-        write_whole(out, table.to_csv(index=False, float_format="%.3g"))
+        if out is not None:
+            write_whole(out, pd.DataFrame(rows, columns=list(COLUMNS)).to_csv(index=False, float_format="%.3g"))
 
 
 if __name__ == "__main__":

@@ -95,8 +95,8 @@ def build_mjcf(model: Model) -> Exported:
     ElementTree.indent(root)
     text = '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
     left_out = (*left_out, *raised, *shapes)
-    told = (places.callback, places.said, places.known if places.callback else None)
-    return Exported(text, left_out, carried, list_nominal_parameters(model), split(model), *told)
+    told = {"callback": places.callback, "by_callback": places.said, "told": places.known if places.callback else None}
+    return Exported(text, left_out, carried, list_nominal_parameters(model), split(model), **told)
 
 
 def _bodies(world: Element, model: Model, joints: list[Joint], places: EffectPlaces) -> tuple[list[Element], list[str]]:
