@@ -84,24 +84,34 @@ def place_effects(model: Model) -> EffectPlaces:
     carried = build_carried_model(model, drives=True, more=native)
     rest = model.effect_parameters.values - carried.effect_parameters.values
     change = dict(zip(model.effect_parameters.names, rest, strict=True))
-    beyond = [e for e in model.effects if any(change[n] for n in e.parameters.names)]
-    beyond = [e for e in beyond if not isinstance(e, Armature | DriveGain)]
-    missing = dict(list_unsupported_effects(model))
-    held, lost = [], []
-    for effect in beyond:
-        why = "it distorts what is recorded, not the motion" if acts_on_recording(effect) else ""
-        if not why and effect in missing:
-            why = f"it feels {missing[effect]}, which a state alone does not give"
-        text, why = ("", why) if why else _try_callback(model, [effect], change)
-        (held if text else lost).append((effect, why))
-    text = _try_callback(model, [e for e, _ in held], change)[0] if held else ""
-    parts = [(e, " beyond its mean" if isinstance(e, AsymmetricFriction) else "") for e, _ in held]
-    said = [f"effect {e.name} of {', '.join(e.joints)}{part} stands in the callback" for e, part in parts]
-    sentences = [f"effect {e.name} of {', '.join(e.joints)} is left out: {why}" for e, why in lost]
+    held, lost = _sort_effects(model, change)
+    text, why = _try_callback(model, held, change) if held else ("", "")
     if not text:
-        sentences += list_means(model, drives=True)
-    gone = {n: 0.0 for e, _ in lost for n in e.parameters.names}
+        lost, held = {**lost, **dict.fromkeys(held, why)}, []
+    parts = [(e, " beyond its mean" if isinstance(e, AsymmetricFriction) else "") for e in held]
+    said = [f"effect {e.name} of {', '.join(e.joints)}{part} stands in the callback" for e, part in parts]
+    sentences = [f"effect {e.name} of {', '.join(e.joints)} is left out: {why}" for e, why in lost.items()]
+    sentences += () if text else list_means(model, drives=True)
+    gone = {n: carried.effect_parameters[n].value for e in lost for n in e.parameters.names}
     return EffectPlaces(native, carried, text, tuple(said), tuple(sentences), model.with_values(gone))
+
+
+def _sort_effects(model: Model, change: dict[str, float]) -> tuple[list[Effect], dict[Effect, str]]:
+    """Return the effects that a callback can hold of what the file lacks, and why it cannot hold the others."""
+    missing = dict(list_unsupported_effects(model))
+    held, lost = [], {}
+    for effect in model.effects:
+        if isinstance(effect, Armature | DriveGain) or not any(change[n] for n in effect.parameters.names):
+            continue
+        if acts_on_recording(effect):
+            lost[effect] = "it distorts what is recorded, not the motion"
+        elif effect in missing:
+            lost[effect] = f"it feels {missing[effect]}, which a state alone does not give"
+        elif why := _try_callback(model, [effect], change)[1]:
+            lost[effect] = why
+        else:
+            held.append(effect)
+    return held, lost
 
 
 def _try_callback(model: Model, effects: list[Effect], change: dict[str, float]) -> tuple[str, str]:
