@@ -80,13 +80,15 @@ class MujocoPlant:
     """The exported file as a plant for `tau_dyn.simulate.replay`: our leapfrog is MuJoCo's step, speeds at half steps."""
 
     def __init__(self, theirs: Any, model: Model, q: np.ndarray, v: np.ndarray, dt: float) -> None:
-        """Start at positions and speeds (na,) with a step [s], of which MuJoCo takes as many as its own is shorter."""
+        """Start at positions and speeds (na,) with MuJoCo's own step, which `dt` [s] must be."""
         robot = model.robot
+        if not np.isclose(dt, theirs.opt.timestep):
+            raise ValueError(
+                f"MuJoCo steps by {theirs.opt.timestep:g} s, not by {dt:g} s; choose the replay's substeps so"
+            )
         self.theirs, self.data, self.dt = theirs, start_in_mujoco(theirs, robot, q, v), dt
         self.places = [theirs.joint(n).qposadr[0] for n in robot.actuated]
         self.dofs = [theirs.joint(n).dofadr[0] for n in robot.actuated]
-        self.substeps = max(1, round(dt / theirs.opt.timestep))
-        theirs.opt.timestep = dt / self.substeps
         self.started = False
 
     @property
@@ -97,12 +99,11 @@ class MujocoPlant:
     def step(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Apply forces (na,), and return speed, acceleration and who stands still."""
         self.data.ctrl[:] = tau
-        if not self.started:  # the first speed is one at the sample: go back by half of MuJoCo's step
+        if not self.started:  # the first speed is one at the sample: go back by half of a step
             self.started = True
             mujoco.mj_forward(self.theirs, self.data)
-            self.data.qvel[:] -= 0.5 * self.theirs.opt.timestep * self.data.qacc
+            self.data.qvel[:] -= 0.5 * self.dt * self.data.qacc
         before = self.data.qvel[self.dofs].copy()
-        for _ in range(self.substeps):
-            mujoco.mj_step(self.theirs, self.data)
+        mujoco.mj_step(self.theirs, self.data)
         after = self.data.qvel[self.dofs].copy()
         return (before + after) / 2, (after - before) / self.dt, np.abs(after) < 1e-9

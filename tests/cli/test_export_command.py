@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from tau_dyn.cli import main
 from tau_dyn.control import Correction, read_reference, write_correction, write_reference
@@ -125,6 +126,24 @@ def test_a_robot_for_every_simulator(tmp_path, monkeypatch) -> None:
     assert main(["export", "delta", "--to", "urdf"]) == 0
     assert (tmp_path / "gantry_tau.xml").read_text().count("<connect") == 6
     assert load_robot(str(tmp_path / "delta.urdf")).actuated == load_robot("delta").actuated
+
+
+def test_a_robot_for_gazebo_and_its_drives_for_training(tmp_path, monkeypatch) -> None:
+    """SDF, one file of drives for mjlab and Isaac Lab with fitted delays, one a turning joint for BAM; a slide has none."""
+    monkeypatch.chdir(tmp_path)
+    axes = [{"axis": f"cart{k}", "gain": 1.0, "time_constant": 0.01, "delay": 0.004} for k in (1, 2, 3)]
+    (tmp_path / "fitted.yaml").write_text(yaml.safe_dump({"tau_dyn_actuators": 1, "axes": axes}))
+    assert main(["export", "gantry_tau", "--to", "sdf"]) == 0
+    assert (tmp_path / "gantry_tau.sdf").read_text().count('type="ball"') == 3
+    for target in ("mjlab", "isaaclab"):
+        assert (
+            main(["export", "gantry_tau", "--to", target, "--actuators", "fitted.yaml", "--out", f"{target}.py"]) == 0
+        )
+        assert "round(0.004 / TIMESTEP)" in (tmp_path / f"{target}.py").read_text()
+    assert main(["export", "gantry_tau", "--to", "bam"]) == 2
+    assert main(["export", "delta", "--to", "bam", "--json", "r.json"]) == 0
+    files = json.loads((tmp_path / "r.json").read_text())["out"]
+    assert len(files) == len(load_robot("delta").actuated) and all(json.loads(Path(f).read_text()) for f in files)
 
 
 def test_the_price_of_what_a_file_leaves_out(tmp_path, monkeypatch, capsys) -> None:

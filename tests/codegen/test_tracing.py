@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.codegen import Graph, Node, as_expression_array, build_inputs
+from tau_dyn.codegen.graph import evaluate_graph
 
 
 def test_equal_expressions_are_one_node_and_numbers_stay_numbers() -> None:
@@ -50,9 +51,21 @@ def test_a_question_becomes_a_guard() -> None:
     assert sorted(graph.guards.values()) == [False, True]
 
 
+@pytest.mark.parametrize("power", [0.5, -0.5, 1.7, 2.5, -3.0, 9.0])
+def test_any_power_of_what_is_not_negative(power: float) -> None:
+    """Curves over the speed have powers that are no whole numbers; at zero they are NumPy's, too."""
+    graph = Graph()
+    made = build_inputs(graph, "x", np.array([2.0])) ** power
+    known = {"x": np.array([[2.0], [0.3], [0.0]])}
+    found, fine = evaluate_graph(graph, tuple(made), known)
+    with np.errstate(divide="ignore"):
+        np.testing.assert_allclose(found, known["x"] ** power, rtol=1e-13)
+    assert fine.all()
+
+
 @pytest.mark.parametrize(
     "code",
-    [lambda x: float(x[0]), lambda x: np.arccosh(x), lambda x: bool(x[0])],
+    [lambda x: float(x[0]), lambda x: np.arccosh(x), lambda x: 2.0**x, lambda x: bool(x[0])],
 )
 def test_what_cannot_be_recorded_is_refused(code) -> None:
     """Nothing is written out that was only half understood."""

@@ -101,6 +101,7 @@ import numpy as np
 JOINTS = {joints}
 PASSIVE = {passive}
 LEAST = 1e-12  # N or N m; MuJoCo has no row for a joint without any frictionloss
+OWN = {{}}  # frictionloss of the file, by the model's signature
 
 
 def compute_bounds(q, v, a, p):
@@ -120,7 +121,8 @@ def install(model):
     """Let MuJoCo call the effects in each step of this model; `mujoco.set_mjcb_passive(None)` ends it."""
     dofs, places = (np.array([adr[model.joint(j).id] for j in JOINTS]) for adr in (model.jnt_dofadr, model.jnt_qposadr))
     others = np.array([model.jnt_qposadr[model.joint(j).id] for j in PASSIVE], int)
-    own, signature = model.dof_frictionloss[dofs].copy(), model.signature
+    signature = model.signature
+    own = OWN.setdefault(signature, model.dof_frictionloss[dofs].copy())
     model.dof_frictionloss[dofs] = np.maximum(own, LEAST)
 
     def act(model, data):

@@ -28,7 +28,9 @@ from tau_dyn.exchange.content import (
     split,
 )
 from tau_dyn.exchange.mjcf_effects import (
+    TIMESTEP_S,
     EffectPlaces,
+    add_late_sensors,
     add_passive_motors,
     add_shared_motors,
     compute_bristle_force,
@@ -39,10 +41,6 @@ from tau_dyn.exchange.mjcf_effects import (
 from tau_dyn.mechanism import Joint, LoopSolver, list_joints
 from tau_dyn.model import Model
 from tau_dyn.robot import Mesh, Visual, list_missing_meshes, read_visuals
-
-TIMESTEP_S = 5e-4
-"""Time step that the file asks for [s]: MuJoCo's step is of first order, and errs by less than 0.1 % in 0.5 s of free motion,
-friction that stops joints included; 1 ms would leave 0.11 %."""
 
 _STIFF = {"solref": f"{2 * TIMESTEP_S:g} 1", "solimp": "0.9999 0.99999 0.001"}
 """Loops and dry friction as hard as MuJoCo takes them: it corrects no faster than over two steps, and an impedance of 1 - 1e-5
@@ -100,22 +98,14 @@ def build_mjcf(model: Model, meshes: str = "") -> Exported:
             }
         SubElement(actuator, "general", {"name": f"{joint}_motor", "joint": joint, **more})
     add_passive_motors(actuator, model, places)
+    add_late_sensors(root, model, places)
     key = SubElement(root, "keyframe")
     SubElement(key, "key", name="home", qpos=_numbers(_home(model, joints, world)))
     ElementTree.indent(root)
     text = '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
     left_out = (*left_out, *raised, *shapes, *list_missing_meshes(missing))
-    return Exported(
-        text,
-        left_out,
-        carried,
-        list_nominal_parameters(model),
-        split(model),
-        files,
-        places.callback,
-        places.said,
-        places.known if places.callback else None,
-    )
+    told = {"callback": places.callback, "by_callback": places.said, "told": places.known if places.callback else None}
+    return Exported(text, left_out, carried, list_nominal_parameters(model), split(model), files, **told)
 
 
 def _bodies(world: Element, model: Model, joints: list[Joint], places: EffectPlaces) -> tuple[list[Element], list[str]]:

@@ -5,9 +5,11 @@
     hysteresis          passive `dcmotor` with `lugre`, Dahl's law: no damping, static = Coulomb    4.0
     reducer_coupling    `tendon/fixed` of joints in one chain with armature, damping, frictionloss  3.3
     gravity_direction   `option/gravity`, in which forces at rest are linear
+    delay               `sensor/actuatorfrc` that shows a drive's force so much later, from one step up      3.5
 
 What the installed MuJoCo is too old for goes to the callback, where the state determines it. What is lost feels a history, a
-load of a loop that is solved numerically or a temperature, or distorts the recording alone and leaves the motion as it is.
+load of a loop that is solved numerically or a temperature, or distorts the recording alone and leaves the motion as it is. A late
+sensor shows the force at the joint: what a drive reports, less its constant and by its gain.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from tau_dyn.effects import (
     Armature,
     AsymmetricFriction,
     CyclicRipple,
+    Delay,
     DriveGain,
     Effect,
     GravityDirection,
@@ -38,15 +41,20 @@ from tau_dyn.exchange.content import build_carried_model, list_means
 from tau_dyn.mechanism import compute_perpendicular_axes
 from tau_dyn.model import Model
 
+TIMESTEP_S = 5e-4
+"""Time step that the file asks for [s]: MuJoCo's step is of first order, and errs by less than 0.1 % in 0.5 s of free motion,
+friction that stops joints included; 1 ms would leave 0.11 %."""
+
 _SINCE = {
     QuadraticDrag: (3, 7),
     CyclicRipple: (4, 0),
     Hysteresis: (4, 0),
     ReducerCoupling: (3, 3),
     GravityDirection: (3, 3),
+    Delay: (3, 5),
 }
-"""First MuJoCo that reads what stands for an effect: the changelog's `damping` with three numbers, `dcmotor` without a motor
-constant, and what the project's oldest MuJoCo has."""
+"""First MuJoCo that reads what stands for an effect, by its changelog: `damping` with three numbers, `dcmotor` without a motor
+constant, delays; and what the project's oldest MuJoCo has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,24 +84,34 @@ def place_effects(model: Model) -> EffectPlaces:
     carried = build_carried_model(model, drives=True, more=native)
     rest = model.effect_parameters.values - carried.effect_parameters.values
     change = dict(zip(model.effect_parameters.names, rest, strict=True))
-    beyond = [e for e in model.effects if any(change[n] for n in e.parameters.names)]
-    beyond = [e for e in beyond if not isinstance(e, Armature | DriveGain)]
-    missing = dict(list_unsupported_effects(model))
-    held, lost = [], []
-    for effect in beyond:
-        why = "it distorts what is recorded, not the motion" if acts_on_recording(effect) else ""
-        if not why and effect in missing:
-            why = f"it feels {missing[effect]}, which a state alone does not give"
-        text, why = ("", why) if why else _try_callback(model, [effect], change)
-        (held if text else lost).append((effect, why))
-    text = _try_callback(model, [e for e, _ in held], change)[0] if held else ""
-    parts = [(e, " beyond its mean" if isinstance(e, AsymmetricFriction) else "") for e, _ in held]
-    said = [f"effect {e.name} of {', '.join(e.joints)}{part} stands in the callback" for e, part in parts]
-    sentences = [f"effect {e.name} of {', '.join(e.joints)} is left out: {why}" for e, why in lost]
+    held, lost = _sort_effects(model, change)
+    text, why = _try_callback(model, held, change) if held else ("", "")
     if not text:
-        sentences += list_means(model, drives=True)
-    gone = {n: 0.0 for e, _ in lost for n in e.parameters.names}
+        lost, held = {**lost, **dict.fromkeys(held, why)}, []
+    parts = [(e, " beyond its mean" if isinstance(e, AsymmetricFriction) else "") for e in held]
+    said = [f"effect {e.name} of {', '.join(e.joints)}{part} stands in the callback" for e, part in parts]
+    sentences = [f"effect {e.name} of {', '.join(e.joints)} is left out: {why}" for e, why in lost.items()]
+    sentences += () if text else list_means(model, drives=True)
+    gone = {n: carried.effect_parameters[n].value for e in lost for n in e.parameters.names}
     return EffectPlaces(native, carried, text, tuple(said), tuple(sentences), model.with_values(gone))
+
+
+def _sort_effects(model: Model, change: dict[str, float]) -> tuple[list[Effect], dict[Effect, str]]:
+    """Return the effects that a callback can hold of what the file lacks, and why it cannot hold the others."""
+    missing = dict(list_unsupported_effects(model))
+    held, lost = [], {}
+    for effect in model.effects:
+        if isinstance(effect, Armature | DriveGain) or not any(change[n] for n in effect.parameters.names):
+            continue
+        if acts_on_recording(effect):
+            lost[effect] = "it distorts what is recorded, not the motion"
+        elif effect in missing:
+            lost[effect] = f"it feels {missing[effect]}, which a state alone does not give"
+        elif why := _try_callback(model, [effect], change)[1]:
+            lost[effect] = why
+        else:
+            held.append(effect)
+    return held, lost
 
 
 def _try_callback(model: Model, effects: list[Effect], change: dict[str, float]) -> tuple[str, str]:
@@ -121,9 +139,16 @@ def _is_native(effect: Effect, model: Model) -> bool:
     if isinstance(effect, Hysteresis):
         forces = {j: sum(force for _, force in _list_bristles(model.effects, model, j)) for j in effect.joints}
         return not effect.measured and all(force <= _find_dry(model, j) for j, force in forces.items())
+    if isinstance(effect, Delay):
+        return _find_delay(effect, model) >= TIMESTEP_S
     if isinstance(effect, ReducerCoupling):
         return _is_chained(model, *effect.joints)
     return not isinstance(effect, GravityDirection) or set(effect.joints) == set(model.robot.actuated)
+
+
+def _find_delay(effect: Delay, model: Model) -> float:
+    """Return by how much forces are late [s]."""
+    return model.effect_parameters[effect.parameters.names[0]].value
 
 
 def _is_chained(model: Model, one: str, other: str) -> bool:
@@ -194,6 +219,15 @@ def add_passive_motors(actuator: Element, model: Model, places: EffectPlaces) ->
                 if size:
                     wave = {"name": f"{name['name']}_{k}", "joint": joint, "gear": _write([gear])}
                     SubElement(actuator, "dcmotor", {**wave, **passive, "cogging": law})
+
+
+def add_late_sensors(root: Element, model: Model, places: EffectPlaces) -> None:
+    """Add sensors that show forces of drives as late as they are logged."""
+    late = {j: _find_delay(e, model) for e in places.native if isinstance(e, Delay) for j in e.joints}
+    sensor = SubElement(root, "sensor") if late else root
+    for joint, delay in late.items():
+        buffer = {"delay": repr(delay), "nsample": str(int(np.ceil(delay / TIMESTEP_S)) + 2), "interp": "linear"}
+        SubElement(sensor, "actuatorfrc", {"name": f"{joint}_force", "actuator": f"{joint}_motor", **buffer})
 
 
 def add_shared_motors(root: Element, model: Model, places: EffectPlaces, stiff: dict[str, str]) -> None:

@@ -9,7 +9,6 @@ Reference: sdformat.org, specification 1.11.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Comment, Element, SubElement
@@ -71,7 +70,7 @@ def build_sdf(model: Model) -> Exported:
     ElementTree.indent(root)
     text = '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
     lost = {f"{j}.armature": 0.0 for j in robot.actuated}
-    lost |= {n: 0.0 for n in carried.effect_parameters.names if n.endswith(".armature_error")}
+    lost |= {n: 0.0 for n in carried.parameters.names if n.endswith((".armature_error", ".gravity_mass"))}
     return Exported(text, tuple(left_out), carried.with_values(lost), list_nominal_parameters(model), split(model))
 
 
@@ -173,7 +172,7 @@ def _add_joint(top: Element, model: Model, joint: Joint, q: float, names: dict[i
 
 
 def _add_pose(element: Element, place: Any, turn: np.ndarray | None = None, **more: str) -> None:
-    rpy: Sequence[float] = np.zeros(3) if turn is None else pin.rpy.matrixToRpy(np.asarray(turn, float))
+    rpy = np.zeros(3) if turn is None else pin.rpy.matrixToRpy(np.asarray(turn, float))
     SubElement(element, "pose", more).text = _numbers([*np.asarray(place, float), *rpy])
 
 
