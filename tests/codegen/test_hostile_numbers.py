@@ -77,5 +77,3 @@ def test_fmu(name, write, tmp_path) -> None:
     """Forces, parameters, starts and step sizes that are odd end in an error that moves nothing, or in a finite motion."""
     good, wrong = fuzz_fmu(build_model(built(name, write)), tmp_path, CALLS // 3)
     assert good > CALLS / 10 and wrong > 0
-
-
