@@ -1,10 +1,9 @@
 """A driver in C that calls one exported function many times with hostile numbers, and counts the statuses.
 
 Five kinds of inputs in turn: near home; anywhere in and a little beyond the joints' ranges; near home with NaN, infinities,
-denormals, huge and far numbers among them, or of one of these alone; a random walk; ends of ranges, zeros and right angles,
-where singular places are.
-The program is compiled with the address and undefined-behaviour sanitizers. Status 0 must come with outputs within their
-bounds and, where a `check` is given, with right ones; any other status with outputs and state as they were.
+denormals, huge and far numbers among them, or one of these alone; a random walk; ends of ranges, zeros and right angles, where
+singular places are. The program is compiled with the address and undefined-behaviour sanitizers. Status 0 must come with
+outputs within their bounds and, where a `check` is given, with right ones; any other status with outputs and state as they were.
 """
 
 from __future__ import annotations

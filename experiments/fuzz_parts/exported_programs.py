@@ -150,7 +150,7 @@ def _call_inverse(robot: Robot, program: KinematicsProgram, follows: bool, searc
         f"            for (int k = 0; k < {na}; ++k) at[k] = low[k] + (high[k] - low[k]) * chance();\n"
         f"            (void)kin_fk({'other, ' if follows else ''}at, p, R);\n        }}"
     )
-    again = f"double other[{len(program.home)}]; memcpy(other, state, sizeof other);" if follows and searches else start
+    again = f"double other[{len(program.home)}]; memcpy(other, state, sizeof other);" if follows else ""
     turned = "for (int k = 0; k < 9; ++k) off = fmax(off, 0.01 * fabs(R2[k] - R[k]));" if program.rank == 6 else ""
     check = (
         f"            double p2[3], R2[9]; {again}\n            if (!kin_fk({'other, ' if follows else ''}q, p2, R2)) {{\n"
@@ -167,7 +167,7 @@ def _call_inverse(robot: Robot, program: KinematicsProgram, follows: bool, searc
         size,
         begin="kin_start(state);" if searches else "",
         prepare=prepare,
-        check=check,
+        check=check if follows == searches else "",  # from home, fk may end in another assembly mode than ik takes
     )
 
 

@@ -304,7 +304,7 @@ def _make_rapid(request: _Request) -> Made:
     said = f"{motion.duration:.4g} s by {len(found.index)} places of {move} -> {request.out}"
     result = {"duration": motion.duration, "by": by, "places": len(found.index), "deviation": found.deviation}
     loose = (
-        f"straight moves of 50 ms or more leave the motion by up to {found.deviation:.2g} m or rad, more than the tolerance of "
+        f"straight moves of 0.1 s or more leave the motion by up to {found.deviation:.2g} m or rad, more than the tolerance of "
         f"{tolerance:g}; move slower, or send a reference file",
     )
     return Made({request.out: text}, said, result, (*motion.notes, *(loose if found.deviation > tolerance else ())))

@@ -123,10 +123,10 @@ _LEARNING_WORDS = (
     "q: Q without weights, forwards and backwards, on one channel's n numbers in place.",
     "l: L on a signal; out must be another array.",
     "update: correction becomes weight Q (correction + L error); weight holds n numbers, or is NULL for ones; work holds",
-    "n numbers a channel. Each returns 0; 1 where n < 1 or a number, also of the answer, is none or can go beyond "
-    f"{MAX_NUMBER:g};",
-    "update returns 2 where a correction larger than the limit would leave. Then the outputs are left alone. No allocation,",
-    "no state.",
+    "n numbers a channel. Each returns 0;",
+    f"1 where n < 1, or a number goes in or may come out that is none or beyond {MAX_NUMBER:g};",
+    "update returns 2 where a correction larger than the limit would leave. Then the outputs are left alone.",
+    "No allocation, no state.",
     "Compile without -ffast-math, which takes the checks of numbers away.",
 )
 

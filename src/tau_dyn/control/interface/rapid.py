@@ -84,9 +84,10 @@ def format_comment(text: str) -> str:
 MAX_WAYPOINTS = 4000
 """Most places of a module."""
 
-MIN_MOVE_S = 0.05
-"""Shortest move [s]: two of the 24.2 ms after which an IRC5 samples its path (path resolution 1). A planner that gets shorter
-ones runs out of prepared moves and stops at the places (50024, corner path failure)."""
+MIN_MOVE_S = 0.1
+"""Shortest move [s]: a controller plans the next move in about 0.1 s (ABB, RAPID Reference Manual, Basic Characteristics,
+p. 6-28). A place whose next move is not planned in time becomes a stop (p. 6-21; event 50024, corner path failure), and
+places too close are refused (event 50078; github.com/ros-industrial/abb, issue 185)."""
 
 
 class Waypoints(NamedTuple):
