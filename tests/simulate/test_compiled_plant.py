@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import pickle
 import shutil
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
@@ -159,6 +160,16 @@ def test_parameters_are_given_when_it_runs(gantry):
     assert moved is not None
     assert_allclose(moved.q, expected.q, rtol=0, atol=BROKEN_OFF)
     assert np.abs(moved.q - plant.apply_forces(home, rest, 1e-3, np.tile(push, (300, 1))).q).max() > 1e-4
+
+
+def test_the_tool_is_where_the_mechanism_says(gantry):
+    """Tool positions of a compiled run, and of one that came from another process, are the mechanism's to 1e-9 m."""
+    path = there_and_back(gantry, 0.1, 0.5).resampled(1000.0)
+    run = run_plant(gantry, path, CascadeController(CascadeLaw.for_model(gantry), start=gantry))
+    assert run.compute_tool is not None
+    carried = pickle.loads(pickle.dumps(run))
+    assert_allclose(run.tool, carried.tool, rtol=0, atol=1e-9)
+    assert_array_equal(carried.tool, gantry.mechanism.tool_position(run.q))
 
 
 def test_the_same_call_takes_the_same_path(block):
