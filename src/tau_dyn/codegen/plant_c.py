@@ -13,6 +13,8 @@ from tau_dyn.codegen.feedforward_c import yield_closing_parts
 from tau_dyn.codegen.plant_equations import Equations
 from tau_dyn.codegen.tracing import TracedFunction
 
+_FURTHER = ("memory", "tool", "encoders", "encoder_memory")
+
 
 def write_plant_source(equations: Equations) -> str:
     """Return C99 that steps a plant from sample to sample; see `c/plant_run.c` for its interface."""
@@ -33,8 +35,8 @@ def _yield_parts(equations: Equations) -> Iterator[str]:
     yield "#include <math.h>\n#include <stdint.h>\n#include <string.h>"
     yield f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};"
     yield fill_template("checks")
-    yield from yield_plant_parts(equations, ("memory", "encoders", "encoder_memory"))
-    flags = {name.upper() for name in ("memory", "encoders", "encoder_memory") if getattr(equations, name) is not None}
+    yield from yield_plant_parts(equations, _FURTHER)
+    flags = {name.upper() for name in _FURTHER if getattr(equations, name) is not None}
     flags |= {"WARM"} if equations.warm else set()
     shown = "s->shown, " if read is not None else ""
     yield fill_template("plant_run", flags | (set() if equations.encoders else {"TRUE"}), SHOWN=shown)

@@ -106,7 +106,7 @@ class _Remembered:
         self.na, self._campaign = na, campaign
         self.bristles = [e for e in effects if isinstance(e, Hysteresis)]
         self.warm = tuple(e for e in effects if "temperature" in e.needs)
-        remembers = bool(self.bristles) or any("reversal" in e.needs for e in effects)
+        remembers = any("reversal" in e.needs or isinstance(e, DisplacementEffect) for e in effects)
         self.size = (2 + len(self.bristles)) * na if remembers else 0
         self.sizes = {k: n for k, n in (("m", self.size), ("r", len(self.warm) * na)) if n}
 

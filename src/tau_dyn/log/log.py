@@ -6,6 +6,8 @@ knows whether its numbers were recorded or simulated. Reading lives in `read.py`
 filters in `filtering.py`.
 """
 
+import csv
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -24,6 +26,7 @@ from tau_dyn.results import Shown, count
 if TYPE_CHECKING:
     import pandas as pd
 
+_ROWS_AT_ONCE = 10_000  # of a CSV; a megabyte or two of text
 _NAME_IT = "; log it, or let a column map say which column it is"
 
 
@@ -229,8 +232,14 @@ class Log(Shown):
         Raises:
             InputError: The folder does not exist or cannot be written.
         """
-        with write_atomically(path) as temporary:
-            self.to_frame().to_csv(temporary, index=False, float_format="%.12g", lineterminator="\n")
+        with write_atomically(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(("t", *self.channels))
+            columns = [self.t, *self.channels.values()]
+            for start in range(0, self.n_samples, _ROWS_AT_ONCE):
+                rows = np.column_stack([x[start : start + _ROWS_AT_ONCE] for x in columns])
+                text = (",".join(["%.12g"] * len(columns)) + "\n") * len(rows) % tuple(rows.ravel().tolist())
+                file.write(text if np.isfinite(rows).all() else re.sub(r"\bnan\b", "", text))
 
 
 def _frozen(values: ArrayLike) -> NDArray[np.float64]:

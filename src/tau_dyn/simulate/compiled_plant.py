@@ -87,7 +87,10 @@ _TRACED = _TracedModels()
 
 
 class PlantMotion(NamedTuple):
-    """A run: positions, velocities, accelerations, forces and who stood still (N, na), and what the encoders read."""
+    """A run: positions, velocities, accelerations, forces and who stood still (N, na), and what the encoders read.
+
+    `compute_tool` gives the tool's positions (N, 3) along positions (N, na), or None.
+    """
 
     q: np.ndarray
     v: np.ndarray
@@ -95,6 +98,7 @@ class PlantMotion(NamedTuple):
     tau: np.ndarray
     stuck: np.ndarray
     read: np.ndarray | None
+    compute_tool: Callable[[np.ndarray], np.ndarray | None]
 
 
 class CompiledPlant:
@@ -108,8 +112,8 @@ class CompiledPlant:
         self.library, self._surroundings = library, surroundings or EffectSurroundings()
         names, felt = model.parameters.names, equations.model.parameters.names
         self.places = [names.index(felt[k]) for k in equations.parameters]
-        for function in (library.plant_size, library.plant_run, library.plant_inertia):
-            function.restype = ctypes.c_int64
+        for name in ("size", "run", "inertia", *(["tool"] if equations.tool is not None else [])):
+            getattr(library, f"plant_{name}").restype = ctypes.c_int64
 
     @classmethod
     def find(
@@ -157,6 +161,15 @@ class CompiledPlant:
         state = self.begin(q[0], np.zeros(self.na))
         done = self.library.plant_inertia(state, *(_point(x) for x in (theta, q, out)), ctypes.c_int64(len(q)))
         return out if done == len(q) else None
+
+    def compute_tool(self, q: np.ndarray) -> np.ndarray | None:
+        """Return the tool's positions (N, 3) [m] along positions (N, na), or None where one cannot be reached."""
+        q = np.ascontiguousarray(q, float)
+        out = np.empty((len(q), 3))
+        if self.equations.tool is None or not len(q):
+            return None
+        state = self.begin(q[0], np.zeros(self.na))
+        return out if self.library.plant_tool(state, _point(q), _point(out), ctypes.c_int64(len(q))) == len(q) else None
 
     def begin(self, q0: np.ndarray, v0: np.ndarray, *controller: np.ndarray) -> Any:
         """Return the library's state at positions, velocities (na,) and, where there is one, the controller's numbers."""
@@ -257,7 +270,7 @@ class _Run:
         substeps: int = 1,
     ) -> None:
         na = plant.na
-        self._library, self._n, self._na = plant.library, n, na
+        self._library, self._n, self._na, self._tool = plant.library, n, na, plant.compute_tool
         values = plant.model.parameters.values if parameters is None else np.asarray(parameters, float)
         self._fields = _Fields(often=often, substeps=substeps, inertia_every=1, dt=dt, period=dt)
         self._arrays: dict[str, Any] = {}
@@ -298,7 +311,13 @@ class _Run:
                 return None
         found = self._arrays
         return PlantMotion(
-            found["q"], found["v"], found["a"], found["tau"], found["stuck"].astype(bool), found.get("read")
+            found["q"],
+            found["v"],
+            found["a"],
+            found["tau"],
+            found["stuck"].astype(bool),
+            found.get("read"),
+            self._tool,
         )
 
     def _put(self, name: str, values: np.ndarray | None, kind: Any = float) -> None:

@@ -25,6 +25,7 @@ import numpy as np
 
 from tau_dyn.effects import (
     STATE,
+    DisplacementEffect,
     Effect,
     Hysteresis,
     JointMotion,
@@ -69,6 +70,7 @@ class Memory:
         self._lag = {id(e): e.settings.get("lag", 0.0) for e in effects if "temperature" in e.needs}
         self._bristles = {id(e): (e, np.zeros(na)) for e in effects if isinstance(e, Hysteresis)}
         self._travel, self._heading = np.zeros(na), np.zeros(na)
+        self._remembers = any("reversal" in e.needs or isinstance(e, DisplacementEffect) for e in effects)
 
     def signals(self, effect: Effect) -> dict[str, np.ndarray]:
         """Return what one effect remembers, by signal, each (na,)."""
@@ -94,7 +96,8 @@ class Memory:
             self._warm[key] = keep * self._warm[key] + (1 - keep) * self._temperature()
         for key, (effect, z) in self._bristles.items():
             self._bristles[key] = (effect, effect.followed(z, dq))
-        self._travel, self._heading = follow_reversal(self._travel, self._heading, dq)
+        if self._remembers:
+            self._travel, self._heading = follow_reversal(self._travel, self._heading, dq)
 
     def _temperature(self) -> np.ndarray:
         return np.broadcast_to(np.asarray(self.surroundings.temperature(self._t), float), (self._na,))

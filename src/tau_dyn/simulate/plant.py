@@ -172,7 +172,7 @@ def run_plant(
     moved = _run_compiled(model, reference, controller, encoder, progress)
     if moved is not None:
         read = None if encoder is None else moved.read
-        return PlantRun(model, np.array(reference.t), *moved[:5], reference, read)
+        return PlantRun(model, np.array(reference.t), *moved[:5], reference, read, compute_tool=moved.compute_tool)
     record = _Recorder(model, reference.n_samples)
     read = np.empty_like(reference.q)
     for k in range(reference.n_samples):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +36,7 @@ class PlantRun:
         q_shown: What perfect encoders would show (N, na) where an effect makes them read beside the loads.
         tau_shown: What perfect sensors would log of the forces (N, na) where an effect makes them late.
         tool_shown: Where the tool is (N, 3) [m] where an effect moves carts off their guideways.
+        compute_tool: Gives the tool's positions (N, 3) along positions (N, na) faster than the model, or None.
     """
 
     model: Model
@@ -49,6 +51,11 @@ class PlantRun:
     q_shown: np.ndarray | None = None
     tau_shown: np.ndarray | None = None
     tool_shown: np.ndarray | None = None
+    compute_tool: Callable[[np.ndarray], np.ndarray | None] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: all but the compiled code of this process."""
+        return {**self.__dict__, "compute_tool": None}
 
     @property
     def sticking_share(self) -> np.ndarray:
@@ -73,7 +80,8 @@ class PlantRun:
     @cached_property
     def tool(self) -> np.ndarray:
         """True tool positions (N, 3) [m]."""
-        return self.model.mechanism.tool_position(self.q)
+        found = None if self.compute_tool is None else self.compute_tool(self.q)
+        return self.model.mechanism.tool_position(self.q) if found is None else found
 
     def every(self, step: int) -> PlantRun:
         """Return every `step`-th sample."""

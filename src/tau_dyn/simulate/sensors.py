@@ -213,8 +213,7 @@ class Sensors:
 
     def rounded(self, q: np.ndarray) -> np.ndarray:
         """Return positions (..., na) rounded to the encoders' resolution."""
-        step = broadcast_per_joint(self.encoder_resolution, q.shape[-1], "encoder_resolution")
-        return np.where(step > 0, np.round(q / np.where(step > 0, step, 1.0)) * step, q)
+        return _round_to(q, broadcast_per_joint(self.encoder_resolution, q.shape[-1], "encoder_resolution"))
 
     def read_forces(self, tau: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Return what the drives report of forces (N, na) [N or N m]."""
@@ -257,11 +256,11 @@ class EncoderReadings:
         sd = broadcast_per_joint(sensors.encoder_noise, na, "encoder_noise")
         self.noise = sd * rng.standard_normal((n_samples, na))
         self.resolution = broadcast_per_joint(sensors.encoder_resolution, na, "encoder_resolution")
-        self._sensors, self._errors = sensors, EncoderErrors(model)
+        self._errors = EncoderErrors(model)
 
     def __call__(self, k: int, q: np.ndarray) -> np.ndarray:
         """Return what is read in sample k of positions (na,)."""
-        return self._sensors.rounded((self._errors.read(q) if self._errors.any else q) + self.noise[k])
+        return _round_to((self._errors.read(q) if self._errors.any else q) + self.noise[k], self.resolution)
 
 
 def measure(run: PlantRun, sensors: Sensors, rng: np.random.Generator, name: str = "simulated") -> Log:
@@ -288,6 +287,11 @@ def measure(run: PlantRun, sensors: Sensors, rng: np.random.Generator, name: str
         )
         channels |= dict(zip(("x_tool", "y_tool", "z_tool"), tool.T, strict=True))
     return Log(run.t, channels, name, warnings=warnings)
+
+
+def _round_to(q: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Return positions (..., na) rounded to a step (na,) each, where it is not zero."""
+    return np.where(step > 0, np.round(q / np.where(step > 0, step, 1.0)) * step, q)
 
 
 def broadcast_per_joint(value: PerJoint, na: int, what: str) -> np.ndarray:

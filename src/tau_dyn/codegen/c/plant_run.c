@@ -54,6 +54,19 @@ EXPORT int64_t plant_inertia(State *s, const double *theta, const double *q, dou
     return n;
 }
 
+@IF TOOL@
+/* Tool positions (n, 3) at n positions, as above. */
+EXPORT int64_t plant_tool(State *s, const double *q, double *x, int64_t n)
+{
+    Plant *p = &s->plant;
+    for (int64_t k = 0; k < n; ++k) {
+        memcpy(p->q, q + k * NA, sizeof p->q);
+        if (CLOSED(p) || tool(p->q, PASSIVE(p) x + 3 * k)) return k;
+    }
+    return n;
+}
+
+@END@
 /* What the encoders show of the true positions; noise and rounding come last. */
 static int read_encoders(State *s, const Run *r, int64_t k, double *shown)
 {

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tau_dyn import results as r
-from tau_dyn.excitation import InformationPrediction
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.render.kinds.fit_quality import FAIR, WELL, describe_separation
 from tau_dyn.render.presentation import ZOOM, present_kind, warn
 from tau_dyn.robot import Robot
 from tau_dyn.simulate import Sensors, Trajectory
+
+if TYPE_CHECKING:
+    from tau_dyn.excitation import InformationPrediction
 
 FORCE_NEAR = 0.999
 """Share of a force limit at which a drive counts as saturated."""
