@@ -45,6 +45,17 @@ def test_the_joints_that_carry_the_tool_are_told_from_the_gripper(arm):
     assert load_robot(arm, tool="left_link").carrying_joints == robot.actuated
 
 
+def test_fk_takes_the_joints_that_carry_the_tool(arm, capsys):
+    """Fingers do not move the lower link: two values put it where three do, and one is still too few."""
+    places = []
+    for q in (["0.3", "0.5"], ["0.3", "0.5", "0.01"]):
+        assert main(["fk", str(arm), "--tool", "lower_link", "--q", *q, "--json", "-", "--quiet"]) == 0
+        places.append(json.loads(capsys.readouterr().out)["rows"][0]["position"])
+    assert places[0] == pytest.approx(places[1])
+    assert main(["fk", str(arm), "--tool", "lower_link", "--q", "0.3", "--quiet"]) == 2
+    assert "one value for each actuated joint" in capsys.readouterr().err
+
+
 def test_a_log_without_the_gripper_holds_it_still(arm, tmp_path, capsys):
     """`identify` takes a log of the arm's joints alone and says that the finger is held; an arm's joint is still asked for."""
     log, result = tmp_path / "log.csv", tmp_path / "result.json"

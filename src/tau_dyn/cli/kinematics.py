@@ -40,7 +40,10 @@ def fk(
         from tau_dyn.kinematics import build_forward_table, read_positions
 
         machine = robot_options.load(robot)
-        if poses is None and len(q) != machine.na:
+        if q and len(q) != machine.na:  # values of the joints that carry the tool will do: a gripper's do not move it
+            carrying = robot_options.hold_silent_joints(machine, robot, [])
+            machine = carrying if len(q) == carrying.na else machine
+        if q and len(q) != machine.na:
             named = ", ".join(machine.actuated)
             raise InputError("bad_option", f"--q: one value for each actuated joint ({named}), not {len(q)}")
         positions = np.array([q]) if poses is None else read_positions(args.read_columns(poses), machine, str(poses))
