@@ -81,7 +81,10 @@ def test_the_demo_holds_the_gripper_and_loads_the_arm(arm):
     made = make_arm(robot, call, seed=0)
     values = {p.name: p.value for p in made.truth.parameters}
     heavier = values["lower_link.mass"] - robot.parameters["lower_link.mass"].value
-    assert abs(heavier - demo_module.PAYLOAD_KG) <= 0.011 * robot.parameters["lower_link.mass"].value
+    payload = demo_module.PAYLOAD_SHARE * 5.2  # kg, two rods and two fingers
+    assert (
+        f"{payload:.3g} kg" in made.said and abs(heavier - payload) <= 0.011 * robot.parameters["lower_link.mass"].value
+    )
     assert "left.coulomb_pos" not in values and values["elbow.stribeck"] > 0
     hanging = made.truth.mechanism.inverse_dynamics(*np.zeros((3, 1, 2)))[0, 0]
     nominal = load_robot(arm, actuated=robot.actuated)
@@ -90,7 +93,7 @@ def test_the_demo_holds_the_gripper_and_loads_the_arm(arm):
     )
     weighed = bare.mechanism.inverse_dynamics(*np.zeros((3, 1, 2)))[0, 0]
     reach = 0.4 + demo_module.PAYLOAD_CENTRE[0]
-    assert hanging - weighed == pytest.approx(-9.81 * demo_module.PAYLOAD_KG * reach, rel=0.05)
+    assert hanging - weighed == pytest.approx(-9.81 * payload * reach, rel=0.05)
 
 
 def test_the_demo_asks_which_of_several_arms(write, tmp_path):

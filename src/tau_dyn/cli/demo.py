@@ -34,7 +34,8 @@ RIPPLE = 2.0
 PEAK = {"cart1": 18.0, "cart2": 20.0, "cart3": 22.0}
 """What friction at standstill has above Coulomb's [N], about a tenth of it, gone at a few times 25 mm/s."""
 
-PAYLOAD_KG = 2.0  # kg, two fifths of a UR5's rated payload
+MAX_PAYLOAD_KG = 2.0  # kg, two fifths of a UR5's rated payload
+PAYLOAD_SHARE = 0.12  # of the arm's moving mass, as 2 kg are of a UR5's; a small arm carries less
 PAYLOAD_CENTRE = (0.02, 0.05, 0.04)
 """Centre of the arm's payload in the last joint's frame [m]."""
 PAYLOAD_GYRATION_M = 0.05
@@ -46,6 +47,8 @@ _PEAK_SPEED = {"rad": 0.08, "m": 0.025}
 """Speed over which the peak falls to a third [rad/s or m/s]."""
 _MASS_ERROR = 0.01
 """Largest relative error of a mass in the arm's file; makers state masses to about that."""
+_USUAL_SPEED = {"rad": 2.0, "m": 0.5}
+"""Full speed where the file gives none, as MJCF does [rad/s or m/s]; that of common arms."""
 _ENCODER = {"rad": 2e-5, "m": 5e-6}
 """Standard deviation of its positions [rad or m]: of an encoder of 17 bits, and of a linear scale."""
 
@@ -86,7 +89,7 @@ def demo(
 
     Without a robot file it is the L1 Gantry-Tau with the asymmetric friction of Dressler 2012, Table 6.1, of whose pinion and
     Stribeck friction the fitted model does not know. With a serial arm's file, such as a stock UR5's, it is that arm with geared
-    drives, a payload of 2 kg at its flange and Stribeck friction in one joint. Joints that do not carry the tool, such as a
+    drives, a payload of up to 2 kg at its flange and Stribeck friction in one joint. Joints that do not carry the tool, such as a
     gripper's, stand still.
 
     Args:
@@ -194,15 +197,17 @@ def make_arm(robot: Robot, call: str, seed: int) -> Made:
     """Return a serial arm with geared drives, a payload on its last link and Stribeck friction in its third joint or its last.
 
     Raises:
-        InputError: The robot has no effort and speed limits to scale its drives by.
+        InputError: The robot has no effort limits to scale its drives by.
     """
     from tau_dyn.effects import Stribeck
+    from tau_dyn.robot import NOT_GIVEN
 
     effort, speed = np.abs(robot.effort_limit), np.abs(robot.velocity_limit)
-    if not (np.all(np.isfinite(effort * speed)) and np.all(effort * speed > 0)):
+    usual = np.array([_USUAL_SPEED[unit] for unit in robot.position_units])
+    speed = np.where(np.isfinite(speed) & (speed > 0), speed, usual)
+    if not (np.isfinite(effort).all() and (effort > 0).all()):
         raise InputError(
-            "unsupported",
-            f"{call}: the demo scales drives by each joint's effort and velocity limit; the file lacks some",
+            "unsupported", f"{call}: the demo scales drives by each joint's effort limit; the file lacks some"
         )
     rng = np.random.default_rng(seed)
     values: dict[str, float] = {}
@@ -212,9 +217,11 @@ def make_arm(robot: Robot, call: str, seed: int) -> Made:
     for joint, limit, fast in zip(robot.actuated, effort, speed, strict=True):
         rough = limit * rng.uniform(0.8, 1.2, 4) * (np.array([1, 1, 1 / fast, 1 / fast]) * _GEARED["coulomb"])
         values |= {f"{joint}.{quantity}": float(x) for quantity, x in zip(_QUANTITIES, rough, strict=True)}
-        values[f"{joint}.armature"] = float(_GEARED["armature"] * limit)
+        armature = robot.parameters[f"{joint}.armature"]
+        values[armature.name] = float(_GEARED["armature"] * limit) if armature.origin == NOT_GIVEN else armature.value
     carrier = next(link for link in reversed(robot.links) if robot.model.names[link.joint_id] in robot.actuated)
-    values |= _with_payload(carrier, values)
+    payload = round(min(MAX_PAYLOAD_KG, PAYLOAD_SHARE * sum(link.nominal[0] for link in robot.links)), 3)
+    values |= _with_payload(carrier, payload, values)
     stiff = min(2, robot.na - 1)
     joint, peak = robot.actuated[stiff], float(_GEARED["stribeck"] * effort[stiff])
     values[f"{joint}.stribeck"] = peak
@@ -222,7 +229,7 @@ def make_arm(robot: Robot, call: str, seed: int) -> Made:
     effect = Stribeck((joint,), (unit,), speed=_PEAK_SPEED[robot.position_units[stiff]])
     centre = ", ".join(f"{x:g}" for x in PAYLOAD_CENTRE)
     said = (
-        f"a payload of {PAYLOAD_KG:g} kg at ({centre}) m in the frame of {robot.model.names[carrier.joint_id]}, and Stribeck "
+        f"a payload of {payload:g} kg at ({centre}) m in the frame of {robot.model.names[carrier.joint_id]}, and Stribeck "
         f"friction of {peak:.3g} {unit} in {joint}"
     )
     encoder = [_ENCODER[unit] for unit in robot.position_units]
@@ -230,11 +237,11 @@ def make_arm(robot: Robot, call: str, seed: int) -> Made:
     return Made(robot, _extend(_with_friction(robot), (effect,), values), sensors, ("payload", "stribeck"), said, call)
 
 
-def _with_payload(link: LinkInertia, values: dict[str, float]) -> dict[str, float]:
-    """Return a link's ten numbers with the payload's added (Huygens-Steiner)."""
+def _with_payload(link: LinkInertia, mass: float, values: dict[str, float]) -> dict[str, float]:
+    """Return a link's ten numbers with a payload's of this mass [kg] added (Huygens-Steiner)."""
     names, c = link.names, np.array(PAYLOAD_CENTRE)
-    about = PAYLOAD_KG * (PAYLOAD_GYRATION_M**2 * np.eye(3) + (c @ c) * np.eye(3) - np.outer(c, c))
-    more = [PAYLOAD_KG, *(PAYLOAD_KG * c), *(about[i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))]
+    about = mass * (PAYLOAD_GYRATION_M**2 * np.eye(3) + (c @ c) * np.eye(3) - np.outer(c, c))
+    more = [mass, *(mass * c), *(about[i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))]
     return {name: values[name] + float(x) for name, x in zip(names, more, strict=True)}
 
 

@@ -71,7 +71,7 @@ def _name_class(column: r.Column, cell: r.Cell = "") -> str:
 def _build_row(row: r.Row, columns: Sequence[r.Column], shown: Sequence[int], on: r.On) -> Markup:
     if row.style == "fold":  # a line of words over the whole width
         name, remark = row.cells[shown[0]], row.cells[shown[-1]]
-        both = (str(name), format_tag("span", remark, class_="remark"))
+        both = (str(name), format_tag("span", str(remark), class_="remark"))
         return format_tag("tr", format_tag("th", *both, colspan=len(columns)), class_="fold")
     cells, head = [], True
     for column, cell in zip(columns, (row.cells[k] for k in shown), strict=True):

@@ -16,7 +16,7 @@ from tau_dyn.robot import Robot
 from tau_dyn.view.palette import NAMED, QUIET, Rgb
 from tau_dyn.view.shapes import Shape
 
-_SAME_PLACE_M = 1e-3  # m; labels of joints nearer than this would cover each other
+_MIN_LABEL_DISTANCE_M = 1e-3  # m; labels of joints nearer than this would cover each other
 ShapePoses = list[tuple[np.ndarray, np.ndarray]]
 """Position (3,) [m] and quaternion (4,) w x y z in the world, of each shape."""
 
@@ -135,7 +135,9 @@ class JointFrames:
         self._joints, names = placer.robot.actuated, dict[tuple[int, ...], tuple[int, list[str]]]()
         self.handles = []
         for k, joint in enumerate(self._joints):
-            names.setdefault(tuple((placer.at(joint) / _SAME_PLACE_M).round().astype(int)), (k, []))[1].append(joint)
+            names.setdefault(tuple((placer.at(joint) / _MIN_LABEL_DISTANCE_M).round().astype(int)), (k, []))[1].append(
+                joint
+            )
             self.handles.append(
                 scene.add_frame(f"/joints/{k}", axes_length=length, axes_radius=0.035 * length, visible=False)
             )
