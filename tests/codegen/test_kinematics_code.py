@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from raising import raises_code
+from scipy.spatial.transform import Rotation
 
 from tau_dyn.codegen import build_identifiers, build_kinematics, kinematics as check, write_kinematics_source
 from tau_dyn.codegen.forms import draw_reachable_positions
@@ -266,3 +267,44 @@ def test_the_f1_says_where_its_inverse_changes_branch(compiled, rng) -> None:
             np.testing.assert_array_equal(kin.start, before)
             assert np.all(answer == 7)
     assert set(seen) <= {0, 2, 3, 4} and 0 in seen and 4 in seen
+
+
+def test_the_f1_answers_as_if_it_went_there_slowly(compiled, rng) -> None:
+    """One call to a far pose ends where two hundred calls on the straight way there end, or it has a status.
+
+    The first pair turns two legs over and back on the way: their sides are those of the start, the branch is another.
+    """
+    robot = load_robot("gantry_tau_f1")
+    kin = Kinematics(build_kinematics(robot), compiled)
+    pairs = [
+        (
+            [-0.12625957, -0.134863864, -0.319937104, 0.791970995, 0.441487716, -0.296645366],
+            [0.347167467, 0.559354086, 0.460207669, 0.643867401, -0.105883681, 0.076703607],
+        ),
+        *(rng.uniform(robot.lower, robot.upper, (2, 6)) for _ in range(40)),
+    ]
+    answered = judged = 0
+    for first, last in pairs:
+        kin.home()
+        if kin.forward(first)[0]:
+            continue
+        start = kin.start.copy()
+        status, p, R, _ = kin.forward(last)
+        if status:
+            continue
+        ends = forward_kinematics(robot, np.array([first])).poses
+        kin.start[:] = start
+        status, at_once = kin.inverse(p, R)
+        answered += status == 0
+        kin.start[:] = start
+        turn = Rotation.from_matrix(R @ ends.rotation[0].T).as_rotvec()
+        for share in np.linspace(0.005, 1, 200):
+            place = ends.position[0] + share * (p - ends.position[0])
+            rotation = Rotation.from_rotvec(share * turn).as_matrix() @ ends.rotation[0]
+            slowly, q = kin.inverse(place, rotation)
+            if slowly:
+                break
+        if status == 0 and slowly == 0:
+            judged += 1
+            assert np.abs(q - at_once).max() < 1e-6
+    assert answered > 5 and judged > 3

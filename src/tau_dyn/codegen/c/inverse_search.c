@@ -73,6 +73,16 @@ static void branches(const double *x, double side[@GROUPS@])
 @SIDES@
 }
 
+/* Whether a group is on another side at x than at start. */
+static int passes(const double *start, const double *x)
+{
+    double before[@GROUPS@], after[@GROUPS@];
+    branches(start, before);
+    branches(x, after);
+    for (int k = 0; k < @GROUPS@; ++k) if (!(before[k] * after[k] > 0.0)) return 1;
+    return 0;
+}
+
 @END@
 int @NAME@_ik(double start[NA + NZ], const double p[3], const double R[9], double q[NA])
 {
@@ -94,6 +104,10 @@ int @NAME@_ik(double start[NA + NZ], const double p[3], const double R[9], doubl
         for (int k = 0; k < 9; ++k) Ri[k] = R0[k];
         rotated(wi, Ri);
         for (int k = 0; k < @ON_THE_WAY@; ++k) if (step(x, pi, Ri, start, &off) < 0.0) return 2;
+@IF BRANCHES@
+        if (!(off < @LEG@ * @NEAR@)) return 2; /* out of reach on the way */
+        if (passes(start, x)) return 4;
+@END@
     }
     for (int k = 0; k < @ROUNDS@; ++k) {
         size = step(x, p, R, start, &off);
@@ -101,10 +115,7 @@ int @NAME@_ik(double start[NA + NZ], const double p[3], const double R[9], doubl
     }
     if (!(size >= 0.0 && size < 1e-9 && off < 1e-9)) return 2;
 @IF BRANCHES@
-    double before[@GROUPS@], after[@GROUPS@];
-    branches(start, before);
-    branches(x, after);
-    for (int k = 0; k < @GROUPS@; ++k) if (!(before[k] * after[k] > 0.0)) return 4;
+    if (passes(start, x)) return 4;
 @END@
     if (!within(x)) return 3;
     for (int k = 0; k < NA + NZ; ++k) start[k] = x[k];

@@ -1,8 +1,7 @@
 """The tool's position from a log, with intervals: what `tau-dyn observe` finds.
 
 With a model from computed to true tool positions (6.13): the Kalman filter, tuned on the log itself. Without one: the
-complementary filter, whose interval holds noise and the deflection that its low-pass takes for the carts' (about `G` of what it
-sees).
+complementary filter, whose interval holds noise and the deflection that its low-pass takes for the carts'.
 """
 
 from __future__ import annotations
@@ -115,14 +114,9 @@ def observe_tool(
         cutoffs = tuple(cutoff_hz) * (len(axes) if len(cutoff_hz) == 1 else 1)
         observer = ComplementaryToolObserver(cutoffs, dt)
         position = observer.estimate(kinematic, acceleration)
-        noise = [_estimate_white_noise(x) for x in (kinematic, acceleration)]
-        slow, fast = observer.responses((np.arange(4096) + 0.5) / 8192 / dt)
-        power = [np.mean(np.abs(np.einsum("fii->fi", x)) ** 2, axis=0) for x in (slow, fast)]
-        seen = position - kinematic
-        missed = replace(observer, causal=False).estimate(seen, np.zeros_like(seen))
-        variance = power[0] * noise[0] ** 2 + power[1] * noise[1] ** 2 + np.mean(missed**2, axis=0)
+        stderr = _estimate_complementary_error(observer, position - kinematic, kinematic, acceleration)
         how = f"complementary filter, {', '.join(f'{f:.3g}' for f in cutoffs)} Hz"
-        return ToolObservation(tuple(axes), t, kinematic, position, np.sqrt(variance), how, None)
+        return ToolObservation(tuple(axes), t, kinematic, position, stderr, how, None)
     bias = acceleration.mean(axis=0)  # from rest to rest the tool's mean acceleration is zero
     tuned = tune_kalman(model, kinematic, acceleration - bias)
     error = estimate_observer_error(tuned.observer, kinematic, acceleration - bias)
@@ -130,6 +124,31 @@ def observe_tool(
     position = tuned.observer.estimate(kinematic, acceleration - bias)
     how = f"Kalman filter of order {model.order}, tuned on this log"
     return ToolObservation(tuple(axes), t, kinematic, position, error.stderr, how, error)
+
+
+def _estimate_complementary_error(
+    observer: ComplementaryToolObserver, deflection: np.ndarray, kinematic: np.ndarray, acceleration: np.ndarray
+) -> np.ndarray:
+    """Return the standard deviation (m,) [m] of a complementary filter's error.
+
+    The filter sees `(1 - G) d` of the deflection d, and errs by `G d`. A tool on damped springs has `d = -c a - b v`: both
+    numbers are fitted to what is seen (least squares), and tell what is missed. Beside it both sensors' noise, and the trace of
+    a bias.
+    """
+    nothing = np.zeros_like(acceleration)
+    causes = (acceleration, np.gradient(kinematic, observer.dt, axis=0))
+    low = [observer.estimate(x, nothing) for x in causes]
+    missed = np.empty_like(deflection)
+    for k in range(observer.axes):
+        passed = np.column_stack([x[:, k] for x in low])
+        seen = np.column_stack([x[:, k] for x in causes]) - passed
+        missed[:, k] = passed @ np.linalg.lstsq(seen, deflection[:, k], rcond=None)[0]
+    bias = observer.estimate(nothing, nothing + acceleration.mean(axis=0))
+    noise = [_estimate_white_noise(x) for x in (kinematic, acceleration)]
+    slow, fast = observer.responses((np.arange(4096) + 0.5) / 8192 / observer.dt)
+    power = [np.mean(np.abs(np.einsum("fii->fi", x)) ** 2, axis=0) for x in (slow, fast)]
+    variance = power[0] * noise[0] ** 2 + power[1] * noise[1] ** 2
+    return np.sqrt(variance + np.mean(missed**2, axis=0) + np.mean(bias**2, axis=0))
 
 
 def _estimate_white_noise(x: np.ndarray) -> np.ndarray:
