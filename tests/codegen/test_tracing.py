@@ -50,9 +50,16 @@ def test_a_question_becomes_a_guard() -> None:
     assert sorted(graph.guards.values()) == [False, True]
 
 
+@pytest.mark.parametrize("power", [-2, -0.5, 0.5, 1, 1.5, 2.5, 3, 8])
+def test_a_power_is_products_and_a_root(power: float) -> None:
+    """Whole and half powers of either sign are those of plain numbers."""
+    x = build_inputs(Graph(), "x", np.array([0.7, 3.0]))
+    np.testing.assert_allclose([y.value for y in x**power], np.array([0.7, 3.0]) ** power, rtol=1e-14)
+
+
 @pytest.mark.parametrize(
     "code",
-    [lambda x: float(x[0]), lambda x: np.arccosh(x), lambda x: x**2.5, lambda x: bool(x[0])],
+    [lambda x: float(x[0]), lambda x: np.arccosh(x), lambda x: x**2.3, lambda x: bool(x[0])],
 )
 def test_what_cannot_be_recorded_is_refused(code) -> None:
     """Nothing is written out that was only half understood."""
