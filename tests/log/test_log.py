@@ -133,16 +133,26 @@ def test_an_encoder_step_of_10_nm_survives_the_file(tmp_path):
     assert log.to_frame().columns.tolist() == ["t", "q_axis"]
 
 
+def test_a_csv_is_what_pandas_writes(tmp_path):
+    """Twelve digits, empty cells for what is no number, names quoted where they hold a comma; more rows than one block."""
+    t = np.arange(10_050) / 1000
+    odd = np.where(t % 1 < 0.1, np.nan, 1e-9 * t**7)
+    log = Log(t, {"q_a": np.sin(t), 'note, "odd"': odd, "inf": np.where(t > 5, -np.inf, -0.0)})
+    log.to_csv(tmp_path / "ours.csv")
+    log.to_frame().to_csv(tmp_path / "pandas.csv", index=False, float_format="%.12g", lineterminator="\n")
+    assert (tmp_path / "ours.csv").read_bytes() == (tmp_path / "pandas.csv").read_bytes()
+
+
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, log, monkeypatch):
     """An interrupted write neither harms the file there was nor leaves a piece beside it."""
     path = tmp_path / "log.csv"
     path.write_text("old")
 
-    def fail(_frame, target, **_options):
-        target.write_text("half")
+    def fail(file, **_options):
+        file.write("half")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pandas.DataFrame.to_csv", fail)
+    monkeypatch.setattr("csv.writer", fail)
     with pytest.raises(KeyboardInterrupt):
         log.to_csv(path)
     assert path.read_text() == "old"

@@ -207,6 +207,23 @@ def test_a_robot_that_runs_away_is_refused_as_in_python(gantry):
         run_plant(gantry, path, CascadeController(law, start=gantry))
 
 
+class _Norm(_Table):
+    """A law whose code asks the numbers for what expressions have not."""
+
+    name = "norm"
+
+    def per_joint(self, joint):
+        """Return the position, by a detour."""
+        return [np.array([x.real for x in joint.q])]
+
+
+def test_a_law_that_fails_on_expressions_runs_in_python(make):
+    """Whatever tracing meets in a law of the user's, the simulation is not harmed."""
+    model = Model.of(make.block(), [_Norm(["axis"], ["N"])]).with_values({"axis.table": 95.0})
+    run = free_motion(model, np.array([0.1]), np.zeros(1), 0.5)
+    assert_allclose(run.q[-1], 0.1 * np.cos(0.5), rtol=1e-3)
+
+
 SOURCE = 'int answer(void);\n__attribute__((visibility("default"))) int answer(void) { return 42; }\n'
 
 
@@ -250,6 +267,14 @@ def test_code_that_others_may_write_is_not_loaded(tmp_path):
     tmp_path.chmod(0o777)
     assert LibraryCache(tmp_path).find(SOURCE) is None
     assert answer(LibraryCache(tmp_path).build(SOURCE)) == 42
+
+
+def test_a_user_without_a_home_has_a_folder_too(tmp_path, monkeypatch):
+    """Where there is no home, libraries are kept beside other temporary files."""
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr("pathlib.Path.home", lambda: (_ for _ in ()).throw(RuntimeError("no home")))
+    assert answer(LibraryCache().build(SOURCE)) == 42
 
 
 def test_a_folder_that_cannot_be_is_no_hindrance(tmp_path):

@@ -79,7 +79,13 @@ class LibraryCache:
     @property
     def folder(self) -> Path:
         """Where the libraries are."""
-        return self._folder or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tau_dyn"
+        if self._folder is not None:
+            return self._folder
+        named = os.environ.get("XDG_CACHE_HOME")
+        try:
+            return (Path(named) if named else Path.home() / ".cache") / "tau_dyn"
+        except RuntimeError:  # a user without a home
+            return Path(tempfile.gettempdir()) / f"tau_dyn_{os.getuid() if os.name == 'posix' else 'user'}"
 
     def find(self, source: str) -> ctypes.CDLL | None:
         """Return a source's library where it is built already."""

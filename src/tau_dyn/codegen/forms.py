@@ -213,7 +213,7 @@ class LoopForm(TreeForm):
         J = loops.closure(at)[1][loops.rows]
         J_a, factor = J[:, loops.active], graph.factored(J[:, loops.passive])
         G = np.array(
-            [loops.rates(list(unit), graph.solved(factor, -(J_a @ unit))) for unit in np.eye(n)], dtype=object
+            [loops.rates(list(unit), graph.solved(factor, list(-(J_a @ unit)))) for unit in np.eye(n)], dtype=object
         ).T
         pairs = find_passive_pairs(self.robot, self.robot.model)
         out = np.zeros((1, len(pairs), 3, n), dtype=object)

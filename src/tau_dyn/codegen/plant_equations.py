@@ -115,7 +115,7 @@ class _Remembered:
         found: dict[str, Any] = {}
         if "reversal" in effect.needs:
             found["reversal"] = given["m"][None, : self.na]
-        if effect in self.bristles:
+        if isinstance(effect, Hysteresis):
             start = (2 + self.bristles.index(effect)) * self.na
             found[STATE] = given["m"][None, start : start + self.na]
         if effect in self.warm:

@@ -62,17 +62,31 @@ class _TracedModels:
     _MAX = 8  # models; a study goes round a few
 
     def __init__(self) -> None:
-        self._known: dict[tuple, tuple[Model, tuple[Equations, str]]] = {}
+        self._known: dict[tuple, tuple[Model, tuple[Equations, str] | None]] = {}
 
-    def find(self, model: Model, shown: Sequence[DisplacementEffect], campaign: float | None) -> tuple[Equations, str]:
-        """Return a model's equations, traced if need be; the model is kept alive, by whose parts it is known."""
+    def find(
+        self, model: Model, shown: Sequence[DisplacementEffect], campaign: float | None
+    ) -> tuple[Equations, str] | None:
+        """Return a model's equations, traced if need be; None where it cannot be traced.
+
+        The model is kept alive, by whose parts it is known.
+        """
         key = _identify(model, shown, campaign)
         if key not in self._known:
-            equations = build_equations(model, encoders=shown, campaign=campaign)
             while len(self._known) >= self._MAX:
                 self._known.pop(next(iter(self._known)))
-            self._known[key] = model, (equations, write_plant_source(equations))
+            self._known[key] = model, _trace_model(model, shown, campaign)
         return self._known[key][1]
+
+
+def _trace_model(
+    model: Model, shown: Sequence[DisplacementEffect], campaign: float | None
+) -> tuple[Equations, str] | None:
+    try:
+        equations = build_equations(model, encoders=shown, campaign=campaign)
+        return equations, write_plant_source(equations)
+    except Exception:  # whatever a law of the user's does on expressions: Python simulates it
+        return None
 
 
 def _identify(model: Model, shown: Sequence[DisplacementEffect], campaign: float | None) -> tuple:
@@ -136,14 +150,17 @@ class CompiledPlant:
         shown = EncoderErrors(model).effects if encoders else ()
         kept = model.only((*(e for e in model.effects if not acts_on_recording(e)), *shown))
         campaign = None if surroundings is None else surroundings.campaign
-        try:
-            equations, source = _TRACED.find(kept, shown, campaign)
-            library = _LIBRARIES.find(source)
-            if library is None:
-                compare_equations(equations, surroundings)
-                library = _LIBRARIES.build(source)
-        except InputError:
+        traced = _TRACED.find(kept, shown, campaign)
+        if traced is None:
             return None
+        equations, source = traced
+        library = _LIBRARIES.find(source)
+        if library is None:
+            try:
+                compare_equations(equations, surroundings)
+            except InputError:
+                return None
+            library = _LIBRARIES.build(source)
         return None if library is None else cls(model, equations, library, surroundings)
 
     def compute_inertia(self, law_model: Model, q: np.ndarray) -> np.ndarray | None:
