@@ -287,7 +287,7 @@ class LoopProblem:
         stiff = values["position_gain"] * values["force_per_unit"]
         small = {
             "armature": 2e-5 * stiff, "coulomb": 1e-3 * stiff, "viscous": 1e-3 * stiff, "offset": 1e-3 * stiff,
-            "load_friction": 0.02, "stiction": 1e-3 * stiff, "command_delay": 1e-3, "dead_band": 5e-4, "supply_sag": 0.02,
+            "load_friction": 0.02, "stiction": 1e-3 * stiff, "command_delay": 1e-3, "dead_band": 5e-4, "supply_sag": 0.02, "braking": 0.05,
             "back_emf": 1e-3 * values["position_gain"], "stiction_speed": 5e-3,
         }  # fmt: skip
         na = len(stiff)
@@ -470,9 +470,9 @@ def build_unknowns(
 
 
 _LOWEST = {"offset": -np.inf, "position_gain": 1e-3, "force_per_unit": 1e-4, "stiction_speed": 1e-3, "armature": 1e-7,
-           "command_delay": -0.02}  # fmt: skip
+           "command_delay": -0.02, "drive_exponent": 0.2}  # fmt: skip
 """Lower bounds of kinds; zero for the others. A delay below zero is a position that is read after its time stamp."""
-_HIGHEST = {"load_friction": 0.95, "command_delay": 0.2, "supply_sag": 0.95, "dead_band": 0.2}
+_HIGHEST = {"load_friction": 0.95, "command_delay": 0.2, "supply_sag": 0.95, "dead_band": 0.2, "drive_exponent": 2.0, "braking": 1.0}
 """Upper bounds of kinds [1, s, 1, rad]: a friction that grows as the torque would hold every motion."""
 
 

@@ -23,7 +23,7 @@ from tau_dyn.log import Log, Recording
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
-from tau_dyn.robot import NOMINAL_MASS_STDERR, Robot
+from tau_dyn.robot import NOMINAL_MASS_STDERR, NOT_GIVEN, Robot
 from tau_dyn.servo.contact import Contact, find_contacts
 from tau_dyn.servo.fit import (
     FRICTION,
@@ -203,10 +203,10 @@ def _build_unknowns(
     held = {key: (np.array(law.values[key]) > 0) & (key not in law.estimated) for key in kinds if key in SERVO_ENTRIES}
     parameters = model.robot.parameters
     if "armature" in kinds:
-        there = np.array([f"{j}.armature" in parameters for j in joints])
-        given = np.array([f"{j}.armature" in parameters and not parameters[f"{j}.armature"].free for j in joints])
-        value = np.array([parameters[f"{j}.armature"].value if f"{j}.armature" in parameters else 0.0 for j in joints])
-        held["armature"] = given | ~there
+        rows = [parameters[f"{j}.armature"] if f"{j}.armature" in parameters else None for j in joints]
+        given = np.array([p is not None and not p.free and p.origin != NOT_GIVEN for p in rows])
+        value = np.array([0.0 if p is None else p.value for p in rows])
+        held["armature"] = given
         start["armature"] = np.where(held["armature"], value, np.maximum(start.get("armature", 0.0), 5e-4 * stiff))
     for kind in ("coulomb", "viscous", "offset"):
         rows = [

@@ -6,9 +6,10 @@ What the rest of the robot does to a joint (gravity, Coriolis and the other join
 close to the simulated one; its own gravity is linearised about that motion. Taken along the simulated motion itself, in turn
 until nothing changes (waveform relaxation), this is the exact simulation of the coupled robot.
 
-One step of h, implicit in the damping `kd`, with friction f that holds exactly (a box complementarity problem of one unknown):
+One step of h, linearly implicit in the motor's damping d and the viscous one, with friction f that holds exactly (a box
+complementarity problem of one unknown):
 
-    A = h / (I + h kd),   free = A (I v / h + tau - load),   f = clip(free / A, -F, F),   v+ = free - A f,   q+ = q + h v+.
+    w = (I / h + d) v + tau - load,   f = clip(w, -F, F),   v+ = (w - f) / (I / h + d + viscous),   q+ = q + h v+.
 
 A command holds until the next; a delay moves it by parts of a step, so that the answer has a derivative by it.
 Reference: Lelarasmee, Ruehli & Sangiovanni-Vincentelli 1982 (waveform relaxation); Moreau 1988 (dry friction).
@@ -25,6 +26,10 @@ MAX_STEP_S = 0.0105
 """Longest step of the loop [s]: a seventh of the time constant of a hobby servo; two steps a sample at 50 Hz."""
 MIN_INERTIA = 1e-6
 """Smallest inertia of a joint that is stepped [kg m^2]; smaller ones come from bad trial values only."""
+
+
+BEND = 0.02
+"""Share of the supply below which a bent drive law is straight, so that its slope stays finite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,24 +89,20 @@ def simulate_loops(waves: Waves, trials: Trials) -> np.ndarray:
     shape = (na, c, s)
     load, inertia = _combine(waves.load, waves.load_by, trials), _combine(waves.inertia, waves.inertia_by, trials)
     goal = _Goal(waves, p, often, h, shape)
-    emf = p["force_per_unit"] * p["back_emf"]
     q = np.broadcast_to(waves.start[:, None, :], shape).copy()
     v, integral, out = np.zeros(shape), np.zeros(shape), np.empty((n, *shape))
     has_integral, has_stiction = bool(np.any(p["integral_gain"])), bool(np.any(p["stiction"]))
     has_band, has_sag = bool(np.any(p["dead_band"])), bool(np.any(p["supply_sag"]))
     has_derivative, pushes = bool(np.any(p["derivative_gain"])), bool(np.any(p["load_friction"]))
+    bends, one_way = bool(np.any(p["drive_exponent"] != 1.0)), bool(np.any(p["braking"] != 1.0))
+    power = p["drive_exponent"]
     switched, finite = not np.all(waves.enabled), bool(np.any(np.isfinite(p["limit"])))
     for k in range(n - 1):
         out[k] = q
         mass = np.maximum(inertia[k] + p["armature"], MIN_INERTIA)
         supply, on = waves.supply[k], waves.enabled[k]
-        lever = on * emf if switched else emf
-        kd = lever + p["viscous"]
+        full = p["force_per_unit"] * on if switched else p["force_per_unit"]
         mass_h = mass / h
-        A = 1.0 / (mass_h + kd)
-        gain = p["force_per_unit"] * supply
-        if switched:
-            gain = gain * on
         slope, now = (load[k + 1] - load[k]) / often, load[k] + p["offset"]
         G, along = waves.stiffness[k][:, None, :], waves.along[k][:, None, :]
         turn = (waves.along[k + 1] - waves.along[k])[:, None, :] / often
@@ -119,15 +120,24 @@ def simulate_loops(waves: Waves, trials: Trials) -> np.ndarray:
                 u = np.minimum(np.maximum(u, -p["limit"]), p["limit"])
             if has_sag:
                 u = u * (1.0 - p["supply_sag"] * np.abs(u))
-            push = gain * u
+            x = u * supply - p["back_emf"] * v
+            if bends:
+                size = np.maximum(np.abs(x), BEND)
+                grown = full * size ** (power - 1.0)
+                push, lever = grown * x, grown * np.where(np.abs(x) > BEND, power, 1.0) * p["back_emf"]
+            else:
+                push, lever = full * x, full * p["back_emf"]
+            if one_way:
+                share = np.where(x * u < 0, p["braking"], 1.0)
+                push, lever = push * share, lever * share
             rest = now + (i + 0.5) * slope + G * (q - along - (i + 0.5) * turn)
-            wanted = mass_h * v + push - rest  # the impulse that friction acts on, over h
+            wanted = (mass_h + lever) * v + push - rest  # the impulse that friction acts on, over h
             friction = p["coulomb"]
             if pushes:
-                friction = friction + p["load_friction"] * np.abs(push - lever * v)
+                friction = friction + p["load_friction"] * np.abs(push)
             if has_stiction:
                 friction = friction + p["stiction"] * np.exp(-np.abs(v) / p["stiction_speed"])
-            v = A * (wanted - np.minimum(np.maximum(wanted, -friction), friction))
+            v = (wanted - np.minimum(np.maximum(wanted, -friction), friction)) / (mass_h + lever + p["viscous"])
             q = q + h * v
     out[n - 1] = q
     return out

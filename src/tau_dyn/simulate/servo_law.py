@@ -2,12 +2,14 @@
 
     goal = profile(command(t - delay)),    e = goal - q, less the dead band
     u = clip(position_gain e + integral_gain int e dt - derivative_gain v, +-limit)          [share of the supply]
-    tau = force_per_unit (u supply (1 - supply_sag |u|) - back_emf v)
+    x = u supply (1 - supply_sag |u|) - back_emf v,    tau = force_per_unit sign(x) |x|^drive_exponent
     friction = coulomb + load_friction |tau| + stiction exp(-|v| / stiction_speed), and viscous v
 
-The output `u` is a share of the supply voltage, as a hobby servo's pulse width is. `force_per_unit` is then the stall torque at the
-nominal supply, and `back_emf` the inverse of the speed without load. With `back_emf: 0` it is a torque or current servo. A law file
-is a controller file (see `controllers`) whose first line is `law: servo`:
+The output `u` is a share of the supply voltage, as a hobby servo's pulse width is. `force_per_unit` is then the stall torque at
+the nominal supply, and `back_emf` the inverse of the speed without load. With `back_emf: 0` it is a torque or current servo. Where
+x opposes u, the motor brakes with the share `braking` of this torque; a bridge that freewheels has none. A bridge with much
+inductance and a slow pulse gives a torque that grows less than its pulse width, with an exponent below one. A law file is a
+controller file (see `controllers`) whose first line is `law: servo`:
 
     law: servo
     position_gain: 2.65          # [1/rad], required
@@ -55,6 +57,8 @@ SERVO_ENTRIES = {
     "force_per_unit": ServoEntry("N m", np.nan, "torque at standstill for the whole nominal supply"),
     "back_emf": ServoEntry("s/rad", 0.0, "share of the supply that the motor's own voltage takes off"),
     "supply_sag": ServoEntry("1", 0.0, "share of the supply lost at full output"),
+    "drive_exponent": ServoEntry("1", 1.0, "power with which torque grows with the voltage"),
+    "braking": ServoEntry("1", 1.0, "share of the torque while the motor's own voltage exceeds the output"),
     "dead_band": ServoEntry("rad", 0.0, "position error without answer"),
     "command_step": ServoEntry("rad", 0.0, "step to which commands are rounded"),
     "command_delay": ServoEntry("s", 0.0, "time from a command to the answer"),
@@ -250,9 +254,9 @@ def _read_numbers(key: str, value: object, joints: tuple[str, ...], where: str) 
     else:
         row = [value] * len(joints)
     for x in row:
-        least = "above zero" if key in (*REQUIRED, *_MAY_BE_INFINITE, "stiction_speed") else "zero or more"
+        least = "above zero" if key in (*REQUIRED, *_MAY_BE_INFINITE, "stiction_speed", "drive_exponent") else "zero or more"
         fits = (
-            _is_number(x) and (x > 0 if least == "above zero" else x >= 0) and (isfinite(x) or key in _MAY_BE_INFINITE)
+            _is_number(x) and (x > 0 if least == "above zero" else x >= 0 or key == "command_delay") and (isfinite(x) or key in _MAY_BE_INFINITE)
         )
         if not fits:
             raise InputError("file_format", f"{where}: {key} must be a number {least}, not {str(x)[:60]!r}")
