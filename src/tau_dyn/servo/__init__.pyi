@@ -7,3 +7,4 @@ from .result import (
     LoopParameter as LoopParameter,
     PositionErrors as PositionErrors,
 )
+from .simulation import simulate_loop_log as simulate_loop_log

@@ -157,6 +157,11 @@ def identify_loop(
         how = "last 30 % of each log, predicted by a fit of its first 70 %"
     trained = predict(data, fit.x, kept, data.loads)
     by_gain: tuple[Mapping[str, Any], ...] = ()
+    if len({tuple(r.entries["position_gain"]) for r in kept}) > 1:
+        from tau_dyn.servo.by_gain import compare_gains
+
+        by_gain, said = compare_gains(data, fit.x, progress)
+        warnings += said
     warnings += list_loop_warnings(law, kept, others, [*train, *held], data, fit)
     return _build_result(
         data, fit, seed=seed, logs=train, held=held, friction=friction or "file", contacts=contacts,
