@@ -38,9 +38,11 @@ MIN_INFORMATION = 0.25
 """Information of a direction, with prior knowledge as 1, from which it is estimated."""
 MAX_ITERATIONS = 15
 _LAMBDAS = (1e-2, 3e-1, 1e1)  # damping factors that are tried side by side
-BLOCK_S = 5.0
-"""Length of the blocks over which the gradient's scatter is taken [s]: residuals forget within one."""
-_SMALL_GAIN = 2e-3  # relative fall of the loss below which the search ends
+BLOCK_S = (0.5, 5.0)
+"""Shortest and longest blocks over which the gradient's scatter is taken [s]: residuals forget within the longest."""
+BLOCKS = 100
+"""Blocks that are wanted: several for each unknown of a joint, or the scatter among them comes out too small."""
+_SMALL_GAIN = 1e-3  # relative fall of the loss below which the search ends, twice in turn
 MAX_ELEMENTS = 6_000_000
 """Positions that are simulated at once, 48 MB of them."""
 
@@ -319,8 +321,9 @@ class LoopProblem:
 def _number_blocks(records: Sequence[Record], n: int) -> np.ndarray:
     """Return the number of the block that each sample (N, S) belongs to."""
     out, first = np.zeros((n, len(records)), dtype=int), 0
+    length = float(np.clip(sum(len(r.t) * r.dt for r in records) / BLOCKS, *BLOCK_S))
     for k, r in enumerate(records):
-        block = (np.arange(n) * r.dt / BLOCK_S).astype(int)
+        block = (np.arange(n) * r.dt / length).astype(int)
         out[:, k] = first + block
         first = out[-1, k] + 1
     return out
@@ -351,7 +354,7 @@ def fit_loop(
         r = problem.residuals(x[:, None])[:, :, 0]
         sigma = np.sqrt((r**2).sum(axis=(0, 2)) / problem.count)
         return LoopFit(x, np.zeros((0, 0)), sigma, 0.0, 0)
-    worth, last, damping = None, np.inf, 1.0
+    worth, last, damping, small = None, np.inf, 1.0, 0
     H, scatter, sigma, loss = np.eye(u.n), np.eye(u.n), np.ones(1), 0.0
     for k in range(max_iterations):
         progress(f"output error, iteration {k + 1}")
@@ -376,7 +379,8 @@ def fit_loop(
             damping *= 1e3
             continue
         x, damping, last = tried[best], min(max(damping * _LAMBDAS[best], 1e-4), 1e4), losses[best]
-        if gain < _SMALL_GAIN and k >= 3:
+        small = small + 1 if gain < _SMALL_GAIN else 0
+        if small == 2:
             break
     r, sensitivities, owners = problem.differentiate(x)
     sigma = np.maximum(np.sqrt((r**2).sum(axis=(0, 2)) / problem.count), 1e-7)
@@ -405,7 +409,9 @@ def _accumulate(problem, r, sensitivities, owners, weight):  # noqa: ANN001, ANN
         g[mine] += rows.sum(axis=0)
         for column, k in enumerate(mine):
             sums[:, k] += np.bincount(blocks, weights=rows[:, column], minlength=len(sums))
-    return H, g, sums.T @ sums
+    blocks_used = max(2, int(np.count_nonzero(np.abs(sums).sum(axis=1))))
+    most = max(len(mine) for mine in owners)
+    return H, g, sums.T @ sums * blocks_used / max(blocks_used - most, 0.2 * blocks_used)
 
 
 def _sum_squares(r: np.ndarray, weight: np.ndarray) -> np.ndarray:

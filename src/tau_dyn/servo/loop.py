@@ -6,10 +6,11 @@ What the rest of the robot does to a joint (gravity, Coriolis and the other join
 close to the simulated one; its own gravity is linearised about that motion. Taken along the simulated motion itself, in turn
 until nothing changes (waveform relaxation), this is the exact simulation of the coupled robot.
 
-One step of h, linearly implicit in the motor's damping d and the viscous one, with friction f that holds exactly (a box
-complementarity problem of one unknown):
+One step of h by the trapezoidal rule, linearly implicit in the motor's damping d and the viscous one b, with torque and load at the
+middle of the step and friction f that holds exactly (a box complementarity problem of one unknown):
 
-    w = (I / h + d) v + tau - load,   f = clip(w, -F, F),   v+ = (w - f) / (I / h + d + viscous),   q+ = q + h v+.
+    w = (I / h + (d - b) / 2) v + tau - load,   f = clip(w, -F, F),   v+ = (w - f) / (I / h + (d + b) / 2),
+    q+ = q + h (v + v+) / 2.
 
 A command holds until the next; a delay moves it by parts of a step, so that the answer has a derivative by it.
 Reference: Lelarasmee, Ruehli & Sangiovanni-Vincentelli 1982 (waveform relaxation); Moreau 1988 (dry friction).
@@ -88,6 +89,7 @@ def simulate_loops(waves: Waves, trials: Trials) -> np.ndarray:
     h = (waves.dt / often)[None, None, :]
     shape = (na, c, s)
     load, inertia = _combine(waves.load, waves.load_by, trials), _combine(waves.inertia, waves.inertia_by, trials)
+    half = 0.5 * h
     goal = _Goal(waves, p, often, h, shape)
     q = np.broadcast_to(waves.start[:, None, :], shape).copy()
     v, integral, out = np.zeros(shape), np.zeros(shape), np.empty((n, *shape))
@@ -107,7 +109,8 @@ def simulate_loops(waves: Waves, trials: Trials) -> np.ndarray:
         G, along = waves.stiffness[k][:, None, :], waves.along[k][:, None, :]
         turn = (waves.along[k + 1] - waves.along[k])[:, None, :] / often
         for i in range(often):
-            e = goal.at(k * often + i) - q
+            middle = q + half * v
+            e = goal.at(k * often + i) - middle
             if has_band:
                 e = np.sign(e) * np.maximum(np.abs(e) - p["dead_band"], 0.0)
             u = p["position_gain"] * e
@@ -130,15 +133,17 @@ def simulate_loops(waves: Waves, trials: Trials) -> np.ndarray:
             if one_way:
                 share = np.where(x * u < 0, p["braking"], 1.0)
                 push, lever = push * share, lever * share
-            rest = now + (i + 0.5) * slope + G * (q - along - (i + 0.5) * turn)
-            wanted = (mass_h + lever) * v + push - rest  # the impulse that friction acts on, over h
+            rest = now + (i + 0.5) * slope + G * (middle - along - (i + 0.5) * turn)
+            damping = 0.5 * (lever + p["viscous"])
+            wanted = (mass_h + damping - p["viscous"]) * v + push - rest  # what friction acts on
             friction = p["coulomb"]
             if pushes:
                 friction = friction + p["load_friction"] * np.abs(push)
             if has_stiction:
                 friction = friction + p["stiction"] * np.exp(-np.abs(v) / p["stiction_speed"])
-            v = (wanted - np.minimum(np.maximum(wanted, -friction), friction)) / (mass_h + lever + p["viscous"])
-            q = q + h * v
+            after = (wanted - np.minimum(np.maximum(wanted, -friction), friction)) / (mass_h + damping)
+            q = q + half * (v + after)
+            v = after
     out[n - 1] = q
     return out
 
