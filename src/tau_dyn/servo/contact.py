@@ -61,28 +61,39 @@ def find_contacts(model: Model, records: Sequence[Record]) -> tuple[list[Contact
 
     What one log shows to be there is looked for in the others, where the tip rests on it too shortly to show it by itself.
     """
-    found = [_find_contact(model, record, np.inf) for record in records]
+    if not model.robot.tool:
+        return [], list(records)
+    usual = float(np.median([_measure_usual_gap(model, record) for record in records]))
+    found = [_find_contact(model, record, usual, np.inf) for record in records]
     heights = [contact.height for contact, _ in found if contact]
     if heights:
         known = float(np.median(heights))
-        found = [pair if pair[0] else _find_contact(model, r, known) for pair, r in zip(found, records, strict=True)]
+        found = [pair if pair[0] else _find_contact(model, r, usual, known) for pair, r in zip(found, records, strict=True)]
     kept = [mask_unused(record, mask) for record, (_, mask) in zip(records, found, strict=True)]
     return [contact for contact, _ in found if contact], kept
 
 
-def _find_contact(model: Model, record: Record, known: float) -> tuple[Contact | None, np.ndarray]:
-    """Return a log's contact or None, and the mask of its samples to be left out (N,); `known` is the height of something [m]."""
-    nothing = np.zeros(len(record.t), dtype=bool)
-    if not model.robot.tool:
-        return None, nothing
-    q, v, _ = record.motion
+def _measure_gap(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the tip's height (N,) [m], how far above its command it is (N,) [m], and where every joint rests (N,)."""
     tip, told = (model.mechanism.tool_position(x)[:, 2] for x in (record.q, record.command))
-    gap, still = tip - told, np.all(np.abs(v) < RESTING, axis=1)
-    low = tip < tip.min() + NEAR_LOWEST_M
-    free = gap[still & ~low]
-    usual = float(np.percentile(free, 98)) if len(free) > 10 else 0.0
-    if np.isfinite(known):
-        low, usual = tip < known + NEAR_LOWEST_M / 2, 0.0
+    return tip, tip - told, np.all(np.abs(record.motion[1]) < RESTING, axis=1)
+
+
+def _measure_usual_gap(model: Model, record: Record) -> float:
+    """Return the gap that a free tip at rest stays below in this log [m]; zero where it never rests."""
+    tip, gap, still = _measure_gap(model, record)
+    free = gap[still & (tip > tip.min() + NEAR_LOWEST_M)]
+    return float(np.percentile(free, 98)) if len(free) > 10 else 0.0
+
+
+def _find_contact(model: Model, record: Record, usual: float, known: float) -> tuple[Contact | None, np.ndarray]:
+    """Return a log's contact or None, and the mask of its samples to be left out (N,).
+
+    `usual` is the gap of a free tip, `known` the height of something there, infinite for none [m].
+    """
+    nothing = np.zeros(len(record.t), dtype=bool)
+    tip, gap, still = _measure_gap(model, record)
+    low = tip < (known + NEAR_LOWEST_M / 2 if np.isfinite(known) else tip.min() + NEAR_LOWEST_M)
     held = still & low & (gap > max(MIN_GAP_M, usual + 0.4 * MIN_GAP_M)) & (record.enabled > 0)
     runs = [run for run in find_true_runs(held) if (run.stop - run.start) * record.dt >= MIN_DURATION_S]
     if not runs:

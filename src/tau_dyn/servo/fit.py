@@ -15,12 +15,13 @@ Reference: Ljung 1999, 7.2 and 9; Levenberg 1944, Marquardt 1963; White 1980, Li
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tau_dyn.log import lowpass
-from tau_dyn.servo.loop import Trials, Waves, simulate_loops
+from tau_dyn.servo.loop import FINE_STEP_S, Trials, Waves, simulate_loops
 from tau_dyn.servo.records import MOTION_HZ, InertialSpace, LoadWaves, Record
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
 
@@ -37,6 +38,11 @@ MAX_DIRECTIONS = 14
 MIN_INFORMATION = 0.25
 """Information of a direction, with prior knowledge as 1, from which it is estimated."""
 MAX_ITERATIONS = 15
+_FINE_ITERATIONS = 5  # from a solution with the longer step
+STEP_EFFECT_RAD = 4e-4
+"""What the longer step moves positions by [rad]."""
+COARSE_IS_ENOUGH = 4.0
+"""Residual over the step's effect from which the longer step is enough."""
 _LAMBDAS = (1e-2, 3e-1, 1e1)  # damping factors that are tried side by side
 BLOCK_S = (0.5, 5.0)
 """Shortest and longest blocks over which the gradient's scatter is taken [s]: residuals forget within the longest."""
@@ -115,6 +121,7 @@ class LoopFit:
         sigma: Residual rms of each joint (na,) [rad].
         loss: Sum of squares.
         iterations: How often sensitivities were simulated.
+        step: Longest step of the simulated loops [s].
     """
 
     x: np.ndarray
@@ -122,6 +129,7 @@ class LoopFit:
     sigma: np.ndarray
     loss: float
     iterations: int
+    step: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,6 +276,12 @@ class LoopProblem:
         self.blocks = _number_blocks(records, n)
         self.count = np.maximum(self.used.sum(), 1)
 
+    def with_step(self, step: float) -> LoopProblem:
+        """Return the problem with another longest step [s]."""
+        other = copy(self)
+        other.waves = replace(self.waves, step=step)
+        return other
+
     def simulate(self, x: np.ndarray) -> np.ndarray:
         """Return positions (N, na, C, S) at vectors (n, C)."""
         values, inertial = self.unknowns.unpack(x)
@@ -346,14 +360,22 @@ def count_worth(residual: np.ndarray, used: np.ndarray) -> float:
 def fit_loop(
     problem: LoopProblem, progress: Callable[[str], None] = lambda step: None, max_iterations: int = MAX_ITERATIONS
 ) -> LoopFit:
-    """Search the unknowns that simulate the logs best, from their start values."""
+    """Search the unknowns that simulate the logs best, from their start values; with a finer step where the residual is small."""
+    found = _search(problem, problem.unknowns.pack(), progress, max_iterations)
+    if not problem.unknowns.n or float(np.median(found.sigma)) > COARSE_IS_ENOUGH * STEP_EFFECT_RAD:
+        return found
+    return _search(problem.with_step(FINE_STEP_S), found.x, progress, _FINE_ITERATIONS)
+
+
+def _search(problem: LoopProblem, first: np.ndarray, progress: Callable[[str], None], max_iterations: int) -> LoopFit:
+    """Return the end of a search from a vector (n,)."""
     u = problem.unknowns
-    x, start = u.clip(u.pack()), u.pack()
+    x, start = u.clip(first), u.pack()
     precision = np.append(u.prior[u.free] ** -2.0, np.ones(u.space.n_unknowns))
     if u.n == 0:
         r = problem.residuals(x[:, None])[:, :, 0]
         sigma = np.sqrt((r**2).sum(axis=(0, 2)) / problem.count)
-        return LoopFit(x, np.zeros((0, 0)), sigma, 0.0, 0)
+        return LoopFit(x, np.zeros((0, 0)), sigma, 0.0, 0, problem.waves.step)
     worth, last, damping, small = None, np.inf, 1.0, 0
     H, scatter, sigma, loss = np.eye(u.n), np.eye(u.n), np.ones(1), 0.0
     for k in range(max_iterations):
@@ -391,9 +413,7 @@ def fit_loop(
         x,
         _compute_covariance(H + np.diag(precision), scatter + np.diag(precision), held),
         sigma,
-        min(loss, last),
-        k + 1,
-    )
+        min(loss, last), k + 1, problem.waves.step)
 
 
 def _accumulate(problem, r, sensitivities, owners, weight):  # noqa: ANN001, ANN202

@@ -146,7 +146,7 @@ def identify_loop(
     if held:
         fit = fit_loop(data.build_problem(), progress)
         progress("held-out errors")
-        predicted = predict(data, fit.x, others)
+        predicted = predict(data, fit, others)
         errors, how = (
             build_position_errors(robot.actuated, others, predicted),
             "held-out logs: " + ", ".join(x.name for x in held),
@@ -155,7 +155,7 @@ def identify_loop(
     else:
         fit, errors, shown = _judge_last_part(data, progress)
         how = "last 30 % of each log, predicted by a fit of its first 70 %"
-    trained = predict(data, fit.x, kept, data.loads)
+    trained = predict(data, fit, kept, data.loads)
     by_gain: tuple[Mapping[str, Any], ...] = ()
     if len({tuple(r.entries["position_gain"]) for r in kept}) > 1:
         from tau_dyn.servo.by_gain import compare_gains
@@ -171,11 +171,12 @@ def identify_loop(
 
 
 def predict(
-    data: LoopData, x: np.ndarray, records: Sequence[Record], loads: Sequence[LoadWaves] | None = None
+    data: LoopData, fit: LoopFit, records: Sequence[Record], loads: Sequence[LoadWaves] | None = None
 ) -> list[np.ndarray]:
-    """Return positions (N, na) of records at unknowns (n,), from their commands alone."""
+    """Return positions (N, na) of records at a solution, from their commands alone."""
     u = data.unknowns
-    return predict_positions(data.space, x[u.n - data.space.n_unknowns :], u.with_values(x), data.law, records, loads)
+    inertial = fit.x[u.n - data.space.n_unknowns :]
+    return predict_positions(data.space, inertial, u.with_values(fit.x), data.law, records, loads, fit.step)
 
 
 def prepare_loop(
@@ -309,12 +310,11 @@ def _judge_last_part(data: LoopData, progress: Progress):  # noqa: ANN202
         first.append(mask_unused(r, ~early))
         last.append(mask_unused(r, early))
     part = fit_loop(data.build_problem(records=first), progress)
-    predicted = predict(data, part.x, last)
+    predicted = predict(data, part, last)
     errors = build_position_errors(data.law.joints, last, predicted)
-    values, m = data.unknowns.with_values(part.x), data.space.n_unknowns
-    again = replace(data.unknowns, values=values)
+    again = replace(data.unknowns, values=data.unknowns.with_values(part.x))
     fit = fit_loop(data.build_problem(again), progress)
-    return fit, errors, [(r, p, True) for r, p in zip(last, predicted, strict=True)] if m >= 0 else []
+    return fit, errors, [(r, p, True) for r, p in zip(last, predicted, strict=True)]
 
 
 def _build_result(

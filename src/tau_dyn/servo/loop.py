@@ -24,7 +24,9 @@ from dataclasses import dataclass
 import numpy as np
 
 MAX_STEP_S = 0.0105
-"""Longest step of the loop [s]: a seventh of the time constant of a hobby servo; two steps a sample at 50 Hz."""
+"""Longest step of the loop [s]: a seventh of the time constant of a hobby servo; it moves positions by some 0.4 mrad."""
+FINE_STEP_S = 0.0026
+"""Longest step where the residual is so small that the longer one would show [s]; it moves positions by less than 0.05 mrad."""
 MIN_INERTIA = 1e-6
 """Smallest inertia of a joint that is stepped [kg m^2]; smaller ones come from bad trial values only."""
 
@@ -50,6 +52,7 @@ class Waves:
         supply: Supply over the nominal one (N, S).
         enabled: 1 where the motor is on (N, S).
         by_log: Law entries that logs have of their own (na, S).
+        step: Longest step of the loop [s].
     """
 
     dt: np.ndarray
@@ -64,6 +67,7 @@ class Waves:
     supply: np.ndarray
     enabled: np.ndarray
     by_log: Mapping[str, np.ndarray]
+    step: float = MAX_STEP_S
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +87,7 @@ def simulate_loops(waves: Waves, trials: Trials) -> np.ndarray:
     """Return positions (N, na, C, S) [rad] of C trials in S logs, from rest at each log's start."""
     n, na, _ = waves.command.shape
     c, s = trials.inertial.shape[1], len(waves.dt)
-    often = max(1, int(np.ceil(waves.dt.max() / MAX_STEP_S)))
+    often = max(1, int(np.ceil(waves.dt.max() / waves.step)))
     p = {key: value[:, :, None] for key, value in trials.values.items()}
     p |= {key: value[:, None, :] for key, value in waves.by_log.items()}
     h = (waves.dt / often)[None, None, :]

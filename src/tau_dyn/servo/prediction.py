@@ -7,10 +7,11 @@ relaxation). Where it ends does not depend on where it began; it begins with the
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.servo.loop import Trials, simulate_loops
+from tau_dyn.servo.loop import FINE_STEP_S, Trials, simulate_loops
 from tau_dyn.servo.records import InertialSpace, LoadWaves, Record, build_waves, compute_load_waves, smooth_motion
 from tau_dyn.simulate import ServoLaw
 
@@ -27,6 +28,7 @@ def predict_positions(
     law: ServoLaw,
     records: Sequence[Record],
     loads: Sequence[LoadWaves] | None = None,
+    step: float = FINE_STEP_S,
 ) -> list[np.ndarray]:
     """Return simulated positions (N, na) of each record.
 
@@ -37,13 +39,15 @@ def predict_positions(
         law: Says what differs by log.
         records: Commands, starts and motions to begin with.
         loads: Loads along the records' measured motions, where they are known.
+        step: Longest step of the loops [s], that of the fit.
     """
     trials = Trials({key: value[:, None] for key, value in values.items()}, unknowns[:, None])
     along = [r.motion[0] for r in records]
     loads = loads or [compute_load_waves(space, *r.motion, r.dt) for r in records]
     found: list[np.ndarray] = []
     for sweep in range(MAX_SWEEPS):
-        out = simulate_loops(build_waves(space, records, loads, along, law), trials)[:, :, 0]
+        waves = replace(build_waves(space, records, loads, along, law), step=step)
+        out = simulate_loops(waves, trials)[:, :, 0]
         before, found = found, [out[: len(r.t), :, k] for k, r in enumerate(records)]
         if (
             before
