@@ -7,7 +7,7 @@ that carries its own robot (the expanded URDF), so it needs neither the xacro no
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -51,6 +51,7 @@ class Model(Shown):
         effects: The effects beyond the rigid body.
         effect_parameters: Values of the effects' parameters, in the effects' order.
         provenance: Where the values came from: logs and hashes, versions, seed.
+        controller: The servo's law that it was identified with, as a controller file holds it; empty for none.
 
     Example:
         >>> model = td.Model.of(td.load_robot("linear_axis")).with_values({"carriage_link.mass": 90.0})
@@ -65,6 +66,7 @@ class Model(Shown):
     effects: tuple[Effect, ...]
     effect_parameters: Parameters
     provenance: Mapping[str, Any]
+    controller: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def of(cls, robot: Robot, effects: Iterable[Effect] = (), provenance: Mapping[str, Any] | None = None) -> Model:
@@ -251,6 +253,7 @@ class Model(Shown):
             "effects": [effect.to_dict() for effect in self.effects],
             "untied": [n for n in self.robot.parameters.names if n not in _tied_names(self.robot)],
             "parameters": self.parameters.to_list(),
+            **({"controller": dict(self.controller)} if self.controller else {}),
             "urdf": self.robot.urdf,
         }
         write_whole(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110))
@@ -271,7 +274,7 @@ class Model(Shown):
             )
         for key, kind in (("robot", dict), ("effects", list), ("parameters", list), ("urdf", str)):
             _expect(content, key, kind, str(path))
-        for key, kind in (("untied", list), ("provenance", dict)):
+        for key, kind in (("untied", list), ("provenance", dict), ("controller", dict)):
             _expect({key: kind(), **content}, key, kind, str(path))
         about = content["robot"]
         for key, kind in (("actuated", list), ("arguments", dict), ("tool", str)):
@@ -289,7 +292,9 @@ class Model(Shown):
         if set(saved.names) != set(model.parameters.names):
             odd = min(set(saved.names) ^ set(model.parameters.names))
             raise InputError("mismatch", f"{path}: parameter '{odd}' does not belong to this robot and these effects")
-        return model.with_parameters(saved.select(model.parameters.names))
+        return replace(
+            model.with_parameters(saved.select(model.parameters.names)), controller=content.get("controller", {})
+        )
 
 
 def _expect(content: Mapping[str, Any], key: str, kind: type, where: str) -> None:

@@ -85,6 +85,8 @@ def columns(
     )
 
 
+DEFAULT_BUS_HZ = 50.0
+"""Rate at which a servo's commands are sent and its positions logged, where none is given [Hz]."""
 _TRUTH = Group("What is true beside ROBOT", validator=validators.MutuallyExclusive())
 _SENSORS = Group("Controller and sensors")
 _VIBRATION = Group("Vibration (robot files with springs, such as gantry_tau --set arms=complete --set flexible=true)")
@@ -148,6 +150,7 @@ def simulate(
     out: Annotated[Path, args.build_destination("LOG.csv", "Write the log here", csv=True)],
     effects: Annotated[Path | None, Parameter(group=_TRUTH, metavar="E.yaml")] = None,
     model: Annotated[Path | None, Parameter(group=_TRUTH, metavar="FILE")] = None,
+    controller: Annotated[Path | None, Parameter(metavar="LAW.yaml")] = None,
     sensors: SensorOptions = SensorOptions(),
     vibration: VibrationOptions = VibrationOptions(),
     robot_options: args.RobotOptions = args.RobotOptions(),
@@ -160,6 +163,7 @@ def simulate(
         duration: Length of a named motion [s]
         effects: Effects and parameter values of the true robot
         model: Put the effects and values of this model file on ROBOT
+        controller: The controller file; a servo's law gives a log of commands and positions (cmd_J, q_J) without torque
     """
     if vibration.vibration:
         for option, given in (("--effects", effects), ("--model", model), ("--log-rate", sensors.log_rate)):
@@ -169,7 +173,14 @@ def simulate(
     with show_progress(output.quiet) as step:
         step("loading")
         from tau_dyn.render import SimulatedLog
-        from tau_dyn.simulate import Sensors, Trajectory, build_named_motion, simulate as simulate_model
+        from tau_dyn.simulate import (
+            CascadeController,
+            Sensors,
+            Trajectory,
+            build_named_motion,
+            read_law_file,
+            simulate as simulate_model,
+        )
 
         true = _build_true_model(robot, robot_options, effects, model)
         if Path(motion).suffix:
@@ -184,9 +195,12 @@ def simulate(
             tool_noise=sensors.tool_noise,
             log_rate_hz=sensors.log_rate,
         )
-        log = simulate_model(
+        log = _simulate_servo(true, path, controller, sensors, output.seed, out.name) or simulate_model(
             true,
             path,
+            None
+            if controller is None
+            else CascadeController(read_law_file(controller, true.robot), start=true.steady()),
             sensors=built,
             seed=output.seed,
             rate_hz=sensors.rate or 1000.0,
@@ -200,13 +214,30 @@ def simulate(
         warnings=[*true.robot.warnings, *log.warnings],
         inputs=[
             *robot_options.list_files(robot),
-            *(p for p in (effects, model, Path(motion)) if p is not None and p.is_file()),
+            *(p for p in (effects, model, controller, Path(motion)) if p is not None and p.is_file()),
         ],
         lines=[said],
         files={out: log.to_csv},
         printed=False,
         found=SimulatedLog(log, true, built, {"motion": motion, "seed": str(output.seed)}),
     )
+
+
+def _simulate_servo(true, path, controller: Path | None, sensors: SensorOptions, seed: int, name: str):
+    """Return a log of commands and positions where the controller file, or the model file, holds a servo's law; else None."""
+    from tau_dyn.servo import simulate_loop_log
+    from tau_dyn.simulate import build_servo_law, is_servo_law, read_servo_law
+
+    if controller is not None and is_servo_law(controller):
+        law = read_servo_law(controller, true.robot)
+    elif controller is None and true.controller.get("law") == "servo":
+        law = build_servo_law(dict(true.controller), true.robot, true.robot.source)
+    else:
+        return None
+    return simulate_loop_log(
+        true, law, path, rate_hz=sensors.log_rate or DEFAULT_BUS_HZ, encoder_noise=sensors.encoder_noise,
+        encoder_resolution=sensors.encoder_resolution, seed=seed, name=name,
+    )  # fmt: skip
 
 
 def _build_true_model(robot: str, options: args.RobotOptions, effects: Path | None, model: Path | None):

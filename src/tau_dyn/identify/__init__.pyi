@@ -16,6 +16,9 @@ from .fitted_model import (
     Choices as Choices,
     build_model as build_model,
     build_physical_constraints as build_physical_constraints,
+    find_structural_base as find_structural_base,
+    read_bound as read_bound,
+    read_fixed as read_fixed,
 )
 from .identification import identify as identify
 from .log_integrity import (

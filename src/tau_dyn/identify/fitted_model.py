@@ -67,14 +67,14 @@ class Choices:
                 changes.setdefault(name, {}).update(free=True)
         for text in self.fix:
             if not _is_gain(text.partition("=")[0]):
-                pattern, value, sigma = _fixed(text)
+                pattern, value, sigma = read_fixed(text)
                 for name in model.parameters.match(pattern):
                     given = {"value": value, "origin": "given"}
                     if value is None:
                         given = {"origin": "held"} if model.parameters[name].origin == NOT_GIVEN else {}
                     changes.setdefault(name, {}).update(given, free=sigma is not None, prior_stderr=sigma)
         for text in self.bound:
-            pattern, lower, upper = _bounded(text)
+            pattern, lower, upper = read_bound(text)
             for name in model.parameters.match(pattern):
                 given = changes.setdefault(name, {})
                 given.update(lower=lower, upper=upper)
@@ -96,7 +96,7 @@ class Choices:
             chosen = [j for j in joints if fnmatchcase(j, pattern)]
             if not chosen:
                 raise UnknownName("actuated joint", pattern, joints)
-            _, value, sigma = _fixed(text)
+            _, value, sigma = read_fixed(text)
             if value is None or value <= 0:
                 raise InputError("bad_option", f"--fix {text}: a drive gain is a positive factor, such as 1+-0.02")
             found.update({j: (value, (sigma or 0.0) / value) for j in chosen})
@@ -123,7 +123,8 @@ def _is_gain(name: str) -> bool:
     return name.endswith(".drive_gain")
 
 
-def _fixed(text: str) -> tuple[str, float | None, float | None]:
+def read_fixed(text: str) -> tuple[str, float | None, float | None]:
+    """Return pattern, value and deviation of `NAME[=VALUE[+-SIGMA]]`."""
     pattern, equals, rest = text.partition("=")
     if not equals:
         return pattern, None, None
@@ -134,7 +135,8 @@ def _fixed(text: str) -> tuple[str, float | None, float | None]:
     return pattern, _number(value, text), deviation
 
 
-def _bounded(text: str) -> tuple[str, float, float]:
+def read_bound(text: str) -> tuple[str, float, float]:
+    """Return pattern and both ends of `NAME=LO:HI`."""
     pattern, _, rest = text.partition("=")
     low, colon, high = rest.partition(":")
     if not colon:

@@ -32,6 +32,7 @@ _KINDS = {
     "model": "robot",
     "parameters": "robot",
     "render": "motion",
+    "servo": "servo",
     "robot": "robot",
 }
 """Package of a result's class -> the file that presents it."""

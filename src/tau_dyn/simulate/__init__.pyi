@@ -56,6 +56,13 @@ from .motions import (
 from .plant import free_motion as free_motion, run_plant as run_plant
 from .plant_run import PlantRun as PlantRun
 from .sensors import EncoderReadings as EncoderReadings, Sensors as Sensors, measure as measure
+from .servo_law import (
+    SERVO_ENTRIES as SERVO_ENTRIES,
+    ServoLaw as ServoLaw,
+    build_servo_law as build_servo_law,
+    is_servo_law as is_servo_law,
+    read_servo_law as read_servo_law,
+)
 from .simulation import read_effects_file as read_effects_file, simulate as simulate, simulate_drive as simulate_drive
 from .trajectory import (
     MotionProfile as MotionProfile,

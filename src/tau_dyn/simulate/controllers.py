@@ -20,6 +20,7 @@ references and measured positions, never the plant's state. A law file holds its
     limit: 10                    # [unit], largest output; by default the robot's effort limits
 
 A number may also be a list in the order of the actuated joints, or a mapping from joint to number. The gains are required.
+A file that begins with `law: servo` holds a servo's law instead; see `servo_law`.
 """
 
 from __future__ import annotations
@@ -274,15 +275,17 @@ def read_law_file(path: str | Path, robot: Robot) -> CascadeLaw:
     where, content = str(path), read_yaml(path)
     if not isinstance(content, dict) or not content:
         raise InputError("file_format", f"{where}: a controller file is a mapping with {', '.join(_DEFAULTS)}")
+    if content.get("law", "cascade") != "cascade":
+        raise InputError("file_format", f"{where}: a cascade is wanted here, not 'law: {content['law']}'")
     for key in content:
-        if key not in _DEFAULTS:
+        if key not in (*_DEFAULTS, "law"):
             raise UnknownName("controller entry", str(key), _DEFAULTS, where)
     for key in ("position_gain", "velocity_gain"):
         if content.get(key) is None:
             raise InputError(
                 "file_format", f"{where}: '{key}' is missing; a controller needs a position gain and a velocity gain"
             )
-    given = {**_DEFAULTS, **{key: value for key, value in content.items() if value is not None}}
+    given = {**_DEFAULTS, **{key: content[key] for key in _DEFAULTS if content.get(key) is not None}}
     found = {key: _numbers(key, value, robot, where) for key, value in given.items() if value is not None}
     if "limit" not in found:
         found["limit"] = robot.effort_limit / found["force_per_unit"]

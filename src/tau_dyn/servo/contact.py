@@ -1,0 +1,125 @@
+"""Contact of the tool with something below it: where the tip stays up although it is told to go down.
+
+A servo without integral gives way to gravity, so the tip of a free arm hangs at or below its commanded height. A tip that rests
+at the lowest height of its log, well above its command, while elsewhere it does not, rests on something. These samples say
+nothing about the robot, and in a fit they make false friction at every joint that pushes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tau_dyn.log import find_true_runs
+from tau_dyn.model import Model
+from tau_dyn.servo.records import Record, mask_unused
+
+MIN_GAP_M = 0.005
+"""How far above its command a tip rests at least where it is held up [m]: dry friction of small arms leaves less."""
+RESTING = 0.06
+"""Speed of every joint below which the tip rests [rad/s]."""
+NEAR_LOWEST_M = 0.012
+"""A tip this near to the lowest point of its log may rest on something [m]."""
+MIN_DURATION_S = 0.15
+"""Shortest rest on something [s]."""
+BEFORE_S, AFTER_S = 0.5, 1.0
+"""What is left out around a contact [s]: the approach, and until the loop has forgotten it."""
+
+
+@dataclass(frozen=True)
+class Contact:
+    """One log's contact with something below the tool.
+
+    Attributes:
+        log: The log's name.
+        joint: The joint whose servo pushes most.
+        start: First time [s].
+        stop: Last time [s].
+        share: Share of the log that is left out.
+        height: Median height of the tip while it rests [m].
+    """
+
+    log: str
+    joint: str
+    start: float
+    stop: float
+    share: float
+    height: float
+
+    def describe(self) -> str:
+        """Return the sentence about it."""
+        return (
+            f"{self.log}: the tool rests on something at z = {1e3 * self.height:.0f} mm (tip), from {self.start:.1f} to "
+            f"{self.stop:.1f} s; {self.joint} pushes on; {100 * self.share:.0f} % of the log is left out as contact"
+        )
+
+
+def find_contacts(model: Model, records: Sequence[Record]) -> tuple[list[Contact], list[Record]]:
+    """Return the contacts in logs, and the records without those samples.
+
+    What one log shows to be there is looked for in the others, where the tip rests on it too shortly to show it by itself.
+    """
+    if not model.robot.tool:
+        return [], list(records)
+    usual = float(np.median([_measure_usual_gap(model, record) for record in records]))
+    found = [_find_contact(model, record, usual, np.inf) for record in records]
+    heights = [contact.height for contact, _ in found if contact]
+    if heights:
+        known = float(np.median(heights))
+        found = [
+            pair if pair[0] else _find_contact(model, r, usual, known) for pair, r in zip(found, records, strict=True)
+        ]
+    kept = [mask_unused(record, mask) for record, (_, mask) in zip(records, found, strict=True)]
+    return [contact for contact, _ in found if contact], kept
+
+
+def _measure_gap(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the tip's height (N,) [m], how far above its command it is (N,) [m], and where every joint rests (N,)."""
+    tip, told = (model.mechanism.tool_position(x)[:, 2] for x in (record.q, record.command))
+    return tip, tip - told, np.all(np.abs(record.motion[1]) < RESTING, axis=1)
+
+
+def _measure_usual_gap(model: Model, record: Record) -> float:
+    """Return the gap that a free tip at rest stays below in this log [m]; zero where it never rests."""
+    tip, gap, still = _measure_gap(model, record)
+    free = gap[still & (tip > tip.min() + NEAR_LOWEST_M)]
+    return float(np.percentile(free, 98)) if len(free) > 10 else 0.0
+
+
+def _find_contact(model: Model, record: Record, usual: float, known: float) -> tuple[Contact | None, np.ndarray]:
+    """Return a log's contact or None, and the mask of its samples to be left out (N,).
+
+    `usual` is the gap of a free tip, `known` the height of something there, infinite for none [m].
+    """
+    nothing = np.zeros(len(record.t), dtype=bool)
+    tip, gap, still = _measure_gap(model, record)
+    low = tip < (known + NEAR_LOWEST_M / 2 if np.isfinite(known) else tip.min() + NEAR_LOWEST_M)
+    held = still & low & (gap > max(MIN_GAP_M, usual + 0.4 * MIN_GAP_M)) & (record.enabled > 0)
+    runs = [run for run in find_true_runs(held) if (run.stop - run.start) * record.dt >= MIN_DURATION_S]
+    if not runs:
+        return None, nothing
+    rests = np.zeros_like(nothing)
+    for run in runs:
+        rests[run] = True
+    height = float(np.median(tip[rests]))
+    touching = rests | ((tip < height + 0.002) & (gap > 0.6 * MIN_GAP_M))
+    before, after = round(BEFORE_S / record.dt), round(AFTER_S / record.dt)
+    mask = nothing.copy()
+    for k in np.flatnonzero(touching):
+        mask[max(0, k - before) : k + after + 1] = True
+    joint = model.robot.actuated[int(np.argmax(_share_gap(model, record, rests)))]
+    times = record.t[touching] - record.t[0]
+    return Contact(record.name, joint, float(times[0]), float(times[-1]), float(mask.mean()), height), mask
+
+
+def _share_gap(model: Model, record: Record, rests: np.ndarray) -> np.ndarray:
+    """Return how much of the tip's gap to its command each joint holds up (na,) [m], in the median."""
+    q, command = record.q[rests], record.command[rests]
+    shares = []
+    for j in range(q.shape[1]):
+        moved = np.array(q)
+        moved[:, j] = command[:, j]
+        shares.append(np.median((model.mechanism.tool_position(q) - model.mechanism.tool_position(moved))[:, 2]))
+    return np.array(shares)

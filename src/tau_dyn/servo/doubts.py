@@ -1,0 +1,129 @@
+"""What is doubtful about an identification through the closed loop, in sentences with codes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tau_dyn.log import Log
+from tau_dyn.message_codes import CodedWarning
+from tau_dyn.servo.records import Record
+from tau_dyn.simulate import ServoLaw
+
+if TYPE_CHECKING:
+    from tau_dyn.servo.fit import LoopFit
+    from tau_dyn.servo.identification import LoopData
+
+BEYOND = 1.3
+"""Acceleration of held-out logs over that of all training logs from which a prediction leaves what was learnt."""
+SUSTAINED = 90.0
+"""Per cent of a log's samples below the acceleration that counts: single steps are no motion that was learnt."""
+MIN_DROOP_RAD = 0.03
+"""Lost motion at rest that is explained as droop [rad]: above the play of hobby servos."""
+_LOADS = ("load", "current", "effort")
+_MIN_LIKENESS = 0.4  # correlation with the position error from which a channel is its size
+
+
+def list_loop_warnings(
+    law: ServoLaw, train: Sequence[Record], held: Sequence[Record], logs: Sequence[Log], data: LoopData, fit: LoopFit
+) -> list[str]:
+    """Return all sentences."""
+    return [
+        *_describe_scale(law, data),
+        *_describe_accelerations(law.joints, train, held),
+        *_describe_droop(law.joints, train),
+        *_describe_unsigned_loads(law.joints, logs),
+        *_describe_bounds(data, fit),
+    ]
+
+
+def _describe_scale(law: ServoLaw, data: LoopData) -> list[str]:
+    if law.given and not {"position_gain", "force_per_unit"} & law.estimated:
+        return []
+    fixed = [p.name for p in data.model.robot.parameters if p.name.endswith(".mass") and (not p.free or p.prior_stderr)]
+    if fixed:
+        return [
+            f"the servo's gain is estimated; the scale of all masses and friction comes from {', '.join(fixed[:3])}"
+        ]
+    return [
+        CodedWarning(
+            "gain_unknown",
+            "the servo's gain is not known, so masses and friction are known up to its scale, which the robot file's masses set "
+            "here; a weighed mass (--fix LINK.mass=VALUE) or a known gain (--controller LAW.yaml) fixes it",
+        )
+    ]
+
+
+def _describe_accelerations(joints: Sequence[str], train: Sequence[Record], held: Sequence[Record]) -> list[str]:
+    if not held:
+        return []
+    known = np.max([np.percentile(np.abs(r.motion[2]), SUSTAINED, axis=0) for r in train], axis=0)
+    said = []
+    for r in held:
+        here = np.percentile(np.abs(r.motion[2]), SUSTAINED, axis=0)
+        worst = int(np.argmax(here / np.maximum(known, 1e-3)))
+        if here[worst] > BEYOND * known[worst] and here[worst] > 0.5:
+            said.append(
+                CodedWarning(
+                    "outside_training",
+                    f"{r.name}: {joints[worst]} accelerates with {here[worst]:.2g} rad/s^2 over a tenth of the time, the training "
+                    f"logs with {known[worst]:.2g}; the prediction leaves what was learnt",
+                )
+            )
+    return said
+
+
+def _describe_droop(joints: Sequence[str], records: Sequence[Record]) -> list[str]:
+    said = []
+    for j, joint in enumerate(joints):
+        still = [r.used & (np.abs(r.motion[1][:, j]) < 0.02) for r in records]
+        gaps = np.concatenate([(r.q - r.command)[s, j] for r, s in zip(records, still, strict=True)])
+        if len(gaps) > 20 and (most := float(np.percentile(np.abs(gaps), 99))) > MIN_DROOP_RAD:
+            said.append(f"{joint} {1e3 * most:.0f} mrad")
+    if not said:
+        return []
+    return [
+        CodedWarning(
+            "droop",
+            f"at rest the joints stay behind their commands ({', '.join(said)}): a proportional servo yields to gravity and friction; "
+            "this lost motion is droop, no backlash",
+        )
+    ]
+
+
+def _describe_unsigned_loads(joints: Sequence[str], logs: Sequence[Log]) -> list[str]:
+    found: dict[str, list[float]] = {}
+    for log in logs:
+        sizes = np.abs(log.joint("cmd", joints) - log.joint("q", joints))
+        for name, x in log.channels.items():
+            if not name.lower().startswith(_LOADS) or not np.isfinite(x).all() or x.min() < 0 or np.ptp(x) == 0:
+                continue
+            likeness = [float(np.corrcoef(size, x)[0, 1]) for size in sizes.T if np.ptp(size) > 0]
+            found.setdefault(name, []).append(max(likeness, default=0.0))
+    like = {name: max(rows) for name, rows in found.items() if max(rows) > _MIN_LIKENESS}
+    if not like:
+        return []
+    low, high = min(like.values()), max(like.values())
+    return [
+        CodedWarning(
+            "unsigned_load",
+            f"{', '.join(list(like)[:3])}{' and others' if len(like) > 3 else ''} follow the size of the position error "
+            f"(correlation {low:.2f} to {high:.2f}) and have no sign: a check of the law, but no torque, and not used as one",
+        )
+    ]
+
+
+def _describe_bounds(data: LoopData, fit: LoopFit) -> list[str]:
+    u = data.unknowns
+    values = u.with_values(fit.x)
+    at = [
+        f"{joint}.{kind}"
+        for k, kind in enumerate(u.kinds)
+        for j, joint in enumerate(data.law.joints)
+        if u.free[k, j] and kind in ("armature", "coulomb") and values[kind][j] <= u.lower[k, j]
+    ]
+    return (
+        [f"{', '.join(at)} ended at the lower bound; the logs do not show it beside the rest of the law"] if at else []
+    )

@@ -1,0 +1,209 @@
+"""Servo loops along a known motion: every joint a scalar equation, all joints, parameter values and logs stepped at once.
+
+    (I(t) + armature) v' + load(t) + G(t) (q - q_along) + friction = tau(law, command, q, v)
+
+What the rest of the robot does to a joint (gravity, Coriolis and the other joints' accelerations) is a load taken along a motion
+close to the simulated one; its own gravity is linearised about that motion. Taken along the simulated motion itself, in turn
+until nothing changes (waveform relaxation), this is the exact simulation of the coupled robot.
+
+One step of h by the trapezoidal rule, linearly implicit in the motor's damping d and the viscous one b, with torque and load at the
+middle of the step and friction f that holds exactly (a box complementarity problem of one unknown):
+
+    w = (I / h + (d - b) / 2) v + tau - load,   f = clip(w, -F, F),   v+ = (w - f) / (I / h + (d + b) / 2),
+    q+ = q + h (v + v+) / 2.
+
+A command holds until the next; a delay moves it by parts of a step, so that the answer has a derivative by it.
+Reference: Lelarasmee, Ruehli & Sangiovanni-Vincentelli 1982 (waveform relaxation); Moreau 1988 (dry friction).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+MAX_STEP_S = 0.0105
+"""Longest step of the loop [s]: a seventh of the time constant of a hobby servo; it moves positions by some 0.4 mrad."""
+FINE_STEP_S = 0.0026
+"""Longest step where the residual is so small that the longer one would show [s]; it moves positions by less than 0.05 mrad."""
+MIN_INERTIA = 1e-6
+"""Smallest inertia of a joint that is stepped [kg m^2]; smaller ones come from bad trial values only."""
+
+
+BEND = 0.02
+"""Share of the supply below which a bent drive law is straight, so that its slope stays finite."""
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """What logs and a robot give a loop, sample by sample; logs of S are padded to the longest of N samples.
+
+    Attributes:
+        dt: Time between samples of each log (S,) [s].
+        start: Positions at the first sample (na, S).
+        command: Commands (N, na, S) [rad], each holding until the next.
+        along: Motion that loads were taken along (N, na, S) [rad].
+        load: Torque besides the own inertia (N, na, S) [N m].
+        load_by: The same per unit of each inertial unknown (N, na, K, S).
+        inertia: Own inertia without armature (N, na, S) [kg m^2].
+        inertia_by: The same per unit of each inertial unknown (N, na, K, S).
+        stiffness: Growth of the load with the own position (N, na, S) [N m/rad].
+        supply: Supply over the nominal one (N, S).
+        enabled: 1 where the motor is on (N, S).
+        by_log: Law entries that logs have of their own (na, S).
+        step: Longest step of the loop [s].
+    """
+
+    dt: np.ndarray
+    start: np.ndarray
+    command: np.ndarray
+    along: np.ndarray
+    load: np.ndarray
+    load_by: np.ndarray
+    inertia: np.ndarray
+    inertia_by: np.ndarray
+    stiffness: np.ndarray
+    supply: np.ndarray
+    enabled: np.ndarray
+    by_log: Mapping[str, np.ndarray]
+    step: float = MAX_STEP_S
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """Parameter values to simulate, side by side.
+
+    Attributes:
+        values: Law entries and `coulomb`, `viscous`, `armature`, `offset`, by name (na, C).
+        inertial: Inertial unknowns (K, C).
+    """
+
+    values: Mapping[str, np.ndarray]
+    inertial: np.ndarray
+
+
+def simulate_loops(waves: Waves, trials: Trials) -> np.ndarray:
+    """Return positions (N, na, C, S) [rad] of C trials in S logs, from rest at each log's start."""
+    n, na, _ = waves.command.shape
+    c, s = trials.inertial.shape[1], len(waves.dt)
+    often = max(1, int(np.ceil(waves.dt.max() / waves.step)))
+    p = {key: value[:, :, None] for key, value in trials.values.items()}
+    p |= {key: value[:, None, :] for key, value in waves.by_log.items()}
+    h = (waves.dt / often)[None, None, :]
+    shape = (na, c, s)
+    load, inertia = _combine(waves.load, waves.load_by, trials), _combine(waves.inertia, waves.inertia_by, trials)
+    half = 0.5 * h
+    goal = _Goal(waves, p, often, h, shape)
+    q = np.broadcast_to(waves.start[:, None, :], shape).copy()
+    v, integral, out = np.zeros(shape), np.zeros(shape), np.empty((n, *shape))
+    has_integral, has_stiction = bool(np.any(p["integral_gain"])), bool(np.any(p["stiction"]))
+    has_band, has_sag = bool(np.any(p["dead_band"])), bool(np.any(p["supply_sag"]))
+    has_derivative, pushes = bool(np.any(p["derivative_gain"])), bool(np.any(p["load_friction"]))
+    bends, one_way = bool(np.any(p["drive_exponent"] != 1.0)), bool(np.any(p["braking"] != 1.0))
+    power = p["drive_exponent"]
+    switched, finite = not np.all(waves.enabled), bool(np.any(np.isfinite(p["limit"])))
+    for k in range(n - 1):
+        out[k] = q
+        mass = np.maximum(inertia[k] + p["armature"], MIN_INERTIA)
+        supply, on = waves.supply[k], waves.enabled[k]
+        full = p["force_per_unit"] * on if switched else p["force_per_unit"]
+        mass_h = mass / h
+        slope, now = (load[k + 1] - load[k]) / often, load[k] + p["offset"]
+        G, along = waves.stiffness[k][:, None, :], waves.along[k][:, None, :]
+        turn = (waves.along[k + 1] - waves.along[k])[:, None, :] / often
+        for i in range(often):
+            middle = q + half * v
+            e = goal.at(k * often + i) - middle
+            if has_band:
+                e = np.sign(e) * np.maximum(np.abs(e) - p["dead_band"], 0.0)
+            u = p["position_gain"] * e
+            if has_derivative:
+                u = u - p["derivative_gain"] * v
+            if has_integral:
+                integral = np.clip(integral + p["integral_gain"] * h * e, -p["limit"], p["limit"])
+                u = u + integral
+            if finite:
+                u = np.minimum(np.maximum(u, -p["limit"]), p["limit"])
+            if has_sag:
+                u = u * (1.0 - p["supply_sag"] * np.abs(u))
+            x = u * supply - p["back_emf"] * v
+            if bends:
+                size = np.maximum(np.abs(x), BEND)
+                grown = full * size ** (power - 1.0)
+                push, lever = grown * x, grown * np.where(np.abs(x) > BEND, power, 1.0) * p["back_emf"]
+            else:
+                push, lever = full * x, full * p["back_emf"]
+            if one_way:
+                share = np.where(x * u < 0, p["braking"], 1.0)
+                push, lever = push * share, lever * share
+            rest = now + (i + 0.5) * slope + G * (middle - along - (i + 0.5) * turn)
+            damping = 0.5 * (lever + p["viscous"])
+            wanted = (mass_h + damping - p["viscous"]) * v + push - rest  # what friction acts on
+            friction = p["coulomb"]
+            if pushes:
+                friction = friction + p["load_friction"] * np.abs(push)
+            if has_stiction:
+                friction = friction + p["stiction"] * np.exp(-np.abs(v) / p["stiction_speed"])
+            after = (wanted - np.minimum(np.maximum(wanted, -friction), friction)) / (mass_h + damping)
+            q = q + half * (v + after)
+            v = after
+    out[n - 1] = q
+    return out
+
+
+def _combine(first: np.ndarray, by: np.ndarray, trials: Trials) -> np.ndarray:
+    """Return a wave (N, na, C, S) at the trials' inertial values."""
+    if not by.shape[2] or not np.any(trials.inertial):
+        return first[:, :, None, :]
+    if np.all(trials.inertial == trials.inertial[:, :1]):
+        return (first + np.einsum("njks,k->njs", by, trials.inertial[:, 0]))[:, :, None, :]
+    return first[:, :, None, :] + np.einsum("njks,kc->njcs", by, trials.inertial)
+
+
+class _Goal:
+    """The goal position over the steps: commands that come late, are rounded, and pass the profile generator."""
+
+    def __init__(
+        self, waves: Waves, p: Mapping[str, np.ndarray], often: int, h: np.ndarray, shape: tuple[int, ...]
+    ) -> None:
+        step = p["command_step"]
+        command = waves.command[:, :, None, :]
+        if np.any(step):
+            command = np.where(step > 0, step * np.round(command / np.where(step > 0, step, 1.0)), command)
+        self._command, self._often, self._h = (
+            np.broadcast_to(command, (len(command), shape[0], command.shape[2], shape[2])),
+            often,
+            h,
+        )
+        late = np.broadcast_to(p["command_delay"] / h, shape)
+        self._last = len(command) - 1
+        self._whole = np.floor(late).astype(int)
+        self._part = late - self._whole
+        self._limit, self._speed = p["acceleration_limit"], p["speed_limit"]
+        self._has_profile = bool(np.any(np.isfinite(self._limit)) or np.any(np.isfinite(self._speed)))
+        self._x, self._w = np.broadcast_to(self._command[0], shape).copy(), np.zeros(shape)
+        grid = np.ogrid[: shape[0], : shape[1], : shape[2]]
+        self._rows = [grid[0], grid[1] if command.shape[2] > 1 else np.zeros_like(grid[1]), grid[2]]
+        self._single = len(np.unique(self._whole)) == 1
+
+    def at(self, step: int) -> np.ndarray:
+        """Return the mean goal (na, C, S) over a step."""
+        if self._single:
+            first = step - int(self._whole.flat[0])
+            one, before = (self._command[min(max(i, 0) // self._often, self._last)] for i in (first, first - 1))
+        else:
+            first = step - self._whole
+            j, c, s = self._rows
+            one, before = (self._command[np.clip(i // self._often, 0, self._last), j, c, s] for i in (first, first - 1))
+        target = one + self._part * (before - one)
+        return self._follow(target) if self._has_profile else target
+
+    def _follow(self, target: np.ndarray) -> np.ndarray:
+        """Return the next point of a profile whose speed can always be braked to rest at the target."""
+        distance, most = target - self._x, self._limit * self._h
+        braking = np.sqrt(np.maximum(2.0 * self._limit * np.abs(distance), 0.0))
+        wanted = np.minimum(np.minimum(braking, self._speed), np.abs(distance) / self._h)
+        self._w = self._w + np.minimum(np.maximum(np.sign(distance) * wanted - self._w, -most), most)
+        self._x = self._x + self._h * self._w
+        return self._x

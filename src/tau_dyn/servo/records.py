@@ -1,0 +1,241 @@
+"""Logs of commands and positions -> even records, and what a robot does along their motions -> waves for the loop.
+
+A command holds until the next one; a position is interpolated. The inertial numbers of the robot file carry an uncertainty, a
+quarter of each body's size unless the file or `--fix` says otherwise; only the directions in which logs inform more than that are
+unknowns (a likelihood-informed subspace), so that a fit cannot wander where the data say nothing.
+Reference: Cui, Martin, Marzouk, Solonen & Spantini 2014.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.log import Log, differentiate, lowpass
+from tau_dyn.model import Model
+from tau_dyn.robot import BODY_STDERR
+from tau_dyn.servo.loop import Waves
+from tau_dyn.simulate import ServoLaw
+
+MOTION_HZ = 12.0
+"""Low-pass of measured positions before they are differentiated [Hz]: twice the bandwidth of a servo's position loop."""
+SLOW_S = 0.04
+"""Time over which own inertia and stiffness may be interpolated [s]: positions change by less than 0.1 rad."""
+_STEP = 1e-4
+"""Step of a position by which the load's growth is taken [rad]."""
+_MIN_RADIUS = 0.02
+"""Smallest size of a body that its uncertainty is taken of [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One log on an even clock.
+
+    Attributes:
+        name: The log's name.
+        t: Time (N,) [s].
+        q: Measured positions (N, na) [rad].
+        command: Commands (N, na) [rad].
+        supply: Supply over the nominal one (N,).
+        enabled: 1 where the motor is on (N,).
+        used: Samples that count (N,).
+        entries: Law entries (na,) that hold in this log.
+    """
+
+    name: str
+    t: np.ndarray
+    q: np.ndarray
+    command: np.ndarray
+    supply: np.ndarray
+    enabled: np.ndarray
+    used: np.ndarray
+    entries: Mapping[str, np.ndarray]
+
+    @property
+    def dt(self) -> float:
+        """Time between samples [s]."""
+        return float((self.t[-1] - self.t[0]) / (len(self.t) - 1))
+
+    @cached_property
+    def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Smoothed positions, speeds and accelerations (N, na), for loads."""
+        return smooth_motion(self.q, self.dt)
+
+
+def smooth_motion(q: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return positions (N, na) without what is above `MOTION_HZ`, and their derivatives."""
+    smooth = lowpass(q, MOTION_HZ, 1 / dt) if 1 / dt > 2.5 * MOTION_HZ else q
+    v = differentiate(smooth, dt)
+    return smooth, v, differentiate(v, dt)
+
+
+def build_records(model: Model, law: ServoLaw, logs: Sequence[Log], exclude: Sequence[str] = ()) -> list[Record]:
+    """Return the logs on even clocks.
+
+    Raises:
+        InputError: A log lacks a command, a position or a column that the law names.
+    """
+    return [_build_record(model, law, log, exclude) for log in logs]
+
+
+def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str]) -> Record:
+    joints = model.robot.actuated
+    t = log.t[0] + np.arange(int((log.t[-1] - log.t[0]) / log.dt) + 1) * log.dt
+    q = np.stack([np.interp(t, log.t, x) for x in log.joint("q", joints).T], axis=1)
+    held = np.clip(np.searchsorted(log.t, t + 1e-9, side="right") - 1, 0, len(log.t) - 1)
+    near = np.clip(np.searchsorted(log.t, t - 0.5 * log.dt), 0, len(log.t) - 1)
+    supply, enabled, used = np.ones((3, len(t)))
+    if law.supply:
+        supply = np.interp(t, log.t, _get_column(log, law.supply)) / law.nominal_supply
+    if law.enabled:
+        enabled = (_get_column(log, law.enabled)[held] != 0).astype(float)
+    for name in exclude:
+        used = used * (_get_column(log, name)[near] == 0)
+    return Record(
+        log.name, t, q, log.joint("cmd", joints)[held], supply, enabled, used.astype(bool), law.in_log(log.name)
+    )
+
+
+def _get_column(log: Log, name: str) -> np.ndarray:
+    if name not in log.channels:
+        raise InputError("missing_column", f"{log.name} has no column {name}, which the controller file names")
+    return log.channels[name]
+
+
+@dataclass(frozen=True, eq=False)
+class InertialSpace:
+    """Inertial numbers as the robot file has them, and the directions in which they may differ.
+
+    Attributes:
+        model: The model; drive inertias are not in here.
+        nominal: Its parameters, drive inertias at zero (p,).
+        directions: Changes of the parameters (p, K) for one unit of each unknown, one standard deviation of prior knowledge.
+        prior: Standard deviations of the parameters (p,) before the fit; zero for what is fixed.
+    """
+
+    model: Model
+    nominal: np.ndarray
+    directions: np.ndarray
+    prior: np.ndarray
+
+    @classmethod
+    def of(cls, model: Model) -> InertialSpace:
+        """Return the space of a model, without unknowns."""
+        parameters, sizes = model.robot.parameters, _measure_bodies(model)
+        nominal, prior = np.zeros((2, len(parameters)))
+        for k, p in enumerate(parameters):
+            if not p.name.endswith(".armature"):
+                nominal[k] = p.value
+                given = p.prior_stderr if p.prior_stderr is not None else sizes.get(p.name, 0.0)
+                prior[k] = given if p.free or p.prior_stderr is not None else 0.0
+        return cls(model, nominal, np.zeros((len(parameters), 0)), prior)
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of unknowns."""
+        return self.directions.shape[1]
+
+    def at(self, unknowns: np.ndarray) -> np.ndarray:
+        """Return the parameters (p,) at unknowns (K,)."""
+        return self.nominal + self.directions @ unknowns
+
+
+def _measure_bodies(model: Model) -> dict[str, float]:
+    """Return the uncertainty of each inertial parameter that nobody weighed."""
+    found = {}
+    for link in model.robot.links:
+        mass, moments, inertia = link.nominal[0], link.nominal[1:4], link.nominal[[4, 6, 9]]
+        size = max(mass, 1e-3)
+        radius = max(_MIN_RADIUS, float(np.linalg.norm(moments)) / size, float(np.sqrt(max(inertia.sum(), 0) / size)))
+        for k, name in zip(link.own, link.names, strict=True):
+            found[name] = BODY_STDERR * mass * radius ** (0 if k == 0 else 1 if k < 4 else 2)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class LoadWaves:
+    """What a robot does along one motion: see `Waves`, per inertial parameter (p) rather than per unknown.
+
+    Attributes:
+        load: (N, na, p) [N m per unit].
+        inertia: (N, na, p).
+        stiffness: (N, na) at the nominal values [N m/rad].
+    """
+
+    load: np.ndarray
+    inertia: np.ndarray
+    stiffness: np.ndarray
+
+
+def compute_load_waves(space: InertialSpace, q: np.ndarray, v: np.ndarray, a: np.ndarray, dt: float) -> LoadWaves:
+    """Return loads along a motion (N, na)."""
+    mechanism, (n, na) = space.model.mechanism, q.shape
+    every = max(1, round(SLOW_S / dt))
+    some = np.unique(np.append(np.arange(0, n, every), n - 1))
+    qs, zero = q[some], np.zeros((len(some), na))
+    still = mechanism.regressor(qs, zero, zero)
+    inertia = np.empty((len(some), na, still.shape[2]))
+    stiffness = np.empty((len(some), na))
+    for j in range(na):
+        push = np.zeros_like(qs)
+        push[:, j] = 1.0
+        inertia[:, j] = (mechanism.regressor(qs, zero, push) - still)[:, j]
+        ahead, behind = (mechanism.regressor(qs + s * _STEP * push, zero, zero)[:, j] for s in (1, -1))
+        stiffness[:, j] = (ahead - behind) @ space.nominal / (2 * _STEP)
+    grid = np.arange(n)
+    full = np.stack(
+        [[np.interp(grid, some, inertia[:, j, k]) for k in range(inertia.shape[2])] for j in range(na)]
+    ).transpose(2, 0, 1)
+    load = mechanism.regressor(q, v, a) - full * a[:, :, None]
+    return LoadWaves(load, full, np.stack([np.interp(grid, some, stiffness[:, j]) for j in range(na)], axis=1))
+
+
+def build_waves(
+    space: InertialSpace,
+    records: Sequence[Record],
+    loads: Sequence[LoadWaves],
+    along: Sequence[np.ndarray],
+    law: ServoLaw,
+) -> Waves:
+    """Return the waves of logs, padded to the longest.
+
+    Args:
+        space: Inertial numbers and their unknowns.
+        records: The logs.
+        loads: Loads along each log's motion.
+        along: The motions (N, na).
+        law: Whose entries that differ by log are handed on.
+    """
+    n = max(len(r.t) for r in records)
+
+    def stack(arrays: Sequence[np.ndarray]) -> np.ndarray:
+        return np.stack([_pad(x, n) for x in arrays], axis=-1)
+
+    keys = sorted({key for entries in law.by_log.values() for key in entries})
+    return Waves(
+        dt=np.array([r.dt for r in records]),
+        start=np.stack([r.q[0] for r in records], axis=1),
+        command=stack([r.command for r in records]),
+        along=stack(along),
+        load=stack([w.load @ space.nominal for w in loads]),
+        load_by=stack([w.load @ space.directions for w in loads]),
+        inertia=stack([w.inertia @ space.nominal for w in loads]),
+        inertia_by=stack([w.inertia @ space.directions for w in loads]),
+        stiffness=stack([w.stiffness for w in loads]),
+        supply=stack([r.supply for r in records]),
+        enabled=stack([r.enabled for r in records]),
+        by_log={key: np.stack([r.entries[key] for r in records], axis=1) for key in keys},
+    )
+
+
+def _pad(x: np.ndarray, n: int) -> np.ndarray:
+    return np.concatenate([x, np.repeat(x[-1:], n - len(x), axis=0)]) if len(x) < n else x
+
+
+def mask_unused(record: Record, unused: np.ndarray) -> Record:
+    """Return the record with further samples (N,) left out."""
+    return replace(record, used=record.used & ~unused)

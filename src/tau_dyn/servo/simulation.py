@@ -1,0 +1,91 @@
+"""Simulated logs of commands and positions: a model, a servo's law and a motion in, a `Log` without torque out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.log import Log
+from tau_dyn.model import Model
+from tau_dyn.servo.fit import JOINT_UNITS
+from tau_dyn.servo.prediction import predict_positions
+from tau_dyn.servo.records import InertialSpace, Record
+from tau_dyn.simulate import ServoLaw, Trajectory
+
+FINE_HZ = 500.0
+"""Rate at which the loop is simulated [Hz], at least: servos themselves run at 200 to 1000 Hz."""
+
+
+def simulate_loop_log(
+    model: Model,
+    law: ServoLaw,
+    motion: Trajectory,
+    *,
+    rate_hz: float = 50.0,
+    encoder_noise: float = 0.0,
+    encoder_resolution: float = 0.0,
+    seed: int = 0,
+    name: str = "simulated",
+) -> Log:
+    """Return a log with `cmd_J` and `q_J`, sampled at the rate at which the commands are sent.
+
+    Args:
+        model: The true robot; friction that is `symmetric` or `asymmetric` and drive inertias count.
+        law: The servo's law.
+        motion: Its positions are the commands.
+        rate_hz: Of commands and log [Hz].
+        encoder_noise: Standard deviation of positions [rad].
+        encoder_resolution: Step of the encoder [rad]; 0 for none.
+        seed: Of the noise.
+        name: The log's name.
+
+    Raises:
+        InputError: The motion is of other joints, or an effect cannot act here.
+    """
+    if motion.joints != model.robot.actuated:
+        raise InputError(
+            "mismatch", f"{motion.name} moves joints {', '.join(motion.joints)}, not those of {model.robot.source}"
+        )
+    commands = motion.resampled(rate_hz)
+    often = max(1, int(np.ceil(FINE_HZ / rate_hz)))
+    n = len(commands.t)
+    t = np.arange((n - 1) * often + 1) / (rate_hz * often)
+    held = np.repeat(commands.q, often, axis=0)[: len(t)]
+    on = np.ones(len(t))
+    record = Record(name, t, held, held, on, on, on.astype(bool), law.in_log(name))
+    q = predict_positions(InertialSpace.of(model), np.zeros(0), read_values(model, law), law, [record])[0][::often]
+    rng = np.random.default_rng(seed)
+    q = q + encoder_noise * rng.standard_normal(q.shape)
+    if encoder_resolution > 0:
+        q = encoder_resolution * np.round(q / encoder_resolution)
+    channels = {}
+    for j, joint in enumerate(motion.joints):
+        channels |= {f"cmd_{joint}": commands.q[:n, j], f"q_{joint}": q[:, j]}
+    return Log(t[::often], channels, name=name)
+
+
+def read_values(model: Model, law: ServoLaw) -> dict[str, np.ndarray]:
+    """Return what a loop needs of a model and a law, by kind (na,); friction of two directions becomes mean and offset.
+
+    Raises:
+        InputError: The model has an effect that a loop does not know.
+    """
+    odd = [
+        e.name for e in model.effects if e.name not in ("symmetric_friction", "asymmetric_friction", "torque_offset")
+    ]
+    if odd:
+        raise InputError("unsupported", f"effect {odd[0]} is not simulated in a servo's loop; the controller file has load_friction, "
+                         "stiction, dead_band, command_delay and supply_sag")  # fmt: skip
+    p = model.parameters
+
+    def get(joint: str, kind: str) -> float:
+        return p[f"{joint}.{kind}"].value if f"{joint}.{kind}" in p else 0.0
+
+    values = {key: np.array(value) for key, value in law.values.items()}
+    values |= {kind: np.array([get(j, kind) for j in law.joints]) for kind in JOINT_UNITS}
+    for kind in ("coulomb", "viscous"):
+        pos, neg = (np.array([get(j, f"{kind}_{way}") for j in law.joints]) for way in ("pos", "neg"))
+        values[kind] = values[kind] + (pos + neg) / 2
+        if kind == "coulomb":
+            values["offset"] = values["offset"] + (pos - neg) / 2
+    return values

@@ -1,0 +1,273 @@
+"""How a servo turns a command and its position into torque: the law that its firmware and its motor follow, and its file.
+
+    goal = profile(command(t - delay)),    e = goal - q, less the dead band
+    u = clip(position_gain e + integral_gain int e dt - derivative_gain v, +-limit)          [share of the supply]
+    x = u supply (1 - supply_sag |u|) - back_emf v,    tau = force_per_unit sign(x) |x|^drive_exponent
+    friction = coulomb + load_friction |tau| + stiction exp(-|v| / stiction_speed), and viscous v
+
+The output `u` is a share of the supply voltage, as a hobby servo's pulse width is. `force_per_unit` is then the stall torque at
+the nominal supply, and `back_emf` the inverse of the speed without load. With `back_emf: 0` it is a torque or current servo. Where
+x opposes u, the motor brakes with the share `braking` of this torque; a bridge that freewheels has none. A bridge with much
+inductance and a slow pulse gives a torque that grows less than its pulse width, with an exponent below one. A law file is a
+controller file (see `controllers`) whose first line is `law: servo`:
+
+    law: servo
+    position_gain: 2.65          # [1/rad], required
+    force_per_unit: 2.94         # [N m], required
+    back_emf: 0.2                # [s/rad]
+    command_delay: {estimate: 0.02}   # a start value, to be estimated
+    logs:                        # what differs in some logs, by a pattern of their names
+      "kp800_*": {position_gain: 4.6}
+    enabled: torque_enable       # the log's column that is zero where the motor is switched off
+    supply: {column: input_volts, nominal: 7.4}
+
+A number may also be a list in the order of the actuated joints, or a mapping from joint to number.
+Reference: Duclusaud, Passault & Rouxel 2025 (BAM, extended friction models of servos).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from math import isfinite
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.files import read_yaml
+from tau_dyn.robot import Robot
+
+
+class ServoEntry(NamedTuple):
+    """One number of a servo law: its unit, its value where the file says nothing, and what it is."""
+
+    unit: str
+    default: float
+    words: str
+
+
+SERVO_ENTRIES = {
+    "position_gain": ServoEntry("1/rad", np.nan, "share of the supply for a position error of one rad"),
+    "integral_gain": ServoEntry("1/(rad s)", 0.0, "how fast the position error is integrated"),
+    "derivative_gain": ServoEntry("s/rad", 0.0, "share of the supply that the measured speed takes off"),
+    "limit": ServoEntry("1", 1.0, "largest share of the supply"),
+    "force_per_unit": ServoEntry("N m", np.nan, "torque at standstill for the whole nominal supply"),
+    "back_emf": ServoEntry("s/rad", 0.0, "share of the supply that the motor's own voltage takes off"),
+    "supply_sag": ServoEntry("1", 0.0, "share of the supply lost at full output"),
+    "drive_exponent": ServoEntry("1", 1.0, "power with which torque grows with the voltage"),
+    "braking": ServoEntry("1", 1.0, "share of the torque while the motor's own voltage exceeds the output"),
+    "dead_band": ServoEntry("rad", 0.0, "position error without answer"),
+    "command_step": ServoEntry("rad", 0.0, "step to which commands are rounded"),
+    "command_delay": ServoEntry("s", 0.0, "time from a command to the answer"),
+    "speed_limit": ServoEntry("rad/s", np.inf, "largest speed of the goal profile"),
+    "acceleration_limit": ServoEntry("rad/s^2", np.inf, "largest acceleration of the goal profile"),
+    "load_friction": ServoEntry("1", 0.0, "friction for a motor torque of one"),
+    "stiction": ServoEntry("N m", 0.0, "friction at rest beyond that of motion"),
+    "stiction_speed": ServoEntry("rad/s", 0.05, "speed at which the friction of rest has fallen to a third"),
+}
+"""The numbers of a servo law, each one a joint."""
+
+REQUIRED = ("position_gain", "force_per_unit")
+_OTHER_KEYS = ("law", "logs", "enabled", "supply")
+_MAY_BE_INFINITE = ("limit", "speed_limit", "acceleration_limit")
+
+
+@dataclass(frozen=True, eq=False)
+class ServoLaw:
+    """A servo's law for the joints of a robot.
+
+    Attributes:
+        joints: Actuated joints.
+        values: One number a joint (na,) for each of `SERVO_ENTRIES`.
+        estimated: Entries that are to be estimated, their values being a start.
+        by_log: Pattern of a log's name -> entries (na,) that differ there.
+        enabled: Column of a log that is zero where the motor is switched off; empty for always on.
+        supply: Column of a log with the supply voltage; empty for the nominal one.
+        nominal_supply: The voltage that `force_per_unit` holds for [V].
+        given: Whether somebody gave it; a law that is estimated from nothing knows no torque.
+    """
+
+    joints: tuple[str, ...]
+    values: Mapping[str, np.ndarray]
+    estimated: frozenset[str] = frozenset()
+    by_log: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
+    enabled: str = ""
+    supply: str = ""
+    nominal_supply: float = 1.0
+    given: bool = True
+
+    @classmethod
+    def of(cls, joints: tuple[str, ...], *, given: bool = True, **entries: float | np.ndarray) -> ServoLaw:
+        """Build a law for joints; a single number holds for all of them, what is not named has its default."""
+        for key in entries:
+            if key not in SERVO_ENTRIES:
+                raise UnknownName("servo entry", key, SERVO_ENTRIES)
+        full = {key: entries.get(key, row.default) for key, row in SERVO_ENTRIES.items()}
+        return cls(
+            joints, {key: np.broadcast_to(np.asarray(x, float), len(joints)) for key, x in full.items()}, given=given
+        )
+
+    def with_values(self, **entries: np.ndarray) -> ServoLaw:
+        """Return the law with some entries (na,) replaced."""
+        return replace(self, values={**self.values, **entries})
+
+    def in_log(self, name: str) -> Mapping[str, np.ndarray]:
+        """Return the entries that hold in a log; the last pattern that its name fits counts."""
+        found = dict(self.values)
+        for pattern, entries in self.by_log.items():
+            if fnmatchcase(Path(name).name, pattern):
+                found |= entries
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the law as its file holds it; entries at their default are left out."""
+
+        def plain(entries: Mapping[str, np.ndarray]) -> dict[str, Any]:
+            out: dict[str, Any] = {}
+            for key, values in entries.items():
+                if not np.all(values == SERVO_ENTRIES[key].default):
+                    rows = {j: float(x) for j, x in zip(self.joints, values, strict=True)}
+                    out[key] = next(iter(rows.values())) if len(set(rows.values())) == 1 else rows
+            return out
+
+        content: dict[str, Any] = {"law": "servo", **plain(self.values)}
+        if self.by_log:
+            content["logs"] = {pattern: plain(entries) for pattern, entries in self.by_log.items()}
+        if self.enabled:
+            content["enabled"] = self.enabled
+        if self.supply:
+            content["supply"] = {"column": self.supply, "nominal": self.nominal_supply}
+        return content
+
+
+def is_servo_law(path: str | Path) -> bool:
+    """Tell whether a controller file holds a servo's law rather than a cascade."""
+    content = read_yaml(path)
+    return isinstance(content, dict) and content.get("law") == "servo"
+
+
+def read_servo_law(path: str | Path, robot: Robot) -> ServoLaw:
+    """Return the servo's law that a file describes, for a robot's actuated joints.
+
+    Raises:
+        InputError: The file is missing or no such file; an entry is unknown, missing, or not a number that can be.
+    """
+    return build_servo_law(read_yaml(path), robot, str(path))
+
+
+def build_servo_law(content: object, robot: Robot, where: str) -> ServoLaw:
+    """Return the law that a file's content describes; see `read_servo_law`."""
+    if not isinstance(content, dict) or content.get("law") != "servo":
+        raise InputError(
+            "file_format", f"{where}: a servo's law begins with 'law: servo' and holds {', '.join(REQUIRED)}"
+        )
+    for key in content:
+        if key not in SERVO_ENTRIES and key not in _OTHER_KEYS:
+            raise UnknownName("servo entry", str(key), [*SERVO_ENTRIES, *_OTHER_KEYS], where)
+    given, estimated = _split_estimated({k: v for k, v in content.items() if k in SERVO_ENTRIES}, where)
+    for key in REQUIRED:
+        if key not in given:
+            raise InputError(
+                "file_format",
+                f"{where}: '{key}' is missing; give its value, or '{key}: {{estimate: START}}' where it is not known",
+            )
+    values = {key: np.full(robot.na, row.default) for key, row in SERVO_ENTRIES.items()}
+    values |= {key: _read_numbers(key, value, robot.actuated, where) for key, value in given.items()}
+    column, nominal = _read_supply(content.get("supply"), where)
+    enabled = content.get("enabled", "")
+    if not isinstance(enabled, str):
+        raise InputError("file_format", f"{where}: enabled must be the name of a column, not {enabled!r}")
+    return ServoLaw(
+        robot.actuated,
+        values,
+        estimated,
+        _read_by_log(content.get("logs"), robot.actuated, where),
+        enabled,
+        column,
+        nominal,
+    )
+
+
+def _split_estimated(content: Mapping[str, Any], where: str) -> tuple[dict[str, Any], frozenset[str]]:
+    """Return the entries' values, and the names of those that are a start only."""
+    plain, estimated = {}, set()
+    for key, value in content.items():
+        if isinstance(value, Mapping) and "estimate" in value:
+            if set(value) != {"estimate"}:
+                raise InputError("file_format", f"{where}: {key}: write {{estimate: START}} and nothing beside it")
+            estimated.add(key)
+            plain[key] = value["estimate"]
+        else:
+            plain[key] = value
+    return plain, frozenset(estimated)
+
+
+def _read_by_log(content: object, joints: tuple[str, ...], where: str) -> dict[str, dict[str, np.ndarray]]:
+    if content is None:
+        return {}
+    if not isinstance(content, dict) or not all(isinstance(row, dict) for row in content.values()):
+        raise InputError("file_format", f"{where}: logs must map a pattern of log names to entries that differ there")
+    found = {}
+    for pattern, row in content.items():
+        for key in row:
+            if key not in SERVO_ENTRIES:
+                raise UnknownName("servo entry", str(key), SERVO_ENTRIES, f"{where}: logs: {pattern}")
+        found[str(pattern)] = {key: _read_numbers(key, value, joints, where) for key, value in row.items()}
+    return found
+
+
+def _read_supply(content: object, where: str) -> tuple[str, float]:
+    if content is None:
+        return "", 1.0
+    nominal = content.get("nominal") if isinstance(content, dict) else None
+    if (
+        not isinstance(content, dict)
+        or set(content) != {"column", "nominal"}
+        or not _is_number(nominal)
+        or not nominal > 0
+    ):
+        raise InputError("file_format", f"{where}: write supply: {{column: NAME, nominal: VOLTS}}")
+    return str(content["column"]), float(nominal)
+
+
+def _read_numbers(key: str, value: object, joints: tuple[str, ...], where: str) -> np.ndarray:
+    """Return one number a joint (na,)."""
+    if isinstance(value, Mapping):
+        for joint in value:
+            if joint not in joints:
+                raise UnknownName("actuated joint", str(joint), joints, f"{where}: {key}")
+        default = SERVO_ENTRIES[key].default
+        row = [value.get(joint, default) for joint in joints]
+        if missing := [j for j, x in zip(joints, row, strict=True) if isinstance(x, float) and np.isnan(x)]:
+            raise InputError("file_format", f"{where}: {key} has no number for joint {missing[0]}")
+    elif isinstance(value, list):
+        if len(value) != len(joints):
+            raise InputError(
+                "wrong_shape",
+                f"{where}: {key} has {len(value)} number(s) for {len(joints)} joint(s); give one, or one a joint in the "
+                f"order {', '.join(joints)}",
+            )
+        row = value
+    else:
+        row = [value] * len(joints)
+    for x in row:
+        least = (
+            "above zero"
+            if key in (*REQUIRED, *_MAY_BE_INFINITE, "stiction_speed", "drive_exponent")
+            else "zero or more"
+        )
+        fits = (
+            _is_number(x)
+            and (x > 0 if least == "above zero" else x >= 0 or key == "command_delay")
+            and (isfinite(x) or key in _MAY_BE_INFINITE)
+        )
+        if not fits:
+            raise InputError("file_format", f"{where}: {key} must be a number {least}, not {str(x)[:60]!r}")
+    return np.array(row, dtype=float)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
