@@ -64,6 +64,9 @@ CAMPAIGNS: dict[str, Campaign] = {
     ),
     "modes": Campaign("accuracy of resonances", "modes_accuracy.py --runs 100 --seed 7", resumes=False),
     "fuzz": Campaign("bad and hostile input", "fuzz.py --minutes 60 --seed 0 --out {out}"),
+    "exports": Campaign(
+        "exported files in other programs", "exports.py --seed 0 --out {out}/exports.csv", resumes=False
+    ),
     "faults": Campaign("kills, full disks, lost workers", "faults.py --runs 100 --seed 0", resumes=False),
     "mutation": Campaign("would the tests notice", "mutation.py --sample 120 --seed 0 --jobs {jobs} --out {out}"),
 }
