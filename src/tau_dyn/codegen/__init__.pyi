@@ -19,19 +19,24 @@ from .fmu_writer import (
     format_identifier as format_identifier,
     write_fmu_source as write_fmu_source,
 )
-from .forms import draw_random_states as draw_random_states
+from .forms import draw_random_states as draw_random_states, find_loops as find_loops
 from .graph import Graph as Graph, Node as Node, evaluate_graph as evaluate_graph
 from .kinematics import KinematicsProgram as KinematicsProgram, build_kinematics as build_kinematics
 from .kinematics_c import write_kinematics_source as write_kinematics_source
-from .mujoco_callback import write_mujoco_callback as write_mujoco_callback
+from .loops import Loops as Loops
 from .plant_c import write_plant_source as write_plant_source
 from .plant_equations import (
     Equations as Equations,
     build_equations as build_equations,
     list_unsupported_effects as list_unsupported_effects,
+    trace_effect_bounds as trace_effect_bounds,
 )
 from .program import ARGUMENTS as ARGUMENTS, Program as Program, build_program as build_program
-from .python_writer import write_python_source as write_python_source
+from .python_writer import (
+    join_names as join_names,
+    write_python_source as write_python_source,
+    yield_assignments as yield_assignments,
+)
 from .tracing import (
     ExpressionArray as ExpressionArray,
     TracedFunction as TracedFunction,

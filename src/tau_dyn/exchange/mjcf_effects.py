@@ -22,7 +22,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from tau_dyn.codegen import list_unsupported_effects, write_mujoco_callback
+from tau_dyn.codegen import list_unsupported_effects
 from tau_dyn.effects import (
     Armature,
     AsymmetricFriction,
@@ -38,6 +38,7 @@ from tau_dyn.effects import (
 )
 from tau_dyn.exceptions import InputError
 from tau_dyn.exchange.content import build_carried_model, list_means
+from tau_dyn.exchange.mujoco_callback import write_mujoco_callback
 from tau_dyn.mechanism import compute_perpendicular_axes
 from tau_dyn.model import Model
 

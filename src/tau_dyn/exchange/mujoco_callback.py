@@ -12,11 +12,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.codegen.forms import draw_random_states, find_loops
-from tau_dyn.codegen.loops import Loops
-from tau_dyn.codegen.plant_equations import trace_effect_bounds
-from tau_dyn.codegen.python_writer import join_names, yield_assignments
-from tau_dyn.codegen.tracing import TracedFunction
+from tau_dyn.codegen import (
+    Loops,
+    TracedFunction,
+    draw_random_states,
+    find_loops,
+    join_names,
+    trace_effect_bounds,
+    yield_assignments,
+)
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.simulate import SampledForces
