@@ -89,7 +89,8 @@ def main(robots: list[str], seconds: float, causes: bool) -> None:
             compare(f"{key}, rigid", Model.of(robot), build_fourier_motion(Model.of(robot), seconds))
             compare(f"{key}, friction", build_model(robot), build_fourier_motion(build_model(robot), seconds))
             continue
-        compiled_plant.MIN_SAMPLES_PER_DRIVE = compiled_plant.MIN_SAMPLES_PER_PASSIVE_JOINT = 0
+        for name in ("MIN_SAMPLES", "MIN_SAMPLES_PER_DRIVE", "MIN_SAMPLES_PER_PASSIVE_JOINT"):
+            setattr(compiled_plant, name, 0)
         far = 0.02 * np.resize([1.0, -0.7, 0.4], robot.na)
         turns = [robot.home, robot.home + far, robot.home - far, robot.home]
         ways = [move(robot.actuated, a, b, 0.4) for a, b in zip(turns[:-1], turns[1:], strict=True)]

@@ -62,8 +62,9 @@ def test_a_log_without_the_gripper_holds_it_still(arm, tmp_path, capsys):
     quiet = ["--quiet", "--force-noise", "0.01", "--encoder-noise", "1e-5", "--duration", "12"]
     assert main(["simulate", str(arm), "--actuated", "shoulder", "elbow", "--out", str(log), *quiet]) == 0
     capsys.readouterr()
-    assert main(["identify", str(arm), str(log), "--json", str(result), "--quiet"]) == 0
-    assert "held still at zero" in capsys.readouterr().err
+    for words in (["check", str(log), str(arm)], ["identify", str(arm), str(log)]):
+        assert main([*words, "--json", str(result), "--quiet"]) == 0
+        assert "held still at zero" in capsys.readouterr().err
     found = json.loads(result.read_text())
     assert list(found["train"]["per_joint"]) == ["shoulder", "elbow"]
     assert found["train"]["relative_error_percent"] < 1.0

@@ -76,7 +76,7 @@ def there_and_back(model: Model, length: float, seconds: float = 0.35) -> Trajec
 
 def both(monkeypatch, run):
     """Return what a run gives as compiled code and in Python; short runs are compiled too."""
-    for name in ("MIN_SAMPLES_PER_DRIVE", "MIN_SAMPLES_PER_PASSIVE_JOINT"):
+    for name in ("MIN_SAMPLES", "MIN_SAMPLES_PER_DRIVE", "MIN_SAMPLES_PER_PASSIVE_JOINT"):
         monkeypatch.setattr(compiled_plant, name, 0)
     steps, step = [], Plant.step
     monkeypatch.setattr(Plant, "step", lambda self, tau: steps.append(1) or step(self, tau))
@@ -164,7 +164,7 @@ def test_parameters_are_given_when_it_runs(gantry):
 
 def test_the_tool_is_where_the_mechanism_says(gantry):
     """Tool positions of a compiled run, and of one that came from another process, are the mechanism's to 1e-9 m."""
-    path = there_and_back(gantry, 0.1, 0.5).resampled(1000.0)
+    path = there_and_back(gantry, 0.1, 0.9).resampled(1000.0)
     run = run_plant(gantry, path, CascadeController(CascadeLaw.for_model(gantry), start=gantry))
     assert run.compute_tool is not None
     carried = pickle.loads(pickle.dumps(run))
@@ -202,7 +202,7 @@ def test_what_cannot_be_compiled_runs_in_python(make, monkeypatch):
 def test_a_robot_that_runs_away_is_refused_as_in_python(gantry):
     """Gains far too high end in the sentence of the simulator, and not in numbers that are none."""
     law = CascadeLaw.of(400.0, 4e5, na=3)
-    path = there_and_back(gantry, 0.1, 0.8).resampled(1000.0)
+    path = there_and_back(gantry, 0.1, 0.9).resampled(1000.0)
     with raises_code("unstable", "ran away"):
         run_plant(gantry, path, CascadeController(law, start=gantry))
 

@@ -36,8 +36,11 @@ def check(
 
         machine = robot_options.load(robot) if robot else None
         read = read_log(log, columns)
+        said: list[str] = []
         if machine is not None and robot is not None:
+            known = set(machine.warnings)
             machine = robot_options.hold_silent_joints(machine, robot, [read])
+            said = [sentence for sentence in machine.warnings if sentence not in known]
         checked = check_log(read, machine)
         if machine is not None:
             from tau_dyn.identify import check_against_robot
@@ -47,7 +50,7 @@ def check(
 
     return Outcome(
         result=checked.to_dict(),
-        warnings=[*read.warnings, *(w for w in checked.warnings if get_code(w) != UNCODED)],
+        warnings=[*read.warnings, *said, *(w for w in checked.warnings if get_code(w) != UNCODED)],
         inputs=[(log, read.sha256), columns, *(robot_options.list_files(robot) if robot else [])],
         found=checked,
         context={"log": read, "robot": machine},

@@ -46,9 +46,10 @@ from tau_dyn.simulate.controllers import Servo
 from tau_dyn.simulate.forces import EffectSurroundings, SampledForces
 from tau_dyn.simulate.sensors import EncoderErrors
 
-MIN_SAMPLES_PER_DRIVE, MIN_SAMPLES_PER_PASSIVE_JOINT = 300, 150
-"""Shorter runs are over before a library is built. What is kept from earlier runs makes no difference: the same call takes the
-same path each time, since the paths differ by rounding."""
+MIN_SAMPLES, MIN_SAMPLES_PER_DRIVE, MIN_SAMPLES_PER_PASSIVE_JOINT = 1000, 500, 150
+"""Shorter runs are over before a library is built (`experiments/benchmarks/compiled_plant.py`, friction: 1700 samples of EMPS,
+2000 of L1, 4400 of a UR5, 5400 of a complete Gantry-Tau). What is kept from earlier runs makes no difference: the same call takes
+the same path each time, since the paths differ by rounding."""
 AGREEMENT = 1e-9
 """How far equations and simulator may differ at random states, relative to the largest value."""
 
@@ -143,7 +144,7 @@ class CompiledPlant:
         """
         robot = model.robot
         passive = robot.model.nv - robot.na if robot.loops and model.mechanism.equations == "tree" else 0
-        if n_samples < MIN_SAMPLES_PER_DRIVE * robot.na + MIN_SAMPLES_PER_PASSIVE_JOINT * passive:
+        if n_samples < MIN_SAMPLES + MIN_SAMPLES_PER_DRIVE * robot.na + MIN_SAMPLES_PER_PASSIVE_JOINT * passive:
             return None
         if not is_compiling_allowed() or find_compiler() is None:
             return None
