@@ -1,6 +1,7 @@
 """Iterative learning on the 10 mm square: chapter 7 of Dressler 2012 on a simulated flexible L1.
 
     python experiments/ilc_square.py [--seed 72] [--runs 2] [--iterations 10] [--figures docs/figures]
+    python experiments/ilc_square.py --rates 5        # case 1 on carts with friction: predicted and measured rates alone
 
 Cases 1 (actuator positions), 2A (complementary filter), 2B (Kalman filter), 3 (tool measured) and a norm-optimal law. All models
 are identified on the simulated robot first; stability is judged before anything moves. Printed beside the thesis: singular values
@@ -15,6 +16,7 @@ import numpy as np
 from ilc_parts import figures
 from ilc_parts.bench import AXES, DT, models, motion, plant, printed_actuators
 from ilc_parts.laws import laws, motor_law
+from ilc_parts.rates import print_rates
 
 from tau_dyn.control.iterative import (
     LearningHistory,
@@ -113,7 +115,9 @@ def refused(seed: int) -> None:
             print(f"refused: {name}: {why}")
 
 
-def main(seed: int, runs: int, iterations: int, out: Path | None) -> None:
+def main(seed: int, runs: int, iterations: int, out: Path | None, rates: int) -> None:
+    if rates:
+        return print_rates(rates)
     learnt, known = study(seed, runs, iterations)
     table(learnt)
     repeatability(seed)
@@ -129,5 +133,6 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=72)
     parser.add_argument("--runs", type=int, default=2)
     parser.add_argument("--iterations", type=int, default=10)
+    parser.add_argument("--rates", type=int, default=0, metavar="SEEDS")
     parser.add_argument("--figures", type=Path, dest="out")
     main(**vars(parser.parse_args()))
