@@ -78,7 +78,8 @@ def test_a_log_without_the_gripper_holds_it_still(arm, tmp_path, capsys):
 def test_the_demo_holds_the_gripper_and_loads_the_arm(arm):
     """Only the arm's joints have friction; the payload is on the last link that they carry, and weighs what it says."""
     robot, call = load_arm(str(arm), RobotOptions())
-    assert robot.actuated == ("shoulder", "elbow") and call == str(arm)
+    assert robot.actuated == ("shoulder", "elbow") and robot.tool == "lower_link"
+    assert call == f"{arm} --tool lower_link"
     made = make_arm(robot, call, seed=0)
     values = {p.name: p.value for p in made.truth.parameters}
     heavier = values["lower_link.mass"] - robot.parameters["lower_link.mass"].value

@@ -124,6 +124,7 @@ def test_meshes_of_mjcf_stand_where_mujoco_draws_them(tmp_path):
     (visual,), missing = read_visuals(robot)
     assert not missing and visual.colour is not None
     assert_allclose(visual.colour, [1, 0, 0, 1])
+    assert visual.colour.flags.owndata  # Pinocchio's geometry, which held it, is gone
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, np.array([0.7]))
     ours = np.array([(data.oMi[visual.joint] * visual.placement).act(x) for x in visual.shape.vertices])

@@ -184,6 +184,10 @@ def load_arm(robot: str, options: RobotOptions) -> tuple[Robot, str]:
     if not carrying:
         missing = f"no joint carries {arm.tool}" if arm.tool else "several arms begin at its base"
         raise InputError("bad_option", f"{robot}: {missing}; name the last link of an arm with --tool")
+    if not arm.tool:  # the payload hangs on what is named so
+        last = next(link for link in reversed(arm.links) if arm.model.names[link.joint_id] in carrying)
+        options = replace(options, tool=last.link)
+        arm = options.load(robot)
     said = [str(robot), *(f"--set {text}" for text in options.set), *(f"--package {text}" for text in options.package)]
     said += [f"--tool {options.tool}"] if options.tool else []
     if options.actuated:
