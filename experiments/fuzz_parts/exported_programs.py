@@ -36,7 +36,7 @@ from tau_dyn.modes import StateSpace
 from tau_dyn.robot import Robot
 
 N_TRIAL, DT = 20, 0.004  # samples and step [s] of a trial of the learning filters
-FAR = 4.0  # m or rad from home where a joint has no range
+MAX_DISTANCE = 4.0  # m or rad from home where a joint has no range
 FILTERS = ("causal", "kalman", "trial", "update", "q", "l")
 
 
@@ -49,8 +49,8 @@ def build_model(robot: Robot, *causes: str) -> Model:
 
 def _take_positions(robot: Robot) -> Inputs:
     """Return positions: near home, or anywhere in the ranges and a tenth beyond them."""
-    low = np.where(np.isfinite(robot.lower), robot.lower, robot.home - FAR)
-    high = np.where(np.isfinite(robot.upper), robot.upper, robot.home + FAR)
+    low = np.where(np.isfinite(robot.lower), robot.lower, robot.home - MAX_DISTANCE)
+    high = np.where(np.isfinite(robot.upper), robot.upper, robot.home + MAX_DISTANCE)
     return Inputs(robot.home, 0.05, low - 0.1 * (high - low), high + 0.1 * (high - low))
 
 
