@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import shutil
 import subprocess
@@ -12,7 +13,8 @@ import pytest
 
 from tau_dyn.cli import main
 from tau_dyn.control import read_reference
-from tau_dyn.robot import list_robot_names, list_stock_robots, load_robot
+from tau_dyn.robot import Robot, list_robot_names, list_stock_robots, load_robot
+from tau_dyn.simulate import Trajectory
 
 pytest.importorskip("casadi")
 MOVES = {
@@ -48,5 +50,32 @@ def test_each_command_takes_what_the_last_one_wrote(name, tmp_path, monkeypatch)
     # the shortest time leaves a drive at its limit nothing for the feedback
     assert np.abs(q - asked).max() < 0.1 * np.ptp(reference.q, axis=0).max()
     if shutil.which("cc"):
-        for source in ("kin.c", "ff.c"):
-            subprocess.run(["cc", "-std=c99", "-Wall", "-Werror", "-c", source, "-o", "x.o"], check=True)
+        subprocess.run(["cc", "-std=c99", "-Wall", "-Werror", "-c", "kin.c", "-o", "x.o"], check=True)
+        shared = [
+            "cc",
+            "-std=c99",
+            "-Wall",
+            "-Werror",
+            "-shared",
+            "-fPIC",
+            "-o",
+            str(tmp_path / "ff.so"),
+            "ff.c",
+            "-lm",
+        ]
+        subprocess.run(shared, check=True)
+        replay(
+            ctypes.CDLL(str(tmp_path / "ff.so")), "tau_ff_start" in (tmp_path / "ff.h").read_text(), reference, robot
+        )
+
+
+def replay(code: ctypes.CDLL, follows: bool, reference: Trajectory, robot: Robot) -> None:
+    """Ask the feedforward in C for the forces of a reference: no sample of it has an error status."""
+    start, tau = np.zeros(200), np.zeros(robot.na)
+    at = [x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for x in (start, tau)]
+    if follows:
+        code.tau_ff_start(at[0])
+    for row in zip(reference.q, reference.v, reference.a, strict=True):
+        state = [np.ascontiguousarray(x).ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for x in row]
+        assert code.tau_ff(*at[: int(follows)], *state, at[1]) == 0
+        assert np.all(np.abs(tau) <= robot.effort_limit)

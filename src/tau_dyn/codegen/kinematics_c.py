@@ -42,7 +42,7 @@ from tau_dyn.version import __version__
 
 ROUNDS, ON_THE_WAY, LEGS, LEG = 40, 3, 60, 0.1
 """Most iterations at the goal, on the way, most pieces of the way, and how long one may be [m or 2 rad]."""
-NEAR = 0.1  # of a piece: how far Newton's method may still be off before its last iteration there, where legs can turn over
+MAX_MISS_SHARE = 0.1  # of a piece: how far its last iteration may still be off, where legs can turn over
 
 
 def write_kinematics_source(program: KinematicsProgram, name: str = "robot") -> tuple[str, str]:
@@ -189,7 +189,7 @@ def _yield_inverse(program: KinematicsProgram, name: str, side: int) -> Iterator
     sides = "\n".join(f"    side[{k}] = {_format_determinant(*group)};" for k, group in enumerate(groups))
     yield fill_template(
         "inverse_search", flags, NAME=name, POSE=6 if whole else 3, COST=list_numbers(_compute_cost(program)),
-        GROUPS=len(groups), SIDES=sides, NEAR=NEAR,
+        GROUPS=len(groups), SIDES=sides, NEAR=MAX_MISS_SHARE,
         ROUNDS=ROUNDS, ON_THE_WAY=ON_THE_WAY, LEGS=LEGS, LEG=repr(LEG),
     )  # fmt: skip
 
