@@ -126,17 +126,17 @@ def identify_loop(
         CannotAnswer: The logs hold no motion.
     """
     train, held, doubled = drop_repeated_logs(get_log_list(logs), get_log_list(holdout))
-    train, held = _require_in_memory(train), _require_in_memory(held)
+    train, held = require_in_memory(train), require_in_memory(held)
     friction = model if isinstance(model, str) else ""
-    law, asked = law or _guess_law(robot), choices or Choices()
-    started = _build_start(robot, friction)
-    own, theirs = _split_choices(asked, robot)
+    law, asked = law or guess_law(robot), choices or Choices()
+    started = build_start(robot, friction)
+    own, theirs = split_choices(asked, robot)
     started = theirs.apply(started)
     progress("loads")
     records = build_records(started, law, [*train, *held], exclude)
     contacts, records = find_contacts(started, records)
     kept, others = records[: len(train)], records[len(train) :]
-    _refuse_stillness(kept)
+    refuse_stillness(kept)
     data = prepare_loop(started, law, kept, own, friction, progress)
     warnings: list[str] = [
         *doubled,
@@ -255,7 +255,7 @@ def _match(pattern: str, joints: tuple[str, ...]) -> list[tuple[str, int]]:
     ]
 
 
-def _split_choices(choices: Choices, robot: Robot) -> tuple[Choices, Choices]:
+def split_choices(choices: Choices, robot: Robot) -> tuple[Choices, Choices]:
     """Return what was said of servo entries, and of everything else."""
 
     def is_own(text: str) -> bool:
@@ -268,19 +268,19 @@ def _split_choices(choices: Choices, robot: Robot) -> tuple[Choices, Choices]:
     return own, theirs
 
 
-def _build_start(robot: Robot, friction: str) -> Model:
+def build_start(robot: Robot, friction: str) -> Model:
     return Model.of(
         robot, build_friction_model("rigid" if friction == "rigid" else "symmetric", robot.actuated, robot.force_units)
     )
 
 
-def _guess_law(robot: Robot) -> ServoLaw:
+def guess_law(robot: Robot) -> ServoLaw:
     """Return a law of which nothing is known but that torque grows with the position error."""
     law = ServoLaw.of(robot.actuated, given=False, position_gain=5.0, force_per_unit=1.0, limit=np.inf)
     return replace(law, estimated=frozenset({"position_gain"}))
 
 
-def _require_in_memory(logs: Sequence[Log | Recording]) -> list[Log]:
+def require_in_memory(logs: Sequence[Log | Recording]) -> list[Log]:
     for log in logs:
         if not isinstance(log, Log):
             raise InputError(
@@ -289,7 +289,7 @@ def _require_in_memory(logs: Sequence[Log | Recording]) -> list[Log]:
     return [log for log in logs if isinstance(log, Log)]
 
 
-def _refuse_stillness(records: Sequence[Record]) -> None:
+def refuse_stillness(records: Sequence[Record]) -> None:
     """Refuse logs that are too short or in which nothing moves."""
     seconds = sum(float(r.used.sum()) * r.dt for r in records)
     if seconds < MIN_SECONDS:
@@ -328,7 +328,7 @@ def _build_result(
     bodies, base = _list_body_rows(data, fit, theta, more["seed"])
     law = data.law.with_values(**{key: values[key] for key in SERVO_ENTRIES})
     law = replace(law, estimated=frozenset())
-    identified = _fill_model(data, values, theta, rows, bodies)
+    identified = fill_model(data, values, theta, rows, bodies)
     identified = replace(identified, provenance=_list_provenance(logs, held, more["seed"]), controller=law.to_dict())
     scale = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
     loose = np.diag(fit.covariance) > 0
@@ -413,7 +413,7 @@ def _list_body_rows(
     return rows, tuple(combos)
 
 
-def _fill_model(
+def fill_model(
     data: LoopData,
     values: Mapping[str, np.ndarray],
     theta: np.ndarray,
