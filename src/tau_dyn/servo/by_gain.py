@@ -16,7 +16,6 @@ import numpy as np
 
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.servo.fit import LoopFit, LoopProblem, Unknowns, build_unknowns, fit_loop
-from tau_dyn.servo.records import build_waves
 
 if TYPE_CHECKING:
     from tau_dyn.servo.identification import LoopData
@@ -113,4 +112,4 @@ def read_kind(u: Unknowns, fit: LoopFit, kind: str) -> tuple[np.ndarray, np.ndar
 
 def _build_problem(data: LoopData, u: Unknowns, chosen: Sequence[int]) -> LoopProblem:
     records, loads = [data.records[k] for k in chosen], [data.loads[k] for k in chosen]
-    return LoopProblem(u, build_waves(data.space, records, loads, [r.motion[0] for r in records], data.law), records)
+    return replace(data, records=records, loads=loads, unknowns=u).build_problem()

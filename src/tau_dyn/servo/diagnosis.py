@@ -75,7 +75,7 @@ MIN_SHARE = 0.03
 TWIN_SHARE = 0.95
 """Share of what the best cause takes off from which another one is indistinguishable from it here."""
 MAX_ROUNDS = 4
-_ITERATIONS = 8
+_ITERATIONS, _TRY_ITERATIONS = 8, 5
 _FIRST = {"command_delay": 0.01, "stiction": 3e-3, "dead_band": 0.006, "load_friction": 0.15, "supply_sag": 0.15,
           "drive_exponent": -0.1}  # fmt: skip
 """First values of causes off their null, stiction as a share of the loop's stiffness."""
@@ -308,7 +308,7 @@ def _search(data: LoopData, base: LoopFit, progress: Callable[[str], None]):  # 
         if not chosen:
             break
         u = _free(data, u, fit, chosen)
-        fit = fit_loop(data.build_problem(u), progress, _ITERATIONS)
+        fit = fit_loop(data.build_problem(u), progress, _ITERATIONS, fit.step)
     return u, fit, taken, untestable
 
 
@@ -319,7 +319,7 @@ def _try(data: LoopData, u: Unknowns, fit: LoopFit, cause: str) -> _Tried | None
     if there.all():
         return None
     wide = _free(data, u, fit, [(cause, j) for j in np.flatnonzero(~there)])
-    found = fit_loop(data.build_problem(wide), max_iterations=_ITERATIONS)
+    found = fit_loop(data.build_problem(wide), max_iterations=_TRY_ITERATIONS, step=fit.step)
     value, sigma = read_kind(wide, found, entry)
     away = np.abs(value - data.law.values[entry])
     score = np.divide(away, sigma, out=np.zeros(na), where=(sigma > 0) & ~there)
@@ -355,8 +355,7 @@ def _free(data: LoopData, u, fit: LoopFit, chosen: Sequence[tuple[str, int]]):  
 
 def _predict_linear(data: LoopData, u, x: np.ndarray, step: float, records, loads):  # noqa: ANN001, ANN202
     """Return residuals (N, na, S) and blocks (N, S) of records at a solution, loads along the measured motion."""
-    waves = build_waves(data.space, records, loads, [r.motion[0] for r in records], data.law)
-    problem = LoopProblem(u, waves, records).with_step(step)
+    problem = LoopProblem(u, build_waves(data.space, records, loads, data.law), records).with_step(step)
     return problem.residuals(x[:, None])[:, :, 0], problem.blocks, problem.used
 
 

@@ -358,10 +358,19 @@ def count_worth(residual: np.ndarray, used: np.ndarray) -> float:
 
 
 def fit_loop(
-    problem: LoopProblem, progress: Callable[[str], None] = lambda step: None, max_iterations: int = MAX_ITERATIONS
+    problem: LoopProblem,
+    progress: Callable[[str], None] = lambda step: None,
+    max_iterations: int = MAX_ITERATIONS,
+    step: float = 0.0,
 ) -> LoopFit:
-    """Search the unknowns that simulate the logs best, from their start values; with a finer step where the residual is small."""
-    found = _search(problem, problem.unknowns.pack(), progress, max_iterations)
+    """Search the unknowns that simulate the logs best, from their start values.
+
+    The longest step is a given one [s], or, for 0, chosen: a finer one follows where the residual is small.
+    """
+    start = problem.unknowns.pack()
+    if step > 0:
+        return _search(problem.with_step(step), start, progress, max_iterations)
+    found = _search(problem, start, progress, max_iterations)
     if not problem.unknowns.n or float(np.median(found.sigma)) > COARSE_IS_ENOUGH * STEP_EFFECT_RAD:
         return found
     return _search(problem.with_step(FINE_STEP_S), found.x, progress, _FINE_ITERATIONS)

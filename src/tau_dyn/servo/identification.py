@@ -46,6 +46,7 @@ from tau_dyn.servo.records import (
     build_waves,
     compute_load_waves,
     mask_unused,
+    split_pieces,
 )
 from tau_dyn.servo.result import LoopIdentification, LoopParameter, PositionErrors, build_position_errors
 from tau_dyn.servo.doubts import list_loop_warnings
@@ -92,8 +93,15 @@ class LoopData:
     def build_problem(self, unknowns: Unknowns | None = None, records: Sequence[Record] | None = None) -> LoopProblem:
         """Return the fit's problem, with other unknowns or other masks where they are given."""
         records = records or self.records
-        waves = build_waves(self.space, records, self.loads, [r.motion[0] for r in records], self.law)
-        return LoopProblem(unknowns or self.unknowns, waves, records)
+        return build_problem(self.space, self.law, unknowns or self.unknowns, records, self.loads)
+
+
+def build_problem(
+    space: InertialSpace, law: ServoLaw, unknowns: Unknowns, records: Sequence[Record], loads: Sequence[LoadWaves]
+) -> LoopProblem:
+    """Return a fit's problem, the logs in pieces, loads along the measured motions."""
+    pieces, waves = split_pieces(records, loads)
+    return LoopProblem(unknowns, build_waves(space, pieces, waves, law), pieces)
 
 
 def identify_loop(
