@@ -22,7 +22,7 @@ ASKED = ServoLaw.of(ARM.actuated, position_gain=2.65, force_per_unit=2.9, back_e
 def found():
     """Return an identification of one joint, and the log it is held to."""
     law = build_law(ARM)
-    return identify_loop(ARM, record(ARM, TRUTH, law, 1), law=ASKED, holdout=record(ARM, TRUTH, law, 2, 12.0))
+    return identify_loop(ARM, record(ARM, TRUTH, law, 1, 30.0), law=ASKED, holdout=record(ARM, TRUTH, law, 2, 12.0))
 
 
 def test_a_simulated_arm_is_predicted_down_to_its_encoder(found):
@@ -42,7 +42,7 @@ def test_what_hides_in_the_loop_is_found_again(found, kind, true):
 def test_no_cause_is_found_where_none_is():
     """A loop that the baseline describes gives no finding."""
     plain = build_law(ARM, load_friction=0.0, stiction=0.0, command_delay=0.0)
-    answer = diagnose_loop(ARM, [record(ARM, TRUTH, plain, s, 25.0) for s in (3, 4)], law=plain)
+    answer = diagnose_loop(ARM, [record(ARM, TRUTH, plain, s, 16.0) for s in (3, 4)], law=plain)
     assert answer.verdict == "nothing_found"
 
 
@@ -50,7 +50,7 @@ def test_a_late_command_is_named():
     """A delay of 20 ms that the law does not know is named, with its amount."""
     known = build_law(ARM, load_friction=0.0, stiction=0.0, command_delay=0.0)
     late = build_law(ARM, load_friction=0.0, stiction=0.0, command_delay=0.02)
-    answer = diagnose_loop(ARM, [record(ARM, TRUTH, late, s, 25.0) for s in (3, 4)], law=known)
+    answer = diagnose_loop(ARM, [record(ARM, TRUTH, late, s, 16.0) for s in (3, 4)], law=known)
     best = answer.findings[0]
     assert (best.cause, best.status) == ("command_delay", "confirmed")
     assert best.value == pytest.approx(0.02, abs=0.002)
@@ -59,7 +59,7 @@ def test_a_late_command_is_named():
 
 def test_a_gain_that_is_not_known_is_said():
     """Without a law masses are known up to its scale; a weighed link fixes it, and both are said."""
-    log = record(ARM, TRUTH, build_law(ARM, load_friction=0.0, stiction=0.0), 1, 20.0)
+    log = record(ARM, TRUTH, build_law(ARM, load_friction=0.0, stiction=0.0), 1, 10.0)
     free = identify_loop(ARM, log)
     assert any(getattr(w, "code", "") == "gain_unknown" for w in free.warnings)
     fixed = identify_loop(ARM, log, choices=Choices(fix=("j1_link.mass",)))
