@@ -2,9 +2,9 @@
 
     python experiments/without_torque.py [--only so101 free xl330 pairs] [--sets N] [--out DIR]
 
-so101: every second motion by name trains (a rule fixed before any result), with the servo's law; free: without one.
-xl330: each gain from the others, mean absolute error. pairs: simulated arms of one to three joints, each at two servo gains: how many
-pairs of parameters agree within their 95 % intervals, and how often an interval holds the true value, one mass known.
+so101: every second motion by name trains (a rule fixed before any result), with the servo's law; free: without one. xl330:
+each gain from the others, mean absolute error. pairs: simulated arms of one to three joints, each at two servo gains: how
+many pairs of parameters agree within their 95 % intervals, and how often an interval holds the true value, one mass known.
 """
 
 import argparse
@@ -17,16 +17,23 @@ import pandas as pd
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent / "identification"), str(HERE.parent)]
-import so101
-import xl330
+import so101  # noqa: E402
+import xl330  # noqa: E402
+from tests.servo.arms import build_arm, build_law, build_truth, record  # noqa: E402
 
-from tau_dyn.identify import Choices
-from tau_dyn.servo import LoopIdentification, identify_loop
-from tau_dyn.simulate import ServoLaw, read_servo_law
-from tests.servo.arms import build_arm, build_law, build_truth, record
+from tau_dyn.identify import Choices  # noqa: E402
+from tau_dyn.servo import LoopIdentification, identify_loop  # noqa: E402
+from tau_dyn.simulate import ServoLaw, read_servo_law  # noqa: E402
 
 GAINS = (2.65, 5.3)
-TRUE = {"armature": 0.012, "coulomb": 0.06, "viscous": 0.02, "load_friction": 0.2, "stiction": 0.01, "command_delay": 0.012}
+TRUE = {
+    "armature": 0.012,
+    "coulomb": 0.06,
+    "viscous": 0.02,
+    "load_friction": 0.2,
+    "stiction": 0.01,
+    "command_delay": 0.012,
+}
 Z95 = 1.96
 
 
@@ -65,7 +72,9 @@ def tabulate_pairs(sets: int) -> pd.DataFrame:
     rows = []
     for seed in range(sets):
         joints = 1 + seed % 3
-        one, other = ({p.name: p for p in identify_made(joints, g, 2 * seed + k).parameters} for k, g in enumerate(GAINS))
+        one, other = (
+            {p.name: p for p in identify_made(joints, g, 2 * seed + k).parameters} for k, g in enumerate(GAINS)
+        )
         for name, p in one.items():
             q, true = other.get(name), TRUE.get(name.split(".")[1])
             if q is None or p.stderr is None or q.stderr is None or true is None or p.at_bound or q.at_bound:

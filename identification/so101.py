@@ -2,9 +2,9 @@
 
     python identification/so101.py [FOLDER] [--out DIR]
 
-FOLDER holds `so101/` of the data (by default `$TAU_DYN_DATA`). Every second motion by name trains, the others are held out: a rule
-that was fixed before any result. Prints the held-out error of each motion beside that of the command itself; writes `model.yaml` and
-`report.html`.
+FOLDER holds `so101/` of the data (by default `$TAU_DYN_DATA`). Every second motion by name trains, the others are held out:
+a rule that was fixed before any result. Prints the held-out error of each motion beside that of the command itself; writes
+`model.yaml` and `report.html`.
 """
 
 from __future__ import annotations

@@ -31,7 +31,9 @@ def test_a_simulated_arm_is_predicted_down_to_its_encoder(found):
     assert found.holdout.pool(found.holdout.command_rms)[0] > 20e-3
 
 
-@pytest.mark.parametrize("kind, true", [("armature", 0.012), ("command_delay", 0.012), ("coulomb", 0.06), ("load_friction", 0.2)])
+@pytest.mark.parametrize(
+    "kind, true", [("armature", 0.012), ("command_delay", 0.012), ("coulomb", 0.06), ("load_friction", 0.2)]
+)
 def test_what_hides_in_the_loop_is_found_again(found, kind, true):
     """Drive inertia, delay and both frictions come out within 10 %, and their errors are of that size."""
     row = next(p for p in found.parameters if p.name == f"j1.{kind}")
@@ -115,7 +117,9 @@ def test_shipped_laws_are_read(name):
     assert law.estimated == {"back_emf"}
     pendulum = load_robot(folder / "robots" / "xl330_pendulum.urdf")
     drive = read_servo_law(folder / "controllers" / "xl330.yaml", pendulum)
-    assert drive.in_log("kp800_sin_sin.csv")["position_gain"][0] == pytest.approx(8 * drive.in_log("kp100_x")["position_gain"][0], rel=1e-3)
+    assert drive.in_log("kp800_sin_sin.csv")["position_gain"][0] == pytest.approx(
+        8 * drive.in_log("kp100_x")["position_gain"][0], rel=1e-3
+    )
 
 
 def test_friction_that_holds_keeps_a_joint_still():

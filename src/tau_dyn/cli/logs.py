@@ -195,7 +195,9 @@ def simulate(
         log = _simulate_servo(true, path, controller, sensors, output.seed, out.name) or simulate_model(
             true,
             path,
-            None if controller is None else CascadeController(read_law_file(controller, true.robot), start=true.steady()),
+            None
+            if controller is None
+            else CascadeController(read_law_file(controller, true.robot), start=true.steady()),
             sensors=built,
             seed=output.seed,
             rate_hz=sensors.rate or 1000.0,

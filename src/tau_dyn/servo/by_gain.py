@@ -1,8 +1,8 @@
 """Logs at several servo gains: what each gain's logs alone say of the drive, and what is missing where they disagree.
 
-The torque that a drive gives for its whole supply does not depend on the gain of the loop around it. Where fits at each gain alone
-find different torques, beyond their errors, the law is incomplete, however well each fit follows its own logs. Then what a law may
-lack is tried on all logs together, and the entry that explains most is named.
+The torque that a drive gives for its whole supply does not depend on the gain of the loop around it. Where fits at each
+gain alone find different torques, beyond their errors, the law is incomplete, however well each fit follows its own logs.
+Then what a law may lack is tried on all logs together, and the entry that explains most is named.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ MIN_FALL = 0.08
 _ITERATIONS = 10
 
 
-def compare_gains(data: LoopData, x: np.ndarray, progress: Callable[[str], None]) -> tuple[tuple[dict[str, Any], ...], list[str]]:
+def compare_gains(
+    data: LoopData, x: np.ndarray, progress: Callable[[str], None]
+) -> tuple[tuple[dict[str, Any], ...], list[str]]:
     """Return what each gain's logs alone say, row by row, and what is to be said of it."""
     gains = [tuple(r.entries["position_gain"]) for r in data.records]
     u = extend_unknowns(data.unknowns, x, ("force_per_unit",), data)
@@ -54,8 +56,8 @@ def compare_gains(data: LoopData, x: np.ndarray, progress: Callable[[str], None]
         return tuple(rows), []
     values = ", ".join(f"{f[0][0]:.3g} ± {f[1][0]:.2g}" for f in fits)
     said = (
-        f"the fits at each gain alone disagree in {odd} of {pairs} pairs about the torque for the whole supply ({values} N m at rising "
-        "gain), so the servo's law is incomplete"
+        f"the fits at each gain alone disagree in {odd} of {pairs} pairs about the torque for the whole supply "
+        f"({values} N m at rising gain), so the servo's law is incomplete"
     )
     return tuple(rows), [CodedWarning("law_incomplete", said + _name_missing(data, x, progress))]
 

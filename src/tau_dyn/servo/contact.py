@@ -68,7 +68,9 @@ def find_contacts(model: Model, records: Sequence[Record]) -> tuple[list[Contact
     heights = [contact.height for contact, _ in found if contact]
     if heights:
         known = float(np.median(heights))
-        found = [pair if pair[0] else _find_contact(model, r, usual, known) for pair, r in zip(found, records, strict=True)]
+        found = [
+            pair if pair[0] else _find_contact(model, r, usual, known) for pair, r in zip(found, records, strict=True)
+        ]
     kept = [mask_unused(record, mask) for record, (_, mask) in zip(records, found, strict=True)]
     return [contact for contact, _ in found if contact], kept
 

@@ -2,9 +2,10 @@
 
     logs -> baseline -> every cause, refitted -> the best at each joint, in turn -> confirmed -> gain
 
-Every cause is fitted at all joints at once, with everything that the baseline fits, because a joint's loop feels its own numbers
-alone. Its score is its number over that number's error from the scatter of blocks of time. A cause is confirmed where held-out positions move with the effect that it predicts, and its gain is measured on data used for
-nothing else. Reference: Liang & Zeger 1986 (blocks).
+Every cause is fitted at all joints at once, with everything that the baseline fits, because a joint's loop feels its own
+numbers alone. Its score is its number over that number's error from the scatter of blocks of time. A cause is confirmed
+where held-out positions move with the effect that it predicts, and its gain is measured on data used for nothing else.
+Reference: Liang & Zeger 1986 (blocks).
 """
 
 from __future__ import annotations
@@ -53,14 +54,27 @@ class LoopCause(NamedTuple):
 
 LOOP_CAUSES = {
     "gain_error": LoopCause(
-        "position_gain", "u = position_gain e", "a weighed mass, or gravity at several positions", ("drive_gain", "link_mass")
+        "position_gain",
+        "u = position_gain e",
+        "a weighed mass, or gravity at several positions",
+        ("drive_gain", "link_mass"),
     ),
     "dead_band": LoopCause("dead_band", "e less dead_band", "slow sweeps of small amplitude", ("stiction",)),
-    "supply_sag": LoopCause("supply_sag", "u (1 - supply_sag |u|)", "large steps and small ones at one load", ("drive_law",)),
-    "drive_law": LoopCause("drive_exponent", "tau ~ |x|^drive_exponent", "large steps and small ones at one load", ("supply_sag",)),
-    "back_emf": LoopCause("back_emf", "x = u - back_emf v", "steps that saturate the servo, or phases with the motor off"),
-    "command_delay": LoopCause("command_delay", "goal(t) = command(t - command_delay)", "steps and fast sweeps", ("delay",)),
-    "stiction": LoopCause("stiction", "friction + stiction exp(-|v| / stiction_speed)", "slow sweeps through rest", ("dead_band",)),
+    "supply_sag": LoopCause(
+        "supply_sag", "u (1 - supply_sag |u|)", "large steps and small ones at one load", ("drive_law",)
+    ),
+    "drive_law": LoopCause(
+        "drive_exponent", "tau ~ |x|^drive_exponent", "large steps and small ones at one load", ("supply_sag",)
+    ),
+    "back_emf": LoopCause(
+        "back_emf", "x = u - back_emf v", "steps that saturate the servo, or phases with the motor off"
+    ),
+    "command_delay": LoopCause(
+        "command_delay", "goal(t) = command(t - command_delay)", "steps and fast sweeps", ("delay",)
+    ),
+    "stiction": LoopCause(
+        "stiction", "friction + stiction exp(-|v| / stiction_speed)", "slow sweeps through rest", ("dead_band",)
+    ),
     "load_friction": LoopCause("load_friction", "friction + load_friction |tau|", "slow motion at several loads"),
 }
 """Causes that act in a servo's loop."""
@@ -232,9 +246,13 @@ def diagnose_loop(
     findings = _confirm(data, base, first, fit, scores, parts, others, seed)
     before, after, interval = _measure_gain(data, base, first, fit, parts, others, seed)
     warnings = [*doubled, *(CodedWarning("contact", c.describe()) for c in contacts)]
-    warnings += list_loop_warnings(law, parts.train, [] if parts.same_logs else parts.confirm, [*train, *held], data, base)
+    warnings += list_loop_warnings(
+        law, parts.train, [] if parts.same_logs else parts.confirm, [*train, *held], data, base
+    )
     confirmed = [f for f in findings if f.status == "confirmed"]
-    verdict = "named" if confirmed else "cannot_tell" if findings and all(f.twins for f in findings) else "nothing_found"
+    verdict = (
+        "named" if confirmed else "cannot_tell" if findings and all(f.twins for f in findings) else "nothing_found"
+    )
     return LoopDiagnosis(
         verdict, tuple(sorted(findings, key=lambda f: -f.score)), law.joints, before, after, interval, tuple(untestable),
         _build_model(replace(data, unknowns=first), fit), tuple(dict.fromkeys(warnings)), seed,
@@ -292,13 +310,24 @@ def _search(data: LoopData, base: LoopFit, progress: Callable[[str], None]):  # 
             tried[cause] = _try(data, u, fit, cause)
         if turn == 0:
             untestable = [
-                {"cause": c, "why": "masses and friction of the refit absorb it in these logs", "experiment": LOOP_CAUSES[c].reveals}
+                {
+                    "cause": c,
+                    "why": "masses and friction of the refit absorb it in these logs",
+                    "experiment": LOOP_CAUSES[c].reveals,
+                }
                 for c, row in tried.items()
-                if row is not None and np.all(row.score < 1.0) and np.all(row.share < MIN_SHARE) and c in ("gain_error", "back_emf")
+                if row is not None
+                and np.all(row.score < 1.0)
+                and np.all(row.share < MIN_SHARE)
+                and c in ("gain_error", "back_emf")
             ]
         chosen = []
         for j in range(len(data.law.joints)):
-            rows = {c: row for c, row in tried.items() if row is not None and row.score[j] > MIN_SCORE and row.share[j] > MIN_SHARE}
+            rows = {
+                c: row
+                for c, row in tried.items()
+                if row is not None and row.score[j] > MIN_SCORE and row.share[j] > MIN_SHARE
+            }
             if not rows:
                 continue
             best = max(rows, key=lambda c: rows[c].share[j])
@@ -371,7 +400,8 @@ def _confirm(data, base, u, fit, scores, parts, loads, seed) -> list[LoopFinding
         without = np.array(fit.x)
         without[at] = data.law.values[kind][j]
         pair = [
-            [_predict_linear(data, u, x, fit.step, records, loads) for x in (without, fit.x)] for records in (parts.confirm, parts.gain)
+            [_predict_linear(data, u, x, fit.step, records, loads) for x in (without, fit.x)]
+            for records in (parts.confirm, parts.gain)
         ]
         (r0, blocks, used), (r1, _, _) = pair[0]
         d = (r0 - r1)[:, j].reshape(-1)

@@ -68,8 +68,8 @@ def _describe_accelerations(joints: Sequence[str], train: Sequence[Record], held
             said.append(
                 CodedWarning(
                     "outside_training",
-                    f"{r.name}: {joints[worst]} accelerates with {here[worst]:.2g} rad/s^2 over a tenth of the time, the training "
-                    f"logs with {known[worst]:.2g}; the prediction leaves what was learnt",
+                    f"{r.name}: {joints[worst]} accelerates with {here[worst]:.2g} rad/s^2 over a tenth of the time, "
+                    f"the training logs with {known[worst]:.2g}; the prediction leaves what was learnt",
                 )
             )
     return said
@@ -87,8 +87,8 @@ def _describe_droop(joints: Sequence[str], records: Sequence[Record]) -> list[st
     return [
         CodedWarning(
             "droop",
-            f"at rest the joints stay behind their commands ({', '.join(said)}): a proportional servo yields to gravity and friction; "
-            "this lost motion is droop, no backlash",
+            f"at rest the joints stay behind their commands ({', '.join(said)}): a proportional servo yields to gravity and "
+            "friction; this lost motion is droop, no backlash",
         )
     ]
 

@@ -2,13 +2,14 @@
 
     minimise  sum_j sum_k (q_jk - qhat_jk(x))^2 / (sigma_j^2 n_j) + |z|^2 + sum ((x - prior) / sigma_x)^2
 
-`qhat` is the simulated loop from each log's start to its end: the loop forgets its start within a fraction of a second, so that one
-shot over a log is as well conditioned as many. All sensitivities are simulated side by side, as differences, because friction that
-holds has no useful derivative equations. `n_j` is how many samples of joint j one independent sample is worth. Standard errors come
-from the scatter of the gradient over blocks of time, which coloured residuals do not make too small.
+`qhat` is the simulated loop from each log's start to its end: the loop forgets its start within a fraction of a second, so
+that one shot over a log is as well conditioned as many. All sensitivities are simulated side by side, as differences,
+because friction that holds has no useful derivative equations. `n_j` is how many samples of joint j one independent sample
+is worth. Standard errors come from the scatter of the gradient over blocks of time, which coloured residuals do not make
+too small.
 
-The equation error compares the torque that the law makes of command and position with the robot's along the measured motion.
-Where the servo saturates or its law is incomplete it is biased, so it serves as a start and as a screen only.
+The equation error compares the torque that the law makes of command and position with the robot's along the measured
+motion. Where the servo saturates or its law is incomplete it is biased, so it serves as a start and as a screen only.
 Reference: Ljung 1999, 7.2 and 9; Levenberg 1944, Marquardt 1963; White 1980, Liang & Zeger 1986 (blocks).
 """
 
@@ -162,7 +163,7 @@ def delay_command(command: np.ndarray, dt: float, delay: float) -> np.ndarray:
 def screen_equation_error(
     law: ServoLaw, space: InertialSpace, records: Sequence[Record], loads: Sequence[LoadWaves], estimate_gain: bool
 ) -> EquationError:
-    """Return the best delay, friction and drive inertia of each joint by the rebuilt torque, inertial numbers as the file has them."""
+    """Return the best delay, friction and drive inertia of each joint by the rebuilt torque, bodies as the file has them."""
     na = len(law.joints)
     values = {key: np.array(law.values[key]) for key in ("position_gain", "command_delay")}
     values |= {key: np.zeros(na) for key in JOINT_UNITS}
@@ -303,7 +304,8 @@ class LoopProblem:
         stiff = values["position_gain"] * values["force_per_unit"]
         small = {
             "armature": 2e-5 * stiff, "coulomb": 1e-3 * stiff, "viscous": 1e-3 * stiff, "offset": 1e-3 * stiff,
-            "load_friction": 0.02, "stiction": 1e-3 * stiff, "command_delay": 1e-3, "dead_band": 5e-4, "supply_sag": 0.02, "braking": 0.05,
+            "load_friction": 0.02, "stiction": 1e-3 * stiff, "command_delay": 1e-3, "dead_band": 5e-4,
+            "supply_sag": 0.02, "braking": 0.05,
             "back_emf": 1e-3 * values["position_gain"], "stiction_speed": 5e-3,
         }  # fmt: skip
         na = len(stiff)
@@ -422,7 +424,10 @@ def _search(problem: LoopProblem, first: np.ndarray, progress: Callable[[str], N
         x,
         _compute_covariance(H + np.diag(precision), scatter + np.diag(precision), held),
         sigma,
-        min(loss, last), k + 1, problem.waves.step)
+        min(loss, last),
+        k + 1,
+        problem.waves.step,
+    )
 
 
 def _accumulate(problem, r, sensitivities, owners, weight):  # noqa: ANN001, ANN202
@@ -507,7 +512,14 @@ def build_unknowns(
 _LOWEST = {"offset": -np.inf, "position_gain": 1e-3, "force_per_unit": 1e-4, "stiction_speed": 1e-3, "armature": 1e-7,
            "command_delay": -0.02, "drive_exponent": 0.2}  # fmt: skip
 """Lower bounds of kinds; zero for the others. A delay below zero is a position that is read after its time stamp."""
-_HIGHEST = {"load_friction": 0.95, "command_delay": 0.2, "supply_sag": 0.95, "dead_band": 0.2, "drive_exponent": 2.0, "braking": 1.0}
+_HIGHEST = {
+    "load_friction": 0.95,
+    "command_delay": 0.2,
+    "supply_sag": 0.95,
+    "dead_band": 0.2,
+    "drive_exponent": 2.0,
+    "braking": 1.0,
+}
 """Upper bounds of kinds [1, s, 1, rad]: a friction that grows as the torque would hold every motion."""
 
 

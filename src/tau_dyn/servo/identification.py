@@ -1,9 +1,9 @@
 """Logs of commands and positions -> masses, friction and the servo's unknowns: the whole main path in one place.
 
-    robot, law, logs -> Records -> contact left out -> screen (equation error) -> directions -> output error -> errors on other logs
+    robot, law, logs -> Records -> contact left out -> screen (equation error) -> directions -> output error -> errors
 
-Masses and friction scale with the law's torque. Where no law is given, the gains are estimated, and the robot file's masses, or a
-weighed one, set the scale; the answer says so.
+Masses and friction scale with the law's torque. Where no law is given, the gains are estimated, and the robot file's
+masses, or a weighed one, set the scale; the answer says so.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from tau_dyn.message_codes import CodedWarning
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import NOMINAL_MASS_STDERR, NOT_GIVEN, Robot
-from tau_dyn.servo.contact import Contact, find_contacts
+from tau_dyn.servo.contact import find_contacts
+from tau_dyn.servo.doubts import list_loop_warnings
 from tau_dyn.servo.fit import (
     FRICTION,
     JOINT_UNITS,
@@ -48,8 +49,7 @@ from tau_dyn.servo.records import (
     mask_unused,
     split_pieces,
 )
-from tau_dyn.servo.result import LoopIdentification, LoopParameter, PositionErrors, build_position_errors
-from tau_dyn.servo.doubts import list_loop_warnings
+from tau_dyn.servo.result import LoopIdentification, LoopParameter, build_position_errors
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
 
 ALWAYS = ("armature", "command_delay")
@@ -277,6 +277,7 @@ def split_choices(choices: Choices, robot: Robot) -> tuple[Choices, Choices]:
 
 
 def build_start(robot: Robot, friction: str) -> Model:
+    """Return the model with friction that is the same in both directions, or none where it is `rigid`."""
     return Model.of(
         robot, build_friction_model("rigid" if friction == "rigid" else "symmetric", robot.actuated, robot.force_units)
     )
@@ -289,6 +290,7 @@ def guess_law(robot: Robot) -> ServoLaw:
 
 
 def require_in_memory(logs: Sequence[Log | Recording]) -> list[Log]:
+    """Return logs, and refuse recordings that are too large to simulate."""
     for log in logs:
         if not isinstance(log, Log):
             raise InputError(

@@ -205,7 +205,8 @@ def compute_load_waves(space: InertialSpace, q: np.ndarray, v: np.ndarray, a: np
 def build_waves(
     space: InertialSpace,
     records: Sequence[Record],
-    loads: Sequence[LoadWaves], law: ServoLaw,
+    loads: Sequence[LoadWaves],
+    law: ServoLaw,
 ) -> Waves:
     """Return the waves of logs, padded to the longest.
 
@@ -237,9 +238,7 @@ def build_waves(
     )
 
 
-def split_pieces(
-    records: Sequence[Record], loads: Sequence[LoadWaves]
-) -> tuple[list[Record], list[LoadWaves]]:
+def split_pieces(records: Sequence[Record], loads: Sequence[LoadWaves]) -> tuple[list[Record], list[LoadWaves]]:
     """Return the logs in pieces that are simulated side by side, each from its measured start (multiple shooting).
 
     The first part of a piece does not count: by then the loop has forgotten where it began. Few long logs become many short ones,
@@ -251,13 +250,23 @@ def split_pieces(
     for r, w in zip(records, loads, strict=True):
         n, warm = len(r.t), round(WARM_UP_S / r.dt)
         count = max(1, round(n * r.dt / length))
-        for start, stop in zip(*(np.round(np.linspace(0, n, count + 1)).astype(int)[k : count + k] for k in (0, 1)), strict=True):
+        for start, stop in zip(
+            *(np.round(np.linspace(0, n, count + 1)).astype(int)[k : count + k] for k in (0, 1)), strict=True
+        ):
             first = max(0, start - warm)
             cut = slice(first, stop)
             used = np.array(r.used[cut])
             used[: start - first] = False
             pieces.append(
-                replace(r, t=r.t[cut], q=r.q[cut], command=r.command[cut], supply=r.supply[cut], enabled=r.enabled[cut], used=used)
+                replace(
+                    r,
+                    t=r.t[cut],
+                    q=r.q[cut],
+                    command=r.command[cut],
+                    supply=r.supply[cut],
+                    enabled=r.enabled[cut],
+                    used=used,
+                )
             )
             waves.append(LoadWaves(w.load[cut], w.inertia[cut], w.stiffness[cut], w.along[cut]))
     return pieces, waves

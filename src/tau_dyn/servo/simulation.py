@@ -43,7 +43,9 @@ def simulate_loop_log(
         InputError: The motion is of other joints, or an effect cannot act here.
     """
     if motion.joints != model.robot.actuated:
-        raise InputError("mismatch", f"{motion.name} moves joints {', '.join(motion.joints)}, not those of {model.robot.source}")
+        raise InputError(
+            "mismatch", f"{motion.name} moves joints {', '.join(motion.joints)}, not those of {model.robot.source}"
+        )
     commands = motion.resampled(rate_hz)
     often = max(1, int(np.ceil(FINE_HZ / rate_hz)))
     n = len(commands.t)
@@ -68,10 +70,12 @@ def read_values(model: Model, law: ServoLaw) -> dict[str, np.ndarray]:
     Raises:
         InputError: The model has an effect that a loop does not know.
     """
-    odd = [e.name for e in model.effects if e.name not in ("symmetric_friction", "asymmetric_friction", "torque_offset")]
+    odd = [
+        e.name for e in model.effects if e.name not in ("symmetric_friction", "asymmetric_friction", "torque_offset")
+    ]
     if odd:
-        raise InputError("unsupported", f"effect {odd[0]} is not simulated in a servo's loop; the controller file has load_friction, "
-                         "stiction, dead_band, command_delay and supply_sag")  # fmt: skip
+        raise InputError("unsupported", f"effect {odd[0]} is not simulated in a servo's loop; the controller file has "
+                         "load_friction, stiction, dead_band, command_delay and supply_sag")  # fmt: skip
     p = model.parameters
 
     def get(joint: str, kind: str) -> float:

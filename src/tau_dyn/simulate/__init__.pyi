@@ -48,6 +48,7 @@ from .motions import (
     compute_top_speed as compute_top_speed,
 )
 from .plant import PlantRun as PlantRun, free_motion as free_motion, run_plant as run_plant
+from .sensors import Sensors as Sensors, measure as measure
 from .servo_law import (
     SERVO_ENTRIES as SERVO_ENTRIES,
     ServoLaw as ServoLaw,
@@ -55,7 +56,6 @@ from .servo_law import (
     is_servo_law as is_servo_law,
     read_servo_law as read_servo_law,
 )
-from .sensors import Sensors as Sensors, measure as measure
 from .simulation import read_effects_file as read_effects_file, simulate as simulate, simulate_drive as simulate_drive
 from .trajectory import (
     MotionProfile as MotionProfile,

@@ -5,11 +5,11 @@
     x = u supply (1 - supply_sag |u|) - back_emf v,    tau = force_per_unit sign(x) |x|^drive_exponent
     friction = coulomb + load_friction |tau| + stiction exp(-|v| / stiction_speed), and viscous v
 
-The output `u` is a share of the supply voltage, as a hobby servo's pulse width is. `force_per_unit` is then the stall torque at
-the nominal supply, and `back_emf` the inverse of the speed without load. With `back_emf: 0` it is a torque or current servo. Where
-x opposes u, the motor brakes with the share `braking` of this torque; a bridge that freewheels has none. A bridge with much
-inductance and a slow pulse gives a torque that grows less than its pulse width, with an exponent below one. A law file is a
-controller file (see `controllers`) whose first line is `law: servo`:
+The output `u` is a share of the supply voltage, as a hobby servo's pulse width is. `force_per_unit` is then the stall
+torque at the nominal supply, and `back_emf` the inverse of the speed without load. With `back_emf: 0` it is a torque or
+current servo. Where x opposes u, the motor brakes with the share `braking` of this torque; a bridge that freewheels has
+none. A bridge with much inductance and a slow pulse gives a torque that grows less than its pulse width, with an exponent
+below one. A law file is a controller file (see `controllers`) whose first line is `law: servo`:
 
     law: servo
     position_gain: 2.65          # [1/rad], required
@@ -254,9 +254,15 @@ def _read_numbers(key: str, value: object, joints: tuple[str, ...], where: str) 
     else:
         row = [value] * len(joints)
     for x in row:
-        least = "above zero" if key in (*REQUIRED, *_MAY_BE_INFINITE, "stiction_speed", "drive_exponent") else "zero or more"
+        least = (
+            "above zero"
+            if key in (*REQUIRED, *_MAY_BE_INFINITE, "stiction_speed", "drive_exponent")
+            else "zero or more"
+        )
         fits = (
-            _is_number(x) and (x > 0 if least == "above zero" else x >= 0 or key == "command_delay") and (isfinite(x) or key in _MAY_BE_INFINITE)
+            _is_number(x)
+            and (x > 0 if least == "above zero" else x >= 0 or key == "command_delay")
+            and (isfinite(x) or key in _MAY_BE_INFINITE)
         )
         if not fits:
             raise InputError("file_format", f"{where}: {key} must be a number {least}, not {str(x)[:60]!r}")

@@ -30,7 +30,8 @@ def present_loop_identification(found: LoopIdentification) -> r.Presentation:
     facts = [("friction model", found.friction), ("seed", str(found.seed)), ("held out", found.holdout_how)]
     return r.Presentation(
         "Identified through the loop", robot.name, f"{robot.name}: identified through the loop", _describe_headline(found),
-        _describe_verdict(found), f"{r.count(len(found.logs), 'training log')}, commands and positions.", sections, found.warnings,
+        _describe_verdict(found),
+        f"{r.count(len(found.logs), 'training log')}, commands and positions.", sections, found.warnings,
         r.RobotPicture(robot), r.Provenance(facts, list_logs_used(found.model.provenance), robot),
         lambda: flatten_rows(found.rows()), found,
     )  # fmt: skip
@@ -136,12 +137,16 @@ def present_loop_diagnosis(found: LoopDiagnosis) -> r.Presentation:
         if confirmed
         else f"No cause is confirmed; the simulated loop is {before:.1f} mrad off held-out positions."
     )
-    verdict = r.Verdict("good" if found.verdict == "named" or not found.findings else "care", headline, found.verdict.replace("_", " "))
+    verdict = r.Verdict(
+        "good" if found.verdict == "named" or not found.findings else "care", headline, found.verdict.replace("_", " ")
+    )
     sections = [
         *warn(found.warnings),
         r.Chapter("findings", "Causes", lambda: _build_findings(found), r.On.ALL, when=bool(found.findings)),
         r.Chapter("joints", "Held-out positions", lambda: _build_falls(found), r.On.ALL),
-        r.Chapter("untestable", "What these logs cannot tell", lambda: _build_untestable(found), when=bool(found.untestable)),
+        r.Chapter(
+            "untestable", "What these logs cannot tell", lambda: _build_untestable(found), when=bool(found.untestable)
+        ),
     ]
     return r.Presentation(
         "Diagnosis through the loop", robot.name, f"{robot.name}: diagnosis through the loop", headline, verdict,
@@ -156,17 +161,28 @@ def _build_findings(found: LoopDiagnosis) -> Iterator[r.Element]:
         r.Column("unit", "unit"), r.Column("held-out rms falls by", "number"), r.Column("may as well be", style="remark"),
     ]  # fmt: skip
     rows = [
-        r.Row([
-            f.cause.replace("_", " "), f.joint, f.status, f"{r.format_number(f.value, 3)} ± {r.format_number(f.stderr, 2)}", f.unit,
-            r.format_percent(max(f.reduction, 0.0)), ", ".join(f.twins),
-        ])  # fmt: skip
+        r.Row(
+            [
+                f.cause.replace("_", " "),
+                f.joint,
+                f.status,
+                f"{r.format_number(f.value, 3)} ± {r.format_number(f.stderr, 2)}",
+                f.unit,
+                r.format_percent(max(f.reduction, 0.0)),
+                ", ".join(f.twins),
+            ]
+        )  # fmt: skip
         for f in found.findings
     ]
     yield r.ResultTable(columns, rows, on=r.On.ALL)
 
 
 def _build_falls(found: LoopDiagnosis) -> Iterator[r.Element]:
-    columns = [r.Column("joint"), r.Column("baseline [mrad]", "number"), r.Column("with causes [mrad]", "number", "strong")]
+    columns = [
+        r.Column("joint"),
+        r.Column("baseline [mrad]", "number"),
+        r.Column("with causes [mrad]", "number", "strong"),
+    ]
     rows = [
         r.Row([joint, f"{1e3 * a:.2f}", f"{1e3 * b:.2f}"])
         for joint, a, b in zip(found.joints, found.baseline, found.extended, strict=True)
@@ -175,4 +191,6 @@ def _build_falls(found: LoopDiagnosis) -> Iterator[r.Element]:
 
 
 def _build_untestable(found: LoopDiagnosis) -> Iterator[r.Element]:
-    yield r.Listing([f"{u['cause'].replace('_', ' ')}: {u['why']}; {u['experiment']} would tell." for u in found.untestable])
+    yield r.Listing(
+        [f"{u['cause'].replace('_', ' ')}: {u['why']}; {u['experiment']} would tell." for u in found.untestable]
+    )
