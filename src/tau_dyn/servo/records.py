@@ -27,8 +27,8 @@ SLOW_S = 0.04
 """Time over which own inertia and stiffness may be interpolated [s]: positions change by less than 0.1 rad."""
 PIECES = 24
 """Pieces that logs are cut into for a fit, about; more are no faster."""
-MIN_PIECE_S = 4.0
-"""Shortest piece [s], four times its warm-up."""
+MIN_PIECE_S = 10.0
+"""Shortest piece [s]: a start at the measured position hides where friction holds a joint, so starts are rare."""
 WARM_UP_S = 1.0
 """Start of a piece that does not count [s]: a dozen time constants of a servo's loop."""
 _STEP = 1e-4
