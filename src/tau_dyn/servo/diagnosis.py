@@ -27,10 +27,10 @@ from tau_dyn.results import Z95, Shown
 from tau_dyn.robot import Robot
 from tau_dyn.servo.by_gain import extend_unknowns, read_kind
 from tau_dyn.servo.contact import find_contacts
+from tau_dyn.servo.data import LoopData
 from tau_dyn.servo.doubts import list_loop_warnings
-from tau_dyn.servo.fit import LoopFit, LoopProblem, Unknowns, fit_loop, get_unit
+from tau_dyn.servo.fit import LoopFit, LoopProblem, LoopUnknowns, fit_loop, get_unit
 from tau_dyn.servo.identification import (
-    LoopData,
     build_start,
     fill_model,
     guess_law,
@@ -39,7 +39,7 @@ from tau_dyn.servo.identification import (
     require_in_memory,
     split_choices,
 )
-from tau_dyn.servo.records import Record, build_records, build_waves, compute_load_waves
+from tau_dyn.servo.records import LoopRecord, build_records, build_waves, compute_load_waves
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
 
 
@@ -84,12 +84,14 @@ MIN_SCORE = 5.0
 """Score from which a cause is taken in: one false one in 1,000 candidates where some 60 blocks count."""
 CONFIRMED = 2.6
 """Score on held-out data from which an effect is confirmed: one in 200 by chance."""
+MIN_CHANGE = 0.05
+"""Change of a number that the law gives, from which it is a cause: masses are trusted to 2 %, so a gain to twice that."""
 MIN_SHARE = 0.03
 """Share of a joint's residual variance that a cause takes off at least; less changes no simulation."""
 TWIN_SHARE = 0.95
 """Share of what the best cause takes off from which another one is indistinguishable from it here."""
-MAX_ROUNDS = 4
-_ITERATIONS, _TRY_ITERATIONS = 8, 5
+MAX_ROUNDS = 4  # causes at one joint; each takes off at least 3 %
+_ITERATIONS, _TRY_ITERATIONS = 8, 5  # from a solution of all but the new numbers
 _FIRST = {"command_delay": 0.01, "stiction": 3e-3, "dead_band": 0.006, "load_friction": 0.15, "supply_sag": 0.15,
           "drive_exponent": -0.1}  # fmt: skip
 """First values of causes off their null, stiction as a share of the loop's stiffness."""
@@ -208,9 +210,9 @@ class LoopDiagnosis(Shown):
 class _Parts:
     """Masks (N, S) of what serves for the search, the confirmation and the gain, in records of their own."""
 
-    train: Sequence[Record]
-    confirm: Sequence[Record]
-    gain: Sequence[Record]
+    train: Sequence[LoopRecord]
+    confirm: Sequence[LoopRecord]
+    gain: Sequence[LoopRecord]
     same_logs: bool
 
 
@@ -273,10 +275,10 @@ def _drop_kinds(data: LoopData):  # noqa: ANN202
     )  # fmt: skip
 
 
-def _split(train: Sequence[Record], held: Sequence[Record]) -> _Parts:
+def _split(train: Sequence[LoopRecord], held: Sequence[LoopRecord]) -> _Parts:
     """Return 60 / 20 / 20 by blocks, or the held-out logs by halves of blocks."""
 
-    def mask(records: Sequence[Record], wanted: set[int], of: int) -> list[Record]:
+    def mask(records: Sequence[LoopRecord], wanted: set[int], of: int) -> list[LoopRecord]:
         found = []
         for r in records:
             block = (np.arange(len(r.t)) * r.dt / min(BLOCK_S, len(r.t) * r.dt / (2 * of))).astype(int) % of
@@ -341,7 +343,7 @@ def _search(data: LoopData, base: LoopFit, progress: Callable[[str], None]):  # 
     return u, fit, taken, untestable
 
 
-def _try(data: LoopData, u: Unknowns, fit: LoopFit, cause: str) -> _Tried | None:
+def _try(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> _Tried | None:
     """Return what a cause does at all joints that do not have it yet, refitted with everything else; None where none is left."""
     entry, na = LOOP_CAUSES[cause].entry, len(data.law.joints)
     there = u.free[u.kinds.index(entry)] if entry in u.kinds else np.zeros(na, bool)
@@ -351,6 +353,7 @@ def _try(data: LoopData, u: Unknowns, fit: LoopFit, cause: str) -> _Tried | None
     found = fit_loop(data.build_problem(wide), max_iterations=_TRY_ITERATIONS, step=fit.step)
     value, sigma = read_kind(wide, found, entry)
     away = np.abs(value - data.law.values[entry])
+    away = np.where(away < MIN_CHANGE * np.abs(data.law.values[entry]), 0.0, away)
     score = np.divide(away, sigma, out=np.zeros(na), where=(sigma > 0) & ~there)
     return _Tried(score, np.where(there, 0.0, 1 - (found.sigma / fit.sigma) ** 2))
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from tau_dyn.log import lowpass
 from tau_dyn.servo.loop import FINE_STEP_S, Trials, Waves, simulate_loops
-from tau_dyn.servo.records import MOTION_HZ, InertialSpace, LoadWaves, Record
+from tau_dyn.servo.records import MOTION_HZ, InertialSpace, LoadWaves, LoopRecord
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
 
 JOINT_UNITS = {"armature": "kg m^2", "coulomb": "N m", "viscous": "N m s/rad", "offset": "N m"}
@@ -55,7 +55,7 @@ MAX_ELEMENTS = 6_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Unknowns:
+class LoopUnknowns:
     """What a fit may change, kind by kind and joint by joint, and the inertial directions.
 
     Attributes:
@@ -117,7 +117,7 @@ class LoopFit:
     """The end of a search.
 
     Attributes:
-        x: Unknowns (n,).
+        x: LoopUnknowns (n,).
         covariance: Their covariance (n, n); zero rows for those at a bound.
         sigma: Residual rms of each joint (na,) [rad].
         loss: Sum of squares.
@@ -161,7 +161,7 @@ def delay_command(command: np.ndarray, dt: float, delay: float) -> np.ndarray:
 
 
 def screen_equation_error(
-    law: ServoLaw, space: InertialSpace, records: Sequence[Record], loads: Sequence[LoadWaves], estimate_gain: bool
+    law: ServoLaw, space: InertialSpace, records: Sequence[LoopRecord], loads: Sequence[LoadWaves], estimate_gain: bool
 ) -> EquationError:
     """Return the best delay, friction and drive inertia of each joint by the rebuilt torque, bodies as the file has them."""
     na = len(law.joints)
@@ -219,7 +219,7 @@ def _fill_gains(values: dict[str, np.ndarray], law: ServoLaw) -> dict[str, np.nd
 
 
 def _build_rows(
-    law: ServoLaw, space: InertialSpace, r: Record, w: LoadWaves, j: int, delay: float, estimate_gain: bool
+    law: ServoLaw, space: InertialSpace, r: LoopRecord, w: LoadWaves, j: int, delay: float, estimate_gain: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return torque, columns (sign, speed, one, acceleration) and mask of one joint where it moves and its motor is on."""
     rate, (q, v, a) = 1 / r.dt, r.motion
@@ -240,7 +240,7 @@ def _build_rows(
 
 
 def choose_directions(
-    space: InertialSpace, records: Sequence[Record], loads: Sequence[LoadWaves], screen: EquationError
+    space: InertialSpace, records: Sequence[LoopRecord], loads: Sequence[LoadWaves], screen: EquationError
 ) -> InertialSpace:
     """Return the space with the directions of which the logs know more than the robot file."""
     p = len(space.nominal)
@@ -268,7 +268,7 @@ def choose_directions(
 class LoopProblem:
     """Residuals and sensitivities of a fit."""
 
-    def __init__(self, unknowns: Unknowns, waves: Waves, records: Sequence[Record]) -> None:
+    def __init__(self, unknowns: LoopUnknowns, waves: Waves, records: Sequence[LoopRecord]) -> None:
         """Prepare; records give the measured positions and the samples that count."""
         n = len(waves.command)
         self.unknowns, self.waves = unknowns, waves
@@ -334,7 +334,7 @@ class LoopProblem:
         return base, sensitivities, owners
 
 
-def _number_blocks(records: Sequence[Record], n: int) -> np.ndarray:
+def _number_blocks(records: Sequence[LoopRecord], n: int) -> np.ndarray:
     """Return the number of the block that each sample (N, S) belongs to."""
     out, first = np.zeros((n, len(records)), dtype=int), 0
     length = float(np.clip(sum(len(r.t) * r.dt for r in records) / BLOCKS, *BLOCK_S))
@@ -453,7 +453,7 @@ def _sum_squares(r: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.einsum("njcs,njcs,j->c", r, r, weight)
 
 
-def _find_held(u: Unknowns, x: np.ndarray, g: np.ndarray) -> np.ndarray:
+def _find_held(u: LoopUnknowns, x: np.ndarray, g: np.ndarray) -> np.ndarray:
     """Return which unknowns (n,) a bound holds against the gradient."""
     m = int(u.free.sum())
     held = np.zeros(len(x), dtype=bool)
@@ -461,7 +461,7 @@ def _find_held(u: Unknowns, x: np.ndarray, g: np.ndarray) -> np.ndarray:
     return held
 
 
-def _step(H: np.ndarray, g: np.ndarray, lam: float, held: np.ndarray, u: Unknowns, x: np.ndarray) -> np.ndarray:
+def _step(H: np.ndarray, g: np.ndarray, lam: float, held: np.ndarray, u: LoopUnknowns, x: np.ndarray) -> np.ndarray:
     """Return the next vector by a damped step among the unknowns that no bound holds."""
     loose = ~held
     d = np.zeros(len(x))
@@ -489,7 +489,7 @@ def build_unknowns(
     start: Mapping[str, np.ndarray],
     kinds: Sequence[str],
     held: Mapping[str, np.ndarray] | None = None,
-) -> Unknowns:
+) -> LoopUnknowns:
     """Return unknowns of some kinds for all joints, at start values.
 
     Args:
@@ -506,7 +506,7 @@ def build_unknowns(
     lower = np.array([np.full(na, _LOWEST.get(k, 0.0)) for k in kinds]).reshape(shape)
     upper = np.array([np.full(na, _HIGHEST.get(k, np.inf)) for k in kinds]).reshape(shape)
     free = np.array([~np.asarray((held or {}).get(k, np.zeros(na, bool)), bool) for k in kinds]).reshape(shape)
-    return Unknowns(values, tuple(kinds), free, lower, upper, np.full(shape, np.inf), space)
+    return LoopUnknowns(values, tuple(kinds), free, lower, upper, np.full(shape, np.inf), space)
 
 
 _LOWEST = {"offset": -np.inf, "position_gain": 1e-3, "force_per_unit": 1e-4, "stiction_speed": 1e-3, "armature": 1e-7,

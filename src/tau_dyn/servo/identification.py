@@ -9,7 +9,7 @@ masses, or a weighed one, set the scale; the answer says so.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -24,14 +24,15 @@ from tau_dyn.message_codes import CodedWarning
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import NOMINAL_MASS_STDERR, NOT_GIVEN, Robot
+from tau_dyn.servo.by_gain import compare_gains
 from tau_dyn.servo.contact import find_contacts
+from tau_dyn.servo.data import LoopData
 from tau_dyn.servo.doubts import list_loop_warnings
 from tau_dyn.servo.fit import (
     FRICTION,
     JOINT_UNITS,
     LoopFit,
-    LoopProblem,
-    Unknowns,
+    LoopUnknowns,
     build_unknowns,
     choose_directions,
     fit_loop,
@@ -42,12 +43,10 @@ from tau_dyn.servo.prediction import predict_positions
 from tau_dyn.servo.records import (
     InertialSpace,
     LoadWaves,
-    Record,
+    LoopRecord,
     build_records,
-    build_waves,
     compute_load_waves,
     mask_unused,
-    split_pieces,
 )
 from tau_dyn.servo.result import LoopIdentification, LoopParameter, build_position_errors
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
@@ -68,40 +67,6 @@ def is_loop_log(log: Log | Recording, robot: Robot) -> bool:
     if not isinstance(log, Log) or not (log.has("q", names) and log.has("cmd", names)):
         return False
     return not any(log.has("tau", [joint]) for joint in names)
-
-
-@dataclass(frozen=True, eq=False)
-class LoopData:
-    """Everything that a fit starts from.
-
-    Attributes:
-        model: Robot and friction, at start values.
-        law: The servo's law.
-        space: Inertial numbers, with the directions that are unknowns.
-        records: Training logs.
-        loads: Loads along them.
-        unknowns: What may change.
-    """
-
-    model: Model
-    law: ServoLaw
-    space: InertialSpace
-    records: Sequence[Record]
-    loads: Sequence[LoadWaves]
-    unknowns: Unknowns
-
-    def build_problem(self, unknowns: Unknowns | None = None, records: Sequence[Record] | None = None) -> LoopProblem:
-        """Return the fit's problem, with other unknowns or other masks where they are given."""
-        records = records or self.records
-        return build_problem(self.space, self.law, unknowns or self.unknowns, records, self.loads)
-
-
-def build_problem(
-    space: InertialSpace, law: ServoLaw, unknowns: Unknowns, records: Sequence[Record], loads: Sequence[LoadWaves]
-) -> LoopProblem:
-    """Return a fit's problem, the logs in pieces, loads along the measured motions."""
-    pieces, waves = split_pieces(records, loads)
-    return LoopProblem(unknowns, build_waves(space, pieces, waves, law), pieces)
 
 
 def identify_loop(
@@ -166,8 +131,6 @@ def identify_loop(
     trained = predict(data, fit, kept, data.loads)
     by_gain: tuple[Mapping[str, Any], ...] = ()
     if len({tuple(r.entries["position_gain"]) for r in kept}) > 1:
-        from tau_dyn.servo.by_gain import compare_gains
-
         by_gain, said = compare_gains(data, fit.x, progress)
         warnings += said
     warnings += list_loop_warnings(law, kept, others, [*train, *held], data, fit)
@@ -179,7 +142,7 @@ def identify_loop(
 
 
 def predict(
-    data: LoopData, fit: LoopFit, records: Sequence[Record], loads: Sequence[LoadWaves] | None = None
+    data: LoopData, fit: LoopFit, records: Sequence[LoopRecord], loads: Sequence[LoadWaves] | None = None
 ) -> list[np.ndarray]:
     """Return positions (N, na) of records at a solution, from their commands alone."""
     u = data.unknowns
@@ -188,7 +151,7 @@ def predict(
 
 
 def prepare_loop(
-    model: Model, law: ServoLaw, records: Sequence[Record], own: Choices, friction: str, progress: Progress
+    model: Model, law: ServoLaw, records: Sequence[LoopRecord], own: Choices, friction: str, progress: Progress
 ) -> LoopData:
     """Return what a fit starts from: the screen's values, and the inertial directions that the logs inform on."""
     space = InertialSpace.of(model)
@@ -202,7 +165,7 @@ def prepare_loop(
 
 def _build_unknowns(
     model: Model, law: ServoLaw, space: InertialSpace, found: Mapping[str, np.ndarray], own: Choices, friction: str
-) -> Unknowns:
+) -> LoopUnknowns:
     joints, na = law.joints, len(law.joints)
     kinds = [*ALWAYS, *(FRICTION if friction != "rigid" else ()), *sorted(law.estimated)]
     if "back_emf" in law.estimated and "viscous" in kinds:
@@ -233,7 +196,7 @@ def _build_unknowns(
     return _apply_own(unknowns, own, joints)
 
 
-def _apply_own(unknowns: Unknowns, own: Choices, joints: tuple[str, ...]) -> Unknowns:
+def _apply_own(unknowns: LoopUnknowns, own: Choices, joints: tuple[str, ...]) -> LoopUnknowns:
     """Return the unknowns with what was said about servo entries by name or pattern."""
     from tau_dyn.identify import read_bound, read_fixed
 
@@ -299,7 +262,7 @@ def require_in_memory(logs: Sequence[Log | Recording]) -> list[Log]:
     return [log for log in logs if isinstance(log, Log)]
 
 
-def refuse_stillness(records: Sequence[Record]) -> None:
+def refuse_stillness(records: Sequence[LoopRecord]) -> None:
     """Refuse logs that are too short or in which nothing moves."""
     seconds = sum(float(r.used.sum()) * r.dt for r in records)
     if seconds < MIN_SECONDS:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from tau_dyn.servo.loop import FINE_STEP_S, Trials, simulate_loops
-from tau_dyn.servo.records import InertialSpace, LoadWaves, Record, build_waves, compute_load_waves, smooth_motion
+from tau_dyn.servo.records import InertialSpace, LoadWaves, LoopRecord, build_waves, compute_load_waves, smooth_motion
 from tau_dyn.simulate import ServoLaw
 
 MAX_SWEEPS = 8
@@ -26,7 +26,7 @@ def predict_positions(
     unknowns: np.ndarray,
     values: Mapping[str, np.ndarray],
     law: ServoLaw,
-    records: Sequence[Record],
+    records: Sequence[LoopRecord],
     loads: Sequence[LoadWaves] | None = None,
     step: float = FINE_STEP_S,
 ) -> list[np.ndarray]:

@@ -38,7 +38,7 @@ _MIN_RADIUS = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class LoopRecord:
     """One log on an even clock.
 
     Attributes:
@@ -79,7 +79,7 @@ def smooth_motion(q: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray, np.
     return smooth, v, differentiate(v, dt)
 
 
-def build_records(model: Model, law: ServoLaw, logs: Sequence[Log], exclude: Sequence[str] = ()) -> list[Record]:
+def build_records(model: Model, law: ServoLaw, logs: Sequence[Log], exclude: Sequence[str] = ()) -> list[LoopRecord]:
     """Return the logs on even clocks.
 
     Raises:
@@ -88,7 +88,7 @@ def build_records(model: Model, law: ServoLaw, logs: Sequence[Log], exclude: Seq
     return [_build_record(model, law, log, exclude) for log in logs]
 
 
-def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str]) -> Record:
+def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str]) -> LoopRecord:
     joints = model.robot.actuated
     t = log.t[0] + np.arange(int((log.t[-1] - log.t[0]) / log.dt) + 1) * log.dt
     q = np.stack([np.interp(t, log.t, x) for x in log.joint("q", joints).T], axis=1)
@@ -101,7 +101,7 @@ def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str])
         enabled = (_get_column(log, law.enabled)[held] != 0).astype(float)
     for name in exclude:
         used = used * (_get_column(log, name)[near] == 0)
-    return Record(
+    return LoopRecord(
         log.name, t, q, log.joint("cmd", joints)[held], supply, enabled, used.astype(bool), law.in_log(log.name)
     )
 
@@ -204,7 +204,7 @@ def compute_load_waves(space: InertialSpace, q: np.ndarray, v: np.ndarray, a: np
 
 def build_waves(
     space: InertialSpace,
-    records: Sequence[Record],
+    records: Sequence[LoopRecord],
     loads: Sequence[LoadWaves],
     law: ServoLaw,
 ) -> Waves:
@@ -238,7 +238,7 @@ def build_waves(
     )
 
 
-def split_pieces(records: Sequence[Record], loads: Sequence[LoadWaves]) -> tuple[list[Record], list[LoadWaves]]:
+def split_pieces(records: Sequence[LoopRecord], loads: Sequence[LoadWaves]) -> tuple[list[LoopRecord], list[LoadWaves]]:
     """Return the logs in pieces that are simulated side by side, each from its measured start (multiple shooting).
 
     The first part of a piece does not count: by then the loop has forgotten where it began. Few long logs become many short ones,
@@ -276,6 +276,6 @@ def _pad(x: np.ndarray, n: int) -> np.ndarray:
     return np.concatenate([x, np.repeat(x[-1:], n - len(x), axis=0)]) if len(x) < n else x
 
 
-def mask_unused(record: Record, unused: np.ndarray) -> Record:
+def mask_unused(record: LoopRecord, unused: np.ndarray) -> LoopRecord:
     """Return the record with further samples (N,) left out."""
     return replace(record, used=record.used & ~unused)
