@@ -1,6 +1,6 @@
 """Parameters through the closed loop: equation error as a screen and a start, output error by Gauss-Newton.
 
-    minimise  sum_j sum_k (q_jk - qhat_jk(x))^2 / (sigma_j^2 n_j) + |z|^2 + sum ((x - prior) / sigma_x)^2
+    minimise  sum_j sum_s sum_k (q_jsk - qhat_jsk(x))^2 / (sigma_js^2 n_j) + |z|^2 + sum ((x - prior) / sigma_x)^2
 
 `qhat` is the simulated loop from each log's start to its end: the loop forgets its start within a fraction of a second, so
 that one shot over a log is as well conditioned as many. All sensitivities are simulated side by side, as differences,
@@ -42,9 +42,15 @@ MAX_ITERATIONS = 15
 _FINE_ITERATIONS = 5  # from a solution with the longer step
 STEP_EFFECT_RAD = 4e-4
 """What the longer step moves positions by [rad]."""
+STEP_SHARE = 3.0
+"""Shift of a solution from the longer to the finer step over what the finer one may still be off: the steps differ by four, and
+where friction holds the error falls with the step itself."""
 COARSE_IS_ENOUGH = 4.0
 """Residual over the step's effect from which the longer step is enough."""
 _LAMBDAS = (1e-2, 3e-1, 1e1)  # damping factors that are tried side by side
+MAX_CONTRAST = 2.0
+"""Factor within which a log's residual may be weighed other than its joint's usual one: what no model explains in one log
+(a contact, a shaken joint) must not decide about the others."""
 BLOCK_S = (0.5, 5.0)
 """Shortest and longest blocks over which the gradient's scatter is taken [s]: residuals forget within the longest."""
 BLOCKS = 100
@@ -375,7 +381,9 @@ def fit_loop(
     found = _search(problem, start, progress, max_iterations)
     if not problem.unknowns.n or float(np.median(found.sigma)) > COARSE_IS_ENOUGH * STEP_EFFECT_RAD:
         return found
-    return _search(problem.with_step(FINE_STEP_S), found.x, progress, _FINE_ITERATIONS)
+    fine = _search(problem.with_step(FINE_STEP_S), found.x, progress, _FINE_ITERATIONS)
+    shift = (fine.x - found.x) / STEP_SHARE
+    return replace(fine, covariance=fine.covariance + np.outer(shift, shift) * (np.diag(fine.covariance) > 0)[:, None])
 
 
 def _search(problem: LoopProblem, first: np.ndarray, progress: Callable[[str], None], max_iterations: int) -> LoopFit:
@@ -395,7 +403,7 @@ def _search(problem: LoopProblem, first: np.ndarray, progress: Callable[[str], N
         sigma = np.maximum(np.sqrt((r**2).sum(axis=(0, 2)) / problem.count), 1e-7)
         if worth is None or k == 2:
             worth = np.array([count_worth(r[:, j], problem.used) for j in range(r.shape[1])])
-        weight = 1.0 / (sigma**2 * worth)
+        weight = _weigh(problem, r, sigma) / worth[:, None]
         H, g, scatter = _accumulate(problem, r, sensitivities, owners, weight)
         H, g = H + np.diag(precision), g - precision * (x - start)
         loss = _sum_squares(r[:, :, None], weight)[0] + float(precision @ (x - start) ** 2)
@@ -417,7 +425,7 @@ def _search(problem: LoopProblem, first: np.ndarray, progress: Callable[[str], N
             break
     r, sensitivities, owners = problem.differentiate(x)
     sigma = np.maximum(np.sqrt((r**2).sum(axis=(0, 2)) / problem.count), 1e-7)
-    weight = 1.0 / (sigma**2 * (worth if worth is not None else 1.0))
+    weight = _weigh(problem, r, sigma) / (worth if worth is not None else np.ones(len(sigma)))[:, None]
     H, g, scatter = _accumulate(problem, r, sensitivities, owners, weight)
     held = _find_held(u, x, g - precision * (x - start))
     return LoopFit(
@@ -430,6 +438,12 @@ def _search(problem: LoopProblem, first: np.ndarray, progress: Callable[[str], N
     )
 
 
+def _weigh(problem: LoopProblem, r: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Return the inverse variances (na, S) of residuals (N, na, S): each log's own, within a factor of its joint's."""
+    own = np.sqrt((r**2).sum(axis=0) / np.maximum(problem.used.sum(axis=0), 1))
+    return np.clip(own, sigma[:, None] / MAX_CONTRAST, sigma[:, None] * MAX_CONTRAST) ** -2.0
+
+
 def _accumulate(problem, r, sensitivities, owners, weight):  # noqa: ANN001, ANN202
     """Return normal matrix (n, n), right side (n,) and the gradient's scatter over blocks (n, n)."""
     n = problem.unknowns.n
@@ -438,8 +452,9 @@ def _accumulate(problem, r, sensitivities, owners, weight):  # noqa: ANN001, ANN
     sums = np.zeros((blocks.max() + 1, n))
     for j, (S, mine) in enumerate(zip(sensitivities, owners, strict=True)):
         flat = r[:, j].reshape(-1)
-        H[np.ix_(mine, mine)] += weight[j] * (S.T @ S)
-        rows = -S * flat[:, None] * weight[j]  # the residual's derivative is minus the position's
+        weights = np.broadcast_to(weight[j], r[:, j].shape).reshape(-1, 1)
+        H[np.ix_(mine, mine)] += S.T @ (S * weights)
+        rows = -S * flat[:, None] * weights  # the residual's derivative is minus the position's
         g[mine] += rows.sum(axis=0)
         for column, k in enumerate(mine):
             sums[:, k] += np.bincount(blocks, weights=rows[:, column], minlength=len(sums))
@@ -450,7 +465,7 @@ def _accumulate(problem, r, sensitivities, owners, weight):  # noqa: ANN001, ANN
 
 def _sum_squares(r: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Return the weighted sums of squares (C,) of residuals (N, na, C, S)."""
-    return np.einsum("njcs,njcs,j->c", r, r, weight)
+    return np.einsum("njcs,njcs,js->c", r, r, weight)
 
 
 def _find_held(u: LoopUnknowns, x: np.ndarray, g: np.ndarray) -> np.ndarray:

@@ -137,9 +137,9 @@ def present_loop_diagnosis(found: LoopDiagnosis) -> r.Presentation:
         if confirmed
         else f"No cause is confirmed; the simulated loop is {before:.1f} mrad off held-out positions."
     )
-    verdict = r.Verdict(
-        "good" if found.verdict == "named" or not found.findings else "care", headline, found.verdict.replace("_", " ")
-    )
+    told = "Held-out data that the search did not see confirm it." if confirmed else "Nothing to correct was confirmed."
+    level = "good" if found.verdict == "named" or not found.findings else "care"
+    verdict = r.Verdict(level, told, found.verdict.replace("_", " "))
     sections = [
         *warn(found.warnings),
         r.Chapter("findings", "Causes", lambda: _build_findings(found), r.On.ALL, when=bool(found.findings)),
