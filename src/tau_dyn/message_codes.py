@@ -132,6 +132,16 @@ ERROR_CODES = INPUT_CODES | UNANSWERED_CODES | DEFECT_CODES
 
 WARNING_CODES: dict[str, MessageCode] = {
     "note": MessageCode("anything else", "read the sentence"),
+    "contact": MessageCode("the tool rests on something", "keep such samples out of training; the fit leaves them out"),
+    "droop": MessageCode("a proportional servo stays behind its command at rest", "nothing; it is no backlash"),
+    "gain_unknown": MessageCode(
+        "no servo law: masses are known up to its gain", "`--controller LAW.yaml` or a weighed mass"
+    ),
+    "law_incomplete": MessageCode(
+        "fits at each servo gain alone disagree", "add the entry that is named to the controller file"
+    ),
+    "outside_training": MessageCode("held-out logs accelerate more than the training's", "train on faster motions"),
+    "unsigned_load": MessageCode("a load channel has no sign", "do not map it to torque"),
     "column_missing": MessageCode("`columns`: no clock or torque", "add it to the map"),
     "column_unsure": MessageCode("`columns`: perhaps another signal or joint", "check the map"),
     "torque_constant_missing": MessageCode("`columns`: a current is no torque", "scale it"),

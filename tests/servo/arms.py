@@ -21,13 +21,24 @@ def build_arm(n: int = 2):
     names = [f"j{k + 1}" for k in range(n)]
     links = [_LINK.format(name=j, x=0.07, m=0.15, i=2e-4) for j in names]
     parents = ["base_link", *(f"{j}_link" for j in names[:-1])]
-    joints = [_JOINT.format(name=j, parent=p, at=0 if k == 0 else 0.12) for k, (j, p) in enumerate(zip(names, parents, strict=True))]
-    return load_robot_from_urdf(f'<robot name="arm"><link name="base_link"/>{"".join(links + joints)}</robot>', "arm.urdf")
+    joints = [
+        _JOINT.format(name=j, parent=p, at=0 if k == 0 else 0.12)
+        for k, (j, p) in enumerate(zip(names, parents, strict=True))
+    ]
+    return load_robot_from_urdf(
+        f'<robot name="arm"><link name="base_link"/>{"".join(links + joints)}</robot>', "arm.urdf"
+    )
 
 
 def build_law(robot, gain: float = 2.65, **entries) -> ServoLaw:
     """Return a hobby servo's law."""
-    known = {"position_gain": gain, "force_per_unit": 2.9, "back_emf": 0.17, "command_delay": 0.012, "load_friction": 0.2}
+    known = {
+        "position_gain": gain,
+        "force_per_unit": 2.9,
+        "back_emf": 0.17,
+        "command_delay": 0.012,
+        "load_friction": 0.2,
+    }
     return ServoLaw.of(robot.actuated, **(known | {"stiction": 0.01} | entries))
 
 
@@ -57,5 +68,11 @@ def build_commands(robot, seed: int, duration: float = 40.0) -> Trajectory:
 def record(robot, model, law, seed: int, duration: float = 40.0, **sensors):
     """Return a log of commands and positions as a 12 bit encoder shows them."""
     return simulate_loop_log(
-        model, law, build_commands(robot, seed, duration), seed=seed, encoder_resolution=2 * np.pi / 4096, encoder_noise=3e-4, **sensors
+        model,
+        law,
+        build_commands(robot, seed, duration),
+        seed=seed,
+        encoder_resolution=2 * np.pi / 4096,
+        encoder_noise=3e-4,
+        **sensors,
     )

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome
 from tau_dyn.cli.progress import show_progress
-from tau_dyn.exceptions import CannotAnswer
+from tau_dyn.exceptions import CannotAnswer, InputError
 
 
 def diagnose(
@@ -46,15 +46,34 @@ def diagnose(
             a model file; its parameters are refitted
         propose: Write the motion here (t, q_ref, v_ref, a_ref; a minute, within the robot's limits) that best tells what
             these logs could not
-        controller: The rig's controller: the first log with q_ref_JOINT is simulated again in closed loop, before and after
+        controller: The rig's controller: the first log with q_ref_JOINT is simulated again in closed loop, before and after;
+            for logs of commands and positions without torque (cmd_J, q_J) the servo's law
     """
     with show_progress(output.quiet) as step:
         step("loading")
         from tau_dyn.diagnose import add_simulation, diagnose as diagnose_robot
+        from tau_dyn.servo import diagnose_loop, is_loop_log
+        from tau_dyn.simulate import read_servo_law
 
         machine = robot_options.load(robot)
         trained, held = fitting.read_logs(logs), fitting.read_logs(holdout)
         machine = robot_options.hold_silent_joints(machine, robot, trained)
+        inputs = [
+            *robot_options.list_files(robot),
+            *fitting.list_inputs(model, [*logs, *holdout], [*trained, *held]),
+            controller,
+        ]
+        if is_loop_log(trained[0], machine):
+            if propose:
+                raise InputError("bad_option", "--propose needs logs with torque")
+            servo = None if controller is None else read_servo_law(controller, machine)
+            loop = diagnose_loop(
+                machine, trained, law=servo, holdout=held, progress=step, **fitting.collect(model, output.seed)
+            )
+            return Outcome(
+                result=loop.to_dict(), warnings=loop.warnings, inputs=inputs, files={out: loop.extended_model.save},
+                named={"extended model": out}, found=loop, exit_status=loop.exit_status,
+            )  # fmt: skip
         law = _read_law(controller, machine, trained)
         found = diagnose_robot(machine, trained, holdout=held, progress=step, **fitting.collect(model, output.seed))
         if law is not None:
@@ -71,11 +90,7 @@ def diagnose(
     return Outcome(
         result=result,
         warnings=warnings,
-        inputs=[
-            *robot_options.list_files(robot),
-            *fitting.list_inputs(model, [*logs, *holdout], [*trained, *held]),
-            controller,
-        ],
+        inputs=inputs,
         lines=[f"proposed: {note}" for note in result.get("proposal", {}).get("notes", ())],
         files=files,
         named={"extended model": out, "motion": propose if propose in files else None},

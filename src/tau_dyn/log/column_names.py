@@ -42,8 +42,8 @@ def is_contract_name(column: str) -> bool:
 def list_used_columns(columns: Iterable[str]) -> tuple[str, ...]:
     """Return the columns that the library uses, and whose every cell therefore has to be a number.
 
-    `v_`, `a_`, `cmd_`, `q_link_` and `temp_` count only beside a `q_` column of the same joint: a foreign log's `a_comment` is nobody's
-    acceleration.
+    `v_`, `a_`, `cmd_`, `q_link_` and `temp_` count only beside a `q_` column of the same joint: a foreign log's
+    `a_comment` is nobody's acceleration.
     """
     columns = tuple(columns)
     joints = {joint for signal, joint in map_joints(columns) if signal == "q"}

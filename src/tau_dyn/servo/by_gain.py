@@ -1,8 +1,8 @@
 """Logs at several servo gains: what each gain's logs alone say of the drive, and what is missing where they disagree.
 
-The torque that a drive gives for its whole supply does not depend on the gain of the loop around it. Where fits at each gain alone
-find different torques, beyond their errors, the law is incomplete, however well each fit follows its own logs. Then what a law may
-lack is tried on all logs together, and the entry that explains most is named.
+The torque that a drive gives for its whole supply does not depend on the gain of the loop around it. Where fits at each
+gain alone find different torques, beyond their errors, the law is incomplete, however well each fit follows its own logs.
+Then what a law may lack is tried on all logs together, and the entry that explains most is named.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tau_dyn.message_codes import CodedWarning
-from tau_dyn.servo.fit import LoopFit, LoopProblem, Unknowns, build_unknowns, fit_loop
-from tau_dyn.servo.records import build_waves
+from tau_dyn.servo.fit import LoopFit, LoopProblem, LoopUnknowns, build_unknowns, fit_loop
 
 if TYPE_CHECKING:
-    from tau_dyn.servo.identification import LoopData
+    from tau_dyn.servo.data import LoopData
 
 MISSING = {"drive_exponent": "a drive law that bends", "supply_sag": "a supply that sags", "dead_band": "a dead band"}
 """Entries that a law may lack, tried where fits disagree."""
@@ -28,7 +27,7 @@ DISAGREES = 3.3
 MIN_DIFFERENCE = 0.1  # relative; smaller differences change no simulation
 MIN_FALL = 0.08
 """Fall of the residual's rms from which an entry is named as missing."""
-_ITERATIONS = 10
+_ITERATIONS = 10  # from a solution of all logs
 
 
 def compare_gains(
@@ -57,8 +56,8 @@ def compare_gains(
         return tuple(rows), []
     values = ", ".join(f"{f[0][0]:.3g} ± {f[1][0]:.2g}" for f in fits)
     said = (
-        f"the fits at each gain alone disagree in {odd} of {pairs} pairs about the torque for the whole supply ({values} N m at rising "
-        "gain), so the servo's law is incomplete"
+        f"the fits at each gain alone disagree in {odd} of {pairs} pairs about the torque for the whole supply "
+        f"({values} N m at rising gain), so the servo's law is incomplete"
     )
     return tuple(rows), [CodedWarning("law_incomplete", said + _name_missing(data, x, progress))]
 
@@ -94,7 +93,7 @@ def _name_missing(data: LoopData, x: np.ndarray, progress: Callable[[str], None]
     return f"; what is missing most is {best[1]}; write '{best[2]}: {{estimate: START}}' into the controller file"
 
 
-def extend_unknowns(u: Unknowns, x: np.ndarray, kinds: Sequence[str], data: LoopData) -> Unknowns:
+def extend_unknowns(u: LoopUnknowns, x: np.ndarray, kinds: Sequence[str], data: LoopData) -> LoopUnknowns:
     """Return the unknowns at a solution, with further kinds free at all joints."""
     values = u.with_values(x)
     more = [kind for kind in kinds if kind not in u.kinds]
@@ -105,7 +104,7 @@ def extend_unknowns(u: Unknowns, x: np.ndarray, kinds: Sequence[str], data: Loop
     return replace(wider, free=free, lower=lower, upper=upper, prior=prior)
 
 
-def read_kind(u: Unknowns, fit: LoopFit, kind: str) -> tuple[np.ndarray, np.ndarray]:
+def read_kind(u: LoopUnknowns, fit: LoopFit, kind: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the values (na,) of a kind, and their standard errors, zero where it is not free."""
     where = np.full(u.free.shape, -1)
     where[u.free] = np.arange(int(u.free.sum()))
@@ -113,6 +112,6 @@ def read_kind(u: Unknowns, fit: LoopFit, kind: str) -> tuple[np.ndarray, np.ndar
     return u.with_values(fit.x)[kind], np.where(at >= 0, sigma[at], 0.0)
 
 
-def _build_problem(data: LoopData, u: Unknowns, chosen: Sequence[int]) -> LoopProblem:
+def _build_problem(data: LoopData, u: LoopUnknowns, chosen: Sequence[int]) -> LoopProblem:
     records, loads = [data.records[k] for k in chosen], [data.loads[k] for k in chosen]
-    return LoopProblem(u, build_waves(data.space, records, loads, [r.motion[0] for r in records], data.law), records)
+    return replace(data, records=records, loads=loads, unknowns=u).build_problem()

@@ -14,13 +14,13 @@ import numpy as np
 
 from tau_dyn.log import find_true_runs
 from tau_dyn.model import Model
-from tau_dyn.servo.records import Record, mask_unused
+from tau_dyn.servo.records import LoopRecord, mask_unused
 
 MIN_GAP_M = 0.005
 """How far above its command a tip rests at least where it is held up [m]: dry friction of small arms leaves less."""
 RESTING = 0.06
 """Speed of every joint below which the tip rests [rad/s]."""
-NEAR_LOWEST_M = 0.012
+LOWEST_BAND_M = 0.012
 """A tip this near to the lowest point of its log may rest on something [m]."""
 MIN_DURATION_S = 0.15
 """Shortest rest on something [s]."""
@@ -56,7 +56,7 @@ class Contact:
         )
 
 
-def find_contacts(model: Model, records: Sequence[Record]) -> tuple[list[Contact], list[Record]]:
+def find_contacts(model: Model, records: Sequence[LoopRecord]) -> tuple[list[Contact], list[LoopRecord]]:
     """Return the contacts in logs, and the records without those samples.
 
     What one log shows to be there is looked for in the others, where the tip rests on it too shortly to show it by itself.
@@ -75,27 +75,27 @@ def find_contacts(model: Model, records: Sequence[Record]) -> tuple[list[Contact
     return [contact for contact, _ in found if contact], kept
 
 
-def _measure_gap(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _measure_gap(model: Model, record: LoopRecord) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the tip's height (N,) [m], how far above its command it is (N,) [m], and where every joint rests (N,)."""
     tip, told = (model.mechanism.tool_position(x)[:, 2] for x in (record.q, record.command))
     return tip, tip - told, np.all(np.abs(record.motion[1]) < RESTING, axis=1)
 
 
-def _measure_usual_gap(model: Model, record: Record) -> float:
+def _measure_usual_gap(model: Model, record: LoopRecord) -> float:
     """Return the gap that a free tip at rest stays below in this log [m]; zero where it never rests."""
     tip, gap, still = _measure_gap(model, record)
-    free = gap[still & (tip > tip.min() + NEAR_LOWEST_M)]
+    free = gap[still & (tip > tip.min() + LOWEST_BAND_M)]
     return float(np.percentile(free, 98)) if len(free) > 10 else 0.0
 
 
-def _find_contact(model: Model, record: Record, usual: float, known: float) -> tuple[Contact | None, np.ndarray]:
+def _find_contact(model: Model, record: LoopRecord, usual: float, known: float) -> tuple[Contact | None, np.ndarray]:
     """Return a log's contact or None, and the mask of its samples to be left out (N,).
 
     `usual` is the gap of a free tip, `known` the height of something there, infinite for none [m].
     """
     nothing = np.zeros(len(record.t), dtype=bool)
     tip, gap, still = _measure_gap(model, record)
-    low = tip < (known + NEAR_LOWEST_M / 2 if np.isfinite(known) else tip.min() + NEAR_LOWEST_M)
+    low = tip < (known + LOWEST_BAND_M / 2 if np.isfinite(known) else tip.min() + LOWEST_BAND_M)
     held = still & low & (gap > max(MIN_GAP_M, usual + 0.4 * MIN_GAP_M)) & (record.enabled > 0)
     runs = [run for run in find_true_runs(held) if (run.stop - run.start) * record.dt >= MIN_DURATION_S]
     if not runs:
@@ -114,7 +114,7 @@ def _find_contact(model: Model, record: Record, usual: float, known: float) -> t
     return Contact(record.name, joint, float(times[0]), float(times[-1]), float(mask.mean()), height), mask
 
 
-def _share_gap(model: Model, record: Record, rests: np.ndarray) -> np.ndarray:
+def _share_gap(model: Model, record: LoopRecord, rests: np.ndarray) -> np.ndarray:
     """Return how much of the tip's gap to its command each joint holds up (na,) [m], in the median."""
     q, command = record.q[rests], record.command[rests]
     shares = []

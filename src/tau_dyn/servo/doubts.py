@@ -9,12 +9,12 @@ import numpy as np
 
 from tau_dyn.log import Log
 from tau_dyn.message_codes import CodedWarning
-from tau_dyn.servo.records import Record
+from tau_dyn.servo.records import LoopRecord
 from tau_dyn.simulate import ServoLaw
 
 if TYPE_CHECKING:
+    from tau_dyn.servo.data import LoopData
     from tau_dyn.servo.fit import LoopFit
-    from tau_dyn.servo.identification import LoopData
 
 BEYOND = 1.3
 """Acceleration of held-out logs over that of all training logs from which a prediction leaves what was learnt."""
@@ -27,7 +27,12 @@ _MIN_LIKENESS = 0.4  # correlation with the position error from which a channel 
 
 
 def list_loop_warnings(
-    law: ServoLaw, train: Sequence[Record], held: Sequence[Record], logs: Sequence[Log], data: LoopData, fit: LoopFit
+    law: ServoLaw,
+    train: Sequence[LoopRecord],
+    held: Sequence[LoopRecord],
+    logs: Sequence[Log],
+    data: LoopData,
+    fit: LoopFit,
 ) -> list[str]:
     """Return all sentences."""
     return [
@@ -56,7 +61,9 @@ def _describe_scale(law: ServoLaw, data: LoopData) -> list[str]:
     ]
 
 
-def _describe_accelerations(joints: Sequence[str], train: Sequence[Record], held: Sequence[Record]) -> list[str]:
+def _describe_accelerations(
+    joints: Sequence[str], train: Sequence[LoopRecord], held: Sequence[LoopRecord]
+) -> list[str]:
     if not held:
         return []
     known = np.max([np.percentile(np.abs(r.motion[2]), SUSTAINED, axis=0) for r in train], axis=0)
@@ -68,14 +75,14 @@ def _describe_accelerations(joints: Sequence[str], train: Sequence[Record], held
             said.append(
                 CodedWarning(
                     "outside_training",
-                    f"{r.name}: {joints[worst]} accelerates with {here[worst]:.2g} rad/s^2 over a tenth of the time, the training "
-                    f"logs with {known[worst]:.2g}; the prediction leaves what was learnt",
+                    f"{r.name}: {joints[worst]} accelerates with {here[worst]:.2g} rad/s^2 over a tenth of the time, "
+                    f"the training logs with {known[worst]:.2g}; the prediction leaves what was learnt",
                 )
             )
     return said
 
 
-def _describe_droop(joints: Sequence[str], records: Sequence[Record]) -> list[str]:
+def _describe_droop(joints: Sequence[str], records: Sequence[LoopRecord]) -> list[str]:
     said = []
     for j, joint in enumerate(joints):
         still = [r.used & (np.abs(r.motion[1][:, j]) < 0.02) for r in records]
@@ -87,8 +94,8 @@ def _describe_droop(joints: Sequence[str], records: Sequence[Record]) -> list[st
     return [
         CodedWarning(
             "droop",
-            f"at rest the joints stay behind their commands ({', '.join(said)}): a proportional servo yields to gravity and friction; "
-            "this lost motion is droop, no backlash",
+            f"at rest the joints stay behind their commands ({', '.join(said)}): a proportional servo yields to gravity and "
+            "friction; this lost motion is droop, no backlash",
         )
     ]
 

@@ -1,14 +1,15 @@
 """Parameters through the closed loop: equation error as a screen and a start, output error by Gauss-Newton.
 
-    minimise  sum_j sum_k (q_jk - qhat_jk(x))^2 / (sigma_j^2 n_j) + |z|^2 + sum ((x - prior) / sigma_x)^2
+    minimise  sum_j sum_s sum_k (q_jsk - qhat_jsk(x))^2 / (sigma_js^2 n_j) + |z|^2 + sum ((x - prior) / sigma_x)^2
 
-`qhat` is the simulated loop from each log's start to its end: the loop forgets its start within a fraction of a second, so that one
-shot over a log is as well conditioned as many. All sensitivities are simulated side by side, as differences, because friction that
-holds has no useful derivative equations. `n_j` is how many samples of joint j one independent sample is worth. Standard errors come
-from the scatter of the gradient over blocks of time, which coloured residuals do not make too small.
+`qhat` is the simulated loop from each log's start to its end: the loop forgets its start within a fraction of a second, so
+that one shot over a log is as well conditioned as many. All sensitivities are simulated side by side, as differences,
+because friction that holds has no useful derivative equations. `n_j` is how many samples of joint j one independent sample
+is worth. Standard errors come from the scatter of the gradient over blocks of time, which coloured residuals do not make
+too small.
 
-The equation error compares the torque that the law makes of command and position with the robot's along the measured motion.
-Where the servo saturates or its law is incomplete it is biased, so it serves as a start and as a screen only.
+The equation error compares the torque that the law makes of command and position with the robot's along the measured
+motion. Where the servo saturates or its law is incomplete it is biased, so it serves as a start and as a screen only.
 Reference: Ljung 1999, 7.2 and 9; Levenberg 1944, Marquardt 1963; White 1980, Liang & Zeger 1986 (blocks).
 """
 
@@ -22,7 +23,7 @@ import numpy as np
 
 from tau_dyn.log import lowpass
 from tau_dyn.servo.loop import FINE_STEP_S, Trials, Waves, simulate_loops
-from tau_dyn.servo.records import MOTION_HZ, InertialSpace, LoadWaves, Record
+from tau_dyn.servo.records import MOTION_HZ, InertialSpace, LoadWaves, LoopRecord
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
 
 JOINT_UNITS = {"armature": "kg m^2", "coulomb": "N m", "viscous": "N m s/rad", "offset": "N m"}
@@ -41,9 +42,15 @@ MAX_ITERATIONS = 15
 _FINE_ITERATIONS = 5  # from a solution with the longer step
 STEP_EFFECT_RAD = 4e-4
 """What the longer step moves positions by [rad]."""
+STEP_SHARE = 3.0
+"""Shift of a solution from the longer to the finer step over what the finer one may still be off: the steps differ by four, and
+where friction holds the error falls with the step itself."""
 COARSE_IS_ENOUGH = 4.0
 """Residual over the step's effect from which the longer step is enough."""
 _LAMBDAS = (1e-2, 3e-1, 1e1)  # damping factors that are tried side by side
+MAX_CONTRAST = 2.0
+"""Factor within which a log's residual may be weighed other than its joint's usual one: what no model explains in one log
+(a contact, a shaken joint) must not decide about the others."""
 BLOCK_S = (0.5, 5.0)
 """Shortest and longest blocks over which the gradient's scatter is taken [s]: residuals forget within the longest."""
 BLOCKS = 100
@@ -54,7 +61,7 @@ MAX_ELEMENTS = 6_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Unknowns:
+class LoopUnknowns:
     """What a fit may change, kind by kind and joint by joint, and the inertial directions.
 
     Attributes:
@@ -116,7 +123,7 @@ class LoopFit:
     """The end of a search.
 
     Attributes:
-        x: Unknowns (n,).
+        x: LoopUnknowns (n,).
         covariance: Their covariance (n, n); zero rows for those at a bound.
         sigma: Residual rms of each joint (na,) [rad].
         loss: Sum of squares.
@@ -160,9 +167,9 @@ def delay_command(command: np.ndarray, dt: float, delay: float) -> np.ndarray:
 
 
 def screen_equation_error(
-    law: ServoLaw, space: InertialSpace, records: Sequence[Record], loads: Sequence[LoadWaves], estimate_gain: bool
+    law: ServoLaw, space: InertialSpace, records: Sequence[LoopRecord], loads: Sequence[LoadWaves], estimate_gain: bool
 ) -> EquationError:
-    """Return the best delay, friction and drive inertia of each joint by the rebuilt torque, inertial numbers as the file has them."""
+    """Return the best delay, friction and drive inertia of each joint by the rebuilt torque, bodies as the file has them."""
     na = len(law.joints)
     values = {key: np.array(law.values[key]) for key in ("position_gain", "command_delay")}
     values |= {key: np.zeros(na) for key in JOINT_UNITS}
@@ -218,7 +225,7 @@ def _fill_gains(values: dict[str, np.ndarray], law: ServoLaw) -> dict[str, np.nd
 
 
 def _build_rows(
-    law: ServoLaw, space: InertialSpace, r: Record, w: LoadWaves, j: int, delay: float, estimate_gain: bool
+    law: ServoLaw, space: InertialSpace, r: LoopRecord, w: LoadWaves, j: int, delay: float, estimate_gain: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return torque, columns (sign, speed, one, acceleration) and mask of one joint where it moves and its motor is on."""
     rate, (q, v, a) = 1 / r.dt, r.motion
@@ -239,7 +246,7 @@ def _build_rows(
 
 
 def choose_directions(
-    space: InertialSpace, records: Sequence[Record], loads: Sequence[LoadWaves], screen: EquationError
+    space: InertialSpace, records: Sequence[LoopRecord], loads: Sequence[LoadWaves], screen: EquationError
 ) -> InertialSpace:
     """Return the space with the directions of which the logs know more than the robot file."""
     p = len(space.nominal)
@@ -267,7 +274,7 @@ def choose_directions(
 class LoopProblem:
     """Residuals and sensitivities of a fit."""
 
-    def __init__(self, unknowns: Unknowns, waves: Waves, records: Sequence[Record]) -> None:
+    def __init__(self, unknowns: LoopUnknowns, waves: Waves, records: Sequence[LoopRecord]) -> None:
         """Prepare; records give the measured positions and the samples that count."""
         n = len(waves.command)
         self.unknowns, self.waves = unknowns, waves
@@ -303,7 +310,8 @@ class LoopProblem:
         stiff = values["position_gain"] * values["force_per_unit"]
         small = {
             "armature": 2e-5 * stiff, "coulomb": 1e-3 * stiff, "viscous": 1e-3 * stiff, "offset": 1e-3 * stiff,
-            "load_friction": 0.02, "stiction": 1e-3 * stiff, "command_delay": 1e-3, "dead_band": 5e-4, "supply_sag": 0.02, "braking": 0.05,
+            "load_friction": 0.02, "stiction": 1e-3 * stiff, "command_delay": 1e-3, "dead_band": 5e-4,
+            "supply_sag": 0.02, "braking": 0.05,
             "back_emf": 1e-3 * values["position_gain"], "stiction_speed": 5e-3,
         }  # fmt: skip
         na = len(stiff)
@@ -332,7 +340,7 @@ class LoopProblem:
         return base, sensitivities, owners
 
 
-def _number_blocks(records: Sequence[Record], n: int) -> np.ndarray:
+def _number_blocks(records: Sequence[LoopRecord], n: int) -> np.ndarray:
     """Return the number of the block that each sample (N, S) belongs to."""
     out, first = np.zeros((n, len(records)), dtype=int), 0
     length = float(np.clip(sum(len(r.t) * r.dt for r in records) / BLOCKS, *BLOCK_S))
@@ -358,13 +366,24 @@ def count_worth(residual: np.ndarray, used: np.ndarray) -> float:
 
 
 def fit_loop(
-    problem: LoopProblem, progress: Callable[[str], None] = lambda step: None, max_iterations: int = MAX_ITERATIONS
+    problem: LoopProblem,
+    progress: Callable[[str], None] = lambda step: None,
+    max_iterations: int = MAX_ITERATIONS,
+    step: float = 0.0,
 ) -> LoopFit:
-    """Search the unknowns that simulate the logs best, from their start values; with a finer step where the residual is small."""
-    found = _search(problem, problem.unknowns.pack(), progress, max_iterations)
+    """Search the unknowns that simulate the logs best, from their start values.
+
+    The longest step is a given one [s], or, for 0, chosen: a finer one follows where the residual is small.
+    """
+    start = problem.unknowns.pack()
+    if step > 0:
+        return _search(problem.with_step(step), start, progress, max_iterations)
+    found = _search(problem, start, progress, max_iterations)
     if not problem.unknowns.n or float(np.median(found.sigma)) > COARSE_IS_ENOUGH * STEP_EFFECT_RAD:
         return found
-    return _search(problem.with_step(FINE_STEP_S), found.x, progress, _FINE_ITERATIONS)
+    fine = _search(problem.with_step(FINE_STEP_S), found.x, progress, _FINE_ITERATIONS)
+    shift = (fine.x - found.x) / STEP_SHARE
+    return replace(fine, covariance=fine.covariance + np.outer(shift, shift) * (np.diag(fine.covariance) > 0)[:, None])
 
 
 def _search(problem: LoopProblem, first: np.ndarray, progress: Callable[[str], None], max_iterations: int) -> LoopFit:
@@ -384,7 +403,7 @@ def _search(problem: LoopProblem, first: np.ndarray, progress: Callable[[str], N
         sigma = np.maximum(np.sqrt((r**2).sum(axis=(0, 2)) / problem.count), 1e-7)
         if worth is None or k == 2:
             worth = np.array([count_worth(r[:, j], problem.used) for j in range(r.shape[1])])
-        weight = 1.0 / (sigma**2 * worth)
+        weight = _weigh(problem, r, sigma) / worth[:, None]
         H, g, scatter = _accumulate(problem, r, sensitivities, owners, weight)
         H, g = H + np.diag(precision), g - precision * (x - start)
         loss = _sum_squares(r[:, :, None], weight)[0] + float(precision @ (x - start) ** 2)
@@ -406,7 +425,7 @@ def _search(problem: LoopProblem, first: np.ndarray, progress: Callable[[str], N
             break
     r, sensitivities, owners = problem.differentiate(x)
     sigma = np.maximum(np.sqrt((r**2).sum(axis=(0, 2)) / problem.count), 1e-7)
-    weight = 1.0 / (sigma**2 * (worth if worth is not None else 1.0))
+    weight = _weigh(problem, r, sigma) / (worth if worth is not None else np.ones(len(sigma)))[:, None]
     H, g, scatter = _accumulate(problem, r, sensitivities, owners, weight)
     held = _find_held(u, x, g - precision * (x - start))
     return LoopFit(
@@ -419,6 +438,12 @@ def _search(problem: LoopProblem, first: np.ndarray, progress: Callable[[str], N
     )
 
 
+def _weigh(problem: LoopProblem, r: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Return the inverse variances (na, S) of residuals (N, na, S): each log's own, within a factor of its joint's."""
+    own = np.sqrt((r**2).sum(axis=0) / np.maximum(problem.used.sum(axis=0), 1))
+    return np.clip(own, sigma[:, None] / MAX_CONTRAST, sigma[:, None] * MAX_CONTRAST) ** -2.0
+
+
 def _accumulate(problem, r, sensitivities, owners, weight):  # noqa: ANN001, ANN202
     """Return normal matrix (n, n), right side (n,) and the gradient's scatter over blocks (n, n)."""
     n = problem.unknowns.n
@@ -427,8 +452,9 @@ def _accumulate(problem, r, sensitivities, owners, weight):  # noqa: ANN001, ANN
     sums = np.zeros((blocks.max() + 1, n))
     for j, (S, mine) in enumerate(zip(sensitivities, owners, strict=True)):
         flat = r[:, j].reshape(-1)
-        H[np.ix_(mine, mine)] += weight[j] * (S.T @ S)
-        rows = -S * flat[:, None] * weight[j]  # the residual's derivative is minus the position's
+        weights = np.broadcast_to(weight[j], r[:, j].shape).reshape(-1, 1)
+        H[np.ix_(mine, mine)] += S.T @ (S * weights)
+        rows = -S * flat[:, None] * weights  # the residual's derivative is minus the position's
         g[mine] += rows.sum(axis=0)
         for column, k in enumerate(mine):
             sums[:, k] += np.bincount(blocks, weights=rows[:, column], minlength=len(sums))
@@ -439,10 +465,10 @@ def _accumulate(problem, r, sensitivities, owners, weight):  # noqa: ANN001, ANN
 
 def _sum_squares(r: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Return the weighted sums of squares (C,) of residuals (N, na, C, S)."""
-    return np.einsum("njcs,njcs,j->c", r, r, weight)
+    return np.einsum("njcs,njcs,js->c", r, r, weight)
 
 
-def _find_held(u: Unknowns, x: np.ndarray, g: np.ndarray) -> np.ndarray:
+def _find_held(u: LoopUnknowns, x: np.ndarray, g: np.ndarray) -> np.ndarray:
     """Return which unknowns (n,) a bound holds against the gradient."""
     m = int(u.free.sum())
     held = np.zeros(len(x), dtype=bool)
@@ -450,7 +476,7 @@ def _find_held(u: Unknowns, x: np.ndarray, g: np.ndarray) -> np.ndarray:
     return held
 
 
-def _step(H: np.ndarray, g: np.ndarray, lam: float, held: np.ndarray, u: Unknowns, x: np.ndarray) -> np.ndarray:
+def _step(H: np.ndarray, g: np.ndarray, lam: float, held: np.ndarray, u: LoopUnknowns, x: np.ndarray) -> np.ndarray:
     """Return the next vector by a damped step among the unknowns that no bound holds."""
     loose = ~held
     d = np.zeros(len(x))
@@ -478,7 +504,7 @@ def build_unknowns(
     start: Mapping[str, np.ndarray],
     kinds: Sequence[str],
     held: Mapping[str, np.ndarray] | None = None,
-) -> Unknowns:
+) -> LoopUnknowns:
     """Return unknowns of some kinds for all joints, at start values.
 
     Args:
@@ -495,7 +521,7 @@ def build_unknowns(
     lower = np.array([np.full(na, _LOWEST.get(k, 0.0)) for k in kinds]).reshape(shape)
     upper = np.array([np.full(na, _HIGHEST.get(k, np.inf)) for k in kinds]).reshape(shape)
     free = np.array([~np.asarray((held or {}).get(k, np.zeros(na, bool)), bool) for k in kinds]).reshape(shape)
-    return Unknowns(values, tuple(kinds), free, lower, upper, np.full(shape, np.inf), space)
+    return LoopUnknowns(values, tuple(kinds), free, lower, upper, np.full(shape, np.inf), space)
 
 
 _LOWEST = {"offset": -np.inf, "position_gain": 1e-3, "force_per_unit": 1e-4, "stiction_speed": 1e-3, "armature": 1e-7,

@@ -1,15 +1,15 @@
 """Logs of commands and positions -> masses, friction and the servo's unknowns: the whole main path in one place.
 
-    robot, law, logs -> Records -> contact left out -> screen (equation error) -> directions -> output error -> errors on other logs
+    robot, law, logs -> Records -> contact left out -> screen (equation error) -> directions -> output error -> errors
 
-Masses and friction scale with the law's torque. Where no law is given, the gains are estimated, and the robot file's masses, or a
-weighed one, set the scale; the answer says so.
+Masses and friction scale with the law's torque. Where no law is given, the gains are estimated, and the robot file's
+masses, or a weighed one, set the scale; the answer says so.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -24,14 +24,15 @@ from tau_dyn.message_codes import CodedWarning
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import NOMINAL_MASS_STDERR, NOT_GIVEN, Robot
+from tau_dyn.servo.by_gain import compare_gains
 from tau_dyn.servo.contact import find_contacts
+from tau_dyn.servo.data import LoopData
 from tau_dyn.servo.doubts import list_loop_warnings
 from tau_dyn.servo.fit import (
     FRICTION,
     JOINT_UNITS,
     LoopFit,
-    LoopProblem,
-    Unknowns,
+    LoopUnknowns,
     build_unknowns,
     choose_directions,
     fit_loop,
@@ -42,9 +43,8 @@ from tau_dyn.servo.prediction import predict_positions
 from tau_dyn.servo.records import (
     InertialSpace,
     LoadWaves,
-    Record,
+    LoopRecord,
     build_records,
-    build_waves,
     compute_load_waves,
     mask_unused,
 )
@@ -67,33 +67,6 @@ def is_loop_log(log: Log | Recording, robot: Robot) -> bool:
     if not isinstance(log, Log) or not (log.has("q", names) and log.has("cmd", names)):
         return False
     return not any(log.has("tau", [joint]) for joint in names)
-
-
-@dataclass(frozen=True, eq=False)
-class LoopData:
-    """Everything that a fit starts from.
-
-    Attributes:
-        model: Robot and friction, at start values.
-        law: The servo's law.
-        space: Inertial numbers, with the directions that are unknowns.
-        records: Training logs.
-        loads: Loads along them.
-        unknowns: What may change.
-    """
-
-    model: Model
-    law: ServoLaw
-    space: InertialSpace
-    records: Sequence[Record]
-    loads: Sequence[LoadWaves]
-    unknowns: Unknowns
-
-    def build_problem(self, unknowns: Unknowns | None = None, records: Sequence[Record] | None = None) -> LoopProblem:
-        """Return the fit's problem, with other unknowns or other masks where they are given."""
-        records = records or self.records
-        waves = build_waves(self.space, records, self.loads, [r.motion[0] for r in records], self.law)
-        return LoopProblem(unknowns or self.unknowns, waves, records)
 
 
 def identify_loop(
@@ -126,17 +99,17 @@ def identify_loop(
         CannotAnswer: The logs hold no motion.
     """
     train, held, doubled = drop_repeated_logs(get_log_list(logs), get_log_list(holdout))
-    train, held = _require_in_memory(train), _require_in_memory(held)
+    train, held = require_in_memory(train), require_in_memory(held)
     friction = model if isinstance(model, str) else ""
-    law, asked = law or _guess_law(robot), choices or Choices()
-    started = _build_start(robot, friction)
-    own, theirs = _split_choices(asked, robot)
+    law, asked = law or guess_law(robot), choices or Choices()
+    started = build_start(robot, friction)
+    own, theirs = split_choices(asked, robot)
     started = theirs.apply(started)
     progress("loads")
     records = build_records(started, law, [*train, *held], exclude)
     contacts, records = find_contacts(started, records)
     kept, others = records[: len(train)], records[len(train) :]
-    _refuse_stillness(kept)
+    refuse_stillness(kept)
     data = prepare_loop(started, law, kept, own, friction, progress)
     warnings: list[str] = [
         *doubled,
@@ -158,8 +131,6 @@ def identify_loop(
     trained = predict(data, fit, kept, data.loads)
     by_gain: tuple[Mapping[str, Any], ...] = ()
     if len({tuple(r.entries["position_gain"]) for r in kept}) > 1:
-        from tau_dyn.servo.by_gain import compare_gains
-
         by_gain, said = compare_gains(data, fit.x, progress)
         warnings += said
     warnings += list_loop_warnings(law, kept, others, [*train, *held], data, fit)
@@ -171,7 +142,7 @@ def identify_loop(
 
 
 def predict(
-    data: LoopData, fit: LoopFit, records: Sequence[Record], loads: Sequence[LoadWaves] | None = None
+    data: LoopData, fit: LoopFit, records: Sequence[LoopRecord], loads: Sequence[LoadWaves] | None = None
 ) -> list[np.ndarray]:
     """Return positions (N, na) of records at a solution, from their commands alone."""
     u = data.unknowns
@@ -180,7 +151,7 @@ def predict(
 
 
 def prepare_loop(
-    model: Model, law: ServoLaw, records: Sequence[Record], own: Choices, friction: str, progress: Progress
+    model: Model, law: ServoLaw, records: Sequence[LoopRecord], own: Choices, friction: str, progress: Progress
 ) -> LoopData:
     """Return what a fit starts from: the screen's values, and the inertial directions that the logs inform on."""
     space = InertialSpace.of(model)
@@ -194,7 +165,7 @@ def prepare_loop(
 
 def _build_unknowns(
     model: Model, law: ServoLaw, space: InertialSpace, found: Mapping[str, np.ndarray], own: Choices, friction: str
-) -> Unknowns:
+) -> LoopUnknowns:
     joints, na = law.joints, len(law.joints)
     kinds = [*ALWAYS, *(FRICTION if friction != "rigid" else ()), *sorted(law.estimated)]
     if "back_emf" in law.estimated and "viscous" in kinds:
@@ -225,7 +196,7 @@ def _build_unknowns(
     return _apply_own(unknowns, own, joints)
 
 
-def _apply_own(unknowns: Unknowns, own: Choices, joints: tuple[str, ...]) -> Unknowns:
+def _apply_own(unknowns: LoopUnknowns, own: Choices, joints: tuple[str, ...]) -> LoopUnknowns:
     """Return the unknowns with what was said about servo entries by name or pattern."""
     from tau_dyn.identify import read_bound, read_fixed
 
@@ -255,7 +226,7 @@ def _match(pattern: str, joints: tuple[str, ...]) -> list[tuple[str, int]]:
     ]
 
 
-def _split_choices(choices: Choices, robot: Robot) -> tuple[Choices, Choices]:
+def split_choices(choices: Choices, robot: Robot) -> tuple[Choices, Choices]:
     """Return what was said of servo entries, and of everything else."""
 
     def is_own(text: str) -> bool:
@@ -268,19 +239,21 @@ def _split_choices(choices: Choices, robot: Robot) -> tuple[Choices, Choices]:
     return own, theirs
 
 
-def _build_start(robot: Robot, friction: str) -> Model:
+def build_start(robot: Robot, friction: str) -> Model:
+    """Return the model with friction that is the same in both directions, or none where it is `rigid`."""
     return Model.of(
         robot, build_friction_model("rigid" if friction == "rigid" else "symmetric", robot.actuated, robot.force_units)
     )
 
 
-def _guess_law(robot: Robot) -> ServoLaw:
+def guess_law(robot: Robot) -> ServoLaw:
     """Return a law of which nothing is known but that torque grows with the position error."""
     law = ServoLaw.of(robot.actuated, given=False, position_gain=5.0, force_per_unit=1.0, limit=np.inf)
     return replace(law, estimated=frozenset({"position_gain"}))
 
 
-def _require_in_memory(logs: Sequence[Log | Recording]) -> list[Log]:
+def require_in_memory(logs: Sequence[Log | Recording]) -> list[Log]:
+    """Return logs, and refuse recordings that are too large to simulate."""
     for log in logs:
         if not isinstance(log, Log):
             raise InputError(
@@ -289,7 +262,7 @@ def _require_in_memory(logs: Sequence[Log | Recording]) -> list[Log]:
     return [log for log in logs if isinstance(log, Log)]
 
 
-def _refuse_stillness(records: Sequence[Record]) -> None:
+def refuse_stillness(records: Sequence[LoopRecord]) -> None:
     """Refuse logs that are too short or in which nothing moves."""
     seconds = sum(float(r.used.sum()) * r.dt for r in records)
     if seconds < MIN_SECONDS:
@@ -328,7 +301,7 @@ def _build_result(
     bodies, base = _list_body_rows(data, fit, theta, more["seed"])
     law = data.law.with_values(**{key: values[key] for key in SERVO_ENTRIES})
     law = replace(law, estimated=frozenset())
-    identified = _fill_model(data, values, theta, rows, bodies)
+    identified = fill_model(data, values, theta, rows, bodies)
     identified = replace(identified, provenance=_list_provenance(logs, held, more["seed"]), controller=law.to_dict())
     scale = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
     loose = np.diag(fit.covariance) > 0
@@ -413,7 +386,7 @@ def _list_body_rows(
     return rows, tuple(combos)
 
 
-def _fill_model(
+def fill_model(
     data: LoopData,
     values: Mapping[str, np.ndarray],
     theta: np.ndarray,

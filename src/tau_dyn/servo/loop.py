@@ -2,12 +2,12 @@
 
     (I(t) + armature) v' + load(t) + G(t) (q - q_along) + friction = tau(law, command, q, v)
 
-What the rest of the robot does to a joint (gravity, Coriolis and the other joints' accelerations) is a load taken along a motion
-close to the simulated one; its own gravity is linearised about that motion. Taken along the simulated motion itself, in turn
-until nothing changes (waveform relaxation), this is the exact simulation of the coupled robot.
+What the rest of the robot does to a joint (gravity, Coriolis and the other joints' accelerations) is a load taken along a
+motion close to the simulated one; its own gravity is linearised about that motion. Taken along the simulated motion itself,
+in turn until nothing changes (waveform relaxation), this is the exact simulation of the coupled robot.
 
-One step of h by the trapezoidal rule, linearly implicit in the motor's damping d and the viscous one b, with torque and load at the
-middle of the step and friction f that holds exactly (a box complementarity problem of one unknown):
+One step of h by the trapezoidal rule, linearly implicit in the motor's damping d and the viscous one b, with torque and
+load at the middle of the step and friction f that holds exactly (a box complementarity problem of one unknown):
 
     w = (I / h + (d - b) / 2) v + tau - load,   f = clip(w, -F, F),   v+ = (w - f) / (I / h + (d + b) / 2),
     q+ = q + h (v + v+) / 2.

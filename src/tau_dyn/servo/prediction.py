@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from tau_dyn.servo.loop import FINE_STEP_S, Trials, simulate_loops
-from tau_dyn.servo.records import InertialSpace, LoadWaves, Record, build_waves, compute_load_waves, smooth_motion
+from tau_dyn.servo.records import InertialSpace, LoadWaves, LoopRecord, build_waves, compute_load_waves, smooth_motion
 from tau_dyn.simulate import ServoLaw
 
 MAX_SWEEPS = 8
@@ -26,7 +26,7 @@ def predict_positions(
     unknowns: np.ndarray,
     values: Mapping[str, np.ndarray],
     law: ServoLaw,
-    records: Sequence[Record],
+    records: Sequence[LoopRecord],
     loads: Sequence[LoadWaves] | None = None,
     step: float = FINE_STEP_S,
 ) -> list[np.ndarray]:
@@ -42,11 +42,10 @@ def predict_positions(
         step: Longest step of the loops [s], that of the fit.
     """
     trials = Trials({key: value[:, None] for key, value in values.items()}, unknowns[:, None])
-    along = [r.motion[0] for r in records]
     loads = loads or [compute_load_waves(space, *r.motion, r.dt) for r in records]
     found: list[np.ndarray] = []
     for sweep in range(MAX_SWEEPS):
-        waves = replace(build_waves(space, records, loads, along, law), step=step)
+        waves = replace(build_waves(space, records, loads, law), step=step)
         out = simulate_loops(waves, trials)[:, :, 0]
         before, found = found, [out[: len(r.t), :, k] for k, r in enumerate(records)]
         if (
@@ -56,6 +55,5 @@ def predict_positions(
             break
         if sweep + 1 < MAX_SWEEPS:
             motions = [smooth_motion(q, r.dt) for q, r in zip(found, records, strict=True)]
-            along = [motion[0] for motion in motions]
             loads = [compute_load_waves(space, *motion, r.dt) for motion, r in zip(motions, records, strict=True)]
     return found

@@ -25,6 +25,12 @@ MOTION_HZ = 12.0
 """Low-pass of measured positions before they are differentiated [Hz]: twice the bandwidth of a servo's position loop."""
 SLOW_S = 0.04
 """Time over which own inertia and stiffness may be interpolated [s]: positions change by less than 0.1 rad."""
+PIECES = 24
+"""Pieces that logs are cut into for a fit, about; more are no faster."""
+MIN_PIECE_S = 10.0
+"""Shortest piece [s]: a start at the measured position hides where friction holds a joint, so starts are rare."""
+WARM_UP_S = 1.0
+"""Start of a piece that does not count [s]: a dozen time constants of a servo's loop."""
 _STEP = 1e-4
 """Step of a position by which the load's growth is taken [rad]."""
 _MIN_RADIUS = 0.02
@@ -32,7 +38,7 @@ _MIN_RADIUS = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class LoopRecord:
     """One log on an even clock.
 
     Attributes:
@@ -73,7 +79,7 @@ def smooth_motion(q: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray, np.
     return smooth, v, differentiate(v, dt)
 
 
-def build_records(model: Model, law: ServoLaw, logs: Sequence[Log], exclude: Sequence[str] = ()) -> list[Record]:
+def build_records(model: Model, law: ServoLaw, logs: Sequence[Log], exclude: Sequence[str] = ()) -> list[LoopRecord]:
     """Return the logs on even clocks.
 
     Raises:
@@ -82,7 +88,7 @@ def build_records(model: Model, law: ServoLaw, logs: Sequence[Log], exclude: Seq
     return [_build_record(model, law, log, exclude) for log in logs]
 
 
-def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str]) -> Record:
+def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str]) -> LoopRecord:
     joints = model.robot.actuated
     t = log.t[0] + np.arange(int((log.t[-1] - log.t[0]) / log.dt) + 1) * log.dt
     q = np.stack([np.interp(t, log.t, x) for x in log.joint("q", joints).T], axis=1)
@@ -95,7 +101,7 @@ def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str])
         enabled = (_get_column(log, law.enabled)[held] != 0).astype(float)
     for name in exclude:
         used = used * (_get_column(log, name)[near] == 0)
-    return Record(
+    return LoopRecord(
         log.name, t, q, log.joint("cmd", joints)[held], supply, enabled, used.astype(bool), law.in_log(log.name)
     )
 
@@ -164,11 +170,13 @@ class LoadWaves:
         load: (N, na, p) [N m per unit].
         inertia: (N, na, p).
         stiffness: (N, na) at the nominal values [N m/rad].
+        along: The motion's positions (N, na) [rad].
     """
 
     load: np.ndarray
     inertia: np.ndarray
     stiffness: np.ndarray
+    along: np.ndarray
 
 
 def compute_load_waves(space: InertialSpace, q: np.ndarray, v: np.ndarray, a: np.ndarray, dt: float) -> LoadWaves:
@@ -191,14 +199,13 @@ def compute_load_waves(space: InertialSpace, q: np.ndarray, v: np.ndarray, a: np
         [[np.interp(grid, some, inertia[:, j, k]) for k in range(inertia.shape[2])] for j in range(na)]
     ).transpose(2, 0, 1)
     load = mechanism.regressor(q, v, a) - full * a[:, :, None]
-    return LoadWaves(load, full, np.stack([np.interp(grid, some, stiffness[:, j]) for j in range(na)], axis=1))
+    return LoadWaves(load, full, np.stack([np.interp(grid, some, stiffness[:, j]) for j in range(na)], axis=1), q)
 
 
 def build_waves(
     space: InertialSpace,
-    records: Sequence[Record],
+    records: Sequence[LoopRecord],
     loads: Sequence[LoadWaves],
-    along: Sequence[np.ndarray],
     law: ServoLaw,
 ) -> Waves:
     """Return the waves of logs, padded to the longest.
@@ -207,7 +214,6 @@ def build_waves(
         space: Inertial numbers and their unknowns.
         records: The logs.
         loads: Loads along each log's motion.
-        along: The motions (N, na).
         law: Whose entries that differ by log are handed on.
     """
     n = max(len(r.t) for r in records)
@@ -220,7 +226,7 @@ def build_waves(
         dt=np.array([r.dt for r in records]),
         start=np.stack([r.q[0] for r in records], axis=1),
         command=stack([r.command for r in records]),
-        along=stack(along),
+        along=stack([w.along for w in loads]),
         load=stack([w.load @ space.nominal for w in loads]),
         load_by=stack([w.load @ space.directions for w in loads]),
         inertia=stack([w.inertia @ space.nominal for w in loads]),
@@ -232,10 +238,44 @@ def build_waves(
     )
 
 
+def split_pieces(records: Sequence[LoopRecord], loads: Sequence[LoadWaves]) -> tuple[list[LoopRecord], list[LoadWaves]]:
+    """Return the logs in pieces that are simulated side by side, each from its measured start (multiple shooting).
+
+    The first part of a piece does not count: by then the loop has forgotten where it began. Few long logs become many short ones,
+    which take as long as one of them.
+    """
+    total = sum(len(r.t) * r.dt for r in records)
+    length = max(MIN_PIECE_S, total / PIECES)
+    pieces, waves = [], []
+    for r, w in zip(records, loads, strict=True):
+        n, warm = len(r.t), round(WARM_UP_S / r.dt)
+        count = max(1, round(n * r.dt / length))
+        for start, stop in zip(
+            *(np.round(np.linspace(0, n, count + 1)).astype(int)[k : count + k] for k in (0, 1)), strict=True
+        ):
+            first = max(0, start - warm)
+            cut = slice(first, stop)
+            used = np.array(r.used[cut])
+            used[: start - first] = False
+            pieces.append(
+                replace(
+                    r,
+                    t=r.t[cut],
+                    q=r.q[cut],
+                    command=r.command[cut],
+                    supply=r.supply[cut],
+                    enabled=r.enabled[cut],
+                    used=used,
+                )
+            )
+            waves.append(LoadWaves(w.load[cut], w.inertia[cut], w.stiffness[cut], w.along[cut]))
+    return pieces, waves
+
+
 def _pad(x: np.ndarray, n: int) -> np.ndarray:
     return np.concatenate([x, np.repeat(x[-1:], n - len(x), axis=0)]) if len(x) < n else x
 
 
-def mask_unused(record: Record, unused: np.ndarray) -> Record:
+def mask_unused(record: LoopRecord, unused: np.ndarray) -> LoopRecord:
     """Return the record with further samples (N,) left out."""
     return replace(record, used=record.used & ~unused)

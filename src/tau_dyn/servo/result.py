@@ -14,7 +14,7 @@ from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.results import Z95, Shown
 from tau_dyn.servo.contact import Contact
-from tau_dyn.servo.records import Record
+from tau_dyn.servo.records import LoopRecord
 from tau_dyn.simulate import ServoLaw
 
 
@@ -73,7 +73,7 @@ class PositionErrors:
 
 
 def build_position_errors(
-    joints: tuple[str, ...], records: Sequence[Record], predicted: Sequence[np.ndarray]
+    joints: tuple[str, ...], records: Sequence[LoopRecord], predicted: Sequence[np.ndarray]
 ) -> PositionErrors:
     """Return the errors of predicted positions (N, na), record by record."""
     whole = _build_errors(joints, records, predicted, [np.ones(len(r.t), bool) for r in records], None)
@@ -176,7 +176,7 @@ class LoopIdentification(Shown):
         friction: Name of the friction model.
         n_samples: Samples that the fit used.
         condition_number: Of the normalised sensitivities.
-        rank: Unknowns that were estimated.
+        rank: LoopUnknowns that were estimated.
         start: The fit's unknowns and their covariance, to go on with.
         by_gain: Where logs have gains of their own: what each gain's logs alone say of the drive, row by row.
     """
@@ -192,7 +192,7 @@ class LoopIdentification(Shown):
     warnings: tuple[str, ...]
     seed: int
     logs: tuple[Log, ...]
-    shown: tuple[tuple[Record, np.ndarray, bool], ...]
+    shown: tuple[tuple[LoopRecord, np.ndarray, bool], ...]
     friction: str
     n_samples: int
     condition_number: float

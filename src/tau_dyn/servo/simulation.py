@@ -9,7 +9,7 @@ from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.servo.fit import JOINT_UNITS
 from tau_dyn.servo.prediction import predict_positions
-from tau_dyn.servo.records import InertialSpace, Record
+from tau_dyn.servo.records import InertialSpace, LoopRecord
 from tau_dyn.simulate import ServoLaw, Trajectory
 
 FINE_HZ = 500.0
@@ -52,7 +52,7 @@ def simulate_loop_log(
     t = np.arange((n - 1) * often + 1) / (rate_hz * often)
     held = np.repeat(commands.q, often, axis=0)[: len(t)]
     on = np.ones(len(t))
-    record = Record(name, t, held, held, on, on, on.astype(bool), law.in_log(name))
+    record = LoopRecord(name, t, held, held, on, on, on.astype(bool), law.in_log(name))
     q = predict_positions(InertialSpace.of(model), np.zeros(0), read_values(model, law), law, [record])[0][::often]
     rng = np.random.default_rng(seed)
     q = q + encoder_noise * rng.standard_normal(q.shape)
@@ -74,8 +74,8 @@ def read_values(model: Model, law: ServoLaw) -> dict[str, np.ndarray]:
         e.name for e in model.effects if e.name not in ("symmetric_friction", "asymmetric_friction", "torque_offset")
     ]
     if odd:
-        raise InputError("unsupported", f"effect {odd[0]} is not simulated in a servo's loop; the controller file has load_friction, "
-                         "stiction, dead_band, command_delay and supply_sag")  # fmt: skip
+        raise InputError("unsupported", f"effect {odd[0]} is not simulated in a servo's loop; the controller file has "
+                         "load_friction, stiction, dead_band, command_delay and supply_sag")  # fmt: skip
     p = model.parameters
 
     def get(joint: str, kind: str) -> float:

@@ -5,11 +5,11 @@
     x = u supply (1 - supply_sag |u|) - back_emf v,    tau = force_per_unit sign(x) |x|^drive_exponent
     friction = coulomb + load_friction |tau| + stiction exp(-|v| / stiction_speed), and viscous v
 
-The output `u` is a share of the supply voltage, as a hobby servo's pulse width is. `force_per_unit` is then the stall torque at
-the nominal supply, and `back_emf` the inverse of the speed without load. With `back_emf: 0` it is a torque or current servo. Where
-x opposes u, the motor brakes with the share `braking` of this torque; a bridge that freewheels has none. A bridge with much
-inductance and a slow pulse gives a torque that grows less than its pulse width, with an exponent below one. A law file is a
-controller file (see `controllers`) whose first line is `law: servo`:
+The output `u` is a share of the supply voltage, as a hobby servo's pulse width is. `force_per_unit` is then the stall
+torque at the nominal supply, and `back_emf` the inverse of the speed without load. With `back_emf: 0` it is a torque or
+current servo. Where x opposes u, the motor brakes with the share `braking` of this torque; a bridge that freewheels has
+none. A bridge with much inductance and a slow pulse gives a torque that grows less than its pulse width, with an exponent
+below one. A law file is a controller file (see `controllers`) whose first line is `law: servo`:
 
     law: servo
     position_gain: 2.65          # [1/rad], required
