@@ -349,7 +349,7 @@ def _try(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> _Tried | 
     there = u.free[u.kinds.index(entry)] if entry in u.kinds else np.zeros(na, bool)
     if there.all():
         return None
-    wide = _free(data, u, fit, [(cause, j) for j in np.flatnonzero(~there)])
+    wide = _free(data, u, fit, [(cause, int(j)) for j in np.flatnonzero(~there)])
     found = fit_loop(data.build_problem(wide), max_iterations=_TRY_ITERATIONS, step=fit.step)
     value, sigma = read_kind(wide, found, entry)
     away = np.abs(value - data.law.values[entry])

@@ -23,6 +23,7 @@ SUSTAINED = 90.0
 MIN_DROOP_RAD = 0.03
 """Lost motion at rest that is explained as droop [rad]: above the play of hobby servos."""
 _LOADS = ("load", "current", "effort")
+MAX_UNSIGNED = 32767  # beyond it a register holds negative numbers as two's complements
 _MIN_LIKENESS = 0.4  # correlation with the position error from which a channel is its size
 
 
@@ -105,7 +106,13 @@ def _describe_unsigned_loads(joints: Sequence[str], logs: Sequence[Log]) -> list
     for log in logs:
         sizes = np.abs(log.joint("cmd", joints) - log.joint("q", joints))
         for name, x in log.channels.items():
-            if not name.lower().startswith(_LOADS) or not np.isfinite(x).all() or x.min() < 0 or np.ptp(x) == 0:
+            if (
+                not name.lower().startswith(_LOADS)
+                or not np.isfinite(x).all()
+                or x.min() < 0
+                or np.ptp(x) == 0
+                or x.max() > MAX_UNSIGNED
+            ):
                 continue
             likeness = [float(np.corrcoef(size, x)[0, 1]) for size in sizes.T if np.ptp(size) > 0]
             found.setdefault(name, []).append(max(likeness, default=0.0))

@@ -63,7 +63,7 @@ class PositionErrors:
             for log, row in zip(self.logs, self.rms, strict=True)
         }
         out: dict[str, Any] = {
-            "relative_error_percent": _percent(np.linalg.norm(rms), np.linalg.norm(size)),
+            "relative_error_percent": _percent(float(np.linalg.norm(rms)), float(np.linalg.norm(size))),
             "per_joint": rows,
             "per_log": per_log,
         }
