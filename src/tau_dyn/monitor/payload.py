@@ -238,7 +238,8 @@ def _find_link(robot: Robot, name: str | None) -> LinkInertia:
         body = find_end_link(robot)
         if body is None:
             raise InputError(
-                "bad_option", f"{robot.name} has several ends; say which link carries the payload with --link, or --tool"
+                "bad_option",
+                f"{robot.name} has several ends; say which link carries the payload with --link, or --tool",
             )
         return body
     body = next((link for link in robot.links if link.link == name), None)
@@ -406,7 +407,9 @@ def _refuse_undetermined(
         return
     progress("the motion to make")
     told = (
-        f"its standard error is {stderr:.2g} kg" if np.isfinite(stderr) else "no joint feels it by itself in these motions"
+        f"its standard error is {stderr:.2g} kg"
+        if np.isfinite(stderr)
+        else "no joint feels it by itself in these motions"
     )
     raise TooLittleTold(
         "too_little_data",
@@ -416,12 +419,12 @@ def _refuse_undetermined(
 
 
 def _compute_own_mass(model: Model) -> float:
-    return float(sum(model.robot.model_with(model.robot.parameters).inertias[link.joint_id].mass for link in model.robot.links))
+    return float(
+        sum(model.robot.model_with(model.robot.parameters).inertias[link.joint_id].mass for link in model.robot.links)
+    )
 
 
-def _propose_motion(
-    model: Model, body: LinkInertia, sigma: np.ndarray | None, allowed: float | None, seed: int
-) -> str:
+def _propose_motion(model: Model, body: LinkInertia, sigma: np.ndarray | None, allowed: float | None, seed: int) -> str:
     """Return which joints to move and how long, from the errors that a Fourier motion of 20 s is predicted to leave.
 
     Args:
