@@ -1,8 +1,23 @@
 """A payload from two recordings, and what has changed on a running robot since when."""
 
+from .change_detection import (
+    BLOCK_S as BLOCK_S,
+    FALSE_ALARMS_PER_HOUR as FALSE_ALARMS_PER_HOUR,
+    BlockScore as BlockScore,
+    Change as Change,
+    ChangeDetector as ChangeDetector,
+)
+from .directions import Direction as Direction
 from .payload import (
     FrictionDifference as FrictionDifference,
     PayloadEstimate as PayloadEstimate,
     PropertyEstimate as PropertyEstimate,
     identify_payload as identify_payload,
+)
+from .watch import (
+    MIN_REFERENCE_S as MIN_REFERENCE_S,
+    REFERENCE_S as REFERENCE_S,
+    Watch as Watch,
+    WatchResult as WatchResult,
+    watch_logs as watch_logs,
 )

@@ -1,0 +1,294 @@
+"""What has changed on a running robot, and since when: residuals of a model, in a few directions, block by block.
+
+Forces are prepared as identification prepares them (filters, gate around reversals) and the model's own are subtracted; what
+may change stands in `directions.py`.
+
+The first minute of motion is the reference: whatever the model misses there counts as normal (`change_detection.py`), and its
+residual gives the noise model of each joint. After an alarm the next minute is the new reference. Logs follow each other in the
+order given; a block is 2 s in which a joint moves, and only such blocks count as time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tau_dyn.estimate import Autoregression, Preparation, RegressionRun, Whitener, fit_autoregression
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.identify import TooShort, choose_preparation, log_warnings, prepare_segment, require_forces
+from tau_dyn.log import Log, find_true_runs, mend_log, resample_segments
+from tau_dyn.message_codes import format_warnings
+from tau_dyn.model import Model
+from tau_dyn.monitor.change_detection import (
+    BLOCK_S,
+    FALSE_ALARMS_PER_HOUR,
+    BlockScore,
+    Change,
+    ChangeDetector,
+)
+from tau_dyn.monitor.directions import Direction, compute_direction_columns, list_felt
+from tau_dyn.results import Shown
+
+REFERENCE_S = 60.0
+"""Motion from which the normal state is learned [s]: 30 blocks, whose scatter is known to 13 %."""
+MIN_REFERENCE_S = 40.0
+"""Fewest [s]: below 20 blocks the threshold that the false-alarm rate asks for exceeds 12 standard errors."""
+_MIN_SHARE = 0.25
+"""Part of a block's samples, over all joints, that must be usable; fewer tell little and scatter much."""
+
+
+@dataclass(frozen=True, eq=False)
+class WatchResult(Shown):
+    """What changed while logs were watched.
+
+    Attributes:
+        model: The model.
+        directions: What was watched.
+        unfelt: What this robot does not feel, so that no change of it can show.
+        changes: What changed.
+        trace: Time [s], log and largest statistic over its threshold, of each block.
+        logs: Names of the logs.
+        watched_s: Motion watched, without references [s].
+        reference_s: Motion of each reference [s].
+        rate: Expected false alarms an hour.
+        threshold: In standard errors; NaN where no reference was complete.
+        warnings: What is doubtful.
+    """
+
+    model: Model
+    directions: tuple[Direction, ...]
+    unfelt: tuple[Direction, ...]
+    changes: tuple[Change, ...]
+    trace: tuple[tuple[float, str, float], ...]
+    logs: tuple[str, ...]
+    watched_s: float
+    reference_s: float
+    rate: float
+    threshold: float
+    warnings: tuple[str, ...]
+
+    def rows(self) -> list[Mapping[str, Any]]:
+        """Return the alarms in the contract's form."""
+        return [describe_change(change, self.directions) for change in self.changes]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's JSON result, without what the command adds."""
+        return {
+            "alarms": self.rows(),
+            "false_alarm_rate_per_hour": self.rate,
+            "threshold": None if np.isnan(self.threshold) else self.threshold,
+            "watched_s": self.watched_s,
+            "reference_s": self.reference_s,
+            "watched_for": [{"what": d.what, "joint": d.joint or None, "unit": d.unit} for d in self.directions],
+            "not_felt": [{"what": d.what, "joint": d.joint or None} for d in self.unfelt],
+            **format_warnings(self.warnings),
+        }
+
+
+def describe_change(change: Change, directions: Sequence[Direction]) -> dict[str, Any]:
+    """Return an alarm in the contract's form."""
+    d = directions[change.direction]
+    return {
+        "since_t": change.since_t, "since_log": change.since_log, "since_ci95": list(change.since_ci95),
+        "detected_t": change.detected_t, "log": change.detected_log, "what": d.what, "joint": d.joint or None,
+        "size": change.size, "unit": d.unit, "ci95": list(change.ci95),
+        "false_alarm_rate": change.false_alarms_per_hour,
+        "indistinguishable_from": [
+            {"what": directions[k].what, "joint": directions[k].joint or None} for k in change.twins
+        ],
+    }  # fmt: skip
+
+
+class _Block(NamedTuple):
+    """A block's rows: their times (n,), the residual (n, na), the directions' columns (n, na, D), and which count (n, na)."""
+
+    log: str
+    t: np.ndarray
+    e: np.ndarray
+    X: np.ndarray
+    usable: np.ndarray
+
+
+@dataclass(eq=False)
+class Watch:
+    """Takes log after log of one robot; see the module.
+
+    Attributes:
+        model: The model of the normal robot.
+        reference_s: Motion from which the normal state is learned [s].
+        rate: False alarms an hour.
+        exclude: Log columns whose nonzero samples are left out.
+        detector: What finds changes; None before the first log.
+        logs: Names of the logs so far.
+        warnings: What is doubtful about them.
+    """
+
+    model: Model
+    reference_s: float = REFERENCE_S
+    rate: float = FALSE_ALARMS_PER_HOUR
+    exclude: tuple[str, ...] = ()
+    detector: ChangeDetector | None = None
+    logs: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    directions: tuple[Direction, ...] = ()
+    unfelt: tuple[Direction, ...] = ()
+    _chosen: tuple[int, ...] = ()
+    _preparation: Preparation | None = None
+    _noise: list[Autoregression] | None = None
+    _learning: list[_Block] = field(default_factory=list)
+    _watched: int = 0
+    _threshold: float = np.nan
+
+    def __post_init__(self) -> None:
+        """Refuse a reference that is too short, and effects that need more than a motion."""
+        if self.reference_s < MIN_REFERENCE_S:
+            raise InputError(
+                "invalid_value",
+                f"a reference takes {MIN_REFERENCE_S:g} s of motion or more, not {self.reference_s:g} s",
+            )
+
+    def feed(self, log: Log) -> list[dict[str, Any]]:
+        """Take in a log, or the next stretch of one; return the alarms that it completes.
+
+        Raises:
+            InputError: It lacks a column, or the robot cannot move as logged.
+            CannotAnswer: The first log is too short for the filters.
+        """
+        require_forces(self.model.robot, [log])
+        if log.name not in self.logs:
+            self.logs.append(log.name)
+        pieces = resample_segments(mend_log(log, self.model.robot.actuated))
+        self.warnings += [w for w in log_warnings(self.model.robot, pieces) if w not in self.warnings]
+        if self._preparation is None:
+            self._preparation = choose_preparation(self.model.robot, pieces, self.exclude)
+        done = 0 if self.detector is None else len(self.detector.changes)
+        for piece in pieces:
+            try:
+                blocks = list(self._cut(piece, self._preparation))
+            except TooShort:
+                continue
+            for block in blocks:
+                self._add(block)
+        changes = [] if self.detector is None else self.detector.changes[done:]
+        return [describe_change(change, self.directions) for change in changes]
+
+    def finish(self) -> WatchResult:
+        """Return what was found.
+
+        Raises:
+            CannotAnswer: The logs are shorter than the reference.
+        """
+        if self.detector is None or (self.detector.normal is None and not self.detector.changes):
+            have = BLOCK_S * len(self._learning)
+            raise CannotAnswer(
+                "too_little_data",
+                f"the logs hold {have:g} s of motion that can be used; the reference alone takes {self.reference_s:g} s",
+                "record the robot's daily motion for two minutes or more, the first of them in its normal state",
+            )
+        self.detector.settle()
+        said = list(self.warnings)
+        if not self._watched:
+            said.append(f"the logs end with the reference of {self.reference_s:g} s, so nothing was watched yet")
+        return WatchResult(
+            self.model, self.directions, self.unfelt, tuple(self.detector.changes), tuple(self.detector.trace),
+            tuple(self.logs), BLOCK_S * self._watched, self.reference_s, self.rate, self._threshold, tuple(said),
+        )  # fmt: skip
+
+    def _cut(self, piece: Log, preparation: Preparation) -> Iterator[_Block]:
+        """Yield the blocks of an even stretch in which something moves."""
+        if piece.n_samples < 4 * preparation.factor(piece.rate_hz) or piece.duration < BLOCK_S:
+            return
+        made = prepare_segment(self.model, piece, preparation)
+        motion, forces = made.motion, self._compute_forces(made.motion)
+        candidates, columns = compute_direction_columns(self.model, motion, forces, piece.dt)
+        if not self.directions:
+            self._chosen = list_felt(candidates, columns, forces)
+            self.directions = tuple(candidates[k] for k in self._chosen)
+            self.unfelt = tuple(d for k, d in enumerate(candidates) if k not in self._chosen)
+        X = made.columns(columns[:, :, self._chosen])
+        e = made.passed(made.gate * (made.force - forces)) / made.weight
+        t = piece.t[:: made.factor][: len(e)]
+        number = np.floor((t - t[0]) / BLOCK_S + 1e-6).astype(int)
+        for k in range(number[-1] + 1):
+            rows = number == k
+            if made.usable[rows].mean() >= _MIN_SHARE and t[rows][-1] - t[rows][0] > 0.8 * BLOCK_S:
+                yield _Block(piece.name, t[rows], e[rows], X[rows], made.usable[rows])
+
+    def _compute_forces(self, motion: Any) -> np.ndarray:
+        return self.model.mechanism.inverse_dynamics(motion.q, motion.v, motion.a) + self.model.effect_force(motion)
+
+    def _add(self, block: _Block) -> None:
+        """Learn from a block, or watch it."""
+        wanted = int(np.ceil(self.reference_s / BLOCK_S))
+        if self.detector is None:
+            self.detector = ChangeDetector(np.array([d.typical for d in self.directions]), wanted, self.rate)
+        if self._noise is None or self.detector.normal is None:
+            self._learning.append(block)
+            if len(self._learning) < wanted:
+                return
+            self._noise = fit_noise(self._learning)
+            for row in self._learning:
+                self.detector.add(compute_score(row, self._noise))
+            self._learning, self._threshold = [], self.detector.threshold
+            return
+        self.detector.add(compute_score(block, self._noise))
+        self._watched += 1
+
+
+def watch_logs(
+    model: Model,
+    logs: Iterable[Log],
+    *,
+    reference_s: float = REFERENCE_S,
+    exclude: tuple[str, ...] = (),
+    progress: Callable[[str], None] = lambda step: None,
+    alarm: Callable[[dict[str, Any]], None] = lambda row: None,
+) -> WatchResult:
+    """Watch logs, one after another.
+
+    Args:
+        model: The model of the normal robot.
+        logs: In the order of time; stretches of a growing log are logs, too.
+        reference_s: Motion from which the normal state is learned [s].
+        exclude: Log columns whose nonzero samples are left out.
+        progress: Called with a word for each log.
+        alarm: Called with each alarm as soon as it is complete.
+
+    Raises:
+        InputError: A log is at fault.
+        CannotAnswer: The logs are shorter than the reference.
+    """
+    watch = Watch(model, reference_s, exclude=exclude)
+    for log in logs:
+        progress(log.name)
+        for row in watch.feed(log):
+            alarm(row)
+    return watch.finish()
+
+
+def fit_noise(blocks: Sequence[_Block]) -> list[Autoregression]:
+    """Return each joint's noise model, of what the directions leave of the residual."""
+    D, na = blocks[0].X.shape[2], blocks[0].e.shape[1]
+    found = []
+    W = np.concatenate([block.X[block.usable] for block in blocks])
+    y = np.concatenate([block.e[block.usable] for block in blocks])
+    scale = np.maximum(np.linalg.norm(W, axis=0), 1e-300)
+    theta = np.linalg.lstsq(W / scale, y, rcond=1e-10)[0] / scale if D else np.zeros(0)
+    for k in range(na):
+        stretches = []
+        for block in blocks:
+            left = block.e[:, k] - block.X[:, k] @ theta
+            stretches += [left[run] for run in find_true_runs(block.usable[:, k])]
+        found.append(fit_autoregression(stretches) if stretches else Autoregression(np.zeros(0), 1.0))
+    return found
+
+
+def compute_score(block: _Block, noise: Sequence[Autoregression]) -> BlockScore:
+    """Return a block's score and information, its rows made white on their own."""
+    run = RegressionRun(block.log, block.t, block.X, block.e, block.usable, block.X, block.e)
+    whiten = Whitener.of([run], [block.usable], noise)
+    e, X = whiten([block.e]), whiten([block.X])
+    return BlockScore((float(block.t[0]), float(block.t[-1])), block.log, X.T @ e, X.T @ X)
