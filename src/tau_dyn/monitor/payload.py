@@ -6,7 +6,7 @@ r"""A payload from logs without and with it: its mass, centre and inertia, in on
 reach them. Coulomb friction depends on the load that a gear or a guide carries, and on its temperature: each joint's Coulomb and
 viscous friction may differ between empty and loaded, by the same amount in both directions, and a test says where it does. The
 part of load friction that follows the force within the motion stays in the residual, whose scatter the intervals allow for. The
-payload is kept physical: its pseudo-inertia is positive semidefinite (`estimate/physical_consistency.py`). The robot's drive gains
+payload is kept physical: its pseudo-inertia is positive semidefinite (`estimate/physical_consistency.py`). The drives' gains
 scale the result: a force scale that is 2 % off makes a mass 2 % off. Reference: Khalil, Gautier & Lemoine 2007.
 """
 
@@ -452,8 +452,8 @@ def _propose_motion(model: Model, body: LinkInertia, sigma: np.ndarray | None, a
         pass  # a robot that cannot make the motion; the advice is then the general one
     length = 10 * np.ceil(min(seconds, _MAX_EXPERIMENT_S) / 10)
     return (
-        f"move {format_list(named)} over their range in both directions for {length:g} s, once without and once with the payload, "
-        f"such as the motion of tau-dyn excite ROBOT --duration {length:g}"
+        f"move {format_list(named)} over their range in both directions for {length:g} s, once without and once with the "
+        f"payload, such as the motion of tau-dyn excite ROBOT --duration {length:g}"
     )
 
 

@@ -29,6 +29,7 @@ _KINDS = {
     "kinematics.workspace": "workspace",
     "log": "recording",
     "modes": "modes",
+    "monitor": "monitor",
     "model": "robot",
     "parameters": "robot",
     "render": "motion",

@@ -79,7 +79,8 @@ def read_visuals(robot: Robot) -> tuple[list[Visual], list[str]]:
     for item in geometry.geometryObjects.tolist():
         shape = meshes[item.name] if item.name in meshes else item.geometry
         if shape is not None:
-            colour = np.array(item.meshColor, float) if item.overrideMaterial else None  # its memory goes with the geometry
+            # a copy: its memory goes with the geometry
+            colour = np.array(item.meshColor, float) if item.overrideMaterial else None
             found.append(Visual(item.name, int(item.parentJoint), item.placement.copy(), shape, colour))
     return found, missing
 
