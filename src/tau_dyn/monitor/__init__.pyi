@@ -4,7 +4,7 @@ from .change_detection import (
     BLOCK_S as BLOCK_S,
     FALSE_ALARMS_PER_HOUR as FALSE_ALARMS_PER_HOUR,
     BlockScore as BlockScore,
-    Change as Change,
+    DetectedChange as DetectedChange,
     ChangeDetector as ChangeDetector,
 )
 from .directions import Direction as Direction

@@ -38,7 +38,7 @@ MAX_DIRECTIONS = 14
 """Directions of the inertial numbers that are estimated at most; an arm of six joints informs on 8 to 12."""
 MIN_INFORMATION = 0.25
 """Information of a direction, with prior knowledge as 1, from which it is estimated."""
-MAX_ITERATIONS = 15
+MAX_ITERATIONS = 15  # of Gauss-Newton: fits settle in 4 to 10
 _FINE_ITERATIONS = 5  # from a solution with the longer step
 STEP_EFFECT_RAD = 4e-4
 """What the longer step moves positions by [rad]."""
