@@ -26,8 +26,8 @@ from tau_dyn.monitor.change_detection import (
     BLOCK_S,
     FALSE_ALARMS_PER_HOUR,
     BlockScore,
-    DetectedChange,
     ChangeDetector,
+    DetectedChange,
 )
 from tau_dyn.monitor.directions import Direction, compute_direction_columns, list_felt
 from tau_dyn.results import Shown
