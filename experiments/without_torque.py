@@ -1,10 +1,12 @@
 """How well are commands and positions alone simulated, on motions and gains that were not used; do the parameters hold?
 
-    python experiments/without_torque.py [--only so101 free xl330 pairs] [--sets N] [--out DIR]
+    python experiments/without_torque.py [--only so101 free xl330 pairs causes] [--sets N] [--out DIR]
 
 so101: every second motion by name trains (a rule fixed before any result), with the servo's law; free: without one. xl330:
 each gain from the others, mean absolute error. pairs: simulated arms of one to three joints, each at two servo gains: how
 many pairs of parameters agree within their 95 % intervals, and how often an interval holds the true value, one mass known.
+causes: arms of one or two joints whose law the file gives, a third of them with nothing hidden; causes confirmed, and
+whether the hidden one, or a twin, is among them.
 """
 
 import argparse
@@ -21,8 +23,9 @@ import so101  # noqa: E402
 import xl330  # noqa: E402
 from tests.servo.arms import build_arm, build_law, build_truth, record  # noqa: E402
 
+from tau_dyn.exceptions import CannotAnswer  # noqa: E402
 from tau_dyn.identify import Choices  # noqa: E402
-from tau_dyn.servo import LoopIdentification, identify_loop  # noqa: E402
+from tau_dyn.servo import LoopIdentification, diagnose_loop, identify_loop  # noqa: E402
 from tau_dyn.simulate import ServoLaw, read_servo_law  # noqa: E402
 
 GAINS = (2.65, 5.3)
@@ -35,6 +38,15 @@ TRUE = {
     "command_delay": 0.012,
 }
 Z95 = 1.96
+HIDDEN = {
+    "command_delay": {"command_delay": 0.02},
+    "stiction": {"stiction": 0.05},
+    "dead_band": {"dead_band": 0.02},
+    "load_friction": {"load_friction": 0.25},
+    "supply_sag": {"supply_sag": 0.3},
+    "back_emf": {"back_emf": 0.3},
+}
+"""Causes -> entries of the law that hide them."""
 
 
 def tabulate_motions(law: bool) -> pd.DataFrame:
@@ -87,6 +99,37 @@ def tabulate_pairs(sets: int) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def tabulate_causes(sets: int) -> pd.DataFrame:
+    """Return what is hidden and what is confirmed in each set; two logs of 30 s, the causes at all joints."""
+    rows, names = [], list(HIDDEN)
+    for seed in range(sets):
+        arm = build_arm(1 + seed % 2)
+        plain = build_law(arm, load_friction=0.0, stiction=0.0, command_delay=0.0)
+        hidden = "" if seed % 3 == 0 else names[(seed // 3 * 2 + seed % 3 - 1) % len(names)]
+        true = (
+            plain
+            if not hidden
+            else build_law(arm, **({"load_friction": 0.0, "stiction": 0.0, "command_delay": 0.0} | HIDDEN[hidden]))
+        )
+        logs = [record(arm, build_truth(arm), true, 1000 + 2 * seed + k, 30.0) for k in range(2)]
+        try:
+            findings = diagnose_loop(arm, logs, law=plain).findings
+        except CannotAnswer as fault:
+            rows.append(
+                {"set": seed, "hidden": hidden or "nothing", "confirmed": fault.missing, "right": False, "false": False}
+            )
+            continue
+        told = [(f.cause, f.twins) for f in findings if f.status == "confirmed"]
+        right = any(cause == hidden or hidden in twins for cause, twins in told)
+        false = any(cause != hidden and hidden not in twins for cause, twins in told)
+        confirmed = " ".join(cause for cause, _ in told)
+        rows.append(
+            {"set": seed, "hidden": hidden or "nothing", "confirmed": confirmed, "right": right, "false": false}
+        )
+        print(rows[-1], flush=True)
+    return pd.DataFrame(rows)
+
+
 def main() -> None:
     """Print and write the tables asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -99,6 +142,7 @@ def main() -> None:
         "free": lambda: tabulate_motions(False),
         "xl330": tabulate_gains,
         "pairs": lambda: tabulate_pairs(options.sets),
+        "causes": lambda: tabulate_causes(options.sets),
     }
     for name in options.only:
         table = tables[name]()

@@ -197,7 +197,9 @@ class LoopDiagnosis(Shown):
         return {
             "status": "cannot_answer" if self.verdict == "cannot_tell" else "ok",
             "seed": self.seed, **format_warnings(self.warnings), "measured": "position", "verdict": self.verdict,
-            "baseline": rows(self.baseline), "extended": rows(self.extended),
+            "baseline": rows(self.baseline), "extended": rows(self.extended), "noise_floor": None,
+            "waterfall": [{"step": step, **rows(rms), "ci95": None}
+                          for step, rms in (("refitted", self.baseline), ("extended", self.extended))],
             "findings": [f.to_dict() for f in self.findings], "untestable": list(self.untestable),
             "gain_percent_ci95": list(self.interval), "recommendation": self.recommendation,
             "recommendation_why": "the fall of the held-out position error "
