@@ -8,6 +8,7 @@ from .change_detection import (
     ChangeDetector as ChangeDetector,
 )
 from .directions import Direction as Direction
+from .follow import GrowingFile as GrowingFile
 from .payload import (
     FrictionDifference as FrictionDifference,
     PayloadEstimate as PayloadEstimate,

@@ -20,7 +20,7 @@ from tau_dyn.model import Model
 from tau_dyn.robot import INERTIAL, LinkInertia
 
 _TYPICAL = {"friction": 0.3, "payload": 0.1, "encoder_offset": 0.02, "delay": 0.005}
-"""Typical sizes: 30 % of a joint's friction; of the robot's mass; [m or rad]; [s]. They only steady what a reference does not tell."""
+"""Typical sizes: 30 % of a joint's friction; of the robot's mass; [m or rad]; [s]. They steady what a reference does not tell."""
 _FRICTION_SHARE = 0.05  # of a joint's rms force: typical Coulomb friction where the model has none
 _OFFSET_STEP = 1e-5  # of an encoder's offset, for a finite difference [m or rad]
 _MIN_EFFECT = 1e-6  # force of a typical size, relative to all forces, below which a robot does not feel it

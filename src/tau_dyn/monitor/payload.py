@@ -6,8 +6,8 @@ r"""A payload from logs without and with it: its mass, centre and inertia, in on
 reach them. Coulomb friction depends on the load that a gear or a guide carries, and on its temperature: each joint's Coulomb and
 viscous friction may differ between empty and loaded, by the same amount in both directions, and a test says where it does. The
 part of load friction that follows the force within the motion stays in the residual, whose scatter the intervals allow for. The
-payload is kept physical: its pseudo-inertia is positive semidefinite (`estimate/physical_consistency.py`). The robot's drive gains
-scale the result: a force scale that is 2 % off makes a mass 2 % off. Reference: Khalil, Gautier & Lemoine 2007.
+payload is kept physical: its pseudo-inertia is positive semidefinite (`estimate/physical_consistency.py`). Drive gains scale
+the result: a force scale that is 2 % off makes a mass 2 % off. Reference: Khalil, Gautier & Lemoine 2007.
 """
 
 from __future__ import annotations
@@ -79,6 +79,7 @@ class PropertyEstimate(NamedTuple):
         stderr = [float(s) if ok else None for s, ok in zip(self.stderr, told, strict=True)]
         rows: dict[str, Any] = {"value": values, "stderr": stderr, "ci95": ends}
         if len(values) == 1:
+            ends[0] = ends[0] and [max(0.0, ends[0][0]), ends[0][1]]  # no body has a negative mass
             rows = {name: row[0] for name, row in rows.items()}
         return rows | {"unit": self.unit, "determined": self.determined}
 
@@ -386,7 +387,7 @@ def _list_warnings(found: PayloadEstimate) -> list[str]:
     missing = [name for name, part in (("centre", found.centre), ("inertia", found.inertia)) if not part.determined]
     if found.differs and missing:
         said.append(
-            f"this motion does not determine the payload's {' and '.join(missing)}; turn the tool more, and faster"
+            f"these logs do not determine the payload's {' and '.join(missing)}; only a tool that turns, far and fast, would"
         )
     return said
 
@@ -452,7 +453,7 @@ def _propose_motion(model: Model, body: LinkInertia, sigma: np.ndarray | None, a
         pass  # a robot that cannot make the motion; the advice is then the general one
     length = 10 * np.ceil(min(seconds, _MAX_EXPERIMENT_S) / 10)
     return (
-        f"move {format_list(named)} over their range in both directions for {length:g} s, once without and once with the payload, "
+        f"move {format_list(named)} over their range in both directions for {length:g} s, without and then with the payload, "
         f"such as the motion of tau-dyn excite ROBOT --duration {length:g}"
     )
 

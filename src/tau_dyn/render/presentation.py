@@ -30,6 +30,7 @@ _KINDS = {
     "log": "recording",
     "modes": "modes",
     "model": "robot",
+    "monitor": "monitor",
     "parameters": "robot",
     "render": "motion",
     "robot": "robot",
