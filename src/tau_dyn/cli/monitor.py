@@ -18,7 +18,9 @@ _REFERENCE_S = 60.0  # s, as `tau_dyn.monitor.REFERENCE_S`, which is slow to imp
 
 def payload(
     robot: Annotated[str, args.describe_robot_or_model("whose effects and start values then count")],
-    empty: Annotated[tuple[str, ...], Parameter(name="EMPTY", help="Logs without the payload: t, q_JOINT, tau_JOINT")],
+    empty: Annotated[
+        tuple[str, ...], Parameter(name="EMPTY", help="Logs without the payload: t, q_JOINT, tau_JOINT")
+    ] = (),
     /,
     *,
     loaded: Annotated[args.Strings, Parameter(metavar="LOG")],

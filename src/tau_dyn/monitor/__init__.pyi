@@ -4,8 +4,8 @@ from .change_detection import (
     BLOCK_S as BLOCK_S,
     FALSE_ALARMS_PER_HOUR as FALSE_ALARMS_PER_HOUR,
     BlockScore as BlockScore,
-    Change as Change,
     ChangeDetector as ChangeDetector,
+    DetectedChange as DetectedChange,
 )
 from .directions import Direction as Direction
 from .follow import GrowingFile as GrowingFile

@@ -59,7 +59,7 @@ class BlockScore:
 
 
 @dataclass(frozen=True)
-class Change:
+class DetectedChange:
     """A change that was found.
 
     Attributes:
@@ -69,7 +69,7 @@ class Change:
         since_ci95: Earliest and latest time [s] within the log where it was detected.
         detected_t: When it was detected [s].
         detected_log: Log in which that was.
-        size: Change in the direction's unit.
+        size: DetectedChange in the direction's unit.
         ci95: Its interval.
         false_alarms_per_hour: Expected number of false alarms with a statistic as large.
         twins: Directions that explain it as well.
@@ -145,7 +145,7 @@ class ChangeDetector:
     sizes: np.ndarray
     reference_blocks: int
     rate: float = FALSE_ALARMS_PER_HOUR
-    changes: list[Change] = field(default_factory=list)
+    changes: list[DetectedChange] = field(default_factory=list)
     trace: list[tuple[float, str, float]] = field(default_factory=list)
     normal: NormalState | None = None
     _learning: list[BlockScore] = field(default_factory=list)
@@ -214,7 +214,7 @@ class ChangeDetector:
         self._blocks = self._blocks[cut:]
         self._s, self._G = self._s[cut:] - self._s[cut], self._G[cut:] - self._G[cut]
 
-    def _describe(self, normal: NormalState, detected: int) -> Change:
+    def _describe(self, normal: NormalState, detected: int) -> DetectedChange:
         n = len(self._blocks)
         first = max(0, detected + 1 - int(LENGTHS[-1]))
         starts = np.arange(first, detected + 1)
@@ -230,7 +230,7 @@ class ChangeDetector:
         twins = [int(x) for x in np.flatnonzero(T.max(axis=0) > T[k, d] - TWIN_MARGIN) if x != d]
         early = begin.t[0] if begin.log == at.log else at.t[0]
         late = end.t[1] if end.log == at.log else at.t[1]
-        return Change(
+        return DetectedChange(
             d, at.t[0], at.log, (early, late), found.t[1], found.log, float(sizes[d]),
             (float(sizes[d]) - half, float(sizes[d]) + half), chance, tuple(twins),
         )  # fmt: skip

@@ -187,7 +187,7 @@ def identify_payload(
         CannotAnswer: The logs are too short or too dull, with the motion that would do.
     """
     model = robot if isinstance(robot, Model) else build_model(robot, "asymmetric")
-    body = _find_link(model.robot, link)
+    body = find_carrying_link(model.robot, link)
     try:
         return _identify(model, body, empty, loaded, exclude, seed, progress)
     except CannotAnswer as fault:
@@ -220,7 +220,7 @@ def _identify(
 ) -> PayloadEstimate:
     without, with_it = _tell_apart(model.robot, empty, loaded)
     progress("columns")
-    data = Data.of(_untie(model, body), [*without, *with_it], exclude=exclude)
+    data = Data.of(untie_link(model, body), [*without, *with_it], exclude=exclude)
     built = data.build(data.model)
     names = {log.name for log in with_it}
     regression = add_payload_columns(model, body, built.regression, names)
@@ -234,7 +234,12 @@ def _identify(
     return found
 
 
-def _find_link(robot: Robot, name: str | None) -> LinkInertia:
+def find_carrying_link(robot: Robot, name: str | None) -> LinkInertia:
+    """Return the link of a name, or the one that carries the tool.
+
+    Raises:
+        InputError: There is no such link, or no single end.
+    """
     if name is None:
         body = find_end_link(robot)
         if body is None:
@@ -265,8 +270,8 @@ def _tell_apart(robot: Robot, empty: Sequence[Log], loaded: Sequence[Log]) -> tu
     return named[: len(once)], named[len(once) :]
 
 
-def _untie(model: Model, body: LinkInertia) -> Model:
-    """Return the model with all ten numbers of a link as columns."""
+def untie_link(model: Model, body: LinkInertia) -> Model:
+    """Return the model with all ten inertial numbers of a link as columns."""
     robot = model.robot.untied(f"{body.link}.{quantity}" for quantity in INERTIAL)
     return replace(model, robot=robot)
 
@@ -441,7 +446,7 @@ def _propose_motion(model: Model, body: LinkInertia, sigma: np.ndarray | None, a
         motion = build_fourier_motion(still, _EXPERIMENT_S, seed)
         noise = Noise.typical(still, still.torque(motion.q, motion.v, motion.a), 500.0)
         logs = [replace(predict_ideal_log(still, motion, noise, seed + k), name=str(k)) for k in range(2)]
-        data = Data.of(_untie(still, body), logs)
+        data = Data.of(untie_link(still, body), logs)
         estimate = solve_payload(still, add_payload_columns(still, body, data.build(data.model).regression, {"1"}))
         stderr = float(describe_payload(still, body, estimate, (("0",), ("1",))).mass.stderr[0])
         if sigma is not None:

@@ -26,8 +26,8 @@ from tau_dyn.monitor.change_detection import (
     BLOCK_S,
     FALSE_ALARMS_PER_HOUR,
     BlockScore,
-    Change,
     ChangeDetector,
+    DetectedChange,
 )
 from tau_dyn.monitor.directions import Direction, compute_direction_columns, list_felt
 from tau_dyn.results import Shown
@@ -61,7 +61,7 @@ class WatchResult(Shown):
     model: Model
     directions: tuple[Direction, ...]
     unfelt: tuple[Direction, ...]
-    changes: tuple[Change, ...]
+    changes: tuple[DetectedChange, ...]
     trace: tuple[tuple[float, str, float], ...]
     logs: tuple[str, ...]
     watched_s: float
@@ -88,7 +88,7 @@ class WatchResult(Shown):
         }
 
 
-def describe_change(change: Change, directions: Sequence[Direction]) -> dict[str, Any]:
+def describe_change(change: DetectedChange, directions: Sequence[Direction]) -> dict[str, Any]:
     """Return an alarm in the contract's form."""
     d = directions[change.direction]
     return {
