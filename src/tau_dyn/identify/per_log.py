@@ -137,7 +137,7 @@ def split_bodies(physics: PhysicalConstraints, parameters: Parameters) -> Physic
     bodies: list[InertialBody] = []
     for body in physics.bodies:
         values = {name: _list_logs(parameters, name) for name in body.parameters if name not in parameters}
-        logs = next(iter(values.values()), ())
+        logs: tuple[str, ...] = next(iter(values.values()), ())
         for log in logs:
             names = tuple(f"{name}@{log}" if name in values else name for name in body.parameters)
             bodies.append(InertialBody(f"{body.name}@{log}", names, body.map))

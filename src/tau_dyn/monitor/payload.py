@@ -373,7 +373,8 @@ def _compare_friction(robot: Robot, estimate: Estimate) -> tuple[FrictionDiffere
         rows = np.eye(len(kept))[[k for k, name in enumerate(kept) if name in names]]
         p = compute_contrast_p_value(estimate, rows)
         corrected = None if p is None else min(1.0, robot.na * p)
-        found.append(FrictionDifference(joint, *(estimate.parameters[name] for name in names), corrected))
+        coulomb, viscous = (estimate.parameters[name] for name in names)
+        found.append(FrictionDifference(joint, coulomb, viscous, corrected))
     return tuple(found)
 
 
