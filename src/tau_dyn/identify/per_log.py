@@ -116,7 +116,7 @@ def split_by_log(regression: Regression, names: Sequence[str]) -> Regression:
     """
     logs = tuple(dict.fromkeys(run.name for run in regression.runs))
     if len(logs) < 2:
-        raise InputError("missing_input", f"--per-log compares logs, and there is only {logs[0]}; give two or more")
+        raise InputError("missing_input", f"--per-log compares logs, and there is only {', '.join(logs)}; give two or more")
     rows: list[tuple[int, str | None, Parameter]] = []
     for k, p in enumerate(regression.parameters):
         if p.name in names:
