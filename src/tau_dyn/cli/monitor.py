@@ -2,117 +2,112 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
+from rich.console import Console
 
 from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome
 from tau_dyn.cli.progress import show_progress
+from tau_dyn.exceptions import InputError
 
-_STRETCH_S = 60.0
-"""Length of the stretches in which a growing log is taken in [s]: the filters' edges cost a second of each."""
-_POLL_S = 1.0  # between two looks at a growing log
+_REFERENCE_S = 60.0  # s, as `tau_dyn.monitor.REFERENCE_S`, which is slow to import
 
 
 def payload(
-    robot: Annotated[str, args.describe_robot_or_model("whose friction then counts")],
-    empty: Annotated[tuple[str, ...], Parameter(name="EMPTY")],
+    robot: Annotated[str, args.describe_robot_or_model("whose effects and start values then count")],
+    empty: Annotated[
+        tuple[str, ...], Parameter(name="EMPTY", help="Logs without the payload: t, q_JOINT, tau_JOINT")
+    ] = (),
     /,
     *,
-    loaded: Annotated[args.Strings, Parameter(metavar="LOG")] = (),
-    link: str | None = None,
+    loaded: Annotated[args.Strings, Parameter(metavar="LOG")],
+    link: Annotated[str | None, Parameter(metavar="LINK")] = None,
     columns: args.ColumnMapFile = None,
-    exclude: Annotated[args.Strings, Parameter(metavar="COLUMN")] = (),
+    exclude: Annotated[tuple[str, ...], Parameter(metavar="COLUMN")] = (),
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.FolderOutput = args.FolderOutput(),
 ) -> Outcome:
-    """Mass, centre and inertia of what the robot carries, from short motions without and with it.
+    """Mass, centre and inertia of a payload from logs without and with it, or the motion that would tell.
 
     Args:
-        empty: Logs without the payload; the same motion as with it, or another
-        loaded: Logs with it
-        link: Link that carries it (default: the one with the tool, or the tree's only leaf)
+        loaded: Logs with the payload, of the same motion or another
+        link: Link that carries it (default: the one with the tool, or the only leaf)
         exclude: Leave out samples where this column is not zero
     """
     with show_progress(output.quiet) as step:
         step("loading")
         from tau_dyn.monitor import identify_payload
 
-        fitting = args.FittingOptions(columns=columns, exclude=exclude)
-        without, with_it = fitting.read_logs(empty), fitting.read_logs(loaded)
-        if args.is_saved_model(robot):
-            machine = robot_options.load_model(robot)
-        else:
-            machine = robot_options.hold_silent_joints(robot_options.load(robot), robot, [*without, *with_it])
+        options = args.FittingOptions(columns=columns, exclude=exclude)
+        machine = robot_options.load_model(robot) if args.is_saved_model(robot) else robot_options.load(robot)
+        without, with_it = options.read_logs(empty), options.read_logs(loaded)
         found = identify_payload(machine, without, with_it, link=link, exclude=exclude, seed=output.seed, progress=step)
     return Outcome(
         result=found.to_dict(),
         warnings=found.warnings,
         inputs=[
             *robot_options.list_files(robot),
-            *fitting.list_inputs("", [*empty, *loaded], [*without, *with_it]),
+            *options.list_inputs("", [*empty, *loaded], [*without, *with_it]),
         ],
         found=found,
     )
 
 
 def watch(
-    model: Annotated[str, args.describe_robot_or_model("of the robot in its normal state")],
+    model: Annotated[Path, Parameter(name="MODEL", help="MODEL.yaml of identify or diagnose: the normal robot")],
     logs: args.Logs,
     /,
     *,
-    reference: Annotated[args.Positive, Parameter(metavar="S")] = 60.0,
-    follow: Annotated[args.Positive | None, Parameter(metavar="S")] = None,
+    follow: bool = False,
+    patience: Annotated[args.Positive, Parameter(metavar="S")] = 60.0,
+    reference: Annotated[args.Positive, Parameter(metavar="S")] = _REFERENCE_S,
     columns: args.ColumnMapFile = None,
-    exclude: Annotated[args.Strings, Parameter(metavar="COLUMN")] = (),
-    robot_options: args.RobotOptions = args.RobotOptions(),
+    exclude: Annotated[tuple[str, ...], Parameter(metavar="COLUMN")] = (),
     output: args.FolderOutput = args.FolderOutput(),
 ) -> Outcome:
-    """What has changed on a robot since its normal state, and since when: friction, payload, encoder offset, delay.
+    """What has changed on a robot and since when: friction, payload, an encoder's offset, a delay.
 
-    The status is 0 with or without an alarm.
+    At most one false alarm is expected in 10,000 hours of motion. The status is 0 with and without alarms.
 
     Args:
-        model: An identified model file, or a robot's file
-        reference: Motion from which the normal state is learned, at the beginning and after each alarm
-        follow: The last log grows: go on until it has not grown for so long
+        follow: Go on reading the last LOG, a CSV file that still grows; Ctrl-C ends it
+        patience: With --follow, end after so long without a new line
+        reference: Motion at the beginning, and after each alarm, that counts as normal
+        exclude: Leave out samples where this column is not zero
     """
     with show_progress(output.quiet) as step:
         step("loading")
-        from tau_dyn.monitor import watch_logs
+        from tau_dyn.model import Model
+        from tau_dyn.monitor import GrowingFile, watch_logs
 
-        fitting = args.FittingOptions(columns=columns, exclude=exclude)
-        machine = robot_options.load_model(model)
-        read = fitting.read_logs(logs)
-        stretches = read if follow is None else _follow(fitting, read, str(logs[-1]), follow)
-        found = watch_logs(machine, stretches, reference_s=reference, exclude=exclude, progress=step)
+        if not logs:
+            raise InputError("missing_input", "watch takes one log or more after the model")
+        options = args.FittingOptions(columns=columns, exclude=exclude)
+        normal = Model.load(model)
+        finished = options.read_logs(logs[:-1] if follow else logs)
+        growing = GrowingFile(Path(logs[-1]), columns, patience) if follow else None
+
+        def read() -> Iterator[Any]:
+            yield from finished
+            if growing is not None:
+                yield from growing.read()
+
+        screen = Console(stderr=True, soft_wrap=True, highlight=False)
+
+        def tell(row: dict[str, Any]) -> None:
+            if follow:
+                of = f" of {row['joint']}" if row["joint"] else ""
+                screen.print(f"alarm: {row['what']}{of} {row['size']:+.3g} {row['unit']} since {row['since_t']:.6g} s")
+
+        found = watch_logs(normal, read(), reference_s=reference, exclude=exclude, progress=step, alarm=tell)
+    read_files = options.list_inputs("", logs[: len(finished)], finished)
     return Outcome(
         result=found.to_dict(),
         warnings=found.warnings,
-        inputs=[*robot_options.list_files(model), *fitting.list_inputs("", logs, read)],
+        inputs=[model, *read_files, *([(logs[-1], growing.sha256)] if growing is not None else [])],
         found=found,
     )
-
-
-def _follow(fitting: args.FittingOptions, read: list, path: str, patience_s: float) -> Iterator:
-    """Yield logs, and of the last one, which grows, a stretch whenever one is complete; what is left when it has ended."""
-    yield from read[:-1]
-    log, done, seen, since = read[-1], 0, Path(path).stat().st_size, time.monotonic()
-    while True:
-        stretch = max(1, round(_STRETCH_S * log.rate_hz))
-        while log.n_samples - done >= stretch:
-            yield log[done : done + stretch]
-            done += stretch
-        if time.monotonic() - since > patience_s:
-            break
-        time.sleep(min(_POLL_S, patience_s))
-        size = Path(path).stat().st_size
-        if size != seen:
-            seen, since = size, time.monotonic()
-            (log,) = fitting.read_logs([path])
-    if log.n_samples > done:
-        yield log[done:]

@@ -117,7 +117,7 @@ def split_by_log(regression: Regression, names: Sequence[str]) -> Regression:
     logs = tuple(dict.fromkeys(run.name for run in regression.runs))
     if len(logs) < 2:
         raise InputError(
-            "missing_input", f"--per-log compares logs, and there is only {next(iter(logs), 'none')}; give two or more"
+            "missing_input", f"--per-log compares logs, and there is only {', '.join(logs)}; give two or more"
         )
     rows: list[tuple[int, str | None, Parameter]] = []
     for k, p in enumerate(regression.parameters):
@@ -139,7 +139,7 @@ def split_bodies(physics: PhysicalConstraints, parameters: Parameters) -> Physic
     bodies: list[InertialBody] = []
     for body in physics.bodies:
         values = {name: _list_logs(parameters, name) for name in body.parameters if name not in parameters}
-        logs = next(iter(values.values()), ())
+        logs: tuple[str, ...] = next(iter(values.values()), ())
         for log in logs:
             names = tuple(f"{name}@{log}" if name in values else name for name in body.parameters)
             bodies.append(InertialBody(f"{body.name}@{log}", names, body.map))

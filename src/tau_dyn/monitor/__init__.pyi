@@ -8,6 +8,7 @@ from .change_detection import (
     DetectedChange as DetectedChange,
 )
 from .directions import Direction as Direction
+from .follow import GrowingFile as GrowingFile
 from .payload import (
     FrictionDifference as FrictionDifference,
     PayloadEstimate as PayloadEstimate,

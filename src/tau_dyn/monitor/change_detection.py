@@ -1,4 +1,4 @@
-r"""Which direction a residual has moved in, and since when: a generalised likelihood ratio with a stated rate of false alarms.
+r"""In which direction a residual has moved, and since when: a generalised likelihood ratio with a stated false-alarm rate.
 
 Block b of 2 s of motion gives, of the white residual e and the white columns X of a few directions (friction of each joint, a
 payload, ...), the score and the information
@@ -10,12 +10,12 @@ direction d since block k is tested by
 
     T_d(k, n) = (sum_k^n s_bd)^2 / (phi_d (G_dd + g' G_0^-1 g)),     g = row d of G = sum_k^n G_b
 
-`g' G_0^-1 g` is what the reference itself is unsure of, `phi_d` the scatter of the reference's scores in units of G: so no
-noise model has to be exact, and under no change `sqrt(T)` is Student's t with the reference's degrees of freedom. Each new
-block tests D directions over L lengths from 2 s to an hour. With N = 1800 blocks an hour, the threshold h follows from the
-rate r [1/h] by Bonferroni: 2 P(t > h) = r / (N D L), so the expected number of false alarms is at most r an hour, as an
-average over references. Since when: the change-point's likelihood interval of Hansen 2000. Reference: Lorden 1971; Basseville
-& Nikiforov 1993, 5 and 8; Hansen 2000, Sample splitting and threshold estimation.
+`g' G_0^-1 g` is what the reference itself is unsure of, `phi_d` the scatter of the reference's scores in units of G: so no noise
+model has to be exact, and without a change `sqrt(T)` is Student's t with the reference's degrees of freedom. Each new block
+tests D directions over L lengths from 2 s to an hour. With N = 1800 blocks an hour, the threshold h follows from the rate r [1/h]
+by Bonferroni,  2 P(t > h) = r / (N D L);  the expected number of false alarms is at most r an hour, averaged over references.
+Since when: the change-point's likelihood interval of Hansen 2000. Reference: Lorden 1971; Basseville & Nikiforov 1993, 5 and 8;
+Hansen 2000, Sample splitting and threshold estimation.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import numpy as np
 from scipy import stats
 
 BLOCK_S = 2.0
-"""Length of a block [s]: several times a residual's own memory, and a fraction of the minute in which a change is to be named."""
+"""Length of a block [s]: longer than a residual's memory, a fraction of the minute in which a change is to be named."""
 BLOCKS_PER_HOUR = 3600 / BLOCK_S
 FALSE_ALARMS_PER_HOUR = 1e-4
 """Expected false alarms: one in ten thousand hours of motion, which is a year of it."""

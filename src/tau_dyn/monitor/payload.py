@@ -6,8 +6,8 @@ r"""A payload from logs without and with it: its mass, centre and inertia, in on
 reach them. Coulomb friction depends on the load that a gear or a guide carries, and on its temperature: each joint's Coulomb and
 viscous friction may differ between empty and loaded, by the same amount in both directions, and a test says where it does. The
 part of load friction that follows the force within the motion stays in the residual, whose scatter the intervals allow for. The
-payload is kept physical: its pseudo-inertia is positive semidefinite (`estimate/physical_consistency.py`). The drives' gains
-scale the result: a force scale that is 2 % off makes a mass 2 % off. Reference: Khalil, Gautier & Lemoine 2007.
+payload is kept physical: its pseudo-inertia is positive semidefinite (`estimate/physical_consistency.py`). Drive gains scale
+the result: a force scale that is 2 % off makes a mass 2 % off. Reference: Khalil, Gautier & Lemoine 2007.
 """
 
 from __future__ import annotations
@@ -79,6 +79,7 @@ class PropertyEstimate(NamedTuple):
         stderr = [float(s) if ok else None for s, ok in zip(self.stderr, told, strict=True)]
         rows: dict[str, Any] = {"value": values, "stderr": stderr, "ci95": ends}
         if len(values) == 1:
+            ends[0] = ends[0] and [max(0.0, ends[0][0]), ends[0][1]]  # no body has a negative mass
             rows = {name: row[0] for name, row in rows.items()}
         return rows | {"unit": self.unit, "determined": self.determined}
 
@@ -186,7 +187,7 @@ def identify_payload(
         CannotAnswer: The logs are too short or too dull, with the motion that would do.
     """
     model = robot if isinstance(robot, Model) else build_model(robot, "asymmetric")
-    body = _find_link(model.robot, link)
+    body = find_carrying_link(model.robot, link)
     try:
         return _identify(model, body, empty, loaded, exclude, seed, progress)
     except CannotAnswer as fault:
@@ -219,7 +220,7 @@ def _identify(
 ) -> PayloadEstimate:
     without, with_it = _tell_apart(model.robot, empty, loaded)
     progress("columns")
-    data = Data.of(_untie(model, body), [*without, *with_it], exclude=exclude)
+    data = Data.of(untie_link(model, body), [*without, *with_it], exclude=exclude)
     built = data.build(data.model)
     names = {log.name for log in with_it}
     regression = add_payload_columns(model, body, built.regression, names)
@@ -233,7 +234,12 @@ def _identify(
     return found
 
 
-def _find_link(robot: Robot, name: str | None) -> LinkInertia:
+def find_carrying_link(robot: Robot, name: str | None) -> LinkInertia:
+    """Return the link of a name, or the one that carries the tool.
+
+    Raises:
+        InputError: There is no such link, or no single end.
+    """
     if name is None:
         body = find_end_link(robot)
         if body is None:
@@ -264,8 +270,8 @@ def _tell_apart(robot: Robot, empty: Sequence[Log], loaded: Sequence[Log]) -> tu
     return named[: len(once)], named[len(once) :]
 
 
-def _untie(model: Model, body: LinkInertia) -> Model:
-    """Return the model with all ten numbers of a link as columns."""
+def untie_link(model: Model, body: LinkInertia) -> Model:
+    """Return the model with all ten inertial numbers of a link as columns."""
     robot = model.robot.untied(f"{body.link}.{quantity}" for quantity in INERTIAL)
     return replace(model, robot=robot)
 
@@ -387,7 +393,7 @@ def _list_warnings(found: PayloadEstimate) -> list[str]:
     missing = [name for name, part in (("centre", found.centre), ("inertia", found.inertia)) if not part.determined]
     if found.differs and missing:
         said.append(
-            f"this motion does not determine the payload's {' and '.join(missing)}; turn the tool more, and faster"
+            f"these logs do not determine the payload's {' and '.join(missing)}; only a tool that turns, far and fast, would"
         )
     return said
 
@@ -441,7 +447,7 @@ def _propose_motion(model: Model, body: LinkInertia, sigma: np.ndarray | None, a
         motion = build_fourier_motion(still, _EXPERIMENT_S, seed)
         noise = Noise.typical(still, still.torque(motion.q, motion.v, motion.a), 500.0)
         logs = [replace(predict_ideal_log(still, motion, noise, seed + k), name=str(k)) for k in range(2)]
-        data = Data.of(_untie(still, body), logs)
+        data = Data.of(untie_link(still, body), logs)
         estimate = solve_payload(still, add_payload_columns(still, body, data.build(data.model).regression, {"1"}))
         stderr = float(describe_payload(still, body, estimate, (("0",), ("1",))).mass.stderr[0])
         if sigma is not None:
@@ -453,8 +459,8 @@ def _propose_motion(model: Model, body: LinkInertia, sigma: np.ndarray | None, a
         pass  # a robot that cannot make the motion; the advice is then the general one
     length = 10 * np.ceil(min(seconds, _MAX_EXPERIMENT_S) / 10)
     return (
-        f"move {format_list(named)} over their range in both directions for {length:g} s, once without and once with the "
-        f"payload, such as the motion of tau-dyn excite ROBOT --duration {length:g}"
+        f"move {format_list(named)} over their range in both directions for {length:g} s, without and then with the payload, "
+        f"such as the motion of tau-dyn excite ROBOT --duration {length:g}"
     )
 
 

@@ -124,6 +124,8 @@ class Watch:
         detector: What finds changes; None before the first log.
         logs: Names of the logs so far.
         warnings: What is doubtful about them.
+        directions: What is watched, known from the first log on.
+        unfelt: What the robot does not feel.
     """
 
     model: Model

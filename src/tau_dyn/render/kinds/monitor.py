@@ -1,4 +1,4 @@
-"""A payload, and what has changed on a running robot."""
+"""A payload, and what changed on a watched robot."""
 
 from __future__ import annotations
 
@@ -7,135 +7,166 @@ from collections.abc import Iterator
 import numpy as np
 
 from tau_dyn import results as r
-from tau_dyn.monitor import PayloadEstimate, WatchResult
-from tau_dyn.render.presentation import present_kind, warn
+from tau_dyn.monitor import Direction, PayloadEstimate, PropertyEstimate, WatchResult
+from tau_dyn.render.presentation import flatten_rows, present_kind, warn
 
 
 @present_kind.register
 def present_payload(found: PayloadEstimate) -> r.Presentation:
     """Return how a payload is presented."""
-    mass = r.format_with_uncertainty(float(found.mass.values[0]), float(found.mass.stderr[0]))
-    headline = f"{found.link} carries {mass} kg more."
-    verdict = r.Verdict(
-        "care" if found.warnings else "good", "The loaded logs differ from the empty ones by a payload."
-    )
-    if not found.differs:
-        headline = f"No payload shows: at most {found.largest_mass:.3g} kg (95 %)."
-        verdict = r.Verdict("good", "Empty and loaded logs do not differ.")
-    sections = [
-        r.Chapter("payload", "Payload", lambda: _build_payload(found), r.On.ALL),
-        *warn(found.warnings),
-        r.Chapter("friction", "Friction, loaded less empty", lambda: _build_friction(found)),
-    ]
-    counts = " and ".join(
-        r.count(len(names), f"{kind} log") for names, kind in zip(found.logs, ("empty", "loaded"), strict=True)
-    )
+    mass, limit = found.mass, r.format_number(found.largest_mass, 2)
+    if found.differs:
+        said = r.format_with_uncertainty(float(mass.values[0]), float(mass.stderr[0]))
+        headline = f"{found.link} carries {said} kg more in the loaded logs."
+        missing = [name for name, part in (("centre", found.centre), ("inertia", found.inertia)) if not part.determined]
+        told = f"; not determined: {' and '.join(missing)}" if missing else ", centre and inertia"
+        verdict = r.Verdict("care" if missing or found.warnings else "good", f"The mass is determined{told}.")
+    else:
+        headline = f"No payload shows between empty and loaded logs; one of more than {limit} kg would."
+        verdict = r.Verdict("good", f"A difference as large is chance (p = {r.format_number(found.p_value, 2)}).")
+    empty, loaded = (r.format_list(list(names), 3) for names in found.logs)
     return r.Presentation(
-        "Payload", found.robot.name, f"{found.robot.name}: payload", headline, verdict, counts, sections, found.warnings,
-        r.RobotPicture(found.robot), data=lambda: _list_rows(found), result=found,
+        "Payload", found.robot.name, f"{found.robot.name}: payload", headline, verdict,
+        f"without: {empty}; with: {loaded}",
+        [
+            r.Chapter("payload", "Payload", lambda: _list_properties(found), r.On.ALL),
+            *warn(found.warnings),
+            r.Chapter("friction", "Friction, empty and loaded", lambda: _list_friction(found)),
+        ],
+        found.warnings, r.RobotPicture(found.robot), data=lambda: flatten_rows(_list_rows(found)), result=found,
     )  # fmt: skip
 
 
 def _list_rows(found: PayloadEstimate) -> list[dict]:
-    """Return one row a number: its name, value, standard error, unit, and whether it is determined."""
     rows = []
-    names = (("mass",), ("centre_x", "centre_y", "centre_z"), ("ixx", "ixy", "iyy", "ixz", "iyz", "izz"))
-    for part, words in zip((found.mass, found.centre, found.inertia), names, strict=True):
-        for word, value, error in zip(words, part.values, part.stderr, strict=True):
-            told = bool(np.isfinite(error))
-            rows.append({
-                "name": word, "value": float(value) if told else None, "stderr": float(error) if told else None,
-                "unit": part.unit, "determined": part.determined,
-            })  # fmt: skip
+    for names, part in _name_parts(found):
+        plain = part.to_dict()
+        values, errors, ends = (x if isinstance(plain["value"], list) else [x] for x in (
+            plain["value"], plain["stderr"], plain["ci95"]))  # fmt: skip
+        for name, value, stderr, interval in zip(names, values, errors, ends, strict=True):
+            rows.append({"name": name, "value": value, "stderr": stderr, "ci95": interval, "unit": part.unit})
     return rows
 
 
-def _build_payload(found: PayloadEstimate) -> Iterator[r.Element]:
+def _name_parts(found: PayloadEstimate) -> list[tuple[list[str], PropertyEstimate]]:
+    inertia = found.to_dict()["payload"]["inertia_components"]
+    return [(["mass"], found.mass), ([f"centre {x}" for x in "xyz"], found.centre), (inertia, found.inertia)]
+
+
+def _list_properties(found: PayloadEstimate) -> Iterator[r.Element]:
     rows = []
+    determined = {name: part.determined for names, part in _name_parts(found) for name in names}
     for row in _list_rows(found):
-        told = row["value"] is not None
-        amount = f"{r.format_with_uncertainty(row['value'], row['stderr'])} {row['unit']}" if told else "not told"
-        rows.append(r.Row([row["name"], amount, "yes" if row["determined"] else "no"]))
-    yield r.ResultTable([r.Column(""), r.Column("value", "number"), r.Column("determined")], rows, on=r.On.ALL)
-    yield r.Text(
-        f"In the frame {found.frame}; inertia about the centre. ± is one standard error. Chance of such a difference "
-        f"between equal logs: {found.p_value:.2g}.",
-        "note",
+        seen = row["stderr"] is not None
+        value = r.format_with_uncertainty(row["value"], row["stderr"]) if seen else "not told"
+        interval = r.format_interval(row["ci95"], row["stderr"]) if seen else ""
+        note = "" if determined[row["name"]] else "not determined"
+        rows.append(r.Row([row["name"], value, interval, r.format_unit(row["unit"]), note]))
+    columns = [
+        r.Column(""),
+        r.Column("estimate", "number"),
+        r.Column("95 % interval", "number"),
+        r.Column("", "unit"),
+        r.Column(),
+    ]
+    yield r.ResultTable(columns, rows, on=r.On.ALL)
+    yield r.explain(
+        f"In the frame of {found.frame}; inertia about the centre. ± is one standard error; coloured noise and friction that "
+        "differs between the logs are allowed for. A drive gain that is off scales mass and inertia alike."
     )
 
 
-def _format(value: float, stderr: float | None, unit: str) -> str:
-    return "not told" if stderr is None else f"{value:.3g} ± {stderr:.2g} {unit}"
-
-
-def _build_friction(found: PayloadEstimate) -> Iterator[r.Element]:
-    rows = [
-        r.Row([
-            one.joint,
-            *(_format(p.value, p.stderr, p.unit) for p in (one.coulomb, one.viscous)),
-            "yes" if one.differs else "no",
-        ])
-        for one in found.friction
-    ]  # fmt: skip
-    columns = [r.Column("joint"), r.Column("Coulomb", "number"), r.Column("viscous", "number"), r.Column("differs")]
-    if rows:
-        yield r.ResultTable(columns, rows)
-    yield r.Text("Friction follows load and temperature, so each recording may have its own.", "note")
+def _list_friction(found: PayloadEstimate) -> Iterator[r.Element]:
+    rows = []
+    for row in found.friction:
+        parts = [
+            f"{r.format_with_uncertainty(p.value, p.stderr) if p.stderr is not None else 'not told'} {r.format_unit(p.unit)}"
+            for p in (row.coulomb, row.viscous)
+        ]
+        chance = "" if row.p_value is None else r.format_number(row.p_value, 2)
+        rows.append(r.Row([row.joint, *parts, chance, "differs" if row.differs else ""]))
+    columns = [
+        r.Column("joint"),
+        r.Column("Coulomb", "number"),
+        r.Column("viscous", "number"),
+        r.Column("p", "number"),
+        r.Column(),
+    ]
+    yield r.ResultTable(columns, rows)
+    yield r.explain("Loaded minus empty. Coulomb friction follows the load that a gear carries, and its temperature.")
 
 
 @present_kind.register
 def present_watch(found: WatchResult) -> r.Presentation:
-    """Return what has changed."""
-    robot, n = found.model.robot, len(found.changes)
-    headline = f"{r.count(n, 'change')} in {found.watched_s:.0f} s of motion." if n else (
-        f"Nothing changed in {found.watched_s:.0f} s of motion."
-    )  # fmt: skip
-    verdict = r.Verdict(
-        "poor" if n else "care" if found.warnings else "good",
-        f"False alarms: one in {1 / found.rate:.0f} hours of motion, on average.",
-    )
-    sections = [
-        r.Chapter("alarms", "What changed, and since when", lambda: _build_alarms(found), r.On.ALL),
-        *warn(found.warnings),
-        r.Chapter("course", "Largest statistic over its threshold", lambda: _build_course(found)),
-    ]
+    """Return how a watched robot is presented."""
+    hours = r.format_number(1 / found.rate, 2)
+    if found.changes:
+        headline = f"{_describe_change(found, 0)}."
+        rest = len(found.changes) - 1
+        level, sentence = "care", f"{r.count(len(found.changes), 'alarm')}; at most one false one in {hours} h."
+        headline = headline if not rest else f"{headline[:-1]}, and {r.count(rest, 'more change')}."
+    else:
+        headline = f"Nothing changed in {r.format_number(found.watched_s, 3)} s of motion."
+        level, sentence = "good", f"No alarm; at most one false one is expected in {hours} h."
     return r.Presentation(
-        "Watch", robot.name, f"{robot.name}: what changed", headline, verdict,
-        f"{r.count(len(found.logs), 'log')}, the first {found.reference_s:.0f} s of motion taken as normal",
-        sections, found.warnings, r.RobotPicture(robot), data=lambda: list(found.rows()), result=found,
+        "Watch", found.model.robot.name, f"{found.model.robot.name}: watch", headline, r.Verdict(level, sentence),
+        f"{r.format_list(list(found.logs), 3)}; reference {found.reference_s:g} s, watched {found.watched_s:g} s",
+        [
+            r.Chapter("alarms", "What changed", lambda: _list_alarms(found), r.On.ALL),
+            *warn(found.warnings),
+            r.Chapter("statistic", "Largest change in standard errors", lambda: _draw_trace(found)),
+        ],
+        found.warnings, r.RobotPicture(found.model.robot), data=lambda: flatten_rows(found.rows()), result=found,
     )  # fmt: skip
 
 
-def _build_alarms(found: WatchResult) -> Iterator[r.Element]:
+def _describe_change(found: WatchResult, k: int) -> str:
+    change = found.changes[k]
+    return f"{r.capitalise(found.directions[change.direction].words)} changed at {change.since_t:.6g} s of {change.since_log}"
+
+
+def _format_size(direction: Direction, size: float, ends: tuple[float, float]) -> str:
+    factor, unit = (100.0, "%") if direction.unit == "1" else (1.0, r.format_unit(direction.unit))
+    half = factor * (ends[1] - ends[0]) / 2 / r.Z95
+    return f"{r.format_with_uncertainty(factor * size, half)} {unit}"
+
+
+def _list_alarms(found: WatchResult) -> Iterator[r.Element]:
     rows = []
-    for row in found.rows():
-        low, high = row["since_ci95"]
-        percent = row["unit"] == "1"
-        scale, unit = (100.0, "%") if percent else (1.0, row["unit"])
-        ends = " to ".join(f"{scale * x:.3g}" for x in row["ci95"])
-        others = ", ".join(" of ".join(filter(None, (o["what"], o["joint"]))) for o in row["indistinguishable_from"])
-        rows.append(r.Row([
-            " of ".join(filter(None, (row["what"].replace("_", " "), row["joint"]))),
-            f"{scale * row['size']:.3g} {unit} ({ends})", f"{row['since_t']:.4g} s ({low:.4g} to {high:.4g}), {row['since_log']}",
-            f"{row['detected_t']:.4g} s, {row['log']}", others or "-",
-        ]))  # fmt: skip
-    columns = [r.Column(x) for x in ("what", "by (95 %)", "since (95 %)", "detected", "may also be")]
+    for change in found.changes:
+        d = found.directions[change.direction]
+        alike = r.format_list([found.directions[k].words for k in change.twins], 3) if change.twins else ""
+        since = f"{change.since_t:.6g} s ({change.since_ci95[0]:.6g} … {change.since_ci95[1]:.6g})"
+        rows.append(
+            r.Row([d.words, _format_size(d, change.size, change.ci95), since, f"{change.detected_t:.6g} s", alike])
+        )
+    columns = [
+        r.Column("what"),
+        r.Column("size", "number"),
+        r.Column("since (95 %)", "number"),
+        r.Column("detected", "number"),
+        r.Column("or"),
+    ]
     if rows:
         yield r.ResultTable(columns, rows, on=r.On.ALL)
-    watched = ", ".join(d.words for d in found.directions)
-    unfelt = f" Not felt by this robot: {', '.join(d.words for d in found.unfelt)}." if found.unfelt else ""
-    yield r.Text(f"Watched: {watched}.{unfelt}", "note")
-
-
-def _build_course(found: WatchResult) -> Iterator[r.Element]:
-    if not found.trace:
-        return
-    hours = np.arange(1, len(found.trace) + 1) * found.watched_s / max(len(found.trace), 1) / 3600
-    ratio = np.array([x[2] for x in found.trace])
-    x, y = (
-        r.Axis("motion watched [h]", (0.0, float(hours[-1]))),
-        r.Axis("over the threshold", (0.0, max(1.1, float(ratio.max())))),
+    watched = r.format_list([d.words for d in found.directions], 20)
+    yield r.Text(f"Watched: {watched}.", on=r.On.DRAWN)
+    if found.unfelt:
+        yield r.Text(f"This robot does not feel: {r.format_list([d.words for d in found.unfelt], 20)}.", on=r.On.DRAWN)
+    yield r.explain(
+        "Sizes against the reference, the first motion, in which what the model misses counts as normal. ± is one standard "
+        "error. Blocks of 2 s in which joints move count as time."
     )
-    marks = (r.Line(np.array(x.limits), np.ones(2), "limit"), r.Line(hours, ratio))
-    yield r.Figures([r.Figure(x, y, marks, "statistic", (r.WHOLE, 240))], "wide-chart")
-    yield r.Text("Dashed: above it a change is called one.", "note")
+
+
+def _draw_trace(found: WatchResult) -> Iterator[r.Element]:
+    views = []
+    for log in dict.fromkeys(name for _, name, _ in found.trace):
+        rows = [(t, x) for t, name, x in found.trace if name == log]
+        t, x = (np.array(column) for column in zip(*rows, strict=True))
+        if len(t) > 1:
+            views.append(
+                r.View(log, "", t, (r.build_strip("over the threshold", 180, r.Curve("statistic", "measured", x)),))
+            )
+    if views:
+        yield r.TimeView("largest statistic over its threshold, over time", views, [r.Key("measured", "1 is an alarm")])
