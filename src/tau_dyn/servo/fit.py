@@ -312,7 +312,8 @@ class LoopProblem:
             "armature": 2e-5 * stiff, "coulomb": 1e-3 * stiff, "viscous": 1e-3 * stiff, "offset": 1e-3 * stiff,
             "load_friction": 0.02, "stiction": 1e-3 * stiff, "command_delay": 1e-3, "dead_band": 5e-4,
             "supply_sag": 0.02, "braking": 0.05,
-            "back_emf": 1e-3 * values["position_gain"], "stiction_speed": 5e-3,
+            "back_emf": 1e-3 * values["position_gain"], "stiction_speed": 5e-3, "torque_delay": 1e-3, "backlash": 1e-3,
+            "joint_compliance": 1e-3 / stiff, "joint_damping": 1e-4 * stiff,
         }  # fmt: skip
         na = len(stiff)
         table = [
@@ -534,8 +535,10 @@ _HIGHEST = {
     "dead_band": 0.2,
     "drive_exponent": 2.0,
     "braking": 1.0,
+    "torque_delay": 0.1,
+    "backlash": 0.2,
 }
-"""Upper bounds of kinds [1, s, 1, rad]: a friction that grows as the torque would hold every motion."""
+"""Upper bounds of kinds [1, s, rad]: a friction that grows as the torque would hold every motion."""
 
 
 def get_unit(kind: str) -> str:

@@ -12,8 +12,12 @@ load at the middle of the step and friction f that holds exactly (a box compleme
     w = (I / h + (d - b) / 2) v + tau - load,   f = clip(w, -F, F),   v+ = (w - f) / (I / h + (d + b) / 2),
     q+ = q + h (v + v+) / 2.
 
+With a spring between motor (w, its armature B, the friction) and link (v, I), the twist's own motion is taken exactly over
+the step (`solve_spring`) and its centre of mass by the rule above; friction then sees the mobility of the pair. A play opens
+the spring; without compliance its stops are springs that the step resolves, critically damped.
+
 A command holds until the next; a delay moves it by parts of a step, so that the answer has a derivative by it.
-Reference: Lelarasmee, Ruehli & Sangiovanni-Vincentelli 1982 (waveform relaxation); Moreau 1988 (dry friction).
+Reference: Lelarasmee, Ruehli & Sangiovanni-Vincentelli 1982 (waveform relaxation); Moreau 1988 (dry friction); Spong 1987.
 """
 
 from __future__ import annotations
@@ -23,6 +27,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tau_dyn.servo.compiled_loop import run_compiled
+
 MAX_STEP_S = 0.0105
 """Longest step of the loop [s]: a seventh of the time constant of a hobby servo; it moves positions by some 0.4 mrad."""
 FINE_STEP_S = 0.0026
@@ -30,9 +36,10 @@ FINE_STEP_S = 0.0026
 MIN_INERTIA = 1e-6
 """Smallest inertia of a joint that is stepped [kg m^2]; smaller ones come from bad trial values only."""
 
-
 BEND = 0.02
 """Share of the supply below which a bent drive law is straight, so that its slope stays finite."""
+CONTACT_TURN = 0.5
+"""Turn of a stop's own oscillation in a step [rad]: as stiff as a step resolves; 0.1 N m press it in by 0.2 mrad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +49,7 @@ class Waves:
     Attributes:
         dt: Time between samples of each log (S,) [s].
         start: Positions at the first sample (na, S).
+        speed: Speeds at the first sample (na, S).
         command: Commands (N, na, S) [rad], each holding until the next.
         along: Motion that loads were taken along (N, na, S) [rad].
         load: Torque besides the own inertia (N, na, S) [N m].
@@ -52,11 +60,14 @@ class Waves:
         supply: Supply over the nominal one (N, S).
         enabled: 1 where the motor is on (N, S).
         by_log: Law entries that logs have of their own (na, S).
+        encoder_on_motor: Whether the law uses the motor's position.
+        measured_on_motor: Whether the positions returned, and those of the start, are the motor's.
         step: Longest step of the loop [s].
     """
 
     dt: np.ndarray
     start: np.ndarray
+    speed: np.ndarray
     command: np.ndarray
     along: np.ndarray
     load: np.ndarray
@@ -67,6 +78,8 @@ class Waves:
     supply: np.ndarray
     enabled: np.ndarray
     by_log: Mapping[str, np.ndarray]
+    encoder_on_motor: bool = False
+    measured_on_motor: bool = False
     step: float = MAX_STEP_S
 
 
@@ -84,19 +97,30 @@ class Trials:
 
 
 def simulate_loops(waves: Waves, trials: Trials) -> np.ndarray:
-    """Return positions (N, na, C, S) [rad] of C trials in S logs, from rest at each log's start."""
+    """Return measured positions (N, na, C, S) [rad] of C trials in S logs, from each log's start."""
+    often = max(1, int(np.ceil(waves.dt.max() / waves.step - 1e-9)))
+    found = run_compiled(waves, trials, often, (MIN_INERTIA, BEND, CONTACT_TURN))
+    return _simulate_in_numpy(waves, trials, often) if found is None else found
+
+
+def _simulate_in_numpy(waves: Waves, trials: Trials, often: int) -> np.ndarray:
     n, na, _ = waves.command.shape
     c, s = trials.inertial.shape[1], len(waves.dt)
-    often = max(1, int(np.ceil(waves.dt.max() / waves.step)))
     p = {key: value[:, :, None] for key, value in trials.values.items()}
     p |= {key: value[:, None, :] for key, value in waves.by_log.items()}
     h = (waves.dt / often)[None, None, :]
     shape = (na, c, s)
     load, inertia = _combine(waves.load, waves.load_by, trials), _combine(waves.inertia, waves.inertia_by, trials)
     half = 0.5 * h
-    goal = _Goal(waves, p, often, h, shape)
+    goal, delayed = _Goal(waves, p, often, h, shape), _Delay(p["torque_delay"] / h, shape)
     q = np.broadcast_to(waves.start[:, None, :], shape).copy()
-    v, integral, out = np.zeros(shape), np.zeros(shape), np.empty((n, *shape))
+    v = np.broadcast_to(waves.speed[:, None, :], shape).copy()
+    integral, out = np.zeros(shape), np.empty((n, *shape))
+    joint = _Twist(p, h, load[0] + p["offset"]) if np.any(p["joint_compliance"]) or np.any(p["backlash"]) else None
+    m, w = q, v
+    if joint is not None:
+        m, q = (q, q - joint.start) if waves.measured_on_motor else (q + joint.start, q)
+        w = v.copy()
     has_integral, has_stiction = bool(np.any(p["integral_gain"])), bool(np.any(p["stiction"]))
     has_band, has_sag = bool(np.any(p["dead_band"])), bool(np.any(p["supply_sag"]))
     has_derivative, pushes = bool(np.any(p["derivative_gain"])), bool(np.any(p["load_friction"]))
@@ -104,22 +128,24 @@ def simulate_loops(waves: Waves, trials: Trials) -> np.ndarray:
     power = p["drive_exponent"]
     switched, finite = not np.all(waves.enabled), bool(np.any(np.isfinite(p["limit"])))
     for k in range(n - 1):
-        out[k] = q
-        mass = np.maximum(inertia[k] + p["armature"], MIN_INERTIA)
+        out[k] = m if waves.measured_on_motor else q
+        mass_h = np.maximum(inertia[k] + p["armature"], MIN_INERTIA) / h
+        if joint is not None:
+            joint.set_inertia(inertia[k])
         supply, on = waves.supply[k], waves.enabled[k]
         full = p["force_per_unit"] * on if switched else p["force_per_unit"]
-        mass_h = mass / h
         slope, now = (load[k + 1] - load[k]) / often, load[k] + p["offset"]
         G, along = waves.stiffness[k][:, None, :], waves.along[k][:, None, :]
         turn = (waves.along[k + 1] - waves.along[k])[:, None, :] / often
         for i in range(often):
             middle = q + half * v
-            e = goal.at(k * often + i) - middle
+            seen, speed = (m, w) if waves.encoder_on_motor else (q, v)
+            e = goal.at(k * often + i) - (seen + half * speed)
             if has_band:
                 e = np.sign(e) * np.maximum(np.abs(e) - p["dead_band"], 0.0)
             u = p["position_gain"] * e
             if has_derivative:
-                u = u - p["derivative_gain"] * v
+                u = u - p["derivative_gain"] * speed
             if has_integral:
                 integral = np.clip(integral + p["integral_gain"] * h * e, -p["limit"], p["limit"])
                 u = u + integral
@@ -127,7 +153,8 @@ def simulate_loops(waves: Waves, trials: Trials) -> np.ndarray:
                 u = np.minimum(np.maximum(u, -p["limit"]), p["limit"])
             if has_sag:
                 u = u * (1.0 - p["supply_sag"] * np.abs(u))
-            x = u * supply - p["back_emf"] * v
+            u = delayed.pass_on(u)
+            x = u * supply - p["back_emf"] * w
             if bends:
                 size = np.maximum(np.abs(x), BEND)
                 grown = full * size ** (power - 1.0)
@@ -139,17 +166,103 @@ def simulate_loops(waves: Waves, trials: Trials) -> np.ndarray:
                 push, lever = push * share, lever * share
             rest = now + (i + 0.5) * slope + G * (middle - along - (i + 0.5) * turn)
             damping = 0.5 * (lever + p["viscous"])
-            wanted = (mass_h + damping - p["viscous"]) * v + push - rest  # what friction acts on
             friction = p["coulomb"]
             if pushes:
                 friction = friction + p["load_friction"] * np.abs(push)
             if has_stiction:
-                friction = friction + p["stiction"] * np.exp(-np.abs(v) / p["stiction_speed"])
-            after = (wanted - np.minimum(np.maximum(wanted, -friction), friction)) / (mass_h + damping)
-            q = q + half * (v + after)
-            v = after
-    out[n - 1] = q
+                friction = friction + p["stiction"] * np.exp(-np.abs(w) / p["stiction_speed"])
+            push = push + (damping - p["viscous"]) * w
+            if joint is None:
+                wanted = mass_h * v + push - rest  # what friction acts on
+                after = (wanted - np.minimum(np.maximum(wanted, -friction), friction)) / (mass_h + damping)
+                q = q + half * (v + after)
+                m = q
+                v = w = after
+            else:
+                w_after, v_after = joint.step((m, w, q, v), push, rest, damping, friction, mass_h)
+                m, q = m + half * (w + w_after), q + half * (v + v_after)
+                w, v = w_after, v_after
+    out[n - 1] = m if waves.measured_on_motor else q
     return out
+
+
+class _Twist:
+    """A spring and a play between motor and link; where a joint has neither, motor and link are one."""
+
+    def __init__(self, p: Mapping[str, np.ndarray], h: np.ndarray, load: np.ndarray) -> None:
+        self._p, self._h, self._gap = p, h, 0.5 * p["backlash"]
+        self._springy = p["joint_compliance"] > 0
+        self._there = self._springy | (p["backlash"] > 0)
+        self.start = p["joint_compliance"] * load + np.sign(load) * self._gap
+
+    def set_inertia(self, link: np.ndarray) -> None:
+        """Take the link's inertia (na, C, S) [kg m^2] over a sample."""
+        p, h = self._p, self._h
+        motor, link = np.maximum(p["armature"], MIN_INERTIA), np.maximum(link, MIN_INERTIA)
+        self._total, self._share = motor + link, link / (motor + link)
+        self._mu = motor * self._share
+        contact = self._mu * (CONTACT_TURN / h) ** 2
+        self._stiffness = np.where(self._springy, 1.0 / np.where(self._springy, p["joint_compliance"], 1.0), contact)
+        damping = np.where(self._springy, p["joint_damping"], 2.0 * self._mu * CONTACT_TURN / h)
+        self._a, self._S = solve_spring(self._stiffness, damping, self._mu, h)
+
+    def step(self, state, push, rest, damping, friction, mass_h):  # noqa: ANN001, ANN201
+        """Return the speeds of motor and link after a step."""
+        m, w, q, v = state
+        h, share, there = self._h, self._share, self._there
+        twist, rate = m - q, w - v
+        open_ = np.abs(twist) < self._gap
+        pull = np.where(open_, 0.0, self._stiffness * (twist - np.where(twist > 0, self._gap, -self._gap)))
+        a, S = np.where(open_, 1.0, self._a), np.where(open_, self._mu / h, self._S)
+        base = a * rate + ((1.0 - share) * rest - pull) / S
+        common = w - share * rate - h / self._total * rest
+        inverse = np.where(there, 1.0 / (h / self._total + share**2 / S), mass_h)
+        free = np.where(there, (common + share * base) * inverse, mass_h * w - rest)
+        wanted = free + push
+        left = wanted - np.minimum(np.maximum(wanted, -friction), friction)
+        after = left / (inverse + damping)
+        return after, np.where(there, after - base - share * (left - damping * after - free) / S, after)
+
+
+def solve_spring(
+    stiffness: np.ndarray, damping: np.ndarray, mu: np.ndarray, h: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a and S of a step `S rate+ = a S rate - stiffness twist + force`, `twist+ = twist + h (rate + rate+) / 2`.
+
+    Its two eigenvalues are those of `mu twist'' + damping twist' + stiffness twist = 0` over h, exactly, and a constant
+    force twists by force / stiffness. Where the step turns by more than one radian, damping is added, so that what the
+    step cannot show fades.
+    """
+    square, sigma = stiffness / mu * h**2, 0.5 * damping / mu * h
+    late = sigma + np.maximum(0.0, np.sqrt(square) - 1.0)
+    turn = square - sigma**2
+    size = np.sqrt(np.abs(turn))
+    slow = np.where(turn > 0, 0.0, size)
+    trace = np.where(
+        turn > 0, 2 * np.exp(-late) * np.cos(np.minimum(size, np.pi)), np.exp(slow - late) + np.exp(-slow - late)
+    )
+    determinant = np.exp(-2 * late)
+    return 0.5 * (trace + determinant - 1.0), stiffness * h / (determinant - trace + 1.0)
+
+
+class _Delay:
+    """The law's output (na, C, S) some steps later, by parts of a step."""
+
+    def __init__(self, late: np.ndarray, shape: tuple[int, ...]) -> None:
+        self._late = np.broadcast_to(late, shape)
+        self._whole = np.floor(self._late).astype(int)
+        self._past: list[np.ndarray] = []
+        self._grid = np.ogrid[: shape[0], : shape[1], : shape[2]]
+
+    def pass_on(self, u: np.ndarray) -> np.ndarray:
+        """Take in what the law says now, and return what the motor does."""
+        if not np.any(self._late):
+            return u
+        keep = int(self._whole.max()) + 2
+        self._past = [u, *self._past[: keep - 1]] if self._past else [u] * keep
+        past = np.stack(self._past)
+        newer, older = (past[self._whole + k, *self._grid] for k in (0, 1))
+        return newer + (self._late - self._whole) * (older - newer)
 
 
 def _combine(first: np.ndarray, by: np.ndarray, trials: Trials) -> np.ndarray:

@@ -46,14 +46,21 @@ def predict_positions(
     found: list[np.ndarray] = []
     for sweep in range(MAX_SWEEPS):
         waves = replace(build_waves(space, records, loads, law), step=step)
-        out = simulate_loops(waves, trials)[:, :, 0]
-        before, found = found, [out[: len(r.t), :, k] for k, r in enumerate(records)]
+        before, found = found, _cut(simulate_loops(waves, trials), records)
         if (
             before
             and max(float(np.sqrt(np.mean((a - b) ** 2))) for a, b in zip(found, before, strict=True)) < SETTLED_RAD
         ):
             break
         if sweep + 1 < MAX_SWEEPS:
-            motions = [smooth_motion(q, r.dt) for q, r in zip(found, records, strict=True)]
+            links = found  # loads are the links'; where motors are measured, both start with the same twist
+            if waves.measured_on_motor and np.any(trials.values["joint_compliance"] + trials.values["backlash"]):
+                links = _cut(simulate_loops(replace(waves, measured_on_motor=False), trials), records)
+            motions = [smooth_motion(q, r.dt) for q, r in zip(links, records, strict=True)]
             loads = [compute_load_waves(space, *motion, r.dt) for motion, r in zip(motions, records, strict=True)]
     return found
+
+
+def _cut(out: np.ndarray, records: Sequence[LoopRecord]) -> list[np.ndarray]:
+    """Return the positions (N, na) of each record, of one trial."""
+    return [out[: len(r.t), :, 0, k] for k, r in enumerate(records)]

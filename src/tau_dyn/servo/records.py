@@ -50,6 +50,7 @@ class LoopRecord:
         enabled: 1 where the motor is on (N,).
         used: Samples that count (N,).
         entries: Law entries (na,) that hold in this log.
+        speed: Speeds at the first sample (na,) [rad/s]; None for rest.
     """
 
     name: str
@@ -60,6 +61,7 @@ class LoopRecord:
     enabled: np.ndarray
     used: np.ndarray
     entries: Mapping[str, np.ndarray]
+    speed: np.ndarray | None = None
 
     @property
     def dt(self) -> float:
@@ -225,6 +227,7 @@ def build_waves(
     return Waves(
         dt=np.array([r.dt for r in records]),
         start=np.stack([r.q[0] for r in records], axis=1),
+        speed=np.stack([np.zeros(r.q.shape[1]) if r.speed is None else r.speed for r in records], axis=1),
         command=stack([r.command for r in records]),
         along=stack([w.along for w in loads]),
         load=stack([w.load @ space.nominal for w in loads]),
@@ -235,11 +238,13 @@ def build_waves(
         supply=stack([r.supply for r in records]),
         enabled=stack([r.enabled for r in records]),
         by_log={key: np.stack([r.entries[key] for r in records], axis=1) for key in keys},
+        encoder_on_motor=law.encoder == "motor",
+        measured_on_motor=law.measured == "motor",
     )
 
 
 def split_pieces(records: Sequence[LoopRecord], loads: Sequence[LoadWaves]) -> tuple[list[LoopRecord], list[LoadWaves]]:
-    """Return the logs in pieces that are simulated side by side, each from its measured start (multiple shooting).
+    """Return the logs in pieces that are simulated side by side, each from its measured state (multiple shooting).
 
     The first part of a piece does not count: by then the loop has forgotten where it began. Few long logs become many short ones,
     which take as long as one of them.
@@ -266,6 +271,7 @@ def split_pieces(records: Sequence[LoopRecord], loads: Sequence[LoadWaves]) -> t
                     supply=r.supply[cut],
                     enabled=r.enabled[cut],
                     used=used,
+                    speed=r.motion[1][first] if first else r.speed,
                 )
             )
             waves.append(LoadWaves(w.load[cut], w.inertia[cut], w.stiffness[cut], w.along[cut]))

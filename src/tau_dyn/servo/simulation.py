@@ -15,6 +15,9 @@ from tau_dyn.simulate import ServoLaw, Trajectory
 FINE_HZ = 500.0
 """Rate at which the loop is simulated [Hz], at least: servos themselves run at 200 to 1000 Hz."""
 
+STEP_S = 2.5e-4
+"""Longest step of the simulated loops [s], a quarter of a millisecond, so that no fit has the step of its data."""
+
 
 def simulate_loop_log(
     model: Model,
@@ -53,7 +56,8 @@ def simulate_loop_log(
     held = np.repeat(commands.q, often, axis=0)[: len(t)]
     on = np.ones(len(t))
     record = LoopRecord(name, t, held, held, on, on, on.astype(bool), law.in_log(name))
-    q = predict_positions(InertialSpace.of(model), np.zeros(0), read_values(model, law), law, [record])[0][::often]
+    space, values = InertialSpace.of(model), read_values(model, law)
+    q = predict_positions(space, np.zeros(0), values, law, [record], step=STEP_S)[0][::often]
     rng = np.random.default_rng(seed)
     q = q + encoder_noise * rng.standard_normal(q.shape)
     if encoder_resolution > 0:

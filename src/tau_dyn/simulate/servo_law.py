@@ -5,6 +5,11 @@
     x = u supply (1 - supply_sag |u|) - back_emf v,    tau = force_per_unit sign(x) |x|^drive_exponent
     friction = coulomb + load_friction |tau| + stiction exp(-|v| / stiction_speed), and viscous v
 
+The output takes `torque_delay` to become torque. A delay of the position that the law uses is a `torque_delay` and a
+`command_delay` of less; the two delays are all that a log tells. A spring of `joint_compliance` and `joint_damping`, and a
+play of `backlash`, may stand between the motor (its armature and friction) and the link; `encoder: motor` says that the law
+uses the motor's position (the default is `link`), `measured` which one the logs hold (by default the encoder's).
+
 The output `u` is a share of the supply voltage, as a hobby servo's pulse width is. `force_per_unit` is then the stall
 torque at the nominal supply, and `back_emf` the inverse of the speed without load. With `back_emf: 0` it is a torque or
 current servo. Where x opposes u, the motor brakes with the share `braking` of this torque; a bridge that freewheels has
@@ -18,6 +23,7 @@ below one. A law file is a controller file (see `controllers`) whose first line 
     command_delay: {estimate: 0.02}   # a start value, to be estimated
     logs:                        # what differs in some logs, by a pattern of their names
       "kp800_*": {position_gain: 4.6}
+    encoder: motor               # or link, the default
     enabled: torque_enable       # the log's column that is zero where the motor is switched off
     supply: {column: input_volts, nominal: 7.4}
 
@@ -67,11 +73,17 @@ SERVO_ENTRIES = {
     "load_friction": ServoEntry("1", 0.0, "friction for a motor torque of one"),
     "stiction": ServoEntry("N m", 0.0, "friction at rest beyond that of motion"),
     "stiction_speed": ServoEntry("rad/s", 0.05, "speed at which the friction of rest has fallen to a third"),
+    "torque_delay": ServoEntry("s", 0.0, "time from the law's output to the motor's torque"),
+    "joint_compliance": ServoEntry("rad/(N m)", 0.0, "twist between motor and link for a torque of one"),
+    "joint_damping": ServoEntry("N m s/rad", 0.0, "damping of that twist"),
+    "backlash": ServoEntry("rad", 0.0, "play between motor and link, from one stop to the other"),
 }
 """The numbers of a servo law, each one a joint."""
 
 REQUIRED = ("position_gain", "force_per_unit")
-_OTHER_KEYS = ("law", "logs", "enabled", "supply")
+SIDES = ("link", "motor")
+"""Where an encoder sits; the first is the default, as of hobby servos, whose potentiometer or magnet is on the output."""
+_OTHER_KEYS = ("law", "logs", "enabled", "supply", "encoder", "measured")
 _MAY_BE_INFINITE = ("limit", "speed_limit", "acceleration_limit")
 
 
@@ -88,6 +100,8 @@ class ServoLaw:
         supply: Column of a log with the supply voltage; empty for the nominal one.
         nominal_supply: The voltage that `force_per_unit` holds for [V].
         given: Whether somebody gave it; a law that is estimated from nothing knows no torque.
+        encoder: Side of the joint, of `SIDES`, whose position and speed the law uses.
+        measured: Side whose position the logs hold.
     """
 
     joints: tuple[str, ...]
@@ -98,17 +112,22 @@ class ServoLaw:
     supply: str = ""
     nominal_supply: float = 1.0
     given: bool = True
+    encoder: str = SIDES[0]
+    measured: str = SIDES[0]
 
     @classmethod
-    def of(cls, joints: tuple[str, ...], *, given: bool = True, **entries: float | np.ndarray) -> ServoLaw:
+    def of(
+        cls, joints: tuple[str, ...], *, given: bool = True, encoder: str = SIDES[0], **entries: float | np.ndarray
+    ) -> ServoLaw:
         """Build a law for joints; a single number holds for all of them, what is not named has its default."""
         for key in entries:
             if key not in SERVO_ENTRIES:
                 raise UnknownName("servo entry", key, SERVO_ENTRIES)
         full = {key: entries.get(key, row.default) for key, row in SERVO_ENTRIES.items()}
         return cls(
-            joints, {key: np.broadcast_to(np.asarray(x, float), len(joints)) for key, x in full.items()}, given=given
-        )
+            joints, {key: np.broadcast_to(np.asarray(x, float), len(joints)) for key, x in full.items()}, given=given,
+            encoder=encoder, measured=encoder,
+        )  # fmt: skip
 
     def with_values(self, **entries: np.ndarray) -> ServoLaw:
         """Return the law with some entries (na,) replaced."""
@@ -140,6 +159,10 @@ class ServoLaw:
             content["enabled"] = self.enabled
         if self.supply:
             content["supply"] = {"column": self.supply, "nominal": self.nominal_supply}
+        if self.encoder != SIDES[0]:
+            content["encoder"] = self.encoder
+        if self.measured != self.encoder:
+            content["measured"] = self.measured
         return content
 
 
@@ -180,15 +203,18 @@ def build_servo_law(content: object, robot: Robot, where: str) -> ServoLaw:
     enabled = content.get("enabled", "")
     if not isinstance(enabled, str):
         raise InputError("file_format", f"{where}: enabled must be the name of a column, not {enabled!r}")
+    encoder = _read_side(content, "encoder", SIDES[0], where)
     return ServoLaw(
-        robot.actuated,
-        values,
-        estimated,
-        _read_by_log(content.get("logs"), robot.actuated, where),
-        enabled,
-        column,
-        nominal,
-    )
+        robot.actuated, values, estimated, _read_by_log(content.get("logs"), robot.actuated, where), enabled, column, nominal,
+        encoder=encoder, measured=_read_side(content, "measured", encoder, where),
+    )  # fmt: skip
+
+
+def _read_side(content: Mapping[str, Any], key: str, default: str, where: str) -> str:
+    side = content.get(key, default)
+    if side not in SIDES:
+        raise InputError("file_format", f"{where}: {key} is {' or '.join(SIDES)}, not {str(side)[:60]!r}")
+    return str(side)
 
 
 def _split_estimated(content: Mapping[str, Any], where: str) -> tuple[dict[str, Any], frozenset[str]]:
