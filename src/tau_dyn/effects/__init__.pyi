@@ -9,7 +9,12 @@ from .catalogue import (
     read_effects as read_effects,
     register as register,
 )
-from .causes import GEOMETRY_CAUSES as GEOMETRY_CAUSES, PARAMETER_CAUSES as PARAMETER_CAUSES, list_causes as list_causes
+from .causes import (
+    GEOMETRY_CAUSES as GEOMETRY_CAUSES,
+    LOOP_CAUSES as LOOP_CAUSES,
+    PARAMETER_CAUSES as PARAMETER_CAUSES,
+    list_causes as list_causes,
+)
 from .effect import (
     Effect as Effect,
     PlausibleRange as PlausibleRange,

@@ -6,6 +6,8 @@ where joints and frames are.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from tau_dyn.effects.catalogue import EFFECTS
 from tau_dyn.effects.effect import describe_ranges
 
@@ -36,11 +38,57 @@ GEOMETRY_CAUSES = {
 """Causes that `calibrate` names, with their equations."""
 
 
+class LoopCause(NamedTuple):
+    """A cause in a servo's loop: the law's entries that it frees, its own number first; its equation; what reveals it."""
+
+    entries: tuple[str, ...]
+    equation: str
+    reveals: str
+    mistaken_for: tuple[str, ...] = ()
+
+
+LOOP_CAUSES = {
+    "gain_error": LoopCause(
+        ("position_gain",), "u = position_gain e", "a weighed mass, or gravity at several positions", ("drive_gain", "link_mass")
+    ),
+    "dead_band": LoopCause(("dead_band",), "e less dead_band", "slow sweeps of small amplitude", ("stiction", "backlash")),
+    "supply_sag": LoopCause(
+        ("supply_sag",), "u (1 - supply_sag |u|)", "large steps and small ones at one load", ("drive_law",)
+    ),
+    "drive_law": LoopCause(
+        ("drive_exponent",), "tau ~ |x|^drive_exponent", "large steps and small ones at one load", ("supply_sag",)
+    ),
+    "back_emf": LoopCause(
+        ("back_emf",), "x = u - back_emf v", "steps that saturate the servo, or phases with the motor off", ("viscous",)
+    ),
+    "command_delay": LoopCause(
+        ("command_delay",), "goal(t) = command(t - command_delay)", "steps and fast sweeps", ("delay", "joint_compliance")
+    ),
+    "delay": LoopCause(
+        ("torque_delay",), "the motor's u(t) = the law's u(t - torque_delay)", "fast sweeps near the loop's bandwidth",
+        ("command_delay", "joint_compliance"),
+    ),
+    "stiction": LoopCause(
+        ("stiction",), "friction + stiction exp(-|v| / stiction_speed)", "slow sweeps through rest", ("dead_band",)
+    ),
+    "load_friction": LoopCause(("load_friction",), "friction + load_friction |tau|", "slow motion at several loads"),
+    "joint_compliance": LoopCause(
+        ("joint_compliance", "joint_damping"), "motor - link = joint_compliance tau_link, joint_damping beside it",
+        "a chirp through the resonance", ("delay", "backlash"),
+    ),
+    "backlash": LoopCause(
+        ("backlash",), "|motor - link| <= backlash / 2 without torque", "reversals of a load that changes its side",
+        ("dead_band", "joint_compliance"),
+    ),
+}  # fmt: skip
+"""Causes that `diagnose` names from commands and positions alone, through the loop; numbers are entries of a servo's law."""
+
+
 def list_causes() -> list[dict[str, str]]:
     """Return one row a cause and a command that names it: `cause`, `named_by`, `equation`, `range`, `revealed_by`.
 
     Example:
-        >>> laws = {row["cause"]: row["equation"] for row in td.list_causes()}
+        >>> laws = {row["cause"]: row["equation"] for row in reversed(td.list_causes())}
         >>> laws["delay"], laws["rod_length"]
         ('tau_log(t) = tau(t - delay)', '|A - B| = L + dL')
     """
@@ -52,4 +100,8 @@ def list_causes() -> list[dict[str, str]]:
     ]  # fmt: skip
     empty = {"range": "", "revealed_by": ""}
     rows += [{"cause": n, "named_by": "diagnose", "equation": x, **empty} for n, x in PARAMETER_CAUSES.items()]
-    return rows + [{"cause": n, "named_by": "calibrate", "equation": x, **empty} for n, x in GEOMETRY_CAUSES.items()]
+    rows += [{"cause": n, "named_by": "calibrate", "equation": x, **empty} for n, x in GEOMETRY_CAUSES.items()]
+    return rows + [
+        {"cause": name, "named_by": "diagnose, in the loop", "equation": loop.equation, "range": "", "revealed_by": loop.reveals}
+        for name, loop in LOOP_CAUSES.items()
+    ]  # fmt: skip

@@ -520,7 +520,7 @@ def build_unknowns(
     values = {key: np.array(value, float) for key, value in values.items()}
     shape = (len(kinds), na)
     lower = np.array([np.full(na, _LOWEST.get(k, 0.0)) for k in kinds]).reshape(shape)
-    upper = np.array([np.full(na, _HIGHEST.get(k, np.inf)) for k in kinds]).reshape(shape)
+    upper = np.array([np.full(na, HIGHEST.get(k, np.inf)) for k in kinds]).reshape(shape)
     free = np.array([~np.asarray((held or {}).get(k, np.zeros(na, bool)), bool) for k in kinds]).reshape(shape)
     return LoopUnknowns(values, tuple(kinds), free, lower, upper, np.full(shape, np.inf), space)
 
@@ -528,7 +528,7 @@ def build_unknowns(
 _LOWEST = {"offset": -np.inf, "position_gain": 1e-3, "force_per_unit": 1e-4, "stiction_speed": 1e-3, "armature": 1e-7,
            "command_delay": -0.02, "drive_exponent": 0.2}  # fmt: skip
 """Lower bounds of kinds; zero for the others. A delay below zero is a position that is read after its time stamp."""
-_HIGHEST = {
+HIGHEST = {
     "load_friction": 0.95,
     "command_delay": 0.2,
     "supply_sag": 0.95,

@@ -1,0 +1,234 @@
+"""Causes in the loop, tried one by one and taken in joint by joint: which entries of the law explain what is left.
+
+Every cause is fitted at all joints at once, with everything that is in already, because a joint's loop feels its own numbers
+alone. Its score is its number over that number's error from the scatter of blocks of time. The best one at each joint is
+taken in, in rounds; what a later one makes superfluous leaves again. A spring and a play are tried from several starts, as
+their sum of squares has several minima: springs at resonances an octave apart.
+Reference: Liang & Zeger 1986 (blocks); Efroymson 1960 (forward and backward selection).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tau_dyn.effects import LOOP_CAUSES
+from tau_dyn.servo.by_gain import extend_unknowns, read_kind
+from tau_dyn.servo.data import LoopData
+from tau_dyn.servo.fit import LoopFit, LoopUnknowns, count_worth, fit_loop
+
+MIN_SCORE = 5.0
+"""Score from which a cause is taken in: one false one in 1,000 candidates where some 60 blocks count."""
+MIN_CHANGE = 0.05
+"""Change of a number that the law gives, from which it is a cause: masses are trusted to 2 %, so a gain to twice that."""
+MIN_SHARE = 0.03
+"""Share of a joint's residual variance that a cause takes off at least; less changes no simulation."""
+TWIN_SHARE = 0.95
+"""Share of what the best cause takes off from which another one is indistinguishable from it here."""
+MAX_ROUNDS = 4  # causes at one joint; each takes off at least 3 %
+_ITERATIONS, _TRY_ITERATIONS = 10, 6  # from a solution of all but the new numbers
+POWER_Z = 1.645
+"""Standard errors above the threshold that a number must have to be found in 95 of 100 logs."""
+_FIRST = {"command_delay": 0.01, "torque_delay": 0.005, "dead_band": 0.006, "load_friction": 0.15, "supply_sag": 0.15,
+          "drive_exponent": -0.1}  # fmt: skip
+"""First changes of entries off their null."""
+_FIRST_STICTION = 3e-3  # as a share of the loop's stiffness
+_PLAYS = (0.005, 0.03)  # rad; of gears, and of worn hobby servos
+RESONANCES_HZ = (2.0, 4.0, 8.0, 16.0, 32.0)
+"""Resonances of the link on its spring, the motor held, at which springs start, up to the log's Nyquist frequency."""
+_DAMPING_RATIO = 0.05  # of a spring's start; of gears with elastic parts, 0.02 to 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class TriedCause:
+    """A cause tried at all joints.
+
+    Attributes:
+        score: How far each number is from its null value in standard errors (na,); zero where it is in already.
+        share: Share of the residual variance that it takes off (na,).
+        start: Values that the best search of each joint began with, by entry (na,).
+    """
+
+    score: np.ndarray
+    share: np.ndarray
+    start: Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class LoopSearch:
+    """The end of a search.
+
+    Attributes:
+        unknowns: Those of the extended model.
+        fit: Their fit.
+        taken: Cause and joint -> score, and causes that explain the same here.
+        first: Every cause as tried beside the baseline alone.
+    """
+
+    unknowns: LoopUnknowns
+    fit: LoopFit
+    taken: Mapping[tuple[str, int], tuple[float, tuple[str, ...]]]
+    first: Mapping[str, TriedCause]
+
+
+def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]) -> LoopSearch:
+    """Return the model extended by what explains the residual of a baseline's fit."""
+    u, fit = data.unknowns, base
+    taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]] = {}
+    first: dict[str, TriedCause] = {}
+    refused: set[tuple[str, int]] = set()
+    for turn in range(MAX_ROUNDS):
+        tried = {}
+        for cause in LOOP_CAUSES:
+            progress(f"round {turn + 1}: {cause.replace('_', ' ')}")
+            row = _try(data, u, fit, cause)
+            if row is not None:
+                tried[cause] = row
+        first = first or tried
+        chosen, starts = [], {}
+        for j in range(len(data.law.joints)):
+            rows = {
+                c: row
+                for c, row in tried.items()
+                if row.score[j] > MIN_SCORE and row.share[j] > MIN_SHARE and (c, j) not in refused
+            }
+            if not rows:
+                continue
+            best = max(rows, key=lambda c: rows[c].share[j])
+            twins = [c for c in rows if c != best and rows[c].share[j] > TWIN_SHARE * rows[best].share[j]]
+            chosen.append((best, j))
+            starts[best] = rows[best].start
+            taken[best, j] = (float(rows[best].score[j]), tuple(twins))
+        if not chosen:
+            break
+        u = free_causes(data, u, fit, chosen, starts)
+        fit = fit_loop(data.build_problem(u), progress, _ITERATIONS, fit.step)
+        u, fit, dropped = _drop_superfluous(data, u, fit, taken, progress)
+        refused |= dropped
+    return LoopSearch(u, fit, taken, first)
+
+
+def _try(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> TriedCause | None:
+    """Return what a cause does at all joints that do not have it yet, refitted with everything else; None for no joint."""
+    entry, na = LOOP_CAUSES[cause].entries[0], len(data.law.joints)
+    there = u.free[u.kinds.index(entry)] if entry in u.kinds else np.zeros(na, bool)
+    if there.all():
+        return None
+    places = [(cause, int(j)) for j in np.flatnonzero(~there)]
+    starts, found = list_starts(data, u, fit, cause), []
+    for start in starts:
+        wide = free_causes(data, u, fit, places, {cause: start})
+        found.append((wide, fit_loop(data.build_problem(wide), max_iterations=_TRY_ITERATIONS, step=fit.step), start))
+    best = np.argmin([one.sigma for _, one, _ in found], axis=0)
+    start = {key: np.array([starts[k][key][j] for j, k in enumerate(best)]) for key in starts[0]}
+    score, share = np.zeros((2, na))
+    for k, (wide, one, _) in enumerate(found):
+        value, sigma = read_kind(wide, one, entry)
+        away = np.abs(value - data.law.values[entry])
+        away = np.where(away < MIN_CHANGE * np.abs(data.law.values[entry]), 0.0, away)
+        mine = (best == k) & ~there
+        score[mine] = np.divide(away, sigma, out=np.zeros(na), where=sigma > 0)[mine]
+        share[mine] = (1 - (one.sigma / fit.sigma) ** 2)[mine]
+    return TriedCause(score, share, start)
+
+
+def list_starts(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> list[dict[str, np.ndarray]]:
+    """Return the values, by entry (na,), that a search for a cause begins with."""
+    entry, values, na = LOOP_CAUSES[cause].entries[0], u.with_values(fit.x), len(data.law.joints)
+    if cause == "joint_compliance":
+        theta = data.space.at(fit.x[u.n - data.space.n_unknowns :])
+        inertia = np.mean([(w.inertia @ theta).mean(axis=0) for w in data.loads], axis=0)
+        inertia = np.maximum(inertia, 1e-3 * np.maximum(values["armature"], 1e-6))
+        highest = 0.5 / max(r.dt for r in data.records)
+        turns = [2 * np.pi * f for f in RESONANCES_HZ if f < highest]
+        return [
+            {"joint_compliance": 1 / (inertia * w**2), "joint_damping": 2 * _DAMPING_RATIO * inertia * w} for w in turns
+        ]
+    if cause == "backlash":
+        return [{entry: np.full(na, play)} for play in _PLAYS]
+    if cause == "stiction":
+        return [{entry: values[entry] + _FIRST_STICTION * values["position_gain"] * values["force_per_unit"]}]
+    return [{entry: np.array(data.law.values[entry]) + _FIRST.get(entry, 0.0)}]
+
+
+def free_causes(
+    data: LoopData,
+    u: LoopUnknowns,
+    fit: LoopFit,
+    chosen: Sequence[tuple[str, int]],
+    starts: Mapping[str, Mapping[str, np.ndarray]],
+) -> LoopUnknowns:
+    """Return the unknowns at a solution with causes free at their joints, off their null, where friction has a slope."""
+    entries = list(dict.fromkeys(entry for cause, _ in chosen for entry in LOOP_CAUSES[cause].entries))
+    wide = extend_unknowns(u, fit.x, entries, data)
+    free, n = np.array(wide.free), len(u.kinds)
+    free[n:] = False
+    values = {key: np.array(value) for key, value in wide.values.items()}
+    for cause, j in chosen:
+        for entry in LOOP_CAUSES[cause].entries:
+            free[wide.kinds.index(entry), j] = True
+            values[entry][j] = starts[cause][entry][j]
+    free[:n] |= u.free
+    return replace(wide, free=free, values=values)
+
+
+def _drop_superfluous(
+    data: LoopData, u: LoopUnknowns, fit: LoopFit, taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]], progress
+) -> tuple[LoopUnknowns, LoopFit, set[tuple[str, int]]]:  # noqa: ANN001
+    """Take out of `taken` what is no longer distinct from its null beside the others, and refit without it."""
+    dropped: set[tuple[str, int]] = set()
+    while True:
+        weak = []
+        for (cause, j), (_, twins) in taken.items():
+            entry = LOOP_CAUSES[cause].entries[0]
+            value, sigma = read_kind(u, fit, entry)
+            away = abs(value[j] - data.law.values[entry][j])
+            score = float(away / sigma[j]) if sigma[j] > 0 else 0.0
+            taken[cause, j] = (score, twins)
+            if score < MIN_SCORE or away < MIN_CHANGE * abs(data.law.values[entry][j]):
+                weak.append((score, cause, j))
+        if not weak:
+            return u, fit, dropped
+        _, cause, j = min(weak)
+        del taken[cause, j]
+        dropped.add((cause, j))
+        values, free = {key: np.array(x) for key, x in u.with_values(fit.x).items()}, np.array(u.free)
+        for entry in LOOP_CAUSES[cause].entries:
+            values[entry][j] = data.law.values[entry][j]
+            free[u.kinds.index(entry), j] = False
+        u = replace(u, values=values, free=free)
+        progress(f"without {cause.replace('_', ' ')}")
+        fit = fit_loop(data.build_problem(u), progress, _ITERATIONS, fit.step)
+
+
+def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:
+    """Return the number (na,) that a cause must have at each joint to be found; infinite where these logs never show it.
+
+    Its standard error beside the baseline's unknowns, of the sensitivities at its smallest start, with residuals as coloured
+    as the baseline's; times the threshold and what a power of 95 % asks for.
+    """
+    na = len(data.law.joints)
+    start = list_starts(data, data.unknowns, base, cause)[-1 if cause == "joint_compliance" else 0]
+    entry = LOOP_CAUSES[cause].entries[0]
+    wide = free_causes(data, data.unknowns, base, [(cause, j) for j in range(na)], {cause: start})
+    problem = data.build_problem(wide).with_step(base.step)
+    x = wide.pack()
+    x[wide.n - data.space.n_unknowns :] = base.x[data.unknowns.n - data.space.n_unknowns :]
+    _, sensitivities, owners = problem.differentiate(x)
+    residual = data.build_problem().with_step(base.step).residuals(base.x[:, None])[:, :, 0]
+    where = np.full(wide.free.shape, -1)
+    where[wide.free] = np.arange(int(wide.free.sum()))
+    limits = np.full(na, np.inf)
+    for j, (S, mine) in enumerate(zip(sensitivities, owners, strict=True)):
+        at = int(where[wide.kinds.index(entry), j])
+        column = int(np.flatnonzero(mine == at)[0])
+        rest, own = np.delete(S, column, axis=1), S[:, column]
+        rest = rest[:, np.linalg.norm(rest, axis=0) > 0]
+        rest = rest / np.linalg.norm(rest, axis=0)
+        size = float(np.linalg.norm(own - rest @ np.linalg.lstsq(rest, own, rcond=1e-8)[0]))
+        if size > 1e-6 * float(np.linalg.norm(own)):
+            worth = count_worth(residual[:, j], problem.used)
+            limits[j] = (MIN_SCORE + POWER_Z) * base.sigma[j] * np.sqrt(worth) / size
+    return limits
