@@ -34,7 +34,7 @@ DELAYS_S = np.arange(0.0, 0.0601, 0.0025)
 """Command delays that the screen tries [s]: none to three periods of a 50 Hz bus."""
 MOVING = 0.03
 """Speed from which a joint's friction has a direction [rad/s]: twice what a step of a 12 bit encoder makes at 20 ms."""
-MAX_DIRECTIONS = 14
+MAX_DIRECTIONS = 40
 """Directions of the inertial numbers that are estimated at most; an arm of six joints informs on 8 to 12."""
 MIN_INFORMATION = 0.25
 """Information of a direction, with prior knowledge as 1, from which it is estimated."""
@@ -256,13 +256,8 @@ def choose_directions(
         for j in range(r.q.shape[1]):
             where = r.used & (r.enabled > 0)
             X = ((w.load[:, j] + w.inertia[:, j] * a[:, j : j + 1]) * space.prior)[where]
-            N = np.stack([np.sign(v[:, j]) * (np.abs(v[:, j]) > MOVING), v[:, j], np.ones(len(v)), a[:, j]], axis=1)[
-                where
-            ]
             if len(X) < 10:
                 continue
-            N = N / (np.linalg.norm(N, axis=0) + 1e-12)
-            X = X - N @ np.linalg.lstsq(N, X, rcond=None)[0]
             worth = max(1.0, 0.5 / r.dt)  # samples that one independent residual is worth, at half a second
             information += X.T @ X / (screen.sigma[j] ** 2 * worth)
     values, vectors = np.linalg.eigh(information)
