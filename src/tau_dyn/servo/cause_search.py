@@ -138,7 +138,7 @@ def list_starts(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> li
     """Return the values, by entry (na,), that a search for a cause begins with."""
     entry, values, na = LOOP_CAUSES[cause].entries[0], u.with_values(fit.x), len(data.law.joints)
     if cause == "joint_compliance":
-        theta = data.space.at(fit.x[u.n - data.space.n_unknowns :])
+        theta = np.append(1.0, fit.x[u.n - data.space.n_unknowns :])
         inertia = np.mean([(w.inertia @ theta).mean(axis=0) for w in data.loads], axis=0)
         inertia = np.maximum(inertia, 1e-3 * np.maximum(values["armature"], 1e-6))
         highest = 0.5 / max(r.dt for r in data.records)

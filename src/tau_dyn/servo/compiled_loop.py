@@ -57,7 +57,7 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
     const double *stiffness, const double *supply, const double *enabled, const double *entries, const double *inertial,
     const double *limits, double *out) {
   int64_t N = size[0], J = size[1], C = size[2], L = size[3], K = size[4], often = size[5];
-  int on_motor = (int)size[6], shown_on_motor = (int)size[7];
+  int on_motor = (int)size[6], shown_on_motor = (int)size[7], held_load = (int)size[8];
   double least = limits[0], straight = limits[1], contact = limits[2];
   for (int64_t s = 0; s < L; s++) for (int64_t j = 0; j < J; j++) for (int64_t c = 0; c < C; c++) {
     double p[COUNT], h = dt[s] / (double)often;
@@ -105,7 +105,7 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
         stuck = p[joint_compliance] > 0 ? 1.0 / p[joint_compliance] : mu * (contact / h) * (contact / h);
         spring(stuck, p[joint_compliance] > 0 ? p[joint_damping] : 2.0 * mu * contact / h, mu, h, &a, &S);
       } else total = fmax(mass + p[armature], least);
-      double slope = (next_load - now) / (double)often, turn = (way[k + 1] - way[k]) / (double)often;
+      double slope = held_load ? 0.0 : (next_load - now) / (double)often, turn = (way[k + 1] - way[k]) / (double)often;
       double full = p[force_per_unit] * en[k];
       for (int64_t i = 0; i < often; i++) {
         int64_t at = k * often + i, one = at - behind, two = one - 1;
@@ -190,7 +190,8 @@ def run_compiled(waves: Waves, trials: Trials, often: int, limits: tuple[float, 
     entries = np.empty((len(NAMES), na, c, s))
     for row, name in zip(entries, NAMES, strict=True):
         row[:] = waves.by_log[name][:, None, :] if name in waves.by_log else trials.values[name][:, :, None]
-    sizes = np.array([n, na, c, s, k, often, waves.encoder_on_motor, waves.measured_on_motor], dtype=np.int64)
+    flags = (waves.encoder_on_motor, waves.measured_on_motor, waves.held)
+    sizes = np.array([n, na, c, s, k, often, *flags], dtype=np.int64)
     rows = [np.moveaxis(x, 0, -1) for x in (waves.command, waves.along, waves.load)]
     rows += [np.moveaxis(waves.load_by, (0, 2), (-2, -1)), np.moveaxis(waves.inertia, 0, -1)]
     rows += [np.moveaxis(waves.inertia_by, (0, 2), (-2, -1)), np.moveaxis(waves.stiffness, 0, -1)]

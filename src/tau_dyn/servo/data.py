@@ -2,13 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
 
 from tau_dyn.model import Model
-from tau_dyn.servo.fit import LoopProblem, LoopUnknowns
-from tau_dyn.servo.records import InertialSpace, LoadWaves, LoopRecord, build_waves, split_pieces
+from tau_dyn.servo.fit import LoopFit, LoopProblem, LoopUnknowns, fit_loop
+from tau_dyn.servo.loop import MAX_STEP_S, Trials
+from tau_dyn.servo.prediction import SimulatedMotion, simulate_coupled
+from tau_dyn.servo.records import InertialSpace, LoadWaves, LoopRecord, build_waves, compute_load_waves, split_pieces
 from tau_dyn.simulate import ServoLaw
+
+EXACT_STEP_S = (5e-4, 2.5e-3)
+"""Shortest and longest step of exact motions [s]."""
+STEP_PER_ROOT = 0.022
+"""Step of exact motions over the root of the residual [s / sqrt(rad)]: steps of 1 ms are off by 0.02 to 0.09 mrad, of h by the
+square of it; a tenth of the residual is little beside it."""
+MAX_SETTLINGS = 5
+"""Fits in turn with loads along the motion that the last one simulates; three are usual."""
+SETTLED = 0.1
+"""Change of every unknown over its standard error from which its loads count as settled."""
+
+
+class Settled(NamedTuple):
+    """Exact motions of all logs, and the trial that they are of."""
+
+    motions: tuple[SimulatedMotion, ...]
+    trials: Trials
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +44,7 @@ class LoopData:
         records: Training logs.
         loads: Loads along them.
         unknowns: What may change.
+        settled: Exact motions at one solution, by which a problem is corrected; None before a first fit.
     """
 
     model: Model
@@ -30,22 +53,48 @@ class LoopData:
     records: Sequence[LoopRecord]
     loads: Sequence[LoadWaves]
     unknowns: LoopUnknowns
+    settled: Settled | None = None
 
     def build_problem(
         self, unknowns: LoopUnknowns | None = None, records: Sequence[LoopRecord] | None = None
     ) -> LoopProblem:
-        """Return the fit's problem, with other unknowns or other masks where they are given."""
+        """Return the fit's problem, logs in pieces, with other unknowns or other masks where they are given."""
         records = records or self.records
-        return build_problem(self.space, self.law, unknowns or self.unknowns, records, self.loads)
+        pieces, waves = split_pieces(records, self.loads)
+        problem = LoopProblem(unknowns or self.unknowns, build_waves(self.space, pieces, waves, self.law), pieces)
+        if self.settled is None:
+            return problem
+        exact = split_pieces([replace(r, q=m.q) for r, m in zip(records, self.settled.motions, strict=True)], self.loads)[0]
+        return problem.correct([r.q for r in exact], self.settled.trials)
+
+    def settle(self, fit: LoopFit) -> LoopData:
+        """Return the data with loads along the motions that a fit simulates, and the error that its steps make."""
+        u, space = self.unknowns, self.space
+        inertial, values = fit.x[u.n - space.n_unknowns :], u.with_values(fit.x)
+        step = float(np.clip(STEP_PER_ROOT * np.sqrt(np.median(fit.sigma)), *EXACT_STEP_S))
+        motions = simulate_coupled(space, inertial, values, self.law, self.records, step)
+        loads = [
+            replace(compute_load_waves(space, m.link, m.v, m.a, r.dt), speed=m.v)
+            for m, r in zip(motions, self.records, strict=True)
+        ]
+        trials = Trials({key: value[:, None] for key, value in values.items()}, inertial[:, None])
+        return replace(self, loads=loads, settled=Settled(tuple(motions), trials))
 
 
-def build_problem(
-    space: InertialSpace,
-    law: ServoLaw,
-    unknowns: LoopUnknowns,
-    records: Sequence[LoopRecord],
-    loads: Sequence[LoadWaves],
-) -> LoopProblem:
-    """Return a fit's problem, the logs in pieces, loads along the measured motions."""
-    pieces, waves = split_pieces(records, loads)
-    return LoopProblem(unknowns, build_waves(space, pieces, waves, law), pieces)
+def fit_coupled(
+    data: LoopData, progress: Callable[[str], None] = lambda step: None, step: float = MAX_STEP_S
+) -> tuple[LoopData, LoopFit]:
+    """Return the data and the end of a search whose loads and steps are exact where it ends (defect correction).
+
+    The first fit takes what joints do to each other along the measured motion, whose accelerations are filtered and noisy.
+    Each next one takes it along the motion that the last one simulates, and adds what finer steps change there.
+    Reference: Stetter 1978.
+    """
+    fit = fit_loop(data.build_problem(), progress, step=step)
+    for _ in range(MAX_SETTLINGS):
+        data = data.settle(fit)
+        before, fit = fit, fit_loop(data.build_problem(), progress, step=step, first=fit.x)
+        sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+        if np.all(np.abs(fit.x - before.x) <= SETTLED * sigma + 1e-12):
+            break
+    return data, fit

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.log import lowpass
-from tau_dyn.servo.loop import FINE_STEP_S, Trials, Waves, simulate_loops
+from tau_dyn.servo.loop import MAX_STEP_S, Trials, Waves, simulate_loops
 from tau_dyn.servo.records import MOTION_HZ, InertialSpace, LoadWaves, LoopRecord
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
 
@@ -36,17 +36,9 @@ MOVING = 0.03
 """Speed from which a joint's friction has a direction [rad/s]: twice what a step of a 12 bit encoder makes at 20 ms."""
 MAX_DIRECTIONS = 40
 """Directions of the inertial numbers that are estimated at most; an arm of six joints informs on 8 to 12."""
-MIN_INFORMATION = 0.25
+MIN_INFORMATION = 1e-5
 """Information of a direction, with prior knowledge as 1, from which it is estimated."""
 MAX_ITERATIONS = 15  # of Gauss-Newton: fits settle in 4 to 10
-_FINE_ITERATIONS = 5  # from a solution with the longer step
-STEP_EFFECT_RAD = 4e-4
-"""What the longer step moves positions by [rad]."""
-STEP_SHARE = 3.0
-"""Shift of a solution from the longer to the finer step over what the finer one may still be off: the steps differ by four, and
-where friction holds the error falls with the step itself."""
-COARSE_IS_ENOUGH = 4.0
-"""Residual over the step's effect from which the longer step is enough."""
 _LAMBDAS = (1e-2, 3e-1, 1e1)  # damping factors that are tried side by side
 MAX_CONTRAST = 2.0
 """Factor within which a log's residual may be weighed other than its joint's usual one: what no model explains in one log
@@ -55,7 +47,8 @@ BLOCK_S = (0.5, 5.0)
 """Shortest and longest blocks over which the gradient's scatter is taken [s]: residuals forget within the longest."""
 BLOCKS = 100
 """Blocks that are wanted: several for each unknown of a joint, or the scatter among them comes out too small."""
-_SMALL_GAIN = 1e-3  # relative fall of the loss below which the search ends, twice in turn
+CONVERGED = 0.01
+"""Squared distance to the minimum, in standard errors, from which a search ends (Newton decrement)."""
 MAX_ELEMENTS = 6_000_000
 """Positions that are simulated at once, 48 MB of them."""
 
@@ -273,7 +266,7 @@ class LoopProblem:
         """Prepare; records give the measured positions and the samples that count."""
         n = len(waves.command)
         self.unknowns, self.waves = unknowns, waves
-        self.measured = np.stack([np.pad(r.q, ((0, n - len(r.t)), (0, 0)), mode="edge") for r in records], axis=-1)
+        self.measured = _stack([r.q for r in records], n)
         self.used = np.stack([np.pad(r.used, (0, n - len(r.t))) for r in records], axis=-1)
         self.blocks = _number_blocks(records, n)
         self.count = np.maximum(self.used.sum(), 1)
@@ -282,6 +275,13 @@ class LoopProblem:
         """Return the problem with another longest step [s]."""
         other = copy(self)
         other.waves = replace(self.waves, step=step)
+        return other
+
+    def correct(self, exact: Sequence[np.ndarray], trials: Trials) -> LoopProblem:
+        """Return the problem without the error of its steps and loads: known, at one trial, are the exact positions (N, na)."""
+        other = copy(self)
+        n = len(self.measured)
+        other.measured = self.measured - _stack(exact, n) + simulate_loops(self.waves, trials)[:, :, 0]
         return other
 
     def simulate(self, x: np.ndarray) -> np.ndarray:
@@ -336,6 +336,11 @@ class LoopProblem:
         return base, sensitivities, owners
 
 
+def _stack(arrays: Sequence[np.ndarray], n: int) -> np.ndarray:
+    """Return arrays (., na) side by side (n, na, S), their last rows repeated."""
+    return np.stack([np.pad(x, ((0, n - len(x)), (0, 0)), mode="edge") for x in arrays], axis=-1)
+
+
 def _number_blocks(records: Sequence[LoopRecord], n: int) -> np.ndarray:
     """Return the number of the block that each sample (N, S) belongs to."""
     out, first = np.zeros((n, len(records)), dtype=int), 0
@@ -365,33 +370,19 @@ def fit_loop(
     problem: LoopProblem,
     progress: Callable[[str], None] = lambda step: None,
     max_iterations: int = MAX_ITERATIONS,
-    step: float = 0.0,
+    step: float = MAX_STEP_S,
+    first: np.ndarray | None = None,
 ) -> LoopFit:
-    """Search the unknowns that simulate the logs best, from their start values.
-
-    The longest step is a given one [s], or, for 0, chosen: a finer one follows where the residual is small.
-    """
-    start = problem.unknowns.pack()
-    if step > 0:
-        return _search(problem.with_step(step), start, progress, max_iterations)
-    found = _search(problem, start, progress, max_iterations)
-    if not problem.unknowns.n or float(np.median(found.sigma)) > COARSE_IS_ENOUGH * STEP_EFFECT_RAD:
-        return found
-    fine = _search(problem.with_step(FINE_STEP_S), found.x, progress, _FINE_ITERATIONS)
-    shift = (fine.x - found.x) / STEP_SHARE
-    return replace(fine, covariance=fine.covariance + np.outer(shift, shift) * (np.diag(fine.covariance) > 0)[:, None])
-
-
-def _search(problem: LoopProblem, first: np.ndarray, progress: Callable[[str], None], max_iterations: int) -> LoopFit:
-    """Return the end of a search from a vector (n,)."""
-    u = problem.unknowns
-    x, start = u.clip(first), u.pack()
+    """Search the unknowns that simulate the logs best, from their start values, or from `first` (n,); `step` is the longest [s]."""
+    problem, u = problem.with_step(step), problem.unknowns
+    start = u.pack()
+    x = u.clip(start if first is None else first)
     precision = np.append(u.prior[u.free] ** -2.0, np.ones(u.space.n_unknowns))
     if u.n == 0:
         r = problem.residuals(x[:, None])[:, :, 0]
         sigma = np.sqrt((r**2).sum(axis=(0, 2)) / problem.count)
         return LoopFit(x, np.zeros((0, 0)), sigma, 0.0, 0, problem.waves.step)
-    worth, last, damping, small = None, np.inf, 1.0, 0
+    worth, last, damping, small = None, np.inf, 1.0 if first is None else 1e-3, 0
     H, scatter, sigma, loss = np.eye(u.n), np.eye(u.n), np.ones(1), 0.0
     for k in range(max_iterations):
         progress(f"output error, iteration {k + 1}")
@@ -404,19 +395,21 @@ def _search(problem: LoopProblem, first: np.ndarray, progress: Callable[[str], N
         H, g = H + np.diag(precision), g - precision * (x - start)
         loss = _sum_squares(r[:, :, None], weight)[0] + float(precision @ (x - start) ** 2)
         held = _find_held(u, x, g)
+        if k > 2 and float(g @ (_step(H, g, 0.0, held, u, x) - x)) < CONVERGED:
+            break
         tried = np.array([_step(H, g, damping * lam, held, u, x) for lam in _LAMBDAS])
         rs = problem.residuals(tried.T)
         losses = _sum_squares(rs, weight) + np.array([precision @ (t - start) ** 2 for t in tried])
         losses = np.where(np.isfinite(losses), losses, np.inf)
         best = int(np.argmin(losses))
-        gain = (loss - losses[best]) / loss
+        gain = loss - losses[best]
         if gain <= 0:
             if damping > 1e3:
                 break
             damping *= 1e3
             continue
         x, damping, last = tried[best], min(max(damping * _LAMBDAS[best], 1e-4), 1e4), losses[best]
-        small = small + 1 if gain < _SMALL_GAIN else 0
+        small = small + 1 if gain < CONVERGED / 2 else 0
         if small == 2:
             break
     r, sensitivities, owners = problem.differentiate(x)

@@ -20,12 +20,12 @@ from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import NOMINAL_MASS_STDERR, Robot
 from tau_dyn.servo.by_gain import compare_gains
-from tau_dyn.servo.data import LoopData
+from tau_dyn.servo.data import LoopData, fit_coupled
 from tau_dyn.servo.doubts import list_loop_warnings
-from tau_dyn.servo.fit import JOINT_UNITS, LoopFit, fit_loop, get_unit
+from tau_dyn.servo.fit import JOINT_UNITS, LoopFit, get_unit
 from tau_dyn.servo.prediction import predict_positions
 from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
-from tau_dyn.servo.records import LoadWaves, LoopRecord, mask_unused
+from tau_dyn.servo.records import LoopRecord, mask_unused
 from tau_dyn.servo.result import LoopIdentification, LoopParameter, build_position_errors
 from tau_dyn.simulate import SERVO_ENTRIES
 
@@ -51,7 +51,7 @@ def identify_loop(
     progress, kept, others, law = given.progress, given.kept, given.others, given.law
     data = prepare_loop(given.model, law, kept, given.own, given.friction, progress)
     if others:
-        fit = fit_loop(data.build_problem(), progress)
+        data, fit = fit_coupled(data, progress)
         progress("held-out errors")
         predicted = predict(data, fit, others)
         errors, how = (
@@ -60,9 +60,9 @@ def identify_loop(
         )
         shown = [(r, p, True) for r, p in zip(others, predicted, strict=True)]
     else:
-        fit, errors, shown = _judge_last_part(data, progress)
+        data, fit, errors, shown = _judge_last_part(data, progress)
         how = "last 30 % of each log, predicted by a fit of its first 70 %"
-    trained = predict(data, fit, kept, data.loads)
+    trained = predict(data, fit, kept)
     warnings = [*given.warnings]
     by_gain: tuple[Mapping[str, Any], ...] = ()
     if len({tuple(r.entries["position_gain"]) for r in kept}) > 1:
@@ -76,13 +76,11 @@ def identify_loop(
     )  # fmt: skip
 
 
-def predict(
-    data: LoopData, fit: LoopFit, records: Sequence[LoopRecord], loads: Sequence[LoadWaves] | None = None
-) -> list[np.ndarray]:
+def predict(data: LoopData, fit: LoopFit, records: Sequence[LoopRecord]) -> list[np.ndarray]:
     """Return positions (N, na) of records at a solution, from their commands alone."""
     u = data.unknowns
     inertial = fit.x[u.n - data.space.n_unknowns :]
-    return predict_positions(data.space, inertial, u.with_values(fit.x), data.law, records, loads, fit.step)
+    return predict_positions(data.space, inertial, u.with_values(fit.x), data.law, records, fit.step)
 
 
 def _judge_last_part(data: LoopData, progress: Callable[[str], None]):  # noqa: ANN202
@@ -92,12 +90,11 @@ def _judge_last_part(data: LoopData, progress: Callable[[str], None]):  # noqa: 
         early = np.arange(len(r.t)) < TRAIN_SHARE * len(r.t)
         first.append(mask_unused(r, ~early))
         last.append(mask_unused(r, early))
-    part = fit_loop(data.build_problem(records=first), progress)
+    part = fit_coupled(replace(data, records=first), progress)[1]
     predicted = predict(data, part, last)
     errors = build_position_errors(data.law.joints, last, predicted)
-    again = replace(data.unknowns, values=data.unknowns.with_values(part.x))
-    fit = fit_loop(data.build_problem(again), progress)
-    return fit, errors, [(r, p, True) for r, p in zip(last, predicted, strict=True)]
+    data, fit = fit_coupled(data, progress)
+    return data, fit, errors, [(r, p, True) for r, p in zip(last, predicted, strict=True)]
 
 
 def _build_result(

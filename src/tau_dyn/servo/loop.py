@@ -29,7 +29,7 @@ import numpy as np
 
 from tau_dyn.servo.compiled_loop import run_compiled
 
-MAX_STEP_S = 0.0105
+MAX_STEP_S = 0.0051
 """Longest step of the loop [s]: a seventh of the time constant of a hobby servo; it moves positions by some 0.4 mrad."""
 FINE_STEP_S = 0.0026
 """Longest step where the residual is so small that the longer one would show [s]; it moves positions by less than 0.05 mrad."""
@@ -63,6 +63,7 @@ class Waves:
         encoder_on_motor: Whether the law uses the motor's position.
         measured_on_motor: Whether the positions returned, and those of the start, are the motor's.
         step: Longest step of the loop [s].
+        held: Whether a load holds from its sample to the next, rather than changing evenly.
     """
 
     dt: np.ndarray
@@ -81,6 +82,7 @@ class Waves:
     encoder_on_motor: bool = False
     measured_on_motor: bool = False
     step: float = MAX_STEP_S
+    held: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +136,7 @@ def _simulate_in_numpy(waves: Waves, trials: Trials, often: int) -> np.ndarray:
             joint.set_inertia(inertia[k])
         supply, on = waves.supply[k], waves.enabled[k]
         full = p["force_per_unit"] * on if switched else p["force_per_unit"]
-        slope, now = (load[k + 1] - load[k]) / often, load[k] + p["offset"]
+        slope, now = 0.0 if waves.held else (load[k + 1] - load[k]) / often, load[k] + p["offset"]
         G, along = waves.stiffness[k][:, None, :], waves.along[k][:, None, :]
         turn = (waves.along[k + 1] - waves.along[k])[:, None, :] / often
         for i in range(often):

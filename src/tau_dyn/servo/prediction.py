@@ -8,17 +8,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from tau_dyn.servo.loop import FINE_STEP_S, Trials, simulate_loops
-from tau_dyn.servo.records import InertialSpace, LoadWaves, LoopRecord, build_waves, compute_load_waves, smooth_motion
+from tau_dyn.servo.records import (
+    InertialSpace,
+    LoopRecord,
+    build_waves,
+    compute_held_loads,
+    compute_load_waves,
+    integrate_speeds,
+    refine_record,
+)
 from tau_dyn.simulate import ServoLaw
 
-MAX_SWEEPS = 8
-"""Sweeps of the relaxation at most; a position servo needs two or three."""
-SETTLED_RAD = 2e-4
-"""rms change of positions at which the relaxation ends [rad]: a tenth of a step of a hobby servo's encoder."""
+MAX_SWEEPS = 20
+"""Sweeps of the relaxation at most; a position servo needs five."""
+SETTLED_RAD = 2e-5
+"""rms change of positions at which the relaxation ends [rad]: a hundredth of a step of a hobby servo's encoder."""
 
 
 def predict_positions(
@@ -27,10 +36,9 @@ def predict_positions(
     values: Mapping[str, np.ndarray],
     law: ServoLaw,
     records: Sequence[LoopRecord],
-    loads: Sequence[LoadWaves] | None = None,
     step: float = FINE_STEP_S,
 ) -> list[np.ndarray]:
-    """Return simulated positions (N, na) of each record.
+    """Return simulated positions (N, na) of each record, at its measured samples.
 
     Args:
         space: Inertial numbers.
@@ -38,29 +46,56 @@ def predict_positions(
         values: Joint values and law entries (na,).
         law: Says what differs by log.
         records: Commands, starts and motions to begin with.
-        loads: Loads along the records' measured motions, where they are known.
-        step: Longest step of the loops [s], that of the fit.
+        step: Longest step of the loops [s].
     """
-    trials = Trials({key: value[:, None] for key, value in values.items()}, unknowns[:, None])
-    loads = loads or [compute_load_waves(space, *r.motion, r.dt) for r in records]
-    found: list[np.ndarray] = []
-    for sweep in range(MAX_SWEEPS):
-        waves = replace(build_waves(space, records, loads, law), step=step)
-        before, found = found, _cut(simulate_loops(waves, trials), records)
-        if (
-            before
-            and max(float(np.sqrt(np.mean((a - b) ** 2))) for a, b in zip(found, before, strict=True)) < SETTLED_RAD
-        ):
+    return [x.q for x in simulate_coupled(space, unknowns, values, law, records, step)]
+
+
+class SimulatedMotion(NamedTuple):
+    """A log's motion, simulated, at its samples (N, na): positions of the measured side, the links' positions and speeds.
+
+    Accelerations are means over the time from half a sample before to half a sample after.
+    """
+
+    q: np.ndarray
+    link: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+
+
+def simulate_coupled(
+    space: InertialSpace,
+    unknowns: np.ndarray,
+    values: Mapping[str, np.ndarray],
+    law: ServoLaw,
+    records: Sequence[LoopRecord],
+    step: float,
+) -> list[SimulatedMotion]:
+    """Return the motion of each record, joints coupled; see `predict_positions`."""
+    every = max(1, int(np.ceil(max(r.dt for r in records) / step - 1e-9)))
+    fine = [refine_record(r, every) for r in records]
+    space = replace(space, nominal=space.at(unknowns), directions=space.directions[:, :0])
+    trial = Trials({key: value[:, None] for key, value in values.items()}, np.zeros((0, 1)))
+    motions = [[np.repeat(x, every, axis=0)[: len(f.t)] for x in r.motion] for r, f in zip(records, fine, strict=True)]
+    loads = [compute_load_waves(space, *motion, f.dt) for motion, f in zip(motions, fine, strict=True)]
+    links: list[np.ndarray] = []
+    for _ in range(MAX_SWEEPS):
+        waves = replace(build_waves(space, fine, loads, law), step=step)
+        out = simulate_loops(replace(waves, measured_on_motor=False), trial)  # loads are the links'
+        before, links = links, [out[: len(r.t), :, 0, k] for k, r in enumerate(fine)]
+        if before and _compare(links, before) < SETTLED_RAD:
             break
-        if sweep + 1 < MAX_SWEEPS:
-            links = found  # loads are the links'; where motors are measured, both start with the same twist
-            if waves.measured_on_motor and np.any(trials.values["joint_compliance"] + trials.values["backlash"]):
-                links = _cut(simulate_loops(replace(waves, measured_on_motor=False), trials), records)
-            motions = [smooth_motion(q, r.dt) for q, r in zip(links, records, strict=True)]
-            loads = [compute_load_waves(space, *motion, r.dt) for motion, r in zip(motions, records, strict=True)]
+        speeds = [integrate_speeds(q, waves.speed[:, k], r.dt) for k, (q, r) in enumerate(zip(links, fine, strict=True))]
+        loads = [compute_held_loads(space, *x, r.dt) for *x, r in zip(links, speeds, fine, strict=True)]
+    if waves.measured_on_motor:
+        out = simulate_loops(waves, trial)
+    found = []
+    for k, (r, q, v) in enumerate(zip(fine, links, speeds, strict=True)):
+        half = np.clip(np.arange(len(q)) + np.array([[-every // 2], [every // 2]]), 0, len(q) - 1)
+        a = (v[half[1]] - v[half[0]]) / ((half[1] - half[0])[:, None] * r.dt)
+        found.append(SimulatedMotion(*(x[::every] for x in (out[: len(r.t), :, 0, k], q, v, a))))
     return found
 
 
-def _cut(out: np.ndarray, records: Sequence[LoopRecord]) -> list[np.ndarray]:
-    """Return the positions (N, na) of each record, of one trial."""
-    return [out[: len(r.t), :, 0, k] for k, r in enumerate(records)]
+def _compare(found: Sequence[np.ndarray], before: Sequence[np.ndarray]) -> float:
+    return max(float(np.sqrt(np.mean((a - b) ** 2))) for a, b in zip(found, before, strict=True))

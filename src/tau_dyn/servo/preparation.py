@@ -25,7 +25,7 @@ from tau_dyn.robot import NOT_GIVEN, Robot
 from tau_dyn.servo.contact import Contact, find_contacts
 from tau_dyn.servo.data import LoopData
 from tau_dyn.servo.fit import FRICTION, LoopUnknowns, build_unknowns, choose_directions, screen_equation_error
-from tau_dyn.servo.records import InertialSpace, LoopRecord, build_records, compute_load_waves
+from tau_dyn.servo.records import InertialSpace, LoopRecord, build_records, compute_load_columns, compute_load_waves
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
 
 ALWAYS = ("armature", "command_delay")
@@ -130,11 +130,12 @@ def prepare_loop(
 ) -> LoopData:
     """Return what a fit starts from: the screen's values, and the inertial directions that the logs inform on."""
     space = InertialSpace.of(model)
-    loads = [compute_load_waves(space, *r.motion, r.dt) for r in records]
+    loads = [compute_load_columns(space, *r.motion, r.dt) for r in records]
     progress("equation error")
     estimate_gain = "position_gain" in law.estimated
     screen = screen_equation_error(law, space, records, loads, estimate_gain)
     space = choose_directions(space, records, loads, screen)
+    loads = [compute_load_waves(space, *r.motion, r.dt) for r in records]
     return LoopData(model, law, space, records, loads, _build_unknowns(model, law, space, screen.values, own, friction))
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import interp1d
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log, differentiate, lowpass
@@ -31,6 +32,8 @@ MIN_PIECE_S = 10.0
 """Shortest piece [s]: a start at the measured position hides where friction holds a joint, so starts are rare."""
 WARM_UP_S = 1.0
 """Start of a piece that does not count [s]: a dozen time constants of a servo's loop."""
+ROWS = 20_000
+"""Samples whose regressors are computed at once: 60 MB for an arm of six joints."""
 _STEP = 1e-4
 """Step of a position by which the load's growth is taken [rad]."""
 _MIN_RADIUS = 0.02
@@ -50,6 +53,7 @@ class LoopRecord:
         enabled: 1 where the motor is on (N,).
         used: Samples that count (N,).
         entries: Law entries (na,) that hold in this log.
+        start: Positions from which it is simulated (na,) [rad]; None for the measured ones.
         speed: Speeds at the first sample (na,) [rad/s]; None for rest.
     """
 
@@ -61,6 +65,7 @@ class LoopRecord:
     enabled: np.ndarray
     used: np.ndarray
     entries: Mapping[str, np.ndarray]
+    start: np.ndarray | None = None
     speed: np.ndarray | None = None
 
     @property
@@ -147,6 +152,11 @@ class InertialSpace:
         """Number of unknowns."""
         return self.directions.shape[1]
 
+    @property
+    def basis(self) -> np.ndarray:
+        """The nominal values and the directions (p, 1 + K)."""
+        return np.column_stack([self.nominal, self.directions])
+
     def at(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the parameters (p,) at unknowns (K,)."""
         return self.nominal + self.directions @ unknowns
@@ -166,42 +176,79 @@ def _measure_bodies(model: Model) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class LoadWaves:
-    """What a robot does along one motion: see `Waves`, per inertial parameter (p) rather than per unknown.
+    """What a robot does along one motion, per column of a basis (p, m) of its inertial parameters: see `Waves`.
 
     Attributes:
-        load: (N, na, p) [N m per unit].
-        inertia: (N, na, p).
+        load: (N, na, m) [N m per unit].
+        inertia: (N, na, m).
         stiffness: (N, na) at the nominal values [N m/rad].
         along: The motion's positions (N, na) [rad].
+        held: Whether each load is that of the middle between its sample and the next.
+        speed: The motion's speeds (N, na) [rad/s], where it is simulated.
     """
 
     load: np.ndarray
     inertia: np.ndarray
     stiffness: np.ndarray
     along: np.ndarray
+    held: bool = False
+    speed: np.ndarray | None = None
+
+    def cut(self, part: slice) -> LoadWaves:
+        """Return a part of the waves."""
+        speed = None if self.speed is None else self.speed[part]
+        return LoadWaves(self.load[part], self.inertia[part], self.stiffness[part], self.along[part], self.held, speed)
+
+
+def compute_load_columns(space: InertialSpace, q: np.ndarray, v: np.ndarray, a: np.ndarray, dt: float) -> LoadWaves:
+    """Return loads along a motion (N, na), a column for each inertial parameter."""
+    return _compute_waves(space, np.eye(len(space.nominal)), (q, v, a), dt)
 
 
 def compute_load_waves(space: InertialSpace, q: np.ndarray, v: np.ndarray, a: np.ndarray, dt: float) -> LoadWaves:
-    """Return loads along a motion (N, na)."""
-    mechanism, (n, na) = space.model.mechanism, q.shape
+    """Return loads along a motion (N, na): a column of the nominal values, and one for each unknown."""
+    return _compute_waves(space, space.basis, (q, v, a), dt)
+
+
+def compute_held_loads(space: InertialSpace, q: np.ndarray, v: np.ndarray, dt: float) -> LoadWaves:
+    """Return loads along a simulated motion (N, na), at the middle of each step, whose acceleration is the change of its speed."""
+    rate = np.diff(q, axis=0) / dt
+    middle = np.append(np.arange(len(rate)), len(rate) - 1)
+    motion = ((0.5 * (q[1:] + q[:-1]))[middle], rate[middle], (np.diff(v, axis=0) / dt)[middle])
+    return replace(_compute_waves(space, space.basis, motion, dt), along=q, held=True)
+
+
+def integrate_speeds(q: np.ndarray, speed: np.ndarray, dt: float) -> np.ndarray:
+    """Return the speeds (N, na) of positions that a loop stepped by `q+ = q + dt (v + v+) / 2` from a first speed (na,)."""
+    sign = np.where(np.arange(len(q) - 1) % 2, 1.0, -1.0)[:, None]
+    return np.concatenate([speed[None], sign * (speed + 2.0 * np.cumsum(sign * np.diff(q, axis=0) / dt, axis=0))])
+
+
+def _compute_waves(
+    space: InertialSpace, basis: np.ndarray, motion: tuple[np.ndarray, np.ndarray, np.ndarray], dt: float
+) -> LoadWaves:
+    mechanism, (q, v, a), (n, na) = space.model.mechanism, motion, motion[0].shape
     every = max(1, round(SLOW_S / dt))
     some = np.unique(np.append(np.arange(0, n, every), n - 1))
     qs, zero = q[some], np.zeros((len(some), na))
     still = mechanism.regressor(qs, zero, zero)
-    inertia = np.empty((len(some), na, still.shape[2]))
+    inertia = np.empty((len(some), na, basis.shape[1]))
     stiffness = np.empty((len(some), na))
     for j in range(na):
         push = np.zeros_like(qs)
         push[:, j] = 1.0
-        inertia[:, j] = (mechanism.regressor(qs, zero, push) - still)[:, j]
+        inertia[:, j] = (mechanism.regressor(qs, zero, push) - still)[:, j] @ basis
         ahead, behind = (mechanism.regressor(qs + s * _STEP * push, zero, zero)[:, j] for s in (1, -1))
         stiffness[:, j] = (ahead - behind) @ space.nominal / (2 * _STEP)
-    grid = np.arange(n)
-    full = np.stack(
-        [[np.interp(grid, some, inertia[:, j, k]) for k in range(inertia.shape[2])] for j in range(na)]
-    ).transpose(2, 0, 1)
-    load = mechanism.regressor(q, v, a) - full * a[:, :, None]
-    return LoadWaves(load, full, np.stack([np.interp(grid, some, stiffness[:, j]) for j in range(na)], axis=1), q)
+    full, stiff = (
+        interp1d(some, x, axis=0, assume_sorted=True)(np.arange(n)) if len(some) > 1 else x[[0] * n]
+        for x in (inertia, stiffness)
+    )
+    load = np.empty_like(full)
+    for k in range(0, n, ROWS):
+        part = slice(k, k + ROWS)
+        load[part] = mechanism.regressor(q[part], v[part], a[part]) @ basis - full[part] * a[part, :, None]
+    return LoadWaves(load, full, stiff, q)
 
 
 def build_waves(
@@ -226,28 +273,45 @@ def build_waves(
     keys = sorted({key for entries in law.by_log.values() for key in entries})
     return Waves(
         dt=np.array([r.dt for r in records]),
-        start=np.stack([r.q[0] for r in records], axis=1),
+        start=np.stack([r.q[0] if r.start is None else r.start for r in records], axis=1),
         speed=np.stack([np.zeros(r.q.shape[1]) if r.speed is None else r.speed for r in records], axis=1),
         command=stack([r.command for r in records]),
         along=stack([w.along for w in loads]),
-        load=stack([w.load @ space.nominal for w in loads]),
-        load_by=stack([w.load @ space.directions for w in loads]),
-        inertia=stack([w.inertia @ space.nominal for w in loads]),
-        inertia_by=stack([w.inertia @ space.directions for w in loads]),
+        load=stack([w.load[..., 0] for w in loads]),
+        load_by=stack([w.load[..., 1:] for w in loads]),
+        inertia=stack([w.inertia[..., 0] for w in loads]),
+        inertia_by=stack([w.inertia[..., 1:] for w in loads]),
         stiffness=stack([w.stiffness for w in loads]),
         supply=stack([r.supply for r in records]),
         enabled=stack([r.enabled for r in records]),
         by_log={key: np.stack([r.entries[key] for r in records], axis=1) for key in keys},
         encoder_on_motor=law.encoder == "motor",
         measured_on_motor=law.measured == "motor",
+        held=loads[0].held,
     )
 
 
-def split_pieces(records: Sequence[LoopRecord], loads: Sequence[LoadWaves]) -> tuple[list[LoopRecord], list[LoadWaves]]:
-    """Return the logs in pieces that are simulated side by side, each from its measured state (multiple shooting).
+def refine_record(record: LoopRecord, every: int) -> LoopRecord:
+    """Return a record with samples between the measured ones, its positions interpolated."""
+    n = (len(record.t) - 1) * every + 1
+    t, q = (_refine(x, every) for x in (record.t, record.q))
+    before = np.arange(n) // every
+    return replace(
+        record, t=t, q=q, command=record.command[before], supply=record.supply[before], enabled=record.enabled[before],
+        used=record.used[before],
+    )  # fmt: skip
 
-    The first part of a piece does not count: by then the loop has forgotten where it began. Few long logs become many short ones,
-    which take as long as one of them.
+
+def _refine(x: np.ndarray, every: int) -> np.ndarray:
+    n = len(x)
+    return interp1d(np.arange(n), x, axis=0, assume_sorted=True)(np.arange((n - 1) * every + 1) / every)
+
+
+def split_pieces(records: Sequence[LoopRecord], loads: Sequence[LoadWaves]) -> tuple[list[LoopRecord], list[LoadWaves]]:
+    """Return the logs in pieces that are simulated side by side (multiple shooting).
+
+    A piece starts from the state of the motion that its loads were taken along, and its first part does not count: by then the
+    loop has forgotten where it began. Few long logs become many short ones, which take as long as one of them.
     """
     total = sum(len(r.t) * r.dt for r in records)
     length = max(MIN_PIECE_S, total / PIECES)
@@ -255,26 +319,22 @@ def split_pieces(records: Sequence[LoopRecord], loads: Sequence[LoadWaves]) -> t
     for r, w in zip(records, loads, strict=True):
         n, warm = len(r.t), round(WARM_UP_S / r.dt)
         count = max(1, round(n * r.dt / length))
-        for start, stop in zip(
-            *(np.round(np.linspace(0, n, count + 1)).astype(int)[k : count + k] for k in (0, 1)), strict=True
-        ):
-            first = max(0, start - warm)
+        bounds = np.round(np.linspace(0, n, count + 1)).astype(int)
+        for begin, stop in zip(bounds[:-1], bounds[1:], strict=True):
+            first = max(0, begin - warm)
             cut = slice(first, stop)
             used = np.array(r.used[cut])
-            used[: start - first] = False
+            used[: begin - first] = False
+            start, speed = r.start, r.speed
+            if first:
+                start, speed = (None, r.motion[1][first]) if w.speed is None else (w.along[first], w.speed[first])
             pieces.append(
                 replace(
-                    r,
-                    t=r.t[cut],
-                    q=r.q[cut],
-                    command=r.command[cut],
-                    supply=r.supply[cut],
-                    enabled=r.enabled[cut],
-                    used=used,
-                    speed=r.motion[1][first] if first else r.speed,
+                    r, t=r.t[cut], q=r.q[cut], command=r.command[cut], supply=r.supply[cut], enabled=r.enabled[cut],
+                    used=used, start=start, speed=speed,
                 )
-            )
-            waves.append(LoadWaves(w.load[cut], w.inertia[cut], w.stiffness[cut], w.along[cut]))
+            )  # fmt: skip
+            waves.append(w.cut(cut))
     return pieces, waves
 
 
