@@ -30,6 +30,14 @@ def build_arm(n: int = 2):
     )
 
 
+def build_link(inertia: float):
+    """Return one link of 1 kg that swings about a vertical axis, with an inertia about it [kg m^2]."""
+    own = inertia - 0.1**2
+    link = _LINK.format(name="j1", x=0.1, m=1.0, i=own)
+    joint = _JOINT.format(name="j1", parent="base_link", at=0).replace('xyz="0 1 0"', 'xyz="0 0 1"')
+    return load_robot_from_urdf(f'<robot name="joint"><link name="base_link"/>{link}{joint}</robot>', "joint.urdf")
+
+
 def build_law(robot, gain: float = 2.65, **entries) -> ServoLaw:
     """Return a hobby servo's law."""
     known = {

@@ -28,7 +28,7 @@ MIN_SHARE = 0.03
 TWIN_SHARE = 0.95
 """Share of what the best cause takes off from which another one is indistinguishable from it here."""
 MAX_ROUNDS = 4  # causes at one joint; each takes off at least 3 %
-_ITERATIONS, _TRY_ITERATIONS = 10, 6  # from a solution of all but the new numbers
+_ITERATIONS, _TRY_ITERATIONS = 15, 6  # of a fit, and from a solution of all but the new numbers
 POWER_Z = 1.645
 """Standard errors above the threshold that a number must have to be found in 95 of 100 logs."""
 _FIRST = {"command_delay": 0.01, "torque_delay": 0.005, "dead_band": 0.006, "load_friction": 0.15, "supply_sag": 0.15,
@@ -104,10 +104,17 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
         if not chosen:
             break
         u = free_causes(data, u, fit, chosen, starts)
-        fit = fit_loop(data.build_problem(u), progress, _ITERATIONS, fit.step)
+        fit = fit_precisely(data, u, progress, fit.step)
         u, fit, dropped = _drop_superfluous(data, u, fit, taken, progress)
         refused |= dropped
     return LoopSearch(u, fit, taken, first)
+
+
+def fit_precisely(data: LoopData, u: LoopUnknowns, progress: Callable[[str], None], step: float) -> LoopFit:
+    """Return a fit whose last part takes small differences."""
+    problem = data.build_problem(u)
+    near = fit_loop(problem, progress, _ITERATIONS, step)
+    return fit_loop(problem.with_finer_differences(), progress, _ITERATIONS, step, near.x)
 
 
 def _try(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> TriedCause | None:
@@ -200,7 +207,7 @@ def _drop_superfluous(
             free[u.kinds.index(entry), j] = False
         u = replace(u, values=values, free=free)
         progress(f"without {cause.replace('_', ' ')}")
-        fit = fit_loop(data.build_problem(u), progress, _ITERATIONS, fit.step)
+        fit = fit_precisely(data, u, progress, fit.step)
 
 
 def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:

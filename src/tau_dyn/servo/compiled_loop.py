@@ -28,12 +28,14 @@ _SOURCE = r"""
 enum {@NAMES@, COUNT};
 typedef struct {double position, speed;} goal_t;
 
-static double clip(double x, double low, double high) {return fmin(fmax(x, low), high);}
+static inline double least_of(double a, double b) {return a < b ? a : b;}
+static inline double most_of(double a, double b) {return a > b ? a : b;}
+static inline double clip(double x, double low, double high) {return least_of(most_of(x, low), high);}
 
 static double follow(goal_t *g, double target, double limit, double speed, double h) {
   double distance = target - g->position, most = limit * h;
-  double braking = sqrt(fmax(2.0 * limit * fabs(distance), 0.0));
-  double wanted = fmin(fmin(braking, speed), fabs(distance) / h);
+  double braking = sqrt(most_of(2.0 * limit * fabs(distance), 0.0));
+  double wanted = least_of(least_of(braking, speed), fabs(distance) / h);
   wanted = distance > 0 ? wanted : distance < 0 ? -wanted : 0.0;
   g->speed += clip(wanted - g->speed, -most, most);
   g->position += h * g->speed;
@@ -43,9 +45,9 @@ static double follow(goal_t *g, double target, double limit, double speed, doubl
 /* Exact step of the twist between two masses: a and S of  S D+ = a S D - K d + force  (see loop.py) */
 static void spring(double K, double damping, double mu, double h, double *a, double *S) {
   double w2 = K / mu * h * h, sigma = 0.5 * damping / mu * h;
-  double late = sigma + fmax(0.0, sqrt(w2) - 1.0), turn = w2 - sigma * sigma, T;
+  double late = sigma + most_of(0.0, sqrt(w2) - 1.0), turn = w2 - sigma * sigma, T;
   double E = exp(-2.0 * late);
-  if (turn > 0) T = 2.0 * exp(-late) * cos(fmin(sqrt(turn), 3.14159265358979323846));
+  if (turn > 0) T = 2.0 * exp(-late) * cos(least_of(sqrt(turn), 3.14159265358979323846));
   else T = exp(sqrt(-turn) - late) + exp(-sqrt(-turn) - late);
   *a = 0.5 * (T + E - 1.0);
   *S = K * h / (E - T + 1.0);
@@ -69,7 +71,11 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
     int moved = 0;
     for (int64_t i = 0; i < K; i++) moved = moved || inertial[i * C + c] != 0.0;
     double late = p[command_delay] / h, whole = floor(late), part = late - whole;
-    int64_t behind = (int64_t)whole;
+    int64_t behind = (int64_t)whole, here = 0, here_step = 0, there = 0, there_step = 0;
+    if (behind < 0) {
+      here = -behind / often; here_step = -behind % often;
+      there = (-behind - 1) / often; there_step = (-behind - 1) % often;
+    }
     double old = p[torque_delay] / h, old_whole = floor(old), old_part = old - old_whole;
     int64_t length = (int64_t)old_whole + 2;
     int waits = p[torque_delay] > 0;
@@ -100,17 +106,19 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
       if (moved) for (int64_t i = 0; i < K; i++) next_load += ldb[(k + 1) * K + i] * inertial[i * C + c];
       double total, mu = 0, share = 0, a = 0, S = 0, stuck = 0;
       if (elastic) {
-        double motor = fmax(p[armature], least), link = fmax(mass, least);
+        double motor = most_of(p[armature], least), link = most_of(mass, least);
         total = motor + link; share = link / total; mu = motor * share;
         stuck = p[joint_compliance] > 0 ? 1.0 / p[joint_compliance] : mu * (contact / h) * (contact / h);
         spring(stuck, p[joint_compliance] > 0 ? p[joint_damping] : 2.0 * mu * contact / h, mu, h, &a, &S);
-      } else total = fmax(mass + p[armature], least);
+      } else total = most_of(mass + p[armature], least);
       double slope = (next_load - now) / (double)often, turn = (way[k + 1] - way[k]) / (double)often;
       double full = p[force_per_unit] * en[k];
       for (int64_t i = 0; i < often; i++) {
-        int64_t at = k * often + i, one = at - behind, two = one - 1;
-        double first = cmd[one < 0 ? 0 : one / often < N ? one / often : N - 1];
-        double before = cmd[two < 0 ? 0 : two / often < N ? two / often : N - 1];
+        int64_t at = k * often + i, one = at - behind;
+        double first = cmd[one < 0 ? 0 : here < N ? here : N - 1];
+        double before = cmd[one < 1 ? 0 : there < N ? there : N - 1];
+        if (one >= 0 && ++here_step == often) {here_step = 0; here++;}
+        if (one >= 1 && ++there_step == often) {there_step = 0; there++;}
         if (p[command_step] > 0) {
           first = p[command_step] * nearbyint(first / p[command_step]);
           before = p[command_step] * nearbyint(before / p[command_step]);
@@ -119,7 +127,7 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
         if (profiled) goal = follow(&g, goal, p[acceleration_limit], p[speed_limit], h);
         double seen = on_motor && elastic ? m : q, seen_speed = on_motor && elastic ? w : v, drive = elastic ? w : v;
         double middle = q + half * v, e = goal - (seen + half * seen_speed);
-        if (p[dead_band] > 0) e = (e > 0 ? 1.0 : e < 0 ? -1.0 : 0.0) * fmax(fabs(e) - p[dead_band], 0.0);
+        if (p[dead_band] > 0) e = (e > 0 ? 1.0 : e < 0 ? -1.0 : 0.0) * most_of(fabs(e) - p[dead_band], 0.0);
         double u = p[position_gain] * e - p[derivative_gain] * seen_speed;
         if (p[integral_gain] != 0) {
           integral = clip(integral + p[integral_gain] * h * e, -p[limit], p[limit]);
@@ -135,14 +143,15 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
         }
         double x = u * sup[k] - p[back_emf] * drive, push, lever;
         if (p[drive_exponent] != 1.0) {
-          double grown = full * pow(fmax(fabs(x), straight), p[drive_exponent] - 1.0);
+          double grown = full * pow(most_of(fabs(x), straight), p[drive_exponent] - 1.0);
           push = grown * x;
           lever = grown * (fabs(x) > straight ? p[drive_exponent] : 1.0) * p[back_emf];
         } else {push = full * x; lever = full * p[back_emf];}
         if (x * u < 0) {push *= p[braking]; lever *= p[braking];}
         double rest = rest0 + ((double)i + 0.5) * slope + stiff[k] * (middle - way[k] - ((double)i + 0.5) * turn);
         double damping = 0.5 * (lever + p[viscous]);
-        double friction = p[coulomb] + p[load_friction] * fabs(push) + p[stiction] * exp(-fabs(drive) / p[stiction_speed]);
+        double friction = p[coulomb] + p[load_friction] * fabs(push);
+        if (p[stiction] != 0) friction += p[stiction] * exp(-fabs(drive) / p[stiction_speed]);
         push += (damping - p[viscous]) * drive;
         if (!elastic) {
           double wanted = total / h * v + push - rest;

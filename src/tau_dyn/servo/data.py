@@ -22,6 +22,8 @@ class LoopData:
         records: Training logs.
         loads: Loads along them.
         unknowns: What may change.
+        whole: Whether logs are simulated from start to end rather than in pieces: behind a spring no measured position
+            tells the state that a piece would begin with.
     """
 
     model: Model
@@ -30,22 +32,13 @@ class LoopData:
     records: Sequence[LoopRecord]
     loads: Sequence[LoadWaves]
     unknowns: LoopUnknowns
+    whole: bool = False
 
     def build_problem(
         self, unknowns: LoopUnknowns | None = None, records: Sequence[LoopRecord] | None = None
     ) -> LoopProblem:
-        """Return the fit's problem, with other unknowns or other masks where they are given."""
-        records = records or self.records
-        return build_problem(self.space, self.law, unknowns or self.unknowns, records, self.loads)
-
-
-def build_problem(
-    space: InertialSpace,
-    law: ServoLaw,
-    unknowns: LoopUnknowns,
-    records: Sequence[LoopRecord],
-    loads: Sequence[LoadWaves],
-) -> LoopProblem:
-    """Return a fit's problem, the logs in pieces, loads along the measured motions."""
-    pieces, waves = split_pieces(records, loads)
-    return LoopProblem(unknowns, build_waves(space, pieces, waves, law), pieces)
+        """Return the fit's problem, loads along the measured motions, with other unknowns or masks where they are given."""
+        records, loads = records or self.records, self.loads
+        if not self.whole:
+            records, loads = split_pieces(records, loads)
+        return LoopProblem(unknowns or self.unknowns, build_waves(self.space, records, loads, self.law), records)

@@ -20,11 +20,11 @@ from tau_dyn.identify import MAX_HELD_OUT_RATIO, describe_foreign_joints
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
-from tau_dyn.servo.cause_search import MIN_SHARE, LoopSearch, compute_limits, search_causes
+from tau_dyn.servo.cause_search import MIN_SHARE, LoopSearch, compute_limits, fit_precisely, search_causes
 from tau_dyn.servo.data import LoopData
 from tau_dyn.servo.diagnosis_result import LoopDiagnosis, LoopFinding, LoopLimit
 from tau_dyn.servo.doubts import list_loop_warnings
-from tau_dyn.servo.fit import HIGHEST, LoopFit, LoopProblem, LoopUnknowns, fit_loop, get_unit
+from tau_dyn.servo.fit import HIGHEST, LoopFit, LoopProblem, LoopUnknowns, get_unit
 from tau_dyn.servo.identification import fill_model
 from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
 from tau_dyn.servo.records import LoadWaves, LoopRecord, build_waves, compute_load_waves
@@ -84,9 +84,9 @@ def diagnose_loop(
     law, progress, seed = given.law, given.progress, given.seed
     parts = _split(given.kept, given.others)
     data = prepare_loop(given.model, law, parts.train, given.own, given.friction, progress)
-    data = replace(data, unknowns=_drop_kinds(data))
+    data = replace(data, unknowns=_drop_kinds(data), whole=True)
     progress("baseline")
-    base = fit_loop(data.build_problem(), progress, step=STEP_S)
+    base = fit_precisely(data, data.unknowns, progress, STEP_S)
     search = search_causes(data, base, progress)
     loads = data.loads if parts.same_logs else [compute_load_waves(data.space, *r.motion, r.dt) for r in parts.confirm]
     progress("confirmation and gain")
@@ -100,7 +100,7 @@ def diagnose_loop(
     interval = _compare(before, after, seed)
     foreign = [] if parts.same_logs else _find_foreign(law.joints, search.fit, after.rms)
     choice, why = _recommend(law.joints, findings, (nominal, before, after), interval, foreign, seed)
-    floor = compute_noise_floor([*given.kept, *given.others])
+    floor = np.minimum(compute_noise_floor([*given.kept, *given.others]), after.rms)  # what is reached is no floor
     train, confirm = (
         _predict(data, search.unknowns, search.fit.x, base.step, records, along)
         for records, along in ((parts.train, data.loads), (parts.confirm, loads))

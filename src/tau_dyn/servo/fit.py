@@ -47,6 +47,9 @@ STEP_SHARE = 3.0
 where friction holds the error falls with the step itself."""
 COARSE_IS_ENOUGH = 4.0
 """Residual over the step's effect from which the longer step is enough."""
+FINE_DIFFERENCES = 0.05
+"""Steps of differences near a solution, over those that friction cannot hide far from one: large ones end a search too soon
+where gains are high and encoders fine."""
 _LAMBDAS = (1e-2, 3e-1, 1e1)  # damping factors that are tried side by side
 MAX_CONTRAST = 2.0
 """Factor within which a log's residual may be weighed other than its joint's usual one: what no model explains in one log
@@ -282,6 +285,13 @@ class LoopProblem:
         self.used = np.stack([np.pad(r.used, (0, n - len(r.t))) for r in records], axis=-1)
         self.blocks = _number_blocks(records, n)
         self.count = np.maximum(self.used.sum(), 1)
+        self.share_of_steps = 1.0
+
+    def with_finer_differences(self) -> LoopProblem:
+        """Return the problem with small steps for its differences, for the last part of a search."""
+        other = copy(self)
+        other.share_of_steps = FINE_DIFFERENCES
+        return other
 
     def with_step(self, step: float) -> LoopProblem:
         """Return the problem with another longest step [s]."""
@@ -319,7 +329,7 @@ class LoopProblem:
         table = [
             np.maximum(np.broadcast_to(small.get(k, 0.0), na), 0.02 * np.abs(values[k])) for k in self.unknowns.kinds
         ]
-        steps = np.array(table).reshape(self.unknowns.free.shape)[self.unknowns.free]
+        steps = self.share_of_steps * np.array(table).reshape(self.unknowns.free.shape)[self.unknowns.free]
         return np.append(np.maximum(steps, 1e-9), np.full(self.unknowns.space.n_unknowns, 0.15))
 
     def differentiate(self, x: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
@@ -371,12 +381,13 @@ def fit_loop(
     progress: Callable[[str], None] = lambda step: None,
     max_iterations: int = MAX_ITERATIONS,
     step: float = 0.0,
+    first: np.ndarray | None = None,
 ) -> LoopFit:
-    """Search the unknowns that simulate the logs best, from their start values.
+    """Search the unknowns that simulate the logs best, from their start values or a first vector (n,).
 
     The longest step is a given one [s], or, for 0, chosen: a finer one follows where the residual is small.
     """
-    start = problem.unknowns.pack()
+    start = problem.unknowns.pack() if first is None else first
     if step > 0:
         return _search(problem.with_step(step), start, progress, max_iterations)
     found = _search(problem, start, progress, max_iterations)

@@ -135,7 +135,9 @@ def prepare_loop(
     estimate_gain = "position_gain" in law.estimated
     screen = screen_equation_error(law, space, records, loads, estimate_gain)
     space = choose_directions(space, records, loads, screen)
-    return LoopData(model, law, space, records, loads, _build_unknowns(model, law, space, screen.values, own, friction))
+    unknowns = _build_unknowns(model, law, space, screen.values, own, friction)
+    springy = [k for k in ("joint_compliance", "backlash") if np.any(law.values[k]) or k in law.estimated]
+    return LoopData(model, law, space, records, loads, unknowns, bool(springy))
 
 
 def _build_unknowns(
