@@ -1,6 +1,6 @@
 """How well are commands and positions alone simulated, on motions and gains that were not used; do the parameters hold?
 
-    python experiments/without_torque.py [--only so101 free xl330 pairs causes] [--sets N] [--out DIR]
+    python experiments/without_torque.py [--only so101 free xl330 pairs causes spring speed] [--sets N] [--out DIR]
 
 so101: every second motion by name trains (a rule fixed before any result), with the servo's law; free: without one. xl330:
 each gain from the others, mean absolute error. pairs: simulated arms of one to three joints, each at two servo gains: how

@@ -29,6 +29,9 @@ TWIN_SHARE = 0.95
 """Share of what the best cause takes off from which another one is indistinguishable from it here."""
 MAX_ROUNDS = 4  # causes at one joint; each takes off at least 3 %
 _ITERATIONS, _TRY_ITERATIONS = 15, 6  # of a fit, and from a solution of all but the new numbers
+MAX_STEP_SHARE = 0.25
+"""Share of a cause's number that may change with half the step: an error of the step, of first or second order, changes by
+half or more."""
 POWER_Z = 1.645
 """Standard errors above the threshold that a number must have to be found in 95 of 100 logs."""
 _FIRST = {"command_delay": 0.01, "torque_delay": 0.005, "dead_band": 0.006, "load_friction": 0.15, "supply_sag": 0.15,
@@ -108,6 +111,49 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
         u, fit, dropped = _drop_superfluous(data, u, fit, taken, progress)
         refused |= dropped
     return LoopSearch(u, fit, taken, first)
+
+
+def check_steps(
+    data: LoopData, base: LoopFit, search: LoopSearch, progress: Callable[[str], None]
+) -> tuple[LoopFit, LoopSearch]:
+    """Return baseline and extended model fitted again with half the step, without causes that stand for the step's own error.
+
+    What stands for it shrinks with the step; a cause keeps its number.
+    """
+    fine = _refit(data, data.unknowns, base, progress)
+    if not search.taken:
+        return fine, replace(search, unknowns=data.unknowns, fit=fine)
+    u, again, taken = search.unknowns, _refit(data, search.unknowns, search.fit, progress), dict(search.taken)
+    for cause, j in search.taken:
+        entry = LOOP_CAUSES[cause].entries[0]
+        null = data.law.values[entry][j]
+        coarse, finer = (float(read_kind(u, one, entry)[0][j] - null) for one in (search.fit, again))
+        if abs(finer - coarse) > MAX_STEP_SHARE * abs(coarse):
+            u, again = _take_out(data, u, again, cause, j, progress)
+            del taken[cause, j]
+    u, again, _ = _drop_superfluous(data, u, again, taken, progress)
+    return fine, replace(search, unknowns=u, fit=again, taken=taken)
+
+
+def _refit(data: LoopData, u: LoopUnknowns, fit: LoopFit, progress: Callable[[str], None]) -> LoopFit:
+    problem = data.build_problem(u).with_finer_differences()
+    step = 0.5 * min(fit.step, max(r.dt for r in data.records))
+    fine = fit_loop(problem, progress, _TRY_ITERATIONS, step, fit.x)
+    shift = (fine.x - fit.x) * (np.diag(fine.covariance) > 0)  # halving again moves it by as much at most
+    return replace(fine, covariance=fine.covariance + np.outer(shift, shift))
+
+
+def _take_out(
+    data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str, j: int, progress: Callable[[str], None]
+) -> tuple[LoopUnknowns, LoopFit]:
+    """Return unknowns and fit without a cause at a joint."""
+    values, free = {key: np.array(x) for key, x in u.with_values(fit.x).items()}, np.array(u.free)
+    for entry in LOOP_CAUSES[cause].entries:
+        values[entry][j] = data.law.values[entry][j]
+        free[u.kinds.index(entry), j] = False
+    progress(f"without {cause.replace('_', ' ')}")
+    left = replace(u, values=values, free=free)
+    return left, fit_precisely(data, left, progress, fit.step)
 
 
 def fit_precisely(data: LoopData, u: LoopUnknowns, progress: Callable[[str], None], step: float) -> LoopFit:
@@ -201,13 +247,7 @@ def _drop_superfluous(
         _, cause, j = min(weak)
         del taken[cause, j]
         dropped.add((cause, j))
-        values, free = {key: np.array(x) for key, x in u.with_values(fit.x).items()}, np.array(u.free)
-        for entry in LOOP_CAUSES[cause].entries:
-            values[entry][j] = data.law.values[entry][j]
-            free[u.kinds.index(entry), j] = False
-        u = replace(u, values=values, free=free)
-        progress(f"without {cause.replace('_', ' ')}")
-        fit = fit_precisely(data, u, progress, fit.step)
+        u, fit = _take_out(data, u, fit, cause, j, progress)
 
 
 def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:

@@ -67,6 +67,7 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
     const double *cmd = command + (j * L + s) * N, *way = along + (j * L + s) * N, *stiff = stiffness + (j * L + s) * N;
     const double *ld = load + (j * L + s) * N, *in = inertia + (j * L + s) * N;
     const double *ldb = load_by + (j * L + s) * N * K, *inb = inertia_by + (j * L + s) * N * K;
+    double *shown = out + ((j * C + c) * L + s) * N;
     const double *sup = supply + s * N, *en = enabled + s * N;
     int moved = 0;
     for (int64_t i = 0; i < K; i++) moved = moved || inertial[i * C + c] != 0.0;
@@ -87,6 +88,8 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
     double q = start[j * L + s], v = speed[j * L + s], m = q, w = v, next_load = 0.0;
     goal_t g = {cmd[0], 0.0};
     if (p[command_step] > 0) g.position = p[command_step] * nearbyint(cmd[0] / p[command_step]);
+    /* total is h over both inertias, S and open are the inverse steps of the twist's rate, firm and loose inverse mobilities */
+    double total = 0, mu = 0, share = 0, a = 0, S = 0, stuck = 0, open = 0, firm = 0, loose = 0, last = -1.0;
     for (int64_t k = 0; k < N; k++) {
       double now, mass = in[k];
       if (k == 0) {
@@ -100,17 +103,20 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
         double twist = p[joint_compliance] * rest0 + (rest0 > 0 ? gap : rest0 < 0 ? -gap : 0.0);
         if (shown_on_motor) q -= twist; else m += twist;
       }
-      out[((k * J + j) * C + c) * L + s] = shown_on_motor && elastic ? m : q;
+      shown[k] = shown_on_motor && elastic ? m : q;
       if (k == N - 1) break;
       next_load = ld[k + 1];
       if (moved) for (int64_t i = 0; i < K; i++) next_load += ldb[(k + 1) * K + i] * inertial[i * C + c];
-      double total, mu = 0, share = 0, a = 0, S = 0, stuck = 0;
-      if (elastic) {
+      if (mass == last) {
+      } else if (elastic) {
         double motor = most_of(p[armature], least), link = most_of(mass, least);
-        total = motor + link; share = link / total; mu = motor * share;
+        total = h / (motor + link); share = link / (motor + link); mu = motor * share;
         stuck = p[joint_compliance] > 0 ? 1.0 / p[joint_compliance] : mu * (contact / h) * (contact / h);
         spring(stuck, p[joint_compliance] > 0 ? p[joint_damping] : 2.0 * mu * contact / h, mu, h, &a, &S);
-      } else total = most_of(mass + p[armature], least);
+        S = 1.0 / S; open = h / mu;
+        firm = 1.0 / (total + share * share * S); loose = 1.0 / (total + share * share * open);
+      } else firm = most_of(mass + p[armature], least) / h;
+      last = mass;
       double slope = (next_load - now) / (double)often, turn = (way[k + 1] - way[k]) / (double)often;
       double full = p[force_per_unit] * en[k];
       for (int64_t i = 0; i < often; i++) {
@@ -154,22 +160,22 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
         if (p[stiction] != 0) friction += p[stiction] * exp(-fabs(drive) / p[stiction_speed]);
         push += (damping - p[viscous]) * drive;
         if (!elastic) {
-          double wanted = total / h * v + push - rest;
-          double after = (wanted - clip(wanted, -friction, friction)) / (total / h + damping);
+          double wanted = firm * v + push - rest;
+          double after = (wanted - clip(wanted, -friction, friction)) / (firm + damping);
           q += half * (v + after);
           v = after;
           continue;
         }
-        double twist = m - q, rate = w - v, pull, A, S_now;
-        if (fabs(twist) < gap) {pull = 0.0; A = 1.0; S_now = mu / h;}
-        else {pull = stuck * (twist - (twist > 0 ? gap : -gap)); A = a; S_now = S;}
-        double base = A * rate + ((1.0 - share) * rest - pull) / S_now, common = w - share * rate - h / total * rest;
-        double mobility = h / total + share * share / S_now;
-        double wanted = (common + share * base) / mobility + push;
-        double held = clip(wanted, -friction, friction);
-        double w_next = (wanted - held) / (1.0 / mobility + damping);
-        double motor_force = wanted - held - damping * w_next - (common + share * base) / mobility;
-        double rate_next = base + share * motor_force / S_now;
+        double twist = m - q, rate = w - v, pull = 0.0, A = 1.0, S_now = open, inverse = loose;
+        if (fabs(twist) >= gap) {
+          pull = stuck * (twist - (twist > 0 ? gap : -gap)); A = a; S_now = S; inverse = firm;
+        }
+        double base = A * rate + ((1.0 - share) * rest - pull) * S_now, common = w - share * rate - total * rest;
+        double wanted = (common + share * base) * inverse + push;
+        double left = wanted - clip(wanted, -friction, friction);
+        double w_next = left / (inverse + damping);
+        double motor_force = left - damping * w_next - (common + share * base) * inverse;
+        double rate_next = base + share * motor_force * S_now;
         double v_next = w_next - rate_next;
         m += half * (w + w_next); q += half * (v + v_next);
         w = w_next; v = v_next;
@@ -205,7 +211,7 @@ def run_compiled(waves: Waves, trials: Trials, often: int, limits: tuple[float, 
     rows += [np.moveaxis(waves.inertia_by, (0, 2), (-2, -1)), np.moveaxis(waves.stiffness, 0, -1)]
     rows += [waves.supply.T, waves.enabled.T, entries, trials.inertial, np.array(limits)]
     inputs = [np.ascontiguousarray(x, dtype=float) for x in (waves.dt, waves.start, waves.speed, *rows)]
-    out = np.empty((n, na, c, s))
+    out = np.empty((na, c, s, n))
     library.loop_run.restype = ctypes.c_int64
     failed = library.loop_run(*(ctypes.c_void_p(x.ctypes.data) for x in (sizes, *inputs, out)))
-    return None if failed else out
+    return None if failed else np.ascontiguousarray(np.moveaxis(out, -1, 0))

@@ -20,7 +20,7 @@ from tau_dyn.identify import MAX_HELD_OUT_RATIO, describe_foreign_joints
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
-from tau_dyn.servo.cause_search import MIN_SHARE, LoopSearch, compute_limits, fit_precisely, search_causes
+from tau_dyn.servo.cause_search import MIN_SHARE, LoopSearch, check_steps, compute_limits, fit_precisely, search_causes
 from tau_dyn.servo.data import LoopData
 from tau_dyn.servo.diagnosis_result import LoopDiagnosis, LoopFinding, LoopLimit
 from tau_dyn.servo.doubts import list_loop_warnings
@@ -34,7 +34,7 @@ from tau_dyn.simulate import SERVO_ENTRIES
 BASELINE = ("armature", "coulomb", "viscous", "offset")
 """What the simulation has already, and is refitted."""
 STEP_S = 2e-3
-"""Longest step of all simulated loops [s], so that a cause explains no error of the step: resonances to 80 Hz are exact."""
+"""Longest step of the search's loops [s], half of it for what is told of them: resonances to 80 Hz are exact."""
 CONFIRMED = 2.6
 """Score on held-out data from which an effect is confirmed: one in 200 by chance."""
 BLOCK_S = 4.0  # of the split into training, confirmation and gain
@@ -87,7 +87,7 @@ def diagnose_loop(
     data = replace(data, unknowns=_drop_kinds(data), whole=True)
     progress("baseline")
     base = fit_precisely(data, data.unknowns, progress, STEP_S)
-    search = search_causes(data, base, progress)
+    base, search = check_steps(data, base, search_causes(data, base, progress), progress)
     loads = data.loads if parts.same_logs else [compute_load_waves(data.space, *r.motion, r.dt) for r in parts.confirm]
     progress("confirmation and gain")
     findings = _confirm(data, search, parts, loads, seed)
