@@ -29,6 +29,8 @@ TWIN_SHARE = 0.95
 """Share of what the best cause takes off from which another one is indistinguishable from it here."""
 MAX_ROUNDS = 4  # causes at one joint; each takes off at least 3 %
 _ITERATIONS, _TRY_ITERATIONS = 15, 6  # of a fit, and from a solution of all but the new numbers
+WHITE_LAGS = 20  # samples over which residuals are compared
+_CHANCE = 4.0  # standard errors of an autocorrelation
 MAX_STEP_SHARE = 0.25
 """Share of a cause's number that may change with half the step: an error of the step, of first or second order, changes by
 half or more."""
@@ -67,31 +69,30 @@ class LoopSearch:
         unknowns: Those of the extended model.
         fit: Their fit.
         taken: Cause and joint -> score, and causes that explain the same here.
-        first: Every cause as tried beside the baseline alone.
     """
 
     unknowns: LoopUnknowns
     fit: LoopFit
     taken: Mapping[tuple[str, int], tuple[float, tuple[str, ...]]]
-    first: Mapping[str, TriedCause]
 
 
 def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]) -> LoopSearch:
     """Return the model extended by what explains the residual of a baseline's fit."""
     u, fit = data.unknowns, base
     taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]] = {}
-    first: dict[str, TriedCause] = {}
     refused: set[tuple[str, int]] = set()
     for turn in range(MAX_ROUNDS):
+        coloured = _find_coloured(data, u, fit)
+        if not coloured.any():
+            break
         tried = {}
         for cause in LOOP_CAUSES:
             progress(f"round {turn + 1}: {cause.replace('_', ' ')}")
             row = _try(data, u, fit, cause)
             if row is not None:
                 tried[cause] = row
-        first = first or tried
         chosen, starts = [], {}
-        for j in range(len(data.law.joints)):
+        for j in np.flatnonzero(coloured):
             rows = {
                 c: row
                 for c, row in tried.items()
@@ -101,6 +102,7 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
                 continue
             best = max(rows, key=lambda c: rows[c].share[j])
             twins = [c for c in rows if c != best and rows[c].share[j] > TWIN_SHARE * rows[best].share[j]]
+            j = int(j)
             chosen.append((best, j))
             starts[best] = rows[best].start
             taken[best, j] = (float(rows[best].score[j]), tuple(twins))
@@ -110,7 +112,7 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
         fit = fit_precisely(data, u, progress, fit.step)
         u, fit, dropped = _drop_superfluous(data, u, fit, taken, progress)
         refused |= dropped
-    return LoopSearch(u, fit, taken, first)
+    return LoopSearch(u, fit, taken)
 
 
 def check_steps(
@@ -154,6 +156,18 @@ def _take_out(
     progress(f"without {cause.replace('_', ' ')}")
     left = replace(u, values=values, free=free)
     return left, fit_precisely(data, left, progress, fit.step)
+
+
+def _find_coloured(data: LoopData, u: LoopUnknowns, fit: LoopFit) -> np.ndarray:
+    """Return at which joints (na,) residuals a few samples apart are alike by the share that a cause takes off at least.
+
+    What a cause moves is smooth or swings, so that a white residual holds none of it.
+    """
+    problem = data.build_problem(u).with_step(fit.step)
+    r = problem.residuals(fit.x[:, None])[:, :, 0]
+    power = (r**2).sum(axis=(0, 2))
+    alike = [np.abs((r[lag:] * r[:-lag]).sum(axis=(0, 2))) / power for lag in range(1, WHITE_LAGS + 1)]
+    return np.max(alike, axis=0) > max(MIN_SHARE, _CHANCE / np.sqrt(problem.count))
 
 
 def fit_precisely(data: LoopData, u: LoopUnknowns, progress: Callable[[str], None], step: float) -> LoopFit:
@@ -277,5 +291,6 @@ def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:
         size = float(np.linalg.norm(own - rest @ np.linalg.lstsq(rest, own, rcond=1e-8)[0]))
         if size > 1e-6 * float(np.linalg.norm(own)):
             worth = count_worth(residual[:, j], problem.used)
-            limits[j] = (MIN_SCORE + POWER_Z) * base.sigma[j] * np.sqrt(worth) / size
+            least = MIN_CHANGE * abs(float(data.law.values[entry][j]))
+            limits[j] = max(least, (MIN_SCORE + POWER_Z) * base.sigma[j] * np.sqrt(worth) / size)
     return limits

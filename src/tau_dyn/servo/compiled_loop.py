@@ -7,15 +7,12 @@ The source is C99, built once and kept (`codegen/compiler.py`). Where there is n
 from __future__ import annotations
 
 import ctypes
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tau_dyn.codegen import LibraryCache, is_compiling_allowed
+from tau_dyn.servo.waves import Trials, Waves
 from tau_dyn.simulate import SERVO_ENTRIES
-
-if TYPE_CHECKING:
-    from tau_dyn.servo.loop import Trials, Waves
 
 NAMES = (*SERVO_ENTRIES, "armature", "coulomb", "viscous", "offset")
 """Numbers of a joint in the order in which the kernel takes them."""

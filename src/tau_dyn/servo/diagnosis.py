@@ -20,7 +20,7 @@ from tau_dyn.identify import MAX_HELD_OUT_RATIO, describe_foreign_joints
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
-from tau_dyn.servo.cause_search import MIN_SHARE, LoopSearch, check_steps, compute_limits, fit_precisely, search_causes
+from tau_dyn.servo.cause_search import LoopSearch, check_steps, compute_limits, fit_precisely, search_causes
 from tau_dyn.servo.data import LoopData
 from tau_dyn.servo.diagnosis_result import LoopDiagnosis, LoopFinding, LoopLimit
 from tau_dyn.servo.doubts import list_loop_warnings
@@ -111,7 +111,7 @@ def diagnose_loop(
         floor,
     )
     progress("detection limits")
-    limits, untestable = _list_limits(data, base, search, findings)
+    limits, untestable = _list_limits(data, base, findings)
     warnings = [*given.warnings, *describe_foreign_joints(foreign)]
     held = [] if parts.same_logs else parts.confirm
     warnings += list_loop_warnings(law, parts.train, held, [*given.train, *given.held], data, base)
@@ -260,26 +260,24 @@ def _recommend(
 
 
 def _list_limits(
-    data: LoopData, base: LoopFit, search: LoopSearch, findings: Sequence[LoopFinding]
+    data: LoopData, base: LoopFit, findings: Sequence[LoopFinding]
 ) -> tuple[tuple[LoopLimit, ...], tuple[dict[str, str], ...]]:
     """Return what would have been found of the causes that were not, and what these logs cannot show."""
     limits, untestable = [], []
-    for cause in search.first:
-        if any(f.cause == cause for f in findings):
-            continue
-        entry, row = LOOP_CAUSES[cause].entries[0], search.first[cause]
-        amplitudes = compute_limits(data, base, cause)
-        shown = {
-            joint: float(x)
-            for joint, x in zip(data.law.joints, amplitudes, strict=True)
-            if x < min(HIGHEST.get(entry, np.inf), 1e6)
-        }
-        absorbed = cause in ("gain_error", "back_emf") and bool(np.all((row.score < 1.0) & (row.share < MIN_SHARE)))
-        if shown and not absorbed:
+    for cause, row in LOOP_CAUSES.items():
+        entry = row.entries[0]
+        free = data.unknowns.kinds.index(entry) if entry in data.unknowns.kinds else -1
+        if any(f.cause == cause for f in findings) or (free >= 0 and data.unknowns.free[free].any()):
+            continue  # found, or a number that the baseline estimates
+        known = data.law.values[entry]
+        most = np.where(known > 0, known, HIGHEST.get(entry, np.inf))
+        amplitudes = zip(data.law.joints, compute_limits(data, base, cause), most, strict=True)
+        shown = {joint: float(x) for joint, x, high in amplitudes if np.isfinite(x) and x < high}
+        if shown:
             limits.append(LoopLimit(cause, get_unit(entry), shown))
         else:
-            why = "masses and friction of the refit absorb it in these logs"
-            untestable.append({"cause": cause, "why": why, "experiment": LOOP_CAUSES[cause].reveals})
+            why = "these logs hardly move with it beside the masses and friction of the refit"
+            untestable.append({"cause": cause, "why": why, "experiment": row.reveals})
     return tuple(limits), tuple(untestable)
 
 

@@ -22,8 +22,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.log import lowpass
-from tau_dyn.servo.loop import FINE_STEP_S, Trials, Waves, simulate_loops
+from tau_dyn.servo.loop import FINE_STEP_S, simulate_loops
 from tau_dyn.servo.records import MOTION_HZ, InertialSpace, LoadWaves, LoopRecord
+from tau_dyn.servo.waves import Trials, Waves
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
 
 JOINT_UNITS = {"armature": "kg m^2", "coulomb": "N m", "viscous": "N m s/rad", "offset": "N m"}

@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.servo.loop import FINE_STEP_S, Trials, simulate_loops
+from tau_dyn.servo.loop import FINE_STEP_S, simulate_loops
 from tau_dyn.servo.records import InertialSpace, LoadWaves, LoopRecord, build_waves, compute_load_waves, smooth_motion
+from tau_dyn.servo.waves import Trials
 from tau_dyn.simulate import ServoLaw
 
 MAX_SWEEPS = 8

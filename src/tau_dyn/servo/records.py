@@ -18,7 +18,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log, differentiate, lowpass
 from tau_dyn.model import Model
 from tau_dyn.robot import BODY_STDERR
-from tau_dyn.servo.loop import Waves
+from tau_dyn.servo.waves import Waves
 from tau_dyn.simulate import ServoLaw
 
 MOTION_HZ = 12.0
