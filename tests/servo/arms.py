@@ -16,10 +16,10 @@ _JOINT = """<joint name="{name}" type="revolute"><parent link="{parent}"/><child
 <actuator name="{name}_m"/></transmission>"""
 
 
-def build_arm(n: int = 2):
-    """Return an arm of n links in a vertical plane, lengths 0.12 m, masses 0.15 kg."""
+def build_arm(n: int = 2, mass: float = 0.15):
+    """Return an arm of n links in a vertical plane, lengths 0.12 m, of one mass [kg]."""
     names = [f"j{k + 1}" for k in range(n)]
-    links = [_LINK.format(name=j, x=0.07, m=0.15, i=2e-4) for j in names]
+    links = [_LINK.format(name=j, x=0.07, m=mass, i=2e-4) for j in names]
     parents = ["base_link", *(f"{j}_link" for j in names[:-1])]
     joints = [
         _JOINT.format(name=j, parent=p, at=0 if k == 0 else 0.12)
