@@ -16,7 +16,7 @@ import numpy as np
 
 from tau_dyn.effects import LOOP_CAUSES
 from tau_dyn.servo.by_gain import extend_unknowns, read_kind
-from tau_dyn.servo.data import LoopData
+from tau_dyn.servo.data import LoopData, fit_precisely
 from tau_dyn.servo.fit import LoopFit, LoopUnknowns, count_worth, fit_loop
 
 MIN_SCORE = 5.0
@@ -28,7 +28,7 @@ MIN_SHARE = 0.03
 TWIN_SHARE = 0.95
 """Share of what the best cause takes off from which another one is indistinguishable from it here."""
 MAX_ROUNDS = 4  # causes at one joint; each takes off at least 3 %
-_ITERATIONS, _TRY_ITERATIONS = 15, 6  # of a fit, and from a solution of all but the new numbers
+_TRY_ITERATIONS = 6  # from a solution of all but the new numbers
 WHITE_LAGS = 20  # samples over which residuals are compared
 _CHANCE = 4.0  # standard errors of an autocorrelation
 MAX_STEP_SHARE = 0.25
@@ -109,7 +109,7 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
         if not chosen:
             break
         u = free_causes(data, u, fit, chosen, starts)
-        fit = fit_precisely(data, u, progress, fit.step)
+        fit = fit_precisely(data.build_problem(u), progress, fit.step)
         u, fit, dropped = _drop_superfluous(data, u, fit, taken, progress)
         refused |= dropped
     return LoopSearch(u, fit, taken)
@@ -155,7 +155,7 @@ def _take_out(
         free[u.kinds.index(entry), j] = False
     progress(f"without {cause.replace('_', ' ')}")
     left = replace(u, values=values, free=free)
-    return left, fit_precisely(data, left, progress, fit.step)
+    return left, fit_precisely(data.build_problem(left), progress, fit.step)
 
 
 def _find_coloured(data: LoopData, u: LoopUnknowns, fit: LoopFit) -> np.ndarray:
@@ -167,14 +167,12 @@ def _find_coloured(data: LoopData, u: LoopUnknowns, fit: LoopFit) -> np.ndarray:
     r = problem.residuals(fit.x[:, None])[:, :, 0]
     power = (r**2).sum(axis=(0, 2))
     alike = [np.abs((r[lag:] * r[:-lag]).sum(axis=(0, 2))) / power for lag in range(1, WHITE_LAGS + 1)]
-    return np.max(alike, axis=0) > max(MIN_SHARE, _CHANCE / np.sqrt(problem.count))
+    return np.max(alike, axis=0) > compute_share_wanted(problem.count)
 
 
-def fit_precisely(data: LoopData, u: LoopUnknowns, progress: Callable[[str], None], step: float) -> LoopFit:
-    """Return a fit whose last part takes small differences."""
-    problem = data.build_problem(u)
-    near = fit_loop(problem, progress, _ITERATIONS, step)
-    return fit_loop(problem.with_finer_differences(), progress, _ITERATIONS, step, near.x)
+def compute_share_wanted(samples: int) -> float:
+    """Return the share of a joint's residual variance from which a cause is looked for; in short logs chance makes as much."""
+    return min(max(MIN_SHARE, _CHANCE / np.sqrt(samples)), 0.5)
 
 
 def _try(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> TriedCause | None:
@@ -268,7 +266,7 @@ def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:
     """Return the number (na,) that a cause must have at each joint to be found; infinite where these logs never show it.
 
     Its standard error beside the baseline's unknowns, of the sensitivities at its smallest start, with residuals as coloured
-    as the baseline's; times the threshold and what a power of 95 % asks for.
+    as the baseline's; times the threshold and what a power of 95 % asks for, and enough to colour the residual.
     """
     na = len(data.law.joints)
     start = list_starts(data, data.unknowns, base, cause)[-1 if cause == "joint_compliance" else 0]
@@ -291,6 +289,9 @@ def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:
         size = float(np.linalg.norm(own - rest @ np.linalg.lstsq(rest, own, rcond=1e-8)[0]))
         if size > 1e-6 * float(np.linalg.norm(own)):
             worth = count_worth(residual[:, j], problem.used)
+            spread = base.sigma[j] * np.sqrt(worth) / size
+            share = compute_share_wanted(problem.count)
+            seen = base.sigma[j] * np.sqrt(share / (1 - share) * problem.count) / size
             least = MIN_CHANGE * abs(float(data.law.values[entry][j]))
-            limits[j] = max(least, (MIN_SCORE + POWER_Z) * base.sigma[j] * np.sqrt(worth) / size)
+            limits[j] = max(least, max(seen, MIN_SCORE * spread) + POWER_Z * spread)
     return limits

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from tau_dyn.model import Model
-from tau_dyn.servo.fit import LoopProblem, LoopUnknowns
+from tau_dyn.servo.fit import LoopFit, LoopProblem, LoopUnknowns, fit_loop
 from tau_dyn.servo.records import InertialSpace, LoadWaves, LoopRecord, build_waves, split_pieces
 from tau_dyn.simulate import ServoLaw
 
@@ -42,3 +42,9 @@ class LoopData:
         if not self.whole:
             records, loads = split_pieces(records, loads)
         return LoopProblem(unknowns or self.unknowns, build_waves(self.space, records, loads, self.law), records)
+
+
+def fit_precisely(problem: LoopProblem, progress: Callable[[str], None], step: float) -> LoopFit:
+    """Return a fit with a given longest step [s] whose last part takes small differences."""
+    near = fit_loop(problem, progress, step=step)
+    return fit_loop(problem.with_finer_differences(), progress, step=step, first=near.x)

@@ -20,8 +20,8 @@ from tau_dyn.identify import MAX_HELD_OUT_RATIO, describe_foreign_joints
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
-from tau_dyn.servo.cause_search import LoopSearch, check_steps, compute_limits, fit_precisely, search_causes
-from tau_dyn.servo.data import LoopData
+from tau_dyn.servo.cause_search import LoopSearch, check_steps, compute_limits, search_causes
+from tau_dyn.servo.data import LoopData, fit_precisely
 from tau_dyn.servo.diagnosis_result import LoopDiagnosis, LoopFinding, LoopLimit
 from tau_dyn.servo.doubts import list_loop_warnings
 from tau_dyn.servo.fit import HIGHEST, LoopFit, LoopProblem, LoopUnknowns, get_unit
@@ -29,12 +29,11 @@ from tau_dyn.servo.identification import fill_model
 from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
 from tau_dyn.servo.records import LoadWaves, LoopRecord, build_waves, compute_load_waves
 from tau_dyn.servo.residual_structure import compute_noise_floor, find_structure
+from tau_dyn.servo.waves import SPRING_STEP_S
 from tau_dyn.simulate import SERVO_ENTRIES
 
 BASELINE = ("armature", "coulomb", "viscous", "offset")
 """What the simulation has already, and is refitted."""
-STEP_S = 2e-3
-"""Longest step of the search's loops [s], half of it for what is told of them: resonances to 80 Hz are exact."""
 CONFIRMED = 2.6
 """Score on held-out data from which an effect is confirmed: one in 200 by chance."""
 BLOCK_S = 4.0  # of the split into training, confirmation and gain
@@ -86,7 +85,7 @@ def diagnose_loop(
     data = prepare_loop(given.model, law, parts.train, given.own, given.friction, progress)
     data = replace(data, unknowns=_drop_kinds(data), whole=True)
     progress("baseline")
-    base = fit_precisely(data, data.unknowns, progress, STEP_S)
+    base = fit_precisely(data.build_problem(), progress, SPRING_STEP_S)
     base, search = check_steps(data, base, search_causes(data, base, progress), progress)
     loads = data.loads if parts.same_logs else [compute_load_waves(data.space, *r.motion, r.dt) for r in parts.confirm]
     progress("confirmation and gain")

@@ -20,13 +20,14 @@ from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import NOMINAL_MASS_STDERR, Robot
 from tau_dyn.servo.by_gain import compare_gains
-from tau_dyn.servo.data import LoopData
+from tau_dyn.servo.data import LoopData, fit_precisely
 from tau_dyn.servo.doubts import list_loop_warnings
-from tau_dyn.servo.fit import JOINT_UNITS, LoopFit, fit_loop, get_unit
+from tau_dyn.servo.fit import JOINT_UNITS, LoopFit, LoopProblem, fit_loop, get_unit
 from tau_dyn.servo.prediction import predict_positions
 from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
 from tau_dyn.servo.records import LoadWaves, LoopRecord, mask_unused
 from tau_dyn.servo.result import LoopIdentification, LoopParameter, build_position_errors
+from tau_dyn.servo.waves import SPRING_STEP_S
 from tau_dyn.simulate import SERVO_ENTRIES
 
 TRAIN_SHARE = 0.7
@@ -51,7 +52,7 @@ def identify_loop(
     progress, kept, others, law = given.progress, given.kept, given.others, given.law
     data = prepare_loop(given.model, law, kept, given.own, given.friction, progress)
     if others:
-        fit = fit_loop(data.build_problem(), progress)
+        fit = _fit(data, data.build_problem(), progress)
         progress("held-out errors")
         predicted = predict(data, fit, others)
         errors, how = (
@@ -76,6 +77,10 @@ def identify_loop(
     )  # fmt: skip
 
 
+def _fit(data: LoopData, problem: LoopProblem, progress: Callable[[str], None]) -> LoopFit:
+    return fit_precisely(problem, progress, SPRING_STEP_S) if data.whole else fit_loop(problem, progress)
+
+
 def predict(
     data: LoopData, fit: LoopFit, records: Sequence[LoopRecord], loads: Sequence[LoadWaves] | None = None
 ) -> list[np.ndarray]:
@@ -92,11 +97,11 @@ def _judge_last_part(data: LoopData, progress: Callable[[str], None]):  # noqa: 
         early = np.arange(len(r.t)) < TRAIN_SHARE * len(r.t)
         first.append(mask_unused(r, ~early))
         last.append(mask_unused(r, early))
-    part = fit_loop(data.build_problem(records=first), progress)
+    part = _fit(data, data.build_problem(records=first), progress)
     predicted = predict(data, part, last)
     errors = build_position_errors(data.law.joints, last, predicted)
     again = replace(data.unknowns, values=data.unknowns.with_values(part.x))
-    fit = fit_loop(data.build_problem(again), progress)
+    fit = _fit(data, data.build_problem(again), progress)
     return fit, errors, [(r, p, True) for r, p in zip(last, predicted, strict=True)]
 
 

@@ -10,6 +10,9 @@ import numpy as np
 MAX_STEP_S = 0.0105
 """Longest step of the loop [s]: a seventh of the time constant of a hobby servo; it moves positions by some 0.4 mrad."""
 
+SPRING_STEP_S = 2e-3
+"""Longest step where a spring may be [s]: resonances to 80 Hz are exact. A diagnosis tells what half of it confirms."""
+
 
 @dataclass(frozen=True, eq=False)
 class Waves:
