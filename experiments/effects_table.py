@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tau_dyn.effects import EFFECTS, Effect, Scene, spell_unit
+from tau_dyn.effects import EFFECTS, LOOP_CAUSES, Effect, Scene, spell_unit
 from tau_dyn.files import write_whole
+from tau_dyn.simulate import SERVO_ENTRIES
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "causes.md"
 
@@ -27,6 +28,13 @@ what the encoder reads beyond the load. Units are those of a slide; a hinge has 
 This page is written by `experiments/effects_table.py`.
 
 """
+LOOP_INTRODUCTION = """
+## In a servo's loop
+
+From commands and positions alone; numbers are entries of the servo's law, whose file says what they are.
+
+"""
+LOOP_COLUMNS = ("cause", "equation", "parameters", "what reveals it", "mistaken for")
 COLUMNS = ("cause", "equation", "parameters", "settings", "range", "what reveals it", "mistaken for", "reference")
 
 
@@ -34,7 +42,13 @@ def page() -> str:
     """Return the page."""
     rows = [_row(cls) for cls in EFFECTS.values() if cls.cause]
     lines = [_line(COLUMNS), _line(("---",) * len(COLUMNS)), *map(_line, rows)]
-    return INTRODUCTION + "\n".join(lines) + "\n"
+    loops = [
+        (f"`{name}`", f"`{c.equation}`", ", ".join(f"`{e}` [{SERVO_ENTRIES[e].unit}]" for e in c.entries), c.reveals,
+         ", ".join(c.mistaken_for))
+        for name, c in LOOP_CAUSES.items()
+    ]  # fmt: skip
+    more = [_line(LOOP_COLUMNS), _line(("---",) * len(LOOP_COLUMNS)), *map(_line, loops)]
+    return INTRODUCTION + "\n".join(lines) + "\n" + LOOP_INTRODUCTION + "\n".join(more) + "\n"
 
 
 def _row(cls: type[Effect]) -> tuple[str, ...]:

@@ -1,9 +1,9 @@
+from .by_measurement import diagnose as diagnose, identify as identify
 from .calibrate import calibrate as calibrate
 from .control import Feedforward as Feedforward
-from .diagnose import diagnose as diagnose
 from .effects import list_causes as list_causes
 from .exceptions import CannotAnswer as CannotAnswer, InputError as InputError, TauDynError as TauDynError
-from .identify import Choices as Choices, build_regression as build_regression, identify as identify
+from .identify import Choices as Choices, build_regression as build_regression
 from .log import Log as Log, check_log as check_log, read_log as read_log
 from .mechanism import (
     build_mechanism as build_mechanism,

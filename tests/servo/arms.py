@@ -16,10 +16,10 @@ _JOINT = """<joint name="{name}" type="revolute"><parent link="{parent}"/><child
 <actuator name="{name}_m"/></transmission>"""
 
 
-def build_arm(n: int = 2):
-    """Return an arm of n links in a vertical plane, lengths 0.12 m, masses 0.15 kg."""
+def build_arm(n: int = 2, mass: float = 0.15):
+    """Return an arm of n links in a vertical plane, lengths 0.12 m, of one mass [kg]."""
     names = [f"j{k + 1}" for k in range(n)]
-    links = [_LINK.format(name=j, x=0.07, m=0.15, i=2e-4) for j in names]
+    links = [_LINK.format(name=j, x=0.07, m=mass, i=2e-4) for j in names]
     parents = ["base_link", *(f"{j}_link" for j in names[:-1])]
     joints = [
         _JOINT.format(name=j, parent=p, at=0 if k == 0 else 0.12)
@@ -28,6 +28,14 @@ def build_arm(n: int = 2):
     return load_robot_from_urdf(
         f'<robot name="arm"><link name="base_link"/>{"".join(links + joints)}</robot>', "arm.urdf"
     )
+
+
+def build_link(inertia: float):
+    """Return one link of 1 kg that swings about a vertical axis, with an inertia about it [kg m^2]."""
+    own = inertia - 0.1**2
+    link = _LINK.format(name="j1", x=0.1, m=1.0, i=own)
+    joint = _JOINT.format(name="j1", parent="base_link", at=0).replace('xyz="0 1 0"', 'xyz="0 0 1"')
+    return load_robot_from_urdf(f'<robot name="joint"><link name="base_link"/>{link}{joint}</robot>', "joint.urdf")
 
 
 def build_law(robot, gain: float = 2.65, **entries) -> ServoLaw:

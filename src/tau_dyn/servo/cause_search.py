@@ -16,7 +16,7 @@ import numpy as np
 
 from tau_dyn.effects import LOOP_CAUSES
 from tau_dyn.servo.by_gain import extend_unknowns, read_kind
-from tau_dyn.servo.data import LoopData
+from tau_dyn.servo.data import LoopData, fit_precisely
 from tau_dyn.servo.fit import LoopFit, LoopUnknowns, count_worth, fit_loop
 
 MIN_SCORE = 5.0
@@ -28,7 +28,12 @@ MIN_SHARE = 0.03
 TWIN_SHARE = 0.95
 """Share of what the best cause takes off from which another one is indistinguishable from it here."""
 MAX_ROUNDS = 4  # causes at one joint; each takes off at least 3 %
-_ITERATIONS, _TRY_ITERATIONS = 10, 6  # from a solution of all but the new numbers
+_TRY_ITERATIONS = 6  # from a solution of all but the new numbers
+WHITE_LAGS = 20  # samples over which residuals are compared
+_CHANCE = 4.0  # standard errors of an autocorrelation
+MAX_STEP_SHARE = 0.25
+"""Share of a cause's number that may change with half the step: an error of the step, of first or second order, changes by
+half or more."""
 POWER_Z = 1.645
 """Standard errors above the threshold that a number must have to be found in 95 of 100 logs."""
 _FIRST = {"command_delay": 0.01, "torque_delay": 0.005, "dead_band": 0.006, "load_friction": 0.15, "supply_sag": 0.15,
@@ -64,31 +69,30 @@ class LoopSearch:
         unknowns: Those of the extended model.
         fit: Their fit.
         taken: Cause and joint -> score, and causes that explain the same here.
-        first: Every cause as tried beside the baseline alone.
     """
 
     unknowns: LoopUnknowns
     fit: LoopFit
     taken: Mapping[tuple[str, int], tuple[float, tuple[str, ...]]]
-    first: Mapping[str, TriedCause]
 
 
 def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]) -> LoopSearch:
     """Return the model extended by what explains the residual of a baseline's fit."""
     u, fit = data.unknowns, base
     taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]] = {}
-    first: dict[str, TriedCause] = {}
     refused: set[tuple[str, int]] = set()
     for turn in range(MAX_ROUNDS):
+        coloured = _find_coloured(data, u, fit)
+        if not coloured.any():
+            break
         tried = {}
         for cause in LOOP_CAUSES:
             progress(f"round {turn + 1}: {cause.replace('_', ' ')}")
             row = _try(data, u, fit, cause)
             if row is not None:
                 tried[cause] = row
-        first = first or tried
         chosen, starts = [], {}
-        for j in range(len(data.law.joints)):
+        for j in np.flatnonzero(coloured):
             rows = {
                 c: row
                 for c, row in tried.items()
@@ -98,16 +102,76 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
                 continue
             best = max(rows, key=lambda c: rows[c].share[j])
             twins = [c for c in rows if c != best and rows[c].share[j] > TWIN_SHARE * rows[best].share[j]]
+            j = int(j)
             chosen.append((best, j))
             starts[best] = rows[best].start
             taken[best, j] = (float(rows[best].score[j]), tuple(twins))
         if not chosen:
             break
         u = free_causes(data, u, fit, chosen, starts)
-        fit = fit_loop(data.build_problem(u), progress, _ITERATIONS, fit.step)
+        fit = fit_precisely(data.build_problem(u), progress)
         u, fit, dropped = _drop_superfluous(data, u, fit, taken, progress)
         refused |= dropped
-    return LoopSearch(u, fit, taken, first)
+    return LoopSearch(u, fit, taken)
+
+
+def check_steps(
+    data: LoopData, base: LoopFit, search: LoopSearch, progress: Callable[[str], None]
+) -> tuple[LoopFit, LoopSearch]:
+    """Return baseline and extended model fitted again with half the step, without causes that stand for the step's own error.
+
+    What stands for it shrinks with the step; a cause keeps its number.
+    """
+    data = replace(data, step=0.5 * min(base.step, max(r.dt for r in data.records)))
+    fine = _refit(data, data.unknowns, base, progress)
+    if not search.taken:
+        return fine, replace(search, unknowns=data.unknowns, fit=fine)
+    u, again, taken = search.unknowns, _refit(data, search.unknowns, search.fit, progress), dict(search.taken)
+    for cause, j in search.taken:
+        entry = LOOP_CAUSES[cause].entries[0]
+        null = data.law.values[entry][j]
+        coarse, finer = (float(read_kind(u, one, entry)[0][j] - null) for one in (search.fit, again))
+        if abs(finer - coarse) > MAX_STEP_SHARE * abs(coarse):
+            u, again = _take_out(data, u, again, cause, j, progress)
+            del taken[cause, j]
+    u, again, _ = _drop_superfluous(data, u, again, taken, progress)
+    return fine, replace(search, unknowns=u, fit=again, taken=taken)
+
+
+def _refit(data: LoopData, u: LoopUnknowns, fit: LoopFit, progress: Callable[[str], None]) -> LoopFit:
+    fine = fit_loop(data.build_problem(u).with_finer_differences(), progress, _TRY_ITERATIONS, fit.x)
+    shift = (fine.x - fit.x) * (np.diag(fine.covariance) > 0)  # halving again moves it by as much at most
+    return replace(fine, covariance=fine.covariance + np.outer(shift, shift))
+
+
+def _take_out(
+    data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str, j: int, progress: Callable[[str], None]
+) -> tuple[LoopUnknowns, LoopFit]:
+    """Return unknowns and fit without a cause at a joint."""
+    values, free = {key: np.array(x) for key, x in u.with_values(fit.x).items()}, np.array(u.free)
+    for entry in LOOP_CAUSES[cause].entries:
+        values[entry][j] = data.law.values[entry][j]
+        free[u.kinds.index(entry), j] = False
+    progress(f"without {cause.replace('_', ' ')}")
+    left = replace(u, values=values, free=free)
+    return left, fit_precisely(data.build_problem(left), progress)
+
+
+def _find_coloured(data: LoopData, u: LoopUnknowns, fit: LoopFit) -> np.ndarray:
+    """Return at which joints (na,) residuals a few samples apart are alike by the share that a cause takes off at least.
+
+    What a cause moves is smooth or swings, so that a white residual holds none of it.
+    """
+    problem = data.build_problem(u)
+    r = problem.residuals(fit.x[:, None])[:, :, 0]
+    power = (r**2).sum(axis=(0, 2))
+    alike = [np.abs((r[lag:] * r[:-lag]).sum(axis=(0, 2))) / power for lag in range(1, WHITE_LAGS + 1)]
+    return np.max(alike, axis=0) > compute_share_wanted(problem.count)
+
+
+def compute_share_wanted(samples: int) -> float:
+    """Return the share of a joint's residual variance from which a cause is looked for; in short logs chance makes as much."""
+    return min(max(MIN_SHARE, _CHANCE / np.sqrt(samples)), 0.5)
 
 
 def _try(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> TriedCause | None:
@@ -120,7 +184,7 @@ def _try(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> TriedCaus
     starts, found = list_starts(data, u, fit, cause), []
     for start in starts:
         wide = free_causes(data, u, fit, places, {cause: start})
-        found.append((wide, fit_loop(data.build_problem(wide), max_iterations=_TRY_ITERATIONS, step=fit.step), start))
+        found.append((wide, fit_loop(data.build_problem(wide), max_iterations=_TRY_ITERATIONS), start))
     best = np.argmin([one.sigma for _, one, _ in found], axis=0)
     start = {key: np.array([starts[k][key][j] for j, k in enumerate(best)]) for key in starts[0]}
     score, share = np.zeros((2, na))
@@ -194,30 +258,24 @@ def _drop_superfluous(
         _, cause, j = min(weak)
         del taken[cause, j]
         dropped.add((cause, j))
-        values, free = {key: np.array(x) for key, x in u.with_values(fit.x).items()}, np.array(u.free)
-        for entry in LOOP_CAUSES[cause].entries:
-            values[entry][j] = data.law.values[entry][j]
-            free[u.kinds.index(entry), j] = False
-        u = replace(u, values=values, free=free)
-        progress(f"without {cause.replace('_', ' ')}")
-        fit = fit_loop(data.build_problem(u), progress, _ITERATIONS, fit.step)
+        u, fit = _take_out(data, u, fit, cause, j, progress)
 
 
 def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:
     """Return the number (na,) that a cause must have at each joint to be found; infinite where these logs never show it.
 
     Its standard error beside the baseline's unknowns, of the sensitivities at its smallest start, with residuals as coloured
-    as the baseline's; times the threshold and what a power of 95 % asks for.
+    as the baseline's; times the threshold and what a power of 95 % asks for, and enough to colour the residual.
     """
     na = len(data.law.joints)
     start = list_starts(data, data.unknowns, base, cause)[-1 if cause == "joint_compliance" else 0]
     entry = LOOP_CAUSES[cause].entries[0]
     wide = free_causes(data, data.unknowns, base, [(cause, j) for j in range(na)], {cause: start})
-    problem = data.build_problem(wide).with_step(base.step)
+    problem = data.build_problem(wide)
     x = wide.pack()
     x[wide.n - data.space.n_unknowns :] = base.x[data.unknowns.n - data.space.n_unknowns :]
     _, sensitivities, owners = problem.differentiate(x)
-    residual = data.build_problem().with_step(base.step).residuals(base.x[:, None])[:, :, 0]
+    residual = data.build_problem().residuals(base.x[:, None])[:, :, 0]
     where = np.full(wide.free.shape, -1)
     where[wide.free] = np.arange(int(wide.free.sum()))
     limits = np.full(na, np.inf)
@@ -230,5 +288,9 @@ def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:
         size = float(np.linalg.norm(own - rest @ np.linalg.lstsq(rest, own, rcond=1e-8)[0]))
         if size > 1e-6 * float(np.linalg.norm(own)):
             worth = count_worth(residual[:, j], problem.used)
-            limits[j] = (MIN_SCORE + POWER_Z) * base.sigma[j] * np.sqrt(worth) / size
+            spread = base.sigma[j] * np.sqrt(worth) / size
+            share = compute_share_wanted(problem.count)
+            seen = base.sigma[j] * np.sqrt(share / (1 - share) * problem.count) / size
+            least = MIN_CHANGE * abs(float(data.law.values[entry][j]))
+            limits[j] = max(least, max(seen, MIN_SCORE * spread) + POWER_Z * spread)
     return limits

@@ -10,9 +10,9 @@ import numpy as np
 
 from tau_dyn.model import Model
 from tau_dyn.servo.fit import LoopFit, LoopProblem, LoopUnknowns, fit_loop
-from tau_dyn.servo.loop import MAX_STEP_S, Trials
 from tau_dyn.servo.prediction import SimulatedMotion, simulate_coupled
 from tau_dyn.servo.records import InertialSpace, LoadWaves, LoopRecord, build_waves, compute_load_waves, split_pieces
+from tau_dyn.servo.waves import MAX_STEP_S, Trials
 from tau_dyn.simulate import ServoLaw
 
 EXACT_STEP_S = (5e-4, 2.5e-3)
@@ -20,6 +20,8 @@ EXACT_STEP_S = (5e-4, 2.5e-3)
 STEP_PER_ROOT = 0.022
 """Step of exact motions over the root of the residual [s / sqrt(rad)]: steps of 1 ms are off by 0.02 to 0.09 mrad, of h by the
 square of it; a tenth of the residual is little beside it."""
+STEP_RATIO = 4.0
+"""Step of the fits over that of exact motions."""
 MAX_SETTLINGS = 5
 """Fits in turn with loads along the motion that the last one simulates; three are usual."""
 SETTLED = 0.1
@@ -45,6 +47,9 @@ class LoopData:
         loads: Loads along them.
         unknowns: What may change.
         settled: Exact motions at one solution, by which a problem is corrected; None before a first fit.
+        whole: Whether logs are simulated from start to end rather than in pieces: behind a spring no measured position
+            tells the state that a piece would begin with.
+        step: Longest step of the simulated loops [s].
     """
 
     model: Model
@@ -54,17 +59,21 @@ class LoopData:
     loads: Sequence[LoadWaves]
     unknowns: LoopUnknowns
     settled: Settled | None = None
+    whole: bool = False
+    step: float = MAX_STEP_S
 
     def build_problem(
         self, unknowns: LoopUnknowns | None = None, records: Sequence[LoopRecord] | None = None
     ) -> LoopProblem:
-        """Return the fit's problem, logs in pieces, with other unknowns or other masks where they are given."""
+        """Return the fit's problem, with other unknowns or other masks where they are given."""
         records = records or self.records
-        pieces, waves = split_pieces(records, self.loads)
-        problem = LoopProblem(unknowns or self.unknowns, build_waves(self.space, pieces, waves, self.law), pieces)
+        pieces, loads = (records, self.loads) if self.whole else split_pieces(records, self.loads)
+        problem = LoopProblem(unknowns or self.unknowns, build_waves(self.space, pieces, loads, self.law), pieces)
+        problem = problem.with_step(self.step)
         if self.settled is None:
             return problem
-        exact = split_pieces([replace(r, q=m.q) for r, m in zip(records, self.settled.motions, strict=True)], self.loads)[0]
+        exact = [replace(r, q=m.q) for r, m in zip(records, self.settled.motions, strict=True)]
+        exact = exact if self.whole else split_pieces(exact, self.loads)[0]
         return problem.correct([r.q for r in exact], self.settled.trials)
 
     def settle(self, fit: LoopFit) -> LoopData:
@@ -78,23 +87,29 @@ class LoopData:
             for m, r in zip(motions, self.records, strict=True)
         ]
         trials = Trials({key: value[:, None] for key, value in values.items()}, inertial[:, None])
-        return replace(self, loads=loads, settled=Settled(tuple(motions), trials))
+        return replace(
+            self, loads=loads, settled=Settled(tuple(motions), trials), step=min(self.step, STEP_RATIO * step)
+        )
 
 
-def fit_coupled(
-    data: LoopData, progress: Callable[[str], None] = lambda step: None, step: float = MAX_STEP_S
-) -> tuple[LoopData, LoopFit]:
+def fit_coupled(data: LoopData, progress: Callable[[str], None] = lambda step: None) -> tuple[LoopData, LoopFit]:
     """Return the data and the end of a search whose loads and steps are exact where it ends (defect correction).
 
     The first fit takes what joints do to each other along the measured motion, whose accelerations are filtered and noisy.
     Each next one takes it along the motion that the last one simulates, and adds what finer steps change there.
     Reference: Stetter 1978.
     """
-    fit = fit_loop(data.build_problem(), progress, step=step)
+    fit = fit_loop(data.build_problem(), progress)
     for _ in range(MAX_SETTLINGS):
         data = data.settle(fit)
-        before, fit = fit, fit_loop(data.build_problem(), progress, step=step, first=fit.x)
+        before, fit = fit, fit_loop(data.build_problem(), progress, first=fit.x)
         sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
         if np.all(np.abs(fit.x - before.x) <= SETTLED * sigma + 1e-12):
             break
     return data, fit
+
+
+def fit_precisely(problem: LoopProblem, progress: Callable[[str], None]) -> LoopFit:
+    """Return a fit whose last part takes small differences."""
+    near = fit_loop(problem, progress)
+    return fit_loop(problem.with_finer_differences(), progress, first=near.x)

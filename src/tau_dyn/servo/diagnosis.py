@@ -20,21 +20,20 @@ from tau_dyn.identify import MAX_HELD_OUT_RATIO, describe_foreign_joints
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
-from tau_dyn.servo.cause_search import MIN_SHARE, LoopSearch, compute_limits, search_causes
-from tau_dyn.servo.data import LoopData
+from tau_dyn.servo.cause_search import LoopSearch, check_steps, compute_limits, search_causes
+from tau_dyn.servo.data import LoopData, fit_precisely
 from tau_dyn.servo.diagnosis_result import LoopDiagnosis, LoopFinding, LoopLimit
 from tau_dyn.servo.doubts import list_loop_warnings
-from tau_dyn.servo.fit import HIGHEST, LoopFit, LoopProblem, LoopUnknowns, fit_loop, get_unit
+from tau_dyn.servo.fit import HIGHEST, LoopFit, LoopProblem, LoopUnknowns, get_unit
 from tau_dyn.servo.identification import fill_model
 from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
 from tau_dyn.servo.records import LoadWaves, LoopRecord, build_waves, compute_load_waves
 from tau_dyn.servo.residual_structure import compute_noise_floor, find_structure
+from tau_dyn.servo.waves import SPRING_STEP_S
 from tau_dyn.simulate import SERVO_ENTRIES
 
 BASELINE = ("armature", "coulomb", "viscous", "offset")
 """What the simulation has already, and is refitted."""
-STEP_S = 2e-3
-"""Longest step of all simulated loops [s], so that a cause explains no error of the step: resonances to 80 Hz are exact."""
 CONFIRMED = 2.6
 """Score on held-out data from which an effect is confirmed: one in 200 by chance."""
 BLOCK_S = 4.0  # of the split into training, confirmation and gain
@@ -84,10 +83,10 @@ def diagnose_loop(
     law, progress, seed = given.law, given.progress, given.seed
     parts = _split(given.kept, given.others)
     data = prepare_loop(given.model, law, parts.train, given.own, given.friction, progress)
-    data = replace(data, unknowns=_drop_kinds(data))
+    data = replace(data, unknowns=_drop_kinds(data), whole=True, step=SPRING_STEP_S)
     progress("baseline")
-    base = fit_loop(data.build_problem(), progress, step=STEP_S)
-    search = search_causes(data, base, progress)
+    base = fit_precisely(data.build_problem(), progress)
+    base, search = check_steps(data, base, search_causes(data, base, progress), progress)
     loads = data.loads if parts.same_logs else [compute_load_waves(data.space, *r.motion, r.dt) for r in parts.confirm]
     progress("confirmation and gain")
     findings = _confirm(data, search, parts, loads, seed)
@@ -100,7 +99,7 @@ def diagnose_loop(
     interval = _compare(before, after, seed)
     foreign = [] if parts.same_logs else _find_foreign(law.joints, search.fit, after.rms)
     choice, why = _recommend(law.joints, findings, (nominal, before, after), interval, foreign, seed)
-    floor = compute_noise_floor([*given.kept, *given.others])
+    floor = np.minimum(compute_noise_floor([*given.kept, *given.others]), after.rms)  # what is reached is no floor
     train, confirm = (
         _predict(data, search.unknowns, search.fit.x, base.step, records, along)
         for records, along in ((parts.train, data.loads), (parts.confirm, loads))
@@ -111,7 +110,7 @@ def diagnose_loop(
         floor,
     )
     progress("detection limits")
-    limits, untestable = _list_limits(data, base, search, findings)
+    limits, untestable = _list_limits(data, base, findings)
     warnings = [*given.warnings, *describe_foreign_joints(foreign)]
     held = [] if parts.same_logs else parts.confirm
     warnings += list_loop_warnings(law, parts.train, held, [*given.train, *given.held], data, base)
@@ -260,26 +259,24 @@ def _recommend(
 
 
 def _list_limits(
-    data: LoopData, base: LoopFit, search: LoopSearch, findings: Sequence[LoopFinding]
+    data: LoopData, base: LoopFit, findings: Sequence[LoopFinding]
 ) -> tuple[tuple[LoopLimit, ...], tuple[dict[str, str], ...]]:
     """Return what would have been found of the causes that were not, and what these logs cannot show."""
     limits, untestable = [], []
-    for cause in search.first:
-        if any(f.cause == cause for f in findings):
-            continue
-        entry, row = LOOP_CAUSES[cause].entries[0], search.first[cause]
-        amplitudes = compute_limits(data, base, cause)
-        shown = {
-            joint: float(x)
-            for joint, x in zip(data.law.joints, amplitudes, strict=True)
-            if x < min(HIGHEST.get(entry, np.inf), 1e6)
-        }
-        absorbed = cause in ("gain_error", "back_emf") and bool(np.all((row.score < 1.0) & (row.share < MIN_SHARE)))
-        if shown and not absorbed:
+    for cause, row in LOOP_CAUSES.items():
+        entry = row.entries[0]
+        free = data.unknowns.kinds.index(entry) if entry in data.unknowns.kinds else -1
+        if any(f.cause == cause for f in findings) or (free >= 0 and data.unknowns.free[free].any()):
+            continue  # found, or a number that the baseline estimates
+        known = data.law.values[entry]
+        most = np.where(known > 0, known, HIGHEST.get(entry, np.inf))
+        amplitudes = zip(data.law.joints, compute_limits(data, base, cause), most, strict=True)
+        shown = {joint: float(x) for joint, x, high in amplitudes if np.isfinite(x) and x < high}
+        if shown:
             limits.append(LoopLimit(cause, get_unit(entry), shown))
         else:
-            why = "masses and friction of the refit absorb it in these logs"
-            untestable.append({"cause": cause, "why": why, "experiment": LOOP_CAUSES[cause].reveals})
+            why = "these logs hardly move with it beside the masses and friction of the refit"
+            untestable.append({"cause": cause, "why": why, "experiment": row.reveals})
     return tuple(limits), tuple(untestable)
 
 

@@ -22,8 +22,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.log import lowpass
-from tau_dyn.servo.loop import MAX_STEP_S, Trials, Waves, simulate_loops
+from tau_dyn.servo.loop import simulate_loops
 from tau_dyn.servo.records import MOTION_HZ, InertialSpace, LoadWaves, LoopRecord
+from tau_dyn.servo.waves import Trials, Waves
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
 
 JOINT_UNITS = {"armature": "kg m^2", "coulomb": "N m", "viscous": "N m s/rad", "offset": "N m"}
@@ -39,6 +40,9 @@ MAX_DIRECTIONS = 40
 MIN_INFORMATION = 1e-5
 """Information of a direction, with prior knowledge as 1, from which it is estimated."""
 MAX_ITERATIONS = 15  # of Gauss-Newton: fits settle in 4 to 10
+FINE_DIFFERENCES = 0.05
+"""Steps of differences near a solution, over those that friction cannot hide far from one: large ones end a search too soon
+where gains are high and encoders fine."""
 _LAMBDAS = (1e-2, 3e-1, 1e1)  # damping factors that are tried side by side
 MAX_CONTRAST = 2.0
 """Factor within which a log's residual may be weighed other than its joint's usual one: what no model explains in one log
@@ -270,6 +274,13 @@ class LoopProblem:
         self.used = np.stack([np.pad(r.used, (0, n - len(r.t))) for r in records], axis=-1)
         self.blocks = _number_blocks(records, n)
         self.count = np.maximum(self.used.sum(), 1)
+        self.share_of_steps = 1.0
+
+    def with_finer_differences(self) -> LoopProblem:
+        """Return the problem with small steps for its differences, for the last part of a search."""
+        other = copy(self)
+        other.share_of_steps = FINE_DIFFERENCES
+        return other
 
     def with_step(self, step: float) -> LoopProblem:
         """Return the problem with another longest step [s]."""
@@ -314,7 +325,7 @@ class LoopProblem:
         table = [
             np.maximum(np.broadcast_to(small.get(k, 0.0), na), 0.02 * np.abs(values[k])) for k in self.unknowns.kinds
         ]
-        steps = np.array(table).reshape(self.unknowns.free.shape)[self.unknowns.free]
+        steps = self.share_of_steps * np.array(table).reshape(self.unknowns.free.shape)[self.unknowns.free]
         return np.append(np.maximum(steps, 1e-9), np.full(self.unknowns.space.n_unknowns, 0.15))
 
     def differentiate(self, x: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
@@ -370,11 +381,10 @@ def fit_loop(
     problem: LoopProblem,
     progress: Callable[[str], None] = lambda step: None,
     max_iterations: int = MAX_ITERATIONS,
-    step: float = MAX_STEP_S,
     first: np.ndarray | None = None,
 ) -> LoopFit:
-    """Search the unknowns that simulate the logs best, from their start values, or from `first` (n,); `step` is the longest [s]."""
-    problem, u = problem.with_step(step), problem.unknowns
+    """Search the unknowns that simulate the logs best, from their start values or a first vector (n,)."""
+    u = problem.unknowns
     start = u.pack()
     x = u.clip(start if first is None else first)
     precision = np.append(u.prior[u.free] ** -2.0, np.ones(u.space.n_unknowns))

@@ -12,6 +12,8 @@ load at the middle of the step and friction f that holds exactly (a box compleme
     w = (I / h + (d - b) / 2) v + tau - load,   f = clip(w, -F, F),   v+ = (w - f) / (I / h + (d + b) / 2),
     q+ = q + h (v + v+) / 2.
 
+Where v would change its sign, the step is parted at rest, so that a small change of a parameter moves a stop by little.
+
 With a spring between motor (w, its armature B, the friction) and link (v, I), the twist's own motion is taken exactly over
 the step (`solve_spring`) and its centre of mass by the rule above; friction then sees the mobility of the pair. A play opens
 the spring; without compliance its stops are springs that the step resolves, critically damped.
@@ -23,14 +25,12 @@ Reference: Lelarasmee, Ruehli & Sangiovanni-Vincentelli 1982 (waveform relaxatio
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from tau_dyn.servo.compiled_loop import run_compiled
+from tau_dyn.servo.waves import Trials, Waves
 
-MAX_STEP_S = 0.0051
-"""Longest step of the loop [s]: a seventh of the time constant of a hobby servo; it moves positions by some 0.4 mrad."""
 FINE_STEP_S = 0.0026
 """Longest step where the residual is so small that the longer one would show [s]; it moves positions by less than 0.05 mrad."""
 MIN_INERTIA = 1e-6
@@ -38,70 +38,23 @@ MIN_INERTIA = 1e-6
 
 BEND = 0.02
 """Share of the supply below which a bent drive law is straight, so that its slope stays finite."""
-CONTACT_TURN = 0.5
-"""Turn of a stop's own oscillation in a step [rad]: as stiff as a step resolves; 0.1 N m press it in by 0.2 mrad."""
-
-
-@dataclass(frozen=True, eq=False)
-class Waves:
-    """What logs and a robot give a loop, sample by sample; logs of S are padded to the longest of N samples.
-
-    Attributes:
-        dt: Time between samples of each log (S,) [s].
-        start: Positions at the first sample (na, S).
-        speed: Speeds at the first sample (na, S).
-        command: Commands (N, na, S) [rad], each holding until the next.
-        along: Motion that loads were taken along (N, na, S) [rad].
-        load: Torque besides the own inertia (N, na, S) [N m].
-        load_by: The same per unit of each inertial unknown (N, na, K, S).
-        inertia: Own inertia without armature (N, na, S) [kg m^2].
-        inertia_by: The same per unit of each inertial unknown (N, na, K, S).
-        stiffness: Growth of the load with the own position (N, na, S) [N m/rad].
-        supply: Supply over the nominal one (N, S).
-        enabled: 1 where the motor is on (N, S).
-        by_log: Law entries that logs have of their own (na, S).
-        encoder_on_motor: Whether the law uses the motor's position.
-        measured_on_motor: Whether the positions returned, and those of the start, are the motor's.
-        step: Longest step of the loop [s].
-        held: Whether a load holds from its sample to the next, rather than changing evenly.
-    """
-
-    dt: np.ndarray
-    start: np.ndarray
-    speed: np.ndarray
-    command: np.ndarray
-    along: np.ndarray
-    load: np.ndarray
-    load_by: np.ndarray
-    inertia: np.ndarray
-    inertia_by: np.ndarray
-    stiffness: np.ndarray
-    supply: np.ndarray
-    enabled: np.ndarray
-    by_log: Mapping[str, np.ndarray]
-    encoder_on_motor: bool = False
-    measured_on_motor: bool = False
-    step: float = MAX_STEP_S
-    held: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Trials:
-    """Parameter values to simulate, side by side.
-
-    Attributes:
-        values: Law entries and `coulomb`, `viscous`, `armature`, `offset`, by name (na, C).
-        inertial: Inertial unknowns (K, C).
-    """
-
-    values: Mapping[str, np.ndarray]
-    inertial: np.ndarray
+CONTACT_TURN = 3.0
+"""Turn of a stop's own oscillation in a step [rad], critically damped: it settles within two steps."""
 
 
 def simulate_loops(waves: Waves, trials: Trials) -> np.ndarray:
     """Return measured positions (N, na, C, S) [rad] of C trials in S logs, from each log's start."""
+    return _simulate(waves, trials, False)[0]
+
+
+def simulate_motion(waves: Waves, trials: Trials) -> np.ndarray:
+    """Return positions [rad] and speeds [rad/s] (2, N, na, C, S) of C trials in S logs."""
+    return _simulate(waves, trials, True)
+
+
+def _simulate(waves: Waves, trials: Trials, speeds: bool) -> np.ndarray:
     often = max(1, int(np.ceil(waves.dt.max() / waves.step - 1e-9)))
-    found = run_compiled(waves, trials, often, (MIN_INERTIA, BEND, CONTACT_TURN))
+    found = run_compiled(waves, trials, often, (MIN_INERTIA, BEND, CONTACT_TURN), speeds)
     return _simulate_in_numpy(waves, trials, often) if found is None else found
 
 
@@ -117,7 +70,7 @@ def _simulate_in_numpy(waves: Waves, trials: Trials, often: int) -> np.ndarray:
     goal, delayed = _Goal(waves, p, often, h, shape), _Delay(p["torque_delay"] / h, shape)
     q = np.broadcast_to(waves.start[:, None, :], shape).copy()
     v = np.broadcast_to(waves.speed[:, None, :], shape).copy()
-    integral, out = np.zeros(shape), np.empty((n, *shape))
+    integral, out = np.zeros(shape), np.empty((2, n, *shape))
     joint = _Twist(p, h, load[0] + p["offset"]) if np.any(p["joint_compliance"]) or np.any(p["backlash"]) else None
     m, w = q, v
     if joint is not None:
@@ -130,7 +83,7 @@ def _simulate_in_numpy(waves: Waves, trials: Trials, often: int) -> np.ndarray:
     power = p["drive_exponent"]
     switched, finite = not np.all(waves.enabled), bool(np.any(np.isfinite(p["limit"])))
     for k in range(n - 1):
-        out[k] = m if waves.measured_on_motor else q
+        out[:, k] = (m, w) if waves.measured_on_motor else (q, v)
         mass_h = np.maximum(inertia[k] + p["armature"], MIN_INERTIA) / h
         if joint is not None:
             joint.set_inertia(inertia[k])
@@ -176,15 +129,23 @@ def _simulate_in_numpy(waves: Waves, trials: Trials, often: int) -> np.ndarray:
             push = push + (damping - p["viscous"]) * w
             if joint is None:
                 wanted = mass_h * v + push - rest  # what friction acts on
-                after = (wanted - np.minimum(np.maximum(wanted, -friction), friction)) / (mass_h + damping)
-                q = q + half * (v + after)
+                slid = (wanted - np.sign(v) * friction) / (mass_h + damping)
+                rests = slid * v <= 0  # at once, or after a part of the step
+                moving = np.divide(v, v - slid, out=np.zeros(shape), where=rests & (v != 0))
+                friction = friction + np.where(
+                    v != 0, p["stiction"] * (1 - np.exp(-np.abs(v) / p["stiction_speed"])), 0
+                )
+                pushed = wanted - (mass_h - damping) * v
+                free = (1 - moving) * (pushed - np.minimum(np.maximum(pushed, -friction), friction))
+                after = np.where(rests, free / (mass_h + (1 - moving) * damping), slid)
+                q = q + half * np.where(rests, moving * v + (1 - moving) * after, v + after)
                 m = q
                 v = w = after
             else:
                 w_after, v_after = joint.step((m, w, q, v), push, rest, damping, friction, mass_h)
                 m, q = m + half * (w + w_after), q + half * (v + v_after)
                 w, v = w_after, v_after
-    out[n - 1] = m if waves.measured_on_motor else q
+    out[:, n - 1] = (m, w) if waves.measured_on_motor else (q, v)
     return out
 
 

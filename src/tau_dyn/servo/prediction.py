@@ -12,16 +12,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.servo.loop import FINE_STEP_S, Trials, simulate_loops
+from tau_dyn.servo.loop import FINE_STEP_S, simulate_loops, simulate_motion
 from tau_dyn.servo.records import (
     InertialSpace,
     LoopRecord,
     build_waves,
     compute_held_loads,
     compute_load_waves,
-    integrate_speeds,
     refine_record,
 )
+from tau_dyn.servo.waves import Trials
 from tau_dyn.simulate import ServoLaw
 
 MAX_SWEEPS = 20
@@ -81,14 +81,12 @@ def simulate_coupled(
     links: list[np.ndarray] = []
     for _ in range(MAX_SWEEPS):
         waves = replace(build_waves(space, fine, loads, law), step=step)
-        out = simulate_loops(replace(waves, measured_on_motor=False), trial)  # loads are the links'
-        before, links = links, [out[: len(r.t), :, 0, k] for k, r in enumerate(fine)]
+        both = simulate_motion(replace(waves, measured_on_motor=False), trial)  # loads are the links'
+        before, links, speeds = links, *([x[: len(r.t), :, 0, k] for k, r in enumerate(fine)] for x in both)
         if before and _compare(links, before) < SETTLED_RAD:
             break
-        speeds = [integrate_speeds(q, waves.speed[:, k], r.dt) for k, (q, r) in enumerate(zip(links, fine, strict=True))]
         loads = [compute_held_loads(space, *x, r.dt) for *x, r in zip(links, speeds, fine, strict=True)]
-    if waves.measured_on_motor:
-        out = simulate_loops(waves, trial)
+    out = simulate_loops(waves, trial) if waves.measured_on_motor else both[0]
     found = []
     for k, (r, q, v) in enumerate(zip(fine, links, speeds, strict=True)):
         half = np.clip(np.arange(len(q)) + np.array([[-every // 2], [every // 2]]), 0, len(q) - 1)

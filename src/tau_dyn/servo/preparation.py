@@ -26,6 +26,7 @@ from tau_dyn.servo.contact import Contact, find_contacts
 from tau_dyn.servo.data import LoopData
 from tau_dyn.servo.fit import FRICTION, LoopUnknowns, build_unknowns, choose_directions, screen_equation_error
 from tau_dyn.servo.records import InertialSpace, LoopRecord, build_records, compute_load_columns, compute_load_waves
+from tau_dyn.servo.waves import MAX_STEP_S, SPRING_STEP_S
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
 
 ALWAYS = ("armature", "command_delay")
@@ -136,7 +137,11 @@ def prepare_loop(
     screen = screen_equation_error(law, space, records, loads, estimate_gain)
     space = choose_directions(space, records, loads, screen)
     loads = [compute_load_waves(space, *r.motion, r.dt) for r in records]
-    return LoopData(model, law, space, records, loads, _build_unknowns(model, law, space, screen.values, own, friction))
+    unknowns = _build_unknowns(model, law, space, screen.values, own, friction)
+    springy = any(np.any(law.values[k]) or k in law.estimated for k in ("joint_compliance", "backlash"))
+    return LoopData(
+        model, law, space, records, loads, unknowns, whole=springy, step=SPRING_STEP_S if springy else MAX_STEP_S
+    )
 
 
 def _build_unknowns(

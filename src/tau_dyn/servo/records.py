@@ -19,7 +19,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log, differentiate, lowpass
 from tau_dyn.model import Model
 from tau_dyn.robot import BODY_STDERR
-from tau_dyn.servo.loop import Waves
+from tau_dyn.servo.waves import Waves
 from tau_dyn.simulate import ServoLaw
 
 MOTION_HZ = 12.0
@@ -216,12 +216,6 @@ def compute_held_loads(space: InertialSpace, q: np.ndarray, v: np.ndarray, dt: f
     middle = np.append(np.arange(len(rate)), len(rate) - 1)
     motion = ((0.5 * (q[1:] + q[:-1]))[middle], rate[middle], (np.diff(v, axis=0) / dt)[middle])
     return replace(_compute_waves(space, space.basis, motion, dt), along=q, held=True)
-
-
-def integrate_speeds(q: np.ndarray, speed: np.ndarray, dt: float) -> np.ndarray:
-    """Return the speeds (N, na) of positions that a loop stepped by `q+ = q + dt (v + v+) / 2` from a first speed (na,)."""
-    sign = np.where(np.arange(len(q) - 1) % 2, 1.0, -1.0)[:, None]
-    return np.concatenate([speed[None], sign * (speed + 2.0 * np.cumsum(sign * np.diff(q, axis=0) / dt, axis=0))])
 
 
 def _compute_waves(

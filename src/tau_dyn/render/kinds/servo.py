@@ -137,13 +137,19 @@ def present_loop_diagnosis(found: LoopDiagnosis) -> r.Presentation:
         if confirmed
         else f"No cause is confirmed; the simulated loop is {before:.1f} mrad off held-out positions."
     )
-    told = "Held-out data that the search did not see confirm it." if confirmed else "Nothing to correct was confirmed."
+    told = f"Use the {found.recommendation} model: {found.recommendation_why}."
+    if found.recommendation == "neither":
+        told = f"Use neither model: {found.recommendation_why}."
     level = "good" if found.verdict == "named" or not found.findings else "care"
     verdict = r.Verdict(level, told, found.verdict.replace("_", " "))
     sections = [
         *warn(found.warnings),
         r.Chapter("findings", "Causes", lambda: _build_findings(found), r.On.ALL, when=bool(found.findings)),
         r.Chapter("joints", "Held-out positions", lambda: _build_falls(found), r.On.ALL),
+        r.Chapter(
+            "unexplained", "What is left", lambda: _build_structure(found), r.On.ALL, when=bool(found.unexplained)
+        ),
+        r.Chapter("limits", "What would have been found", lambda: _build_limits(found), when=bool(found.limits)),
         r.Chapter(
             "untestable", "What these logs cannot tell", lambda: _build_untestable(found), when=bool(found.untestable)
         ),
@@ -182,12 +188,27 @@ def _build_falls(found: LoopDiagnosis) -> Iterator[r.Element]:
         r.Column("joint"),
         r.Column("baseline [mrad]", "number"),
         r.Column("with causes [mrad]", "number", "strong"),
+        r.Column("encoder [mrad]", "number"),
     ]
     rows = [
-        r.Row([joint, f"{1e3 * a:.2f}", f"{1e3 * b:.2f}"])
-        for joint, a, b in zip(found.joints, found.baseline, found.extended, strict=True)
+        r.Row([joint, *(f"{1e3 * x:.2f}" for x in row)])
+        for joint, *row in zip(found.joints, found.baseline, found.extended, found.noise_floor, strict=True)
     ]
     yield r.ResultTable(columns, rows, on=r.On.ALL)
+
+
+def _build_structure(found: LoopDiagnosis) -> Iterator[r.Element]:
+    yield r.Listing(
+        [
+            f"{u.joint}: {r.format_percent(100 * u.share_of_residual_variance)} of the residual's variance "
+            + (f"depends on {', '.join(u.depends_on)}" if u.depends_on else "is neither the encoder's nor any cause's")
+            for u in found.unexplained
+        ]
+    )
+
+
+def _build_limits(found: LoopDiagnosis) -> Iterator[r.Element]:
+    yield r.Listing([limit.to_dict()["phrase"] for limit in found.limits])
 
 
 def _build_untestable(found: LoopDiagnosis) -> Iterator[r.Element]:

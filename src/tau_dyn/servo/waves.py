@@ -1,0 +1,70 @@
+"""What a servo loop is stepped with: logs and a robot sample by sample, and the values to try."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+MAX_STEP_S = 0.0105
+"""Longest step of the loop [s]: a seventh of the time constant of a hobby servo; it moves positions by some 0.4 mrad."""
+
+SPRING_STEP_S = 2e-3
+"""Longest step where a spring may be [s]: resonances to 80 Hz are exact. A diagnosis tells what half of it confirms."""
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """What logs and a robot give a loop, sample by sample; logs of S are padded to the longest of N samples.
+
+    Attributes:
+        dt: Time between samples of each log (S,) [s].
+        start: Positions at the first sample (na, S).
+        speed: Speeds at the first sample (na, S).
+        command: Commands (N, na, S) [rad], each holding until the next.
+        along: Motion that loads were taken along (N, na, S) [rad].
+        load: Torque besides the own inertia (N, na, S) [N m].
+        load_by: The same per unit of each inertial unknown (N, na, K, S).
+        inertia: Own inertia without armature (N, na, S) [kg m^2].
+        inertia_by: The same per unit of each inertial unknown (N, na, K, S).
+        stiffness: Growth of the load with the own position (N, na, S) [N m/rad].
+        supply: Supply over the nominal one (N, S).
+        enabled: 1 where the motor is on (N, S).
+        by_log: Law entries that logs have of their own (na, S).
+        encoder_on_motor: Whether the law uses the motor's position.
+        measured_on_motor: Whether the positions returned, and those of the start, are the motor's.
+        step: Longest step of the loop [s].
+        held: Whether a load holds from its sample to the next, rather than changing evenly.
+    """
+
+    dt: np.ndarray
+    start: np.ndarray
+    speed: np.ndarray
+    command: np.ndarray
+    along: np.ndarray
+    load: np.ndarray
+    load_by: np.ndarray
+    inertia: np.ndarray
+    inertia_by: np.ndarray
+    stiffness: np.ndarray
+    supply: np.ndarray
+    enabled: np.ndarray
+    by_log: Mapping[str, np.ndarray]
+    encoder_on_motor: bool = False
+    measured_on_motor: bool = False
+    step: float = MAX_STEP_S
+    held: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """Parameter values to simulate, side by side.
+
+    Attributes:
+        values: Law entries and `coulomb`, `viscous`, `armature`, `offset`, by name (na, C).
+        inertial: Inertial unknowns (K, C).
+    """
+
+    values: Mapping[str, np.ndarray]
+    inertial: np.ndarray
