@@ -47,7 +47,7 @@ _LAMBDAS = (1e-2, 3e-1, 1e1)  # damping factors that are tried side by side
 MAX_CONTRAST = 2.0
 """Factor within which a log's residual may be weighed other than its joint's usual one: what no model explains in one log
 (a contact, a shaken joint) must not decide about the others."""
-BLOCK_S = (0.5, 5.0)
+BLOCK_S = (1.0, 5.0)
 """Shortest and longest blocks over which the gradient's scatter is taken [s]: residuals forget within the longest."""
 BLOCKS = 100
 """Blocks that are wanted: several for each unknown of a joint, or the scatter among them comes out too small."""
