@@ -16,7 +16,7 @@ import numpy as np
 
 from tau_dyn.effects import LOOP_CAUSES
 from tau_dyn.servo.by_gain import extend_unknowns, read_kind
-from tau_dyn.servo.data import LoopData, fit_precisely
+from tau_dyn.servo.data import LoopData, fit_precisely, refit_finer
 from tau_dyn.servo.fit import LoopFit, LoopUnknowns, count_worth, fit_loop
 
 MIN_SCORE = 5.0
@@ -122,10 +122,14 @@ def check_steps(
 
     What stands for it shrinks with the step; a cause keeps its number.
     """
-    fine = _refit(data, data.unknowns, base, progress)
+    fine = refit_finer(data.build_problem(), base, progress)
     if not search.taken:
         return fine, replace(search, unknowns=data.unknowns, fit=fine)
-    u, again, taken = search.unknowns, _refit(data, search.unknowns, search.fit, progress), dict(search.taken)
+    u, again, taken = (
+        search.unknowns,
+        refit_finer(data.build_problem(search.unknowns), search.fit, progress),
+        dict(search.taken),
+    )
     for cause, j in search.taken:
         entry = LOOP_CAUSES[cause].entries[0]
         null = data.law.values[entry][j]
@@ -135,14 +139,6 @@ def check_steps(
             del taken[cause, j]
     u, again, _ = _drop_superfluous(data, u, again, taken, progress)
     return fine, replace(search, unknowns=u, fit=again, taken=taken)
-
-
-def _refit(data: LoopData, u: LoopUnknowns, fit: LoopFit, progress: Callable[[str], None]) -> LoopFit:
-    problem = data.build_problem(u).with_finer_differences()
-    step = 0.5 * min(fit.step, max(r.dt for r in data.records))
-    fine = fit_loop(problem, progress, _TRY_ITERATIONS, step, fit.x)
-    shift = (fine.x - fit.x) * (np.diag(fine.covariance) > 0)  # halving again moves it by as much at most
-    return replace(fine, covariance=fine.covariance + np.outer(shift, shift))
 
 
 def _take_out(

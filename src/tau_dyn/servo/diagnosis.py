@@ -21,7 +21,7 @@ from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 from tau_dyn.servo.cause_search import LoopSearch, check_steps, compute_limits, search_causes
-from tau_dyn.servo.data import LoopData, fit_precisely
+from tau_dyn.servo.data import BASELINE, LoopData, fit_precisely, keep_kinds
 from tau_dyn.servo.diagnosis_result import LoopDiagnosis, LoopFinding, LoopLimit
 from tau_dyn.servo.doubts import list_loop_warnings
 from tau_dyn.servo.fit import HIGHEST, LoopFit, LoopProblem, LoopUnknowns, get_unit
@@ -32,8 +32,6 @@ from tau_dyn.servo.residual_structure import compute_noise_floor, find_structure
 from tau_dyn.servo.waves import SPRING_STEP_S
 from tau_dyn.simulate import SERVO_ENTRIES
 
-BASELINE = ("armature", "coulomb", "viscous", "offset")
-"""What the simulation has already, and is refitted."""
 CONFIRMED = 2.6
 """Score on held-out data from which an effect is confirmed: one in 200 by chance."""
 BLOCK_S = 4.0  # of the split into training, confirmation and gain
@@ -83,7 +81,7 @@ def diagnose_loop(
     law, progress, seed = given.law, given.progress, given.seed
     parts = _split(given.kept, given.others)
     data = prepare_loop(given.model, law, parts.train, given.own, given.friction, progress)
-    data = replace(data, unknowns=_drop_kinds(data), whole=True)
+    data = replace(data, unknowns=keep_kinds(data, (*BASELINE, *law.estimated)), whole=True)
     progress("baseline")
     base = fit_precisely(data.build_problem(), progress, SPRING_STEP_S)
     base, search = check_steps(data, base, search_causes(data, base, progress), progress)
@@ -127,20 +125,6 @@ def _judge(findings: Sequence[LoopFinding], unexplained: Sequence[object]) -> st
     if findings and all(f.twins for f in findings):
         return "cannot_tell"
     return "unexplained" if unexplained else "nothing_found"
-
-
-def _drop_kinds(data: LoopData) -> LoopUnknowns:
-    """Return the unknowns of the baseline: none that is a candidate cause, unless the law asks for its estimate."""
-    u, kept = data.unknowns, (*BASELINE, *data.law.estimated)
-    rows = [k for k, kind in enumerate(u.kinds) if kind in kept]
-    values = {key: np.array(value) for key, value in u.values.items()}
-    for kind in u.kinds:
-        if kind not in kept:
-            values[kind] = np.array(data.law.values[kind])
-    return replace(
-        u, values=values, kinds=tuple(u.kinds[k] for k in rows), free=u.free[rows], lower=u.lower[rows], upper=u.upper[rows],
-        prior=u.prior[rows],
-    )  # fmt: skip
 
 
 def _split(train: Sequence[LoopRecord], held: Sequence[LoopRecord]) -> _Parts:

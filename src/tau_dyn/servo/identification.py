@@ -20,13 +20,14 @@ from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import NOMINAL_MASS_STDERR, Robot
 from tau_dyn.servo.by_gain import compare_gains
-from tau_dyn.servo.data import LoopData, fit_precisely
+from tau_dyn.servo.data import LoopData, fit_precisely, refit_finer
 from tau_dyn.servo.doubts import list_loop_warnings
 from tau_dyn.servo.fit import JOINT_UNITS, LoopFit, LoopProblem, fit_loop, get_unit
 from tau_dyn.servo.prediction import predict_positions
 from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
 from tau_dyn.servo.records import LoadWaves, LoopRecord, mask_unused
 from tau_dyn.servo.result import LoopIdentification, LoopParameter, build_position_errors
+from tau_dyn.servo.spring_start import start_springs
 from tau_dyn.servo.waves import SPRING_STEP_S
 from tau_dyn.simulate import SERVO_ENTRIES
 
@@ -50,7 +51,7 @@ def identify_loop(
     """
     given = read_loop_logs(robot, logs, options)
     progress, kept, others, law = given.progress, given.kept, given.others, given.law
-    data = prepare_loop(given.model, law, kept, given.own, given.friction, progress)
+    data = start_springs(prepare_loop(given.model, law, kept, given.own, given.friction, progress), progress)
     if others:
         fit = _fit(data, data.build_problem(), progress)
         progress("held-out errors")
@@ -78,7 +79,9 @@ def identify_loop(
 
 
 def _fit(data: LoopData, problem: LoopProblem, progress: Callable[[str], None]) -> LoopFit:
-    return fit_precisely(problem, progress, SPRING_STEP_S) if data.whole else fit_loop(problem, progress)
+    if not data.whole:
+        return fit_loop(problem, progress)
+    return refit_finer(problem, fit_precisely(problem, progress, SPRING_STEP_S), progress)
 
 
 def predict(
