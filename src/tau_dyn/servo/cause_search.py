@@ -34,6 +34,9 @@ _CHANCE = 4.0  # standard errors of an autocorrelation
 MAX_STEP_SHARE = 0.25
 """Share of a cause's number that may change with half the step: an error of the step, of first or second order, changes by
 half or more."""
+MAIN_SHARE = 0.5
+"""Share of a joint's residual variance from which a cause stays in, however uncertain its number: on a ridge with others, such
+as gain and mass, a number moves without a change of the simulation."""
 POWER_Z = 1.645
 """Standard errors above the threshold that a number must have to be found in 95 of 100 logs."""
 _FIRST = {"command_delay": 0.01, "torque_delay": 0.005, "dead_band": 0.006, "load_friction": 0.15, "supply_sag": 0.15,
@@ -135,8 +138,10 @@ def check_steps(
         null = data.law.values[entry][j]
         coarse, finer = (float(read_kind(u, one, entry)[0][j] - null) for one in (search.fit, again))
         if abs(finer - coarse) > MAX_STEP_SHARE * abs(coarse):
-            u, again = _take_out(data, u, again, cause, j, progress)
-            del taken[cause, j]
+            left, without = _take_out(data, u, again, cause, j, progress)
+            if _takes_off(again, without, j) < MAIN_SHARE:
+                u, again = left, without
+                del taken[cause, j]
     u, again, _ = _drop_superfluous(data, u, again, taken, progress)
     return fine, replace(search, unknowns=u, fit=again, taken=taken)
 
@@ -240,6 +245,7 @@ def _drop_superfluous(
 ) -> tuple[LoopUnknowns, LoopFit, set[tuple[str, int]]]:  # noqa: ANN001
     """Take out of `taken` what is no longer distinct from its null beside the others, and refit without it."""
     dropped: set[tuple[str, int]] = set()
+    needed: set[tuple[str, int]] = set()
     while True:
         weak = []
         for (cause, j), (_, twins) in taken.items():
@@ -248,14 +254,22 @@ def _drop_superfluous(
             away = abs(value[j] - data.law.values[entry][j])
             score = float(away / sigma[j]) if sigma[j] > 0 else 0.0
             taken[cause, j] = (score, twins)
-            if score < MIN_SCORE or away < MIN_CHANGE * abs(data.law.values[entry][j]):
+            if (cause, j) not in needed and (score < MIN_SCORE or away < MIN_CHANGE * abs(data.law.values[entry][j])):
                 weak.append((score, cause, j))
         if not weak:
             return u, fit, dropped
         _, cause, j = min(weak)
-        del taken[cause, j]
-        dropped.add((cause, j))
-        u, fit = _take_out(data, u, fit, cause, j, progress)
+        left, without = _take_out(data, u, fit, cause, j, progress)
+        if _takes_off(fit, without, j) < MAIN_SHARE:
+            u, fit = left, without
+            del taken[cause, j]
+            dropped.add((cause, j))
+        else:
+            needed.add((cause, j))
+
+
+def _takes_off(with_it: LoopFit, without: LoopFit, j: int) -> float:
+    return 1 - float((with_it.sigma[j] / without.sigma[j]) ** 2)
 
 
 def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:
