@@ -1,4 +1,3 @@
-from .by_measurement import diagnose as diagnose, identify as identify
 from .calibrate import calibrate as calibrate
 from .control import Feedforward as Feedforward
 from .effects import list_causes as list_causes
@@ -16,3 +15,7 @@ from .render import write_report as write_report
 from .robot import list_robots as list_robots, load_robot as load_robot
 from .simulate import simulate as simulate
 from .version import __version__ as __version__
+
+# isort: split
+# last, or the packages of these names hide the functions from a type checker
+from .by_measurement import diagnose as diagnose, identify as identify

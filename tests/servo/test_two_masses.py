@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tau_dyn.servo.loop import _simulate_in_numpy, simulate_loops, solve_spring
+from tau_dyn.servo.loop import _simulate_in_numpy, simulate_loops, simulate_motion, solve_spring
 from tau_dyn.servo.records import InertialSpace, build_records, build_waves, compute_load_waves
 from tau_dyn.servo.simulation import read_values
 from tau_dyn.servo.waves import Trials, Waves
@@ -137,8 +137,8 @@ def test_compiled_and_array_loops_agree(entries, side):
     truth, law = build_truth(arm), build_law(arm, encoder=side, **entries)
     records = build_records(truth, law, [record(arm, truth, law, 3, 6.0)])
     space = InertialSpace.of(truth)
-    loads = [compute_load_waves(space, *r.motion, r.dt) for r in records]
     wide = replace(space, directions=0.3 * rng.standard_normal((len(space.nominal), 3)) * space.prior[:, None])
+    loads = [compute_load_waves(wide, *r.motion, r.dt) for r in records]
     waves = build_waves(wide, records, loads, law)
     factors = np.array([1.0, 1.1, 0.9])
     trials = Trials(
@@ -146,7 +146,7 @@ def test_compiled_and_array_loops_agree(entries, side):
         rng.standard_normal((3, 3)) * [0, 1, 1],
     )
     often = int(np.ceil(waves.dt[0] / waves.step))
-    np.testing.assert_allclose(simulate_loops(waves, trials), _simulate_in_numpy(waves, trials, often), atol=1e-9)
+    np.testing.assert_allclose(simulate_motion(waves, trials), _simulate_in_numpy(waves, trials, often), atol=1e-9)
 
 
 def test_a_law_file_says_where_the_encoder_sits():

@@ -16,7 +16,7 @@ import numpy as np
 
 from tau_dyn.effects import LOOP_CAUSES
 from tau_dyn.servo.by_gain import extend_unknowns, read_kind
-from tau_dyn.servo.data import LoopData, fit_precisely
+from tau_dyn.servo.data import LoopData, fit_precisely, refit_again
 from tau_dyn.servo.fit import LoopFit, LoopUnknowns, count_worth, fit_loop
 
 MIN_SCORE = 5.0
@@ -27,6 +27,8 @@ MIN_SHARE = 0.03
 """Share of a joint's residual variance that a cause takes off at least; less changes no simulation."""
 TWIN_SHARE = 0.95
 """Share of what the best cause takes off from which another one is indistinguishable from it here."""
+APART = 9.0
+"""Likelihood ratio, twice its logarithm, from which one of two causes is told from the other: three standard errors."""
 MAX_ROUNDS = 4  # causes at one joint; each takes off at least 3 %
 _TRY_ITERATIONS = 6  # from a solution of all but the new numbers
 WHITE_LAGS = 20  # samples over which residuals are compared
@@ -34,6 +36,9 @@ _CHANCE = 4.0  # standard errors of an autocorrelation
 MAX_STEP_SHARE = 0.25
 """Share of a cause's number that may change with half the step: an error of the step, of first or second order, changes by
 half or more."""
+MAIN_SHARE = 0.5
+"""Share of a joint's residual variance from which a cause stays in, however uncertain its number: on a ridge with others, such
+as gain and mass, a number moves without a change of the simulation."""
 POWER_Z = 1.645
 """Standard errors above the threshold that a number must have to be found in 95 of 100 logs."""
 _FIRST = {"command_delay": 0.01, "torque_delay": 0.005, "dead_band": 0.006, "load_friction": 0.15, "supply_sag": 0.15,
@@ -118,43 +123,83 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
 def check_steps(
     data: LoopData, base: LoopFit, search: LoopSearch, progress: Callable[[str], None]
 ) -> tuple[LoopFit, LoopSearch]:
-    """Return baseline and extended model fitted again with half the step, without causes that stand for the step's own error.
+    """Return baseline and extended model fitted again to data with exact loads and finer steps, without causes that stood for them.
 
-    What stands for it shrinks with the step; a cause keeps its number.
+    What stands for their error goes; a cause keeps its number.
     """
-    data = replace(data, step=0.5 * min(base.step, max(r.dt for r in data.records)))
-    fine = _refit(data, data.unknowns, base, progress)
+    fine = refit_again(data.build_problem(), base, progress)
     if not search.taken:
         return fine, replace(search, unknowns=data.unknowns, fit=fine)
-    u, again, taken = search.unknowns, _refit(data, search.unknowns, search.fit, progress), dict(search.taken)
+    u, again, taken = (
+        search.unknowns,
+        refit_again(data.build_problem(search.unknowns), search.fit, progress),
+        dict(search.taken),
+    )
     for cause, j in search.taken:
         entry = LOOP_CAUSES[cause].entries[0]
         null = data.law.values[entry][j]
         coarse, finer = (float(read_kind(u, one, entry)[0][j] - null) for one in (search.fit, again))
         if abs(finer - coarse) > MAX_STEP_SHARE * abs(coarse):
-            u, again = _take_out(data, u, again, cause, j, progress)
-            del taken[cause, j]
+            left, without = _take_out(data, u, again, cause, j, progress)
+            if _takes_off(again, without, j) < MAIN_SHARE:
+                u, again = left, without
+                del taken[cause, j]
     u, again, _ = _drop_superfluous(data, u, again, taken, progress)
     return fine, replace(search, unknowns=u, fit=again, taken=taken)
 
 
-def _refit(data: LoopData, u: LoopUnknowns, fit: LoopFit, progress: Callable[[str], None]) -> LoopFit:
-    fine = fit_loop(data.build_problem(u).with_finer_differences(), progress, _TRY_ITERATIONS, fit.x)
-    shift = (fine.x - fit.x) * (np.diag(fine.covariance) > 0)  # halving again moves it by as much at most
-    return replace(fine, covariance=fine.covariance + np.outer(shift, shift))
+def part_twins(data: LoopData, search: LoopSearch, progress: Callable[[str], None]) -> LoopSearch:
+    """Return the search with each cause that has twins replaced by the best of them, and the twins that stay as good as it.
+
+    Two causes are told apart where the likelihood ratio of the joint's residual, whose samples count as far as they are
+    independent, is beyond three standard errors.
+    """
+    for cause, j in list(search.taken):
+        score, twins = search.taken[cause, j]
+        if not twins:
+            continue
+        progress(f"{cause.replace('_', ' ')} or {', '.join(twins).replace('_', ' ')}")
+        tried = {cause: (search.unknowns, search.fit)}
+        left = _hold_null(data, search.unknowns, search.fit, cause, j)
+        x = left.pack()
+        x[left.n - data.space.n_unknowns :] = search.fit.x[search.unknowns.n - data.space.n_unknowns :]
+        without = replace(search.fit, x=x)
+        for twin in twins:
+            wide = [
+                free_causes(data, left, without, [(twin, j)], {twin: start})
+                for start in list_starts(data, left, without, twin)
+            ]
+            found = [(u, fit_precisely(data.build_problem(u), progress)) for u in wide]
+            tried[twin] = min(found, key=lambda one: one[1].sigma[j])
+        best = min(tried, key=lambda c: tried[c][1].sigma[j])
+        u, fit = tried[best]
+        problem = data.build_problem(u)
+        count = problem.count / count_worth(problem.residuals(fit.x[:, None])[:, j, 0], problem.used)
+        ratio = {c: count * 2 * np.log(one.sigma[j] / fit.sigma[j]) for c, (_, one) in tried.items()}
+        same = tuple(c for c in tried if c != best and ratio[c] < APART)
+        if best != cause and ratio[cause] < APART:  # the first one is as good
+            best, same, (u, fit) = cause, tuple(c for c in (best, *same) if c != cause), tried[cause]
+        taken = {key: value for key, value in search.taken.items() if key != (cause, j)}
+        search = LoopSearch(u, fit, {**taken, (best, j): (score, same)})
+    return search
 
 
 def _take_out(
     data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str, j: int, progress: Callable[[str], None]
 ) -> tuple[LoopUnknowns, LoopFit]:
     """Return unknowns and fit without a cause at a joint."""
+    progress(f"without {cause.replace('_', ' ')}")
+    left = _hold_null(data, u, fit, cause, j)
+    return left, fit_precisely(data.build_problem(left), progress)
+
+
+def _hold_null(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str, j: int) -> LoopUnknowns:
+    """Return unknowns at a solution, a cause at one joint held at its null."""
     values, free = {key: np.array(x) for key, x in u.with_values(fit.x).items()}, np.array(u.free)
     for entry in LOOP_CAUSES[cause].entries:
         values[entry][j] = data.law.values[entry][j]
         free[u.kinds.index(entry), j] = False
-    progress(f"without {cause.replace('_', ' ')}")
-    left = replace(u, values=values, free=free)
-    return left, fit_precisely(data.build_problem(left), progress)
+    return replace(u, values=values, free=free)
 
 
 def _find_coloured(data: LoopData, u: LoopUnknowns, fit: LoopFit) -> np.ndarray:
@@ -243,6 +288,7 @@ def _drop_superfluous(
 ) -> tuple[LoopUnknowns, LoopFit, set[tuple[str, int]]]:  # noqa: ANN001
     """Take out of `taken` what is no longer distinct from its null beside the others, and refit without it."""
     dropped: set[tuple[str, int]] = set()
+    needed: set[tuple[str, int]] = set()
     while True:
         weak = []
         for (cause, j), (_, twins) in taken.items():
@@ -251,14 +297,22 @@ def _drop_superfluous(
             away = abs(value[j] - data.law.values[entry][j])
             score = float(away / sigma[j]) if sigma[j] > 0 else 0.0
             taken[cause, j] = (score, twins)
-            if score < MIN_SCORE or away < MIN_CHANGE * abs(data.law.values[entry][j]):
+            if (cause, j) not in needed and (score < MIN_SCORE or away < MIN_CHANGE * abs(data.law.values[entry][j])):
                 weak.append((score, cause, j))
         if not weak:
             return u, fit, dropped
         _, cause, j = min(weak)
-        del taken[cause, j]
-        dropped.add((cause, j))
-        u, fit = _take_out(data, u, fit, cause, j, progress)
+        left, without = _take_out(data, u, fit, cause, j, progress)
+        if _takes_off(fit, without, j) < MAIN_SHARE:
+            u, fit = left, without
+            del taken[cause, j]
+            dropped.add((cause, j))
+        else:
+            needed.add((cause, j))
+
+
+def _takes_off(with_it: LoopFit, without: LoopFit, j: int) -> float:
+    return 1 - float((with_it.sigma[j] / without.sigma[j]) ** 2)
 
 
 def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:

@@ -195,13 +195,14 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
 def run_compiled(
     waves: Waves, trials: Trials, often: int, limits: tuple[float, float, float], speeds: bool
 ) -> np.ndarray | None:
-    """Return positions, and speeds if asked for (1 or 2, N, na, C, S), of `loop.simulate_loops`, or None where compiled code is not possible here.
+    """Return what `loop.simulate_loops` steps (1 or 2, N, na, C, S), or None where compiled code is not possible here.
 
     Args:
         waves: What logs and robot give.
         trials: Values to simulate.
         often: Steps between samples.
         limits: Smallest inertia [kg m^2], straight part of a bent drive law, and turn of a stop's contact in a step [rad].
+        speeds: Whether speeds follow the positions.
     """
     library = _LIBRARIES.build(_SOURCE.replace("@NAMES@", ", ".join(NAMES))) if is_compiling_allowed() else None
     if library is None:

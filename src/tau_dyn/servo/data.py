@@ -15,6 +15,9 @@ from tau_dyn.servo.records import InertialSpace, LoadWaves, LoopRecord, build_wa
 from tau_dyn.servo.waves import MAX_STEP_S, Trials
 from tau_dyn.simulate import ServoLaw
 
+BASELINE = ("armature", "coulomb", "viscous", "offset")
+"""What a simulation has before any cause, and is fitted first."""
+_ITERATIONS = 6  # from a solution with twice the step
 EXACT_STEP_S = (5e-4, 2.5e-3)
 """Shortest and longest step of exact motions [s]."""
 STEP_PER_ROOT = 0.022
@@ -102,7 +105,9 @@ def fit_coupled(data: LoopData, progress: Callable[[str], None] = lambda step: N
     fit = fit_loop(data.build_problem(), progress)
     for _ in range(MAX_SETTLINGS):
         data = data.settle(fit)
-        before, fit = fit, fit_loop(data.build_problem(), progress, first=fit.x)
+        problem = data.build_problem()
+        problem = problem.with_finer_differences() if data.whole else problem
+        before, fit = fit, fit_loop(problem, progress, first=fit.x)
         sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
         if np.all(np.abs(fit.x - before.x) <= SETTLED * sigma + 1e-12):
             break
@@ -113,3 +118,24 @@ def fit_precisely(problem: LoopProblem, progress: Callable[[str], None]) -> Loop
     """Return a fit whose last part takes small differences."""
     near = fit_loop(problem, progress)
     return fit_loop(problem.with_finer_differences(), progress, first=near.x)
+
+
+def refit_again(problem: LoopProblem, fit: LoopFit, progress: Callable[[str], None]) -> LoopFit:
+    """Return a fit again, of a problem with finer steps; what that moves counts as uncertain, as halving again moves it no more."""
+    fine = fit_loop(problem.with_finer_differences(), progress, _ITERATIONS, fit.x)
+    shift = (fine.x - fit.x) * (np.diag(fine.covariance) > 0)
+    return replace(fine, covariance=fine.covariance + np.outer(shift, shift))
+
+
+def keep_kinds(data: LoopData, kept: Sequence[str]) -> LoopUnknowns:
+    """Return the unknowns of some kinds, the others at the law's values."""
+    u = data.unknowns
+    rows = [k for k, kind in enumerate(u.kinds) if kind in kept]
+    values = {key: np.array(value) for key, value in u.values.items()}
+    for kind in u.kinds:
+        if kind not in kept:
+            values[kind] = np.array(data.law.values[kind])
+    return replace(
+        u, values=values, kinds=tuple(u.kinds[k] for k in rows), free=u.free[rows], lower=u.lower[rows], upper=u.upper[rows],
+        prior=u.prior[rows],
+    )  # fmt: skip

@@ -20,20 +20,18 @@ from tau_dyn.identify import MAX_HELD_OUT_RATIO, describe_foreign_joints
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
-from tau_dyn.servo.cause_search import LoopSearch, check_steps, compute_limits, search_causes
-from tau_dyn.servo.data import LoopData, fit_precisely
+from tau_dyn.servo.cause_search import LoopSearch, check_steps, compute_limits, part_twins, search_causes
+from tau_dyn.servo.data import BASELINE, LoopData, fit_precisely, keep_kinds
 from tau_dyn.servo.diagnosis_result import LoopDiagnosis, LoopFinding, LoopLimit
 from tau_dyn.servo.doubts import list_loop_warnings
-from tau_dyn.servo.fit import HIGHEST, LoopFit, LoopProblem, LoopUnknowns, get_unit
+from tau_dyn.servo.fit import HIGHEST, LoopFit, LoopUnknowns, get_unit
 from tau_dyn.servo.identification import fill_model
 from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
-from tau_dyn.servo.records import LoadWaves, LoopRecord, build_waves, compute_load_waves
+from tau_dyn.servo.records import LoopRecord
 from tau_dyn.servo.residual_structure import compute_noise_floor, find_structure
 from tau_dyn.servo.waves import SPRING_STEP_S
 from tau_dyn.simulate import SERVO_ENTRIES
 
-BASELINE = ("armature", "coulomb", "viscous", "offset")
-"""What the simulation has already, and is refitted."""
 CONFIRMED = 2.6
 """Score on held-out data from which an effect is confirmed: one in 200 by chance."""
 BLOCK_S = 4.0  # of the split into training, confirmation and gain
@@ -83,15 +81,25 @@ def diagnose_loop(
     law, progress, seed = given.law, given.progress, given.seed
     parts = _split(given.kept, given.others)
     data = prepare_loop(given.model, law, parts.train, given.own, given.friction, progress)
-    data = replace(data, unknowns=_drop_kinds(data), whole=True, step=SPRING_STEP_S)
+    unknowns = keep_kinds(data, (*BASELINE, *law.estimated))
+    data = replace(data, unknowns=unknowns, whole=True, step=SPRING_STEP_S)
     progress("baseline")
     base = fit_precisely(data.build_problem(), progress)
-    base, search = check_steps(data, base, search_causes(data, base, progress), progress)
-    loads = data.loads if parts.same_logs else [compute_load_waves(data.space, *r.motion, r.dt) for r in parts.confirm]
+    search = search_causes(data, base, progress)
+    progress("exact motions")
+    settled = replace(data, unknowns=search.unknowns).settle(search.fit)
+    data = replace(settled, unknowns=unknowns)
+    base, search = check_steps(data, base, search, progress)
+    search = part_twins(data, search, progress)
+    held = data
+    if not parts.same_logs:
+        held = replace(
+            replace(data, unknowns=search.unknowns, records=parts.confirm).settle(search.fit), unknowns=unknowns
+        )
     progress("confirmation and gain")
-    findings = _confirm(data, search, parts, loads, seed)
+    findings = _confirm(held, search, parts, seed)
     nominal, before, after = (
-        _predict(data, u, x, base.step, parts.gain, loads)
+        _predict(held, u, x, parts.gain)
         for u, x in (
             (_hold_nominal(data), np.zeros(data.space.n_unknowns)), (data.unknowns, base.x), (search.unknowns, search.fit.x)
         )
@@ -101,8 +109,8 @@ def diagnose_loop(
     choice, why = _recommend(law.joints, findings, (nominal, before, after), interval, foreign, seed)
     floor = np.minimum(compute_noise_floor([*given.kept, *given.others]), after.rms)  # what is reached is no floor
     train, confirm = (
-        _predict(data, search.unknowns, search.fit.x, base.step, records, along)
-        for records, along in ((parts.train, data.loads), (parts.confirm, loads))
+        _predict(one, search.unknowns, search.fit.x, records)
+        for one, records in ((data, parts.train), (held, parts.confirm))
     )
     unexplained = find_structure(
         law.joints,
@@ -127,20 +135,6 @@ def _judge(findings: Sequence[LoopFinding], unexplained: Sequence[object]) -> st
     if findings and all(f.twins for f in findings):
         return "cannot_tell"
     return "unexplained" if unexplained else "nothing_found"
-
-
-def _drop_kinds(data: LoopData) -> LoopUnknowns:
-    """Return the unknowns of the baseline: none that is a candidate cause, unless the law asks for its estimate."""
-    u, kept = data.unknowns, (*BASELINE, *data.law.estimated)
-    rows = [k for k, kind in enumerate(u.kinds) if kind in kept]
-    values = {key: np.array(value) for key, value in u.values.items()}
-    for kind in u.kinds:
-        if kind not in kept:
-            values[kind] = np.array(data.law.values[kind])
-    return replace(
-        u, values=values, kinds=tuple(u.kinds[k] for k in rows), free=u.free[rows], lower=u.lower[rows], upper=u.upper[rows],
-        prior=u.prior[rows],
-    )  # fmt: skip
 
 
 def _split(train: Sequence[LoopRecord], held: Sequence[LoopRecord]) -> _Parts:
@@ -177,22 +171,13 @@ def _hold_nominal(data: LoopData) -> LoopUnknowns:
     return replace(u, values=values, free=np.zeros_like(u.free))
 
 
-def _predict(
-    data: LoopData,
-    u: LoopUnknowns,
-    x: np.ndarray,
-    step: float,
-    records: Sequence[LoopRecord],
-    loads: Sequence[LoadWaves],
-) -> _Residuals:
-    """Return the residuals of records at a solution, loads along the measured motion."""
-    problem = LoopProblem(u, build_waves(data.space, records, loads, data.law), records).with_step(step)
+def _predict(data: LoopData, u: LoopUnknowns, x: np.ndarray, records: Sequence[LoopRecord]) -> _Residuals:
+    """Return the residuals of logs of the data, with masks of their own, at a solution."""
+    problem = data.build_problem(u, records)
     return _Residuals(problem.residuals(x[:, None])[:, :, 0], problem.blocks, problem.used)
 
 
-def _confirm(
-    data: LoopData, search: LoopSearch, parts: _Parts, loads: Sequence[LoadWaves], seed: int
-) -> list[LoopFinding]:
+def _confirm(data: LoopData, search: LoopSearch, parts: _Parts, seed: int) -> list[LoopFinding]:
     """Return the causes taken in, each confirmed or suspected by what it predicts on data that the search did not see."""
     findings, u, fit = [], search.unknowns, search.fit
     where = np.full(u.free.shape, -1)
@@ -204,8 +189,7 @@ def _confirm(
         without = np.array(fit.x)
         without[at] = data.law.values[kind][j]
         (one, full), (g0, g1) = (
-            [_predict(data, u, x, fit.step, records, loads) for x in (without, fit.x)]
-            for records in (parts.confirm, parts.gain)
+            [_predict(data, u, x, records) for x in (without, fit.x)] for records in (parts.confirm, parts.gain)
         )
         d = (one.r - full.r)[:, j].reshape(-1)
         share, t = _regress_on(d, one.r[:, j].reshape(-1), one.blocks.reshape(-1))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import minimum_filter1d
 
 from tau_dyn.log import Log
 from tau_dyn.message_codes import CodedWarning
@@ -22,6 +23,8 @@ SUSTAINED = 90.0
 """Per cent of a log's samples below the acceleration that counts: single steps are no motion that was learnt."""
 MIN_DROOP_RAD = 0.03
 """Lost motion at rest that is explained as droop [rad]: above the play of hobby servos."""
+REST_S = 0.15
+"""Shortest rest [s]: a chirp turns back faster."""
 _LOADS = ("load", "current", "effort")
 MAX_UNSIGNED = 32767  # beyond it a register holds negative numbers as two's complements
 _MIN_LIKENESS = 0.4  # correlation with the position error from which a channel is its size
@@ -86,7 +89,7 @@ def _describe_accelerations(
 def _describe_droop(joints: Sequence[str], records: Sequence[LoopRecord]) -> list[str]:
     said = []
     for j, joint in enumerate(joints):
-        still = [r.used & (np.abs(r.motion[1][:, j]) < 0.02) for r in records]
+        still = [r.used & _find_rest(r.motion[1][:, j], r.dt) for r in records]
         gaps = np.concatenate([(r.q - r.command)[s, j] for r, s in zip(records, still, strict=True)])
         if len(gaps) > 20 and (most := float(np.percentile(np.abs(gaps), 99))) > MIN_DROOP_RAD:
             said.append(f"{joint} {1e3 * most:.0f} mrad")
@@ -99,6 +102,11 @@ def _describe_droop(joints: Sequence[str], records: Sequence[LoopRecord]) -> lis
             "friction; this lost motion is droop, no backlash",
         )
     ]
+
+
+def _find_rest(v: np.ndarray, dt: float) -> np.ndarray:
+    """Return where a joint rests (N,) for a while, rather than turns back."""
+    return minimum_filter1d((np.abs(v) < 0.02).astype(np.uint8), max(1, round(REST_S / dt))) > 0
 
 
 def _describe_unsigned_loads(joints: Sequence[str], logs: Sequence[Log]) -> list[str]:

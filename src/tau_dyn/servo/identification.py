@@ -27,6 +27,7 @@ from tau_dyn.servo.prediction import predict_positions
 from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
 from tau_dyn.servo.records import LoopRecord, mask_unused
 from tau_dyn.servo.result import LoopIdentification, LoopParameter, build_position_errors
+from tau_dyn.servo.spring_start import start_springs
 from tau_dyn.simulate import SERVO_ENTRIES
 
 TRAIN_SHARE = 0.7
@@ -49,7 +50,7 @@ def identify_loop(
     """
     given = read_loop_logs(robot, logs, options)
     progress, kept, others, law = given.progress, given.kept, given.others, given.law
-    data = prepare_loop(given.model, law, kept, given.own, given.friction, progress)
+    data = start_springs(prepare_loop(given.model, law, kept, given.own, given.friction, progress), progress)
     if others:
         data, fit = fit_coupled(data, progress)
         progress("held-out errors")

@@ -127,26 +127,31 @@ def _simulate_in_numpy(waves: Waves, trials: Trials, often: int) -> np.ndarray:
             if has_stiction:
                 friction = friction + p["stiction"] * np.exp(-np.abs(w) / p["stiction_speed"])
             push = push + (damping - p["viscous"]) * w
+            steps = (m, w, q, v), push, rest, damping, friction
+            rigid_q, rigid_v = _step_rigid(p, (q, v), steps[1:], mass_h, half)
             if joint is None:
-                wanted = mass_h * v + push - rest  # what friction acts on
-                slid = (wanted - np.sign(v) * friction) / (mass_h + damping)
-                rests = slid * v <= 0  # at once, or after a part of the step
-                moving = np.divide(v, v - slid, out=np.zeros(shape), where=rests & (v != 0))
-                friction = friction + np.where(
-                    v != 0, p["stiction"] * (1 - np.exp(-np.abs(v) / p["stiction_speed"])), 0
-                )
-                pushed = wanted - (mass_h - damping) * v
-                free = (1 - moving) * (pushed - np.minimum(np.maximum(pushed, -friction), friction))
-                after = np.where(rests, free / (mass_h + (1 - moving) * damping), slid)
-                q = q + half * np.where(rests, moving * v + (1 - moving) * after, v + after)
-                m = q
-                v = w = after
+                m = q = rigid_q
+                w = v = rigid_v
             else:
-                w_after, v_after = joint.step((m, w, q, v), push, rest, damping, friction, mass_h)
-                m, q = m + half * (w + w_after), q + half * (v + v_after)
-                w, v = w_after, v_after
+                w_after, v_after = joint.step(*steps)
+                m, q = (np.where(joint.there, x, rigid_q) for x in (m + half * (w + w_after), q + half * (v + v_after)))
+                w, v = (np.where(joint.there, x, rigid_v) for x in (w_after, v_after))
     out[:, n - 1] = (m, w) if waves.measured_on_motor else (q, v)
     return out
+
+
+def _step_rigid(p, state, forces, mass_h, half):  # noqa: ANN001, ANN202
+    """Return positions and speeds (na, C, S) after a step of joints without a spring, parted where they come to rest."""
+    (q, v), (push, rest, damping, friction) = state, forces
+    wanted = mass_h * v + push - rest  # what friction acts on
+    slid = (wanted - np.sign(v) * friction) / (mass_h + damping)
+    rests = slid * v <= 0  # at once, or after a part of the step
+    moving = np.divide(v, v - slid, out=np.zeros(np.shape(slid)), where=rests & (v != 0))
+    friction = friction + np.where(v != 0, p["stiction"] * (1 - np.exp(-np.abs(v) / p["stiction_speed"])), 0)
+    pushed = wanted - (mass_h - damping) * v
+    free = (1 - moving) * (pushed - np.minimum(np.maximum(pushed, -friction), friction))
+    after = np.where(rests, free / (mass_h + (1 - moving) * damping), slid)
+    return q + half * np.where(rests, moving * v + (1 - moving) * after, v + after), after
 
 
 class _Twist:
@@ -155,7 +160,7 @@ class _Twist:
     def __init__(self, p: Mapping[str, np.ndarray], h: np.ndarray, load: np.ndarray) -> None:
         self._p, self._h, self._gap = p, h, 0.5 * p["backlash"]
         self._springy = p["joint_compliance"] > 0
-        self._there = self._springy | (p["backlash"] > 0)
+        self.there = self._springy | (p["backlash"] > 0)
         self.start = p["joint_compliance"] * load + np.sign(load) * self._gap
 
     def set_inertia(self, link: np.ndarray) -> None:
@@ -169,22 +174,22 @@ class _Twist:
         damping = np.where(self._springy, p["joint_damping"], 2.0 * self._mu * CONTACT_TURN / h)
         self._a, self._S = solve_spring(self._stiffness, damping, self._mu, h)
 
-    def step(self, state, push, rest, damping, friction, mass_h):  # noqa: ANN001, ANN201
+    def step(self, state, push, rest, damping, friction):  # noqa: ANN001, ANN201
         """Return the speeds of motor and link after a step."""
         m, w, q, v = state
-        h, share, there = self._h, self._share, self._there
+        h, share = self._h, self._share
         twist, rate = m - q, w - v
         open_ = np.abs(twist) < self._gap
         pull = np.where(open_, 0.0, self._stiffness * (twist - np.where(twist > 0, self._gap, -self._gap)))
         a, S = np.where(open_, 1.0, self._a), np.where(open_, self._mu / h, self._S)
         base = a * rate + ((1.0 - share) * rest - pull) / S
         common = w - share * rate - h / self._total * rest
-        inverse = np.where(there, 1.0 / (h / self._total + share**2 / S), mass_h)
-        free = np.where(there, (common + share * base) * inverse, mass_h * w - rest)
+        inverse = 1.0 / (h / self._total + share**2 / S)
+        free = (common + share * base) * inverse
         wanted = free + push
         left = wanted - np.minimum(np.maximum(wanted, -friction), friction)
         after = left / (inverse + damping)
-        return after, np.where(there, after - base - share * (left - damping * after - free) / S, after)
+        return after, after - base - share * (left - damping * after - free) / S
 
 
 def solve_spring(

@@ -211,7 +211,7 @@ def compute_load_waves(space: InertialSpace, q: np.ndarray, v: np.ndarray, a: np
 
 
 def compute_held_loads(space: InertialSpace, q: np.ndarray, v: np.ndarray, dt: float) -> LoadWaves:
-    """Return loads along a simulated motion (N, na), at the middle of each step, whose acceleration is the change of its speed."""
+    """Return loads along a simulated motion (N, na) at the middle of each step, whose acceleration is its change of speed."""
     rate = np.diff(q, axis=0) / dt
     middle = np.append(np.arange(len(rate)), len(rate) - 1)
     motion = ((0.5 * (q[1:] + q[:-1]))[middle], rate[middle], (np.diff(v, axis=0) / dt)[middle])
