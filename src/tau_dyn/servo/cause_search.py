@@ -123,9 +123,9 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
 def check_steps(
     data: LoopData, base: LoopFit, search: LoopSearch, progress: Callable[[str], None]
 ) -> tuple[LoopFit, LoopSearch]:
-    """Return baseline and extended model fitted again to data with exact loads and finer steps, without causes that stood for them.
+    """Return baseline and extended model fitted again to data with exact loads and steps, without causes that stood for these.
 
-    What stands for their error goes; a cause keeps its number.
+    What stands for an error of theirs goes; a cause keeps its number.
     """
     fine = refit_again(data.build_problem(), base, progress)
     if not search.taken:
@@ -177,8 +177,8 @@ def part_twins(data: LoopData, search: LoopSearch, progress: Callable[[str], Non
         count = problem.count / count_worth(problem.residuals(fit.x[:, None])[:, j, 0], problem.used)
         ratio = {c: count * 2 * np.log(one.sigma[j] / fit.sigma[j]) for c, (_, one) in tried.items()}
         same = tuple(c for c in tried if c != best and ratio[c] < APART)
-        if best != cause and ratio[cause] < APART:  # the first one is as good
-            best, same, (u, fit) = cause, tuple(c for c in (best, *same) if c != cause), tried[cause]
+        first = next(c for c in LOOP_CAUSES if c == best or c in same)  # the table begins with what is met most often
+        best, same, (u, fit) = first, tuple(c for c in (best, *same) if c != first), tried[first]
         taken = {key: value for key, value in search.taken.items() if key != (cause, j)}
         search = LoopSearch(u, fit, {**taken, (best, j): (score, same)})
     return search

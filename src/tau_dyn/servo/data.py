@@ -18,8 +18,8 @@ from tau_dyn.simulate import ServoLaw
 BASELINE = ("armature", "coulomb", "viscous", "offset")
 """What a simulation has before any cause, and is fitted first."""
 _ITERATIONS = 6  # from a solution with twice the step
-EXACT_STEP_S = (5e-4, 2.5e-3)
-"""Shortest and longest step of exact motions [s]."""
+EXACT_STEP_S = 5e-4
+"""Shortest step of exact motions [s]."""
 STEP_PER_ROOT = 0.022
 """Step of exact motions over the root of the residual [s / sqrt(rad)]: steps of 1 ms are off by 0.02 to 0.09 mrad, of h by the
 square of it; a tenth of the residual is little beside it."""
@@ -83,7 +83,7 @@ class LoopData:
         """Return the data with loads along the motions that a fit simulates, and the error that its steps make."""
         u, space = self.unknowns, self.space
         inertial, values = fit.x[u.n - space.n_unknowns :], u.with_values(fit.x)
-        step = float(np.clip(STEP_PER_ROOT * np.sqrt(np.median(fit.sigma)), *EXACT_STEP_S))
+        step = float(np.clip(STEP_PER_ROOT * np.sqrt(np.median(fit.sigma)), EXACT_STEP_S, self.step / STEP_RATIO))
         motions = simulate_coupled(space, inertial, values, self.law, self.records, step)
         loads = [
             replace(compute_load_waves(space, m.link, m.v, m.a, r.dt), speed=m.v)
@@ -95,14 +95,17 @@ class LoopData:
         )
 
 
-def fit_coupled(data: LoopData, progress: Callable[[str], None] = lambda step: None) -> tuple[LoopData, LoopFit]:
+def fit_coupled(
+    data: LoopData, progress: Callable[[str], None] = lambda step: None, fit: LoopFit | None = None
+) -> tuple[LoopData, LoopFit]:
     """Return the data and the end of a search whose loads and steps are exact where it ends (defect correction).
 
-    The first fit takes what joints do to each other along the measured motion, whose accelerations are filtered and noisy.
-    Each next one takes it along the motion that the last one simulates, and adds what finer steps change there.
+    The first fit, unless one is given, takes what joints do to each other along the measured motion, whose accelerations
+    are filtered and noisy. Each next one takes it along the motion that the last one simulates, and adds what finer steps
+    change there.
     Reference: Stetter 1978.
     """
-    fit = fit_loop(data.build_problem(), progress)
+    fit = fit or fit_loop(data.build_problem(), progress)
     for _ in range(MAX_SETTLINGS):
         data = data.settle(fit)
         problem = data.build_problem()
@@ -121,7 +124,7 @@ def fit_precisely(problem: LoopProblem, progress: Callable[[str], None]) -> Loop
 
 
 def refit_again(problem: LoopProblem, fit: LoopFit, progress: Callable[[str], None]) -> LoopFit:
-    """Return a fit again, of a problem with finer steps; what that moves counts as uncertain, as halving again moves it no more."""
+    """Return a fit again, of a better problem; what that moves counts as uncertain."""
     fine = fit_loop(problem.with_finer_differences(), progress, _ITERATIONS, fit.x)
     shift = (fine.x - fit.x) * (np.diag(fine.covariance) > 0)
     return replace(fine, covariance=fine.covariance + np.outer(shift, shift))

@@ -21,7 +21,7 @@ from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 from tau_dyn.servo.cause_search import LoopSearch, check_steps, compute_limits, part_twins, search_causes
-from tau_dyn.servo.data import BASELINE, LoopData, fit_precisely, keep_kinds
+from tau_dyn.servo.data import BASELINE, LoopData, fit_coupled, fit_precisely, keep_kinds
 from tau_dyn.servo.diagnosis_result import LoopDiagnosis, LoopFinding, LoopLimit
 from tau_dyn.servo.doubts import list_loop_warnings
 from tau_dyn.servo.fit import HIGHEST, LoopFit, LoopUnknowns, get_unit
@@ -87,7 +87,7 @@ def diagnose_loop(
     base = fit_precisely(data.build_problem(), progress)
     search = search_causes(data, base, progress)
     progress("exact motions")
-    settled = replace(data, unknowns=search.unknowns).settle(search.fit)
+    settled, _ = fit_coupled(replace(data, unknowns=search.unknowns), progress, search.fit)
     data = replace(settled, unknowns=unknowns)
     base, search = check_steps(data, base, search, progress)
     search = part_twins(data, search, progress)

@@ -20,12 +20,13 @@ from tau_dyn.servo.records import (
     compute_held_loads,
     compute_load_waves,
     refine_record,
+    smooth_motion,
 )
 from tau_dyn.servo.waves import Trials
 from tau_dyn.simulate import ServoLaw
 
-MAX_SWEEPS = 20
-"""Sweeps of the relaxation at most; a position servo needs five."""
+MAX_SWEEPS = 40
+"""Sweeps of the relaxation at most; a position servo needs five, springs in front of coupled links more."""
 SETTLED_RAD = 2e-5
 """rms change of positions at which the relaxation ends [rad]: a hundredth of a step of a hobby servo's encoder."""
 
@@ -71,25 +72,36 @@ def simulate_coupled(
     records: Sequence[LoopRecord],
     step: float,
 ) -> list[SimulatedMotion]:
-    """Return the motion of each record, joints coupled; see `predict_positions`."""
+    """Return the motion of each record, joints coupled; see `predict_positions`.
+
+    Where the relaxation diverges, as of springs that swing in play, loads hold only what is slower than a servo's loop.
+    """
     every = max(1, int(np.ceil(max(r.dt for r in records) / step - 1e-9)))
     fine = [refine_record(r, every) for r in records]
     space = replace(space, nominal=space.at(unknowns), directions=space.directions[:, :0])
     trial = Trials({key: value[:, None] for key, value in values.items()}, np.zeros((0, 1)))
     motions = [[np.repeat(x, every, axis=0)[: len(f.t)] for x in r.motion] for r, f in zip(records, fine, strict=True)]
-    loads = [compute_load_waves(space, *motion, f.dt) for motion, f in zip(motions, fine, strict=True)]
+    first = loads = [compute_load_waves(space, *motion, f.dt) for motion, f in zip(motions, fine, strict=True)]
     links: list[np.ndarray] = []
+    change, smooth = np.inf, False
     for _ in range(MAX_SWEEPS):
         waves = replace(build_waves(space, fine, loads, law), step=step)
         both = simulate_motion(replace(waves, measured_on_motor=False), trial)  # loads are the links'
         before, links, speeds = links, *([x[: len(r.t), :, 0, k] for k, r in enumerate(fine)] for x in both)
-        if before and _compare(links, before) < SETTLED_RAD:
+        last, change = change, _compare(links, before) if before else np.inf
+        if change < SETTLED_RAD:
             break
-        loads = [compute_held_loads(space, *x, r.dt) for *x, r in zip(links, speeds, fine, strict=True)]
+        if not smooth and change > last:
+            links, loads, smooth = [], first, True
+        elif smooth:
+            loads = [compute_load_waves(space, *smooth_motion(q, r.dt), r.dt) for q, r in zip(links, fine, strict=True)]
+        else:
+            loads = [compute_held_loads(space, *x, r.dt) for *x, r in zip(links, speeds, fine, strict=True)]
     out = simulate_loops(waves, trial) if waves.measured_on_motor else both[0]
     found = []
     for k, (r, q, v) in enumerate(zip(fine, links, speeds, strict=True)):
-        half = np.clip(np.arange(len(q)) + np.array([[-every // 2], [every // 2]]), 0, len(q) - 1)
+        around = max(1, every // 2)
+        half = np.clip(np.arange(len(q)) + np.array([[-around], [around]]), 0, len(q) - 1)
         a = (v[half[1]] - v[half[0]]) / ((half[1] - half[0])[:, None] * r.dt)
         found.append(SimulatedMotion(*(x[::every] for x in (out[: len(r.t), :, 0, k], q, v, a))))
     return found

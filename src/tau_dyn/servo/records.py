@@ -34,6 +34,8 @@ WARM_UP_S = 1.0
 """Start of a piece that does not count [s]: a dozen time constants of a servo's loop."""
 ROWS = 20_000
 """Samples whose regressors are computed at once: 60 MB for an arm of six joints."""
+MAJORANT = 0.525
+"""Own inertia over the sum of a row of the mass matrix, at least: a half and 5 % (Gershgorin)."""
 _STEP = 1e-4
 """Step of a position by which the load's growth is taken [rad]."""
 _MIN_RADIUS = 0.02
@@ -211,15 +213,23 @@ def compute_load_waves(space: InertialSpace, q: np.ndarray, v: np.ndarray, a: np
 
 
 def compute_held_loads(space: InertialSpace, q: np.ndarray, v: np.ndarray, dt: float) -> LoadWaves:
-    """Return loads along a simulated motion (N, na) at the middle of each step, whose acceleration is its change of speed."""
+    """Return loads along a simulated motion (N, na) at the middle of each step, whose acceleration is its change of speed.
+
+    Each joint's own inertia is raised, and its load lowered by as much, where the others' share of it would let the relaxation
+    diverge: it converges where twice the own inertias exceed the mass matrix.
+    """
     rate = np.diff(q, axis=0) / dt
     middle = np.append(np.arange(len(rate)), len(rate) - 1)
     motion = ((0.5 * (q[1:] + q[:-1]))[middle], rate[middle], (np.diff(v, axis=0) / dt)[middle])
-    return replace(_compute_waves(space, space.basis, motion, dt), along=q, held=True)
+    return replace(_compute_waves(space, space.basis, motion, dt, majorant=True), along=q, held=True)
 
 
 def _compute_waves(
-    space: InertialSpace, basis: np.ndarray, motion: tuple[np.ndarray, np.ndarray, np.ndarray], dt: float
+    space: InertialSpace,
+    basis: np.ndarray,
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    dt: float,
+    majorant: bool = False,
 ) -> LoadWaves:
     mechanism, (q, v, a), (n, na) = space.model.mechanism, motion, motion[0].shape
     every = max(1, round(SLOW_S / dt))
@@ -227,13 +237,17 @@ def _compute_waves(
     qs, zero = q[some], np.zeros((len(some), na))
     still = mechanism.regressor(qs, zero, zero)
     inertia = np.empty((len(some), na, basis.shape[1]))
-    stiffness = np.empty((len(some), na))
+    stiffness, coupling = np.empty((2, len(some), na))
     for j in range(na):
         push = np.zeros_like(qs)
         push[:, j] = 1.0
-        inertia[:, j] = (mechanism.regressor(qs, zero, push) - still)[:, j] @ basis
+        column = mechanism.regressor(qs, zero, push) - still
+        inertia[:, j] = column[:, j] @ basis
+        coupling[:, j] = np.abs(np.delete(column, j, axis=1) @ space.nominal).sum(axis=1)
         ahead, behind = (mechanism.regressor(qs + s * _STEP * push, zero, zero)[:, j] for s in (1, -1))
         stiffness[:, j] = (ahead - behind) @ space.nominal / (2 * _STEP)
+    if majorant:
+        inertia[..., 0] = np.maximum(inertia[..., 0], MAJORANT * (inertia[..., 0] + coupling))
     full, stiff = (
         interp1d(some, x, axis=0, assume_sorted=True)(np.arange(n)) if len(some) > 1 else x[[0] * n]
         for x in (inertia, stiffness)
