@@ -73,14 +73,14 @@ def build_commands(robot, seed: int, duration: float = 40.0) -> Trajectory:
     return Trajectory(robot.actuated, t, q, v, np.gradient(v, t, axis=0))
 
 
-def record(robot, model, law, seed: int, duration: float = 40.0, **sensors):
-    """Return a log of commands and positions as a 12 bit encoder shows them."""
+def record(robot, model, law, seed: int, duration: float = 40.0, clean: bool = False, **sensors):
+    """Return a log of commands and positions as a 12 bit encoder shows them, or, clean, as they are."""
     return simulate_loop_log(
         model,
         law,
         build_commands(robot, seed, duration),
         seed=seed,
-        encoder_resolution=2 * np.pi / 4096,
-        encoder_noise=3e-4,
+        encoder_resolution=0.0 if clean else 2 * np.pi / 4096,
+        encoder_noise=0.0 if clean else 3e-4,
         **sensors,
     )

@@ -1,0 +1,63 @@
+"""Loops of coupled joints against an independent simulator, stops within a step, and what intervals hold."""
+
+import numpy as np
+import pytest
+
+from tau_dyn.identify import Choices
+from tau_dyn.servo import identify_loop
+from tau_dyn.servo.loop import simulate_motion
+from tau_dyn.servo.records import InertialSpace, build_records, build_waves, compute_load_waves
+from tau_dyn.servo.simulation import read_values
+from tau_dyn.servo.waves import Trials
+from tau_dyn.simulate import ServoLaw
+from tests.servo.arms import build_arm, build_commands, build_law, build_link, build_truth, record
+from tests.servo.coupled import PlanarArms
+
+
+def test_coupled_joints_move_as_one_system():
+    """Three joints, each with the others' accelerations as a load, move as the solution of all equations at once."""
+    arm, one = build_arm(3), np.ones((3, 1))
+    motion = build_commands(arm, 0, 4.0)
+    together = PlanarArms(
+        0.12, 0.15 * one, 0.07 * one, 2e-4 * one, 0.012 * one, 0.06 * one, 0.02 * one, 0.2 * one, 0.01 * one, 0.05,
+        2.65 * one, 2.9, 0.17, 0.012 * one,
+    )  # fmt: skip
+    q = together.simulate(motion.q[:, :, None], 0.02)[:, :, 0]
+    log = record(arm, build_truth(arm), build_law(arm), 0, 4.0, clean=True)
+    np.testing.assert_allclose(log.joint("q", arm.actuated), q[: log.n_samples], atol=3e-4)
+
+
+@pytest.mark.parametrize("step", [0.02, 0.0066, 0.001])
+def test_a_stop_within_a_step_is_where_friction_brings_it(step):
+    """A joint that coasts against Coulomb friction alone stops after v^2 inertia / (2 friction), whatever the step."""
+    robot = build_link(0.02)
+    law = ServoLaw.of(robot.actuated, position_gain=1.0, force_per_unit=1e-12)
+    truth = build_truth(robot).with_values({"j1.viscous": 0.0, "j1.coulomb": 0.06, "j1.armature": 0.0})
+    records = build_records(truth, law, [record(robot, truth, law, 0, 2.0)])
+    space = InertialSpace.of(truth)
+    waves = build_waves(space, records, [compute_load_waves(space, *r.motion, r.dt) for r in records], law)
+    waves = type(waves)(**(vars(waves) | {"speed": np.array([[1.0]]), "step": step}))
+    trials = Trials({key: x[:, None] for key, x in read_values(truth, law).items()}, np.zeros((0, 1)))
+    q, v = simulate_motion(waves, trials)[:, :, 0, 0, 0]
+    assert q[-1] - q[0] == pytest.approx(0.02 / (2 * 0.06), rel=1e-6)
+    assert v[-1] == 0
+
+
+def test_intervals_hold_what_is_true():
+    """Of arms with friction and drives of their own, intervals of 95 % hold nearly all true values, and none is far."""
+    z = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        arm = build_arm(2)
+        values = {f"{j}.{k}": x * np.exp(0.3 * rng.normal()) for j in arm.actuated
+                  for k, x in (("coulomb", 0.06), ("viscous", 0.02), ("armature", 0.012))}  # fmt: skip
+        log = record(arm, build_truth(arm).with_values(values), build_law(arm), seed, 24.0)
+        law = ServoLaw.of(arm.actuated, position_gain=2.65, force_per_unit=2.9, back_emf=0.17)
+        found = identify_loop(arm, log, law=law, holdout=log.split(0.9)[1], choices=Choices(fix=("j*_link.mass",)))
+        values |= {f"{j}.{k}": x for j in arm.actuated
+                   for k, x in (("load_friction", 0.2), ("stiction", 0.01), ("command_delay", 0.012), ("offset", 0.0))}  # fmt: skip
+        z += [(p.value - values[p.name]) / p.stderr for p in found.parameters if p.name in values and p.stderr]
+    assert len(z) > 40
+    assert np.mean(np.abs(z) < 1.96) > 0.85
+    assert np.max(np.abs(z)) < 4
+    assert np.std(z) > 0.5
