@@ -113,5 +113,4 @@ def read_kind(u: LoopUnknowns, fit: LoopFit, kind: str) -> tuple[np.ndarray, np.
 
 
 def _build_problem(data: LoopData, u: LoopUnknowns, chosen: Sequence[int]) -> LoopProblem:
-    records, loads = [data.records[k] for k in chosen], [data.loads[k] for k in chosen]
-    return replace(data, records=records, loads=loads, unknowns=u).build_problem()
+    return data.pick(chosen).build_problem(u)

@@ -17,7 +17,7 @@ from tau_dyn.simulate import ServoLaw
 
 BASELINE = ("armature", "coulomb", "viscous", "offset")
 """What a simulation has before any cause, and is fitted first."""
-_ITERATIONS = 6  # from a solution with twice the step
+_ITERATIONS = 6  # from a solution of nearly the same problem
 EXACT_STEP_S = 5e-4
 """Shortest step of exact motions [s]."""
 STEP_PER_ROOT = 0.022
@@ -25,8 +25,12 @@ STEP_PER_ROOT = 0.022
 square of it; a tenth of the residual is little beside it."""
 STEP_RATIO = 4.0
 """Step of the fits over that of exact motions."""
+COARSE_IS_ENOUGH_RAD = 1.6e-3
+"""Residual from which what a model misses outweighs the errors of long steps and of loads along the measured motion."""
 MAX_SETTLINGS = 5
 """Fits in turn with loads along the motion that the last one simulates; three are usual."""
+SAME_RMS = 1e-4
+"""Relative change of every joint's residual from which loads count as settled: where a model misses much, unknowns wander."""
 SETTLED = 0.1
 """Change of every unknown over its standard error from which its loads count as settled."""
 
@@ -79,6 +83,12 @@ class LoopData:
         exact = exact if self.whole else split_pieces(exact, self.loads)[0]
         return problem.correct([r.q for r in exact], self.settled.trials)
 
+    def pick(self, chosen: Sequence[int]) -> LoopData:
+        """Return the data of some logs."""
+        settled = self.settled and self.settled._replace(motions=tuple(self.settled.motions[k] for k in chosen))
+        records, loads = ([rows[k] for k in chosen] for rows in (self.records, self.loads))
+        return replace(self, records=records, loads=loads, settled=settled)
+
     def settle(self, fit: LoopFit) -> LoopData:
         """Return the data with loads along the motions that a fit simulates, and the error that its steps make."""
         u, space = self.unknowns, self.space
@@ -102,19 +112,25 @@ def fit_coupled(
 
     The first fit, unless one is given, takes what joints do to each other along the measured motion, whose accelerations
     are filtered and noisy. Each next one takes it along the motion that the last one simulates, and adds what finer steps
-    change there.
+    change there. Where a model misses much more than that, the first fit is the last.
     Reference: Stetter 1978.
     """
     fit = fit or fit_loop(data.build_problem(), progress)
+    if float(np.median(fit.sigma)) > COARSE_IS_ENOUGH_RAD:
+        return data, fit
     for _ in range(MAX_SETTLINGS):
         data = data.settle(fit)
         problem = data.build_problem()
         problem = problem.with_finer_differences() if data.whole else problem
-        before, fit = fit, fit_loop(problem, progress, first=fit.x)
+        before, fit = fit, fit_loop(problem, progress, _ITERATIONS, fit.x)
         sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-        if np.all(np.abs(fit.x - before.x) <= SETTLED * sigma + 1e-12):
+        if np.all(np.abs(fit.x - before.x) <= SETTLED * sigma + 1e-12) or _is_alike(fit.sigma, before.sigma):
             break
     return data, fit
+
+
+def _is_alike(sigma: np.ndarray, before: np.ndarray) -> bool:
+    return bool(np.all(np.abs(sigma - before) < SAME_RMS * before))
 
 
 def fit_precisely(problem: LoopProblem, progress: Callable[[str], None]) -> LoopFit:

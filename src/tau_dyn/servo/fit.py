@@ -51,8 +51,9 @@ BLOCK_S = (1.0, 5.0)
 """Shortest and longest blocks over which the gradient's scatter is taken [s]: residuals forget within the longest."""
 BLOCKS = 100
 """Blocks that are wanted: several for each unknown of a joint, or the scatter among them comes out too small."""
+_SMALL_GAIN = 1e-3  # relative fall of the loss below which a first search ends, twice in turn
 CONVERGED = 0.01
-"""Squared distance to the minimum, in standard errors, from which a search ends (Newton decrement)."""
+"""Squared distance to the minimum, in standard errors, from which a search near a solution ends (Newton decrement)."""
 MAX_ELEMENTS = 6_000_000
 """Positions that are simulated at once, 48 MB of them."""
 
@@ -405,7 +406,7 @@ def fit_loop(
         H, g = H + np.diag(precision), g - precision * (x - start)
         loss = _sum_squares(r[:, :, None], weight)[0] + float(precision @ (x - start) ** 2)
         held = _find_held(u, x, g)
-        if k > 2 and float(g @ (_step(H, g, 0.0, held, u, x) - x)) < CONVERGED:
+        if first is not None and k > 1 and float(g @ (_step(H, g, 0.0, held, u, x) - x)) < CONVERGED:
             break
         tried = np.array([_step(H, g, damping * lam, held, u, x) for lam in _LAMBDAS])
         rs = problem.residuals(tried.T)
@@ -419,7 +420,7 @@ def fit_loop(
             damping *= 1e3
             continue
         x, damping, last = tried[best], min(max(damping * _LAMBDAS[best], 1e-4), 1e4), losses[best]
-        small = small + 1 if gain < CONVERGED / 2 else 0
+        small = small + 1 if gain < (CONVERGED / 2 if first is not None else _SMALL_GAIN * loss) else 0
         if small == 2:
             break
     r, sensitivities, owners = problem.differentiate(x)

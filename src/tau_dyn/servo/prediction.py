@@ -25,10 +25,11 @@ from tau_dyn.servo.records import (
 from tau_dyn.servo.waves import Trials
 from tau_dyn.simulate import ServoLaw
 
-MAX_SWEEPS = 40
+MAX_SWEEPS = 16
 """Sweeps of the relaxation at most; a position servo needs five, springs in front of coupled links more."""
-SETTLED_RAD = 2e-5
-"""rms change of positions at which the relaxation ends [rad]: a hundredth of a step of a hobby servo's encoder."""
+SETTLED_RAD = (2e-5, 2e-4)
+"""rms change of positions at which the relaxation ends, with fine and with long steps [rad]: a hundredth and a tenth of a step
+of a hobby servo's encoder."""
 
 
 def predict_positions(
@@ -89,7 +90,7 @@ def simulate_coupled(
         both = simulate_motion(replace(waves, measured_on_motor=False), trial)  # loads are the links'
         before, links, speeds = links, *([x[: len(r.t), :, 0, k] for k, r in enumerate(fine)] for x in both)
         last, change = change, _compare(links, before) if before else np.inf
-        if change < SETTLED_RAD:
+        if change < SETTLED_RAD[step > FINE_STEP_S]:
             break
         if not smooth and change > last:
             links, loads, smooth = [], first, True
