@@ -12,9 +12,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import cosmic_ray.plugins
-from cosmic_ray.mutating import use_mutation
-
 ROOT = Path(__file__).resolve().parents[2]
 COPIED = ("src", "tests", "urdf", "docs", "experiments", "identification", "pyproject.toml", "README.md")
 _PYTEST = ("-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--no-header", "--tb=line")
@@ -26,7 +23,10 @@ def judged(item: dict[str, Any]) -> dict[str, Any]:
     Args:
         item: `Mutant.to_dict()` with `folder` (copies are kept there, one a process), `tests` (of the room) and `limit` [s].
     """
-    root = _copy(Path(item["folder"]))
+    import cosmic_ray.plugins  # not needed for the physical faults
+    from cosmic_ray.mutating import use_mutation
+
+    root = copy_project(Path(item["folder"]))
     file = root / "src" / "tau_dyn" / item["module"]
     operator = cosmic_ray.plugins.get_operator(item["operator"])()
     none = {"outcome": "none", "was": "", "became": ""}
@@ -45,7 +45,7 @@ def judged(item: dict[str, Any]) -> dict[str, Any]:
 def tested(root: Path, tests: list[str], limit: float) -> str:
     """Run tests in a copy until one fails; `killed`, `survived` or `timeout`."""
     try:
-        done = _pytest(root, tests, limit)
+        done = run_pytest(root, tests, limit)
     except subprocess.TimeoutExpired:
         return "timeout"
     return "survived" if done.returncode in (0, 5) else "killed"
@@ -53,7 +53,7 @@ def tested(root: Path, tests: list[str], limit: float) -> str:
 
 def quick_first(root: Path, tests: list[str]) -> list[str]:
     """Run tests once, unbroken, and return their files, those that take least time first; none where a test fails."""
-    done = _pytest(root, ["--durations=0", "-vv", *tests])
+    done = run_pytest(root, ["--durations=0", "-vv", *tests])
     if done.returncode:
         return []
     paths = [root / test for test in tests]
@@ -64,14 +64,16 @@ def quick_first(root: Path, tests: list[str]) -> list[str]:
     return sorted(took, key=lambda file: took[file])
 
 
-def _pytest(root: Path, arguments: list[str], limit: float | None = None) -> subprocess.CompletedProcess[str]:
-    env = {**os.environ, "PYTHONPATH": str(root / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
-    env |= {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+def run_pytest(root: Path, arguments: list[str], limit: float | None = None) -> subprocess.CompletedProcess[str]:
+    """Run tests in a copy, one process and one thread, until one fails."""
+    env = {key: value for key, value in os.environ.items() if key not in ("PYTHONDONTWRITEBYTECODE", "CI")}
+    env |= {"PYTHONPATH": str(root / "src"), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "pytest", *_PYTEST, *arguments]
     return subprocess.run(command, cwd=root, env=env, timeout=limit, capture_output=True, text=True)
 
 
-def _copy(folder: Path) -> Path:
+def copy_project(folder: Path) -> Path:
+    """Return this process's copy of the project, made when first asked for."""
     root = folder / f"copy_{os.getpid()}"
     if not root.exists():
         root.mkdir(parents=True)

@@ -1,0 +1,111 @@
+"""Faults that a physicist makes: read from `physical_faults.txt`, put in one at a time, and shown to the tests of their room."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mutation_parts.trial import ROOT, copy_project, run_pytest
+
+FAULTS = Path(__file__).with_name("physical_faults.txt")
+_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault.
+
+    Attributes:
+        room: Folder of `src/tau_dyn`, and of `tests`.
+        file: Within the room.
+        why: What is wrong with it, as physics.
+        old: Text that stands in the file once.
+        new: What it becomes.
+    """
+
+    room: str
+    file: str
+    why: str
+    old: str
+    new: str
+
+    def path(self, root: Path) -> Path:
+        """Return the file in a copy of the project."""
+        return root / "src" / "tau_dyn" / self.room / self.file
+
+    def apply(self, text: str) -> str:
+        """Return the file's text with the fault in it.
+
+        Raises:
+            SystemExit: The old text is not there exactly once.
+        """
+        if text.count(self.old) != 1:
+            raise SystemExit(f"{self.room}/{self.file}: {text.count(self.old)} times, not once: {self.old}")
+        return text.replace(self.old, self.new)
+
+
+def read_faults(path: Path = FAULTS) -> list[Fault]:
+    """Return all faults of the list."""
+    found, room = [], ""
+    lines = [x for x in path.read_text(encoding="utf-8").splitlines() if x.strip() and not x.startswith("# ")]
+    while lines:
+        head = lines.pop(0)
+        if head.startswith("## "):
+            room = head[3:]
+            continue
+        file, why = head.split(": ", 1)
+        found.append(Fault(room, file, why, lines.pop(0).removeprefix("- "), lines.pop(0).removeprefix("+ ")))
+    return found
+
+
+def order_tests(fault: Fault, root: Path = ROOT) -> list[str]:
+    """Return the test files of the fault's room, those first that name what it is in."""
+    text = fault.path(root).read_text(encoding="utf-8")
+    line = text[: text.index(fault.old)].count("\n") + 1
+    own, around, stem = set(), set(), Path(fault.file).stem
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            own.add(node.name)
+            if node.lineno <= line <= (node.end_lineno or line):
+                around.add(node.name)
+
+    def likely(path: Path) -> tuple[float, int]:
+        words = set(re.findall(r"\w+", path.read_text(encoding="utf-8")))
+        named = 10.0 * (stem in path.stem or path.stem.removeprefix("test_") in fault.file)
+        return -(named + 5 * len(around & words) + len(own & words)), path.stat().st_size
+
+    files = (root / "tests" / fault.room).rglob("test_*.py")
+    return [str(path.relative_to(root)) for path in sorted(files, key=likely)]
+
+
+def judge(fault: Fault, folder: Path, limit: float) -> dict[str, Any]:
+    """Return whether the room's tests notice a fault: `noticed`, `unnoticed` or `undecided` in time; by which test; seconds."""
+    root = copy_project(folder)
+    path, begun = fault.path(root), time.monotonic()
+    whole, by = path.read_text(encoding="utf-8"), ""
+    tests = order_tests(fault, root)
+    path.write_text(fault.apply(whole), encoding="utf-8")
+    try:
+        done = run_pytest(root, ["--timeout=120", *tests], limit)
+        outcome = "unnoticed" if done.returncode == 0 else "noticed"
+        by = next(iter(_FAILED.findall(done.stdout)), "")
+        if done.returncode and not by:
+            raise SystemExit(f"{fault.room}: the tests do not run\n{done.stdout}{done.stderr}")
+    except subprocess.TimeoutExpired:
+        outcome = "undecided"
+    finally:
+        path.write_text(whole, encoding="utf-8")
+    return {"outcome": outcome, "by": by, "seconds": round(time.monotonic() - begun, 1)}
+
+
+def fail_unbroken(tests: list[str], folder: Path) -> set[str]:
+    """Return those of the tests that fail without any fault too, and so say nothing."""
+    if not tests:
+        return set()
+    done = run_pytest(copy_project(folder), ["--maxfail=100", *dict.fromkeys(tests)])
+    return set(_FAILED.findall(done.stdout))
