@@ -14,7 +14,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 COPIED = ("src", "tests", "urdf", "docs", "experiments", "identification", "pyproject.toml", "README.md")
-_PYTEST = ("-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--no-header", "--tb=line")
+PYTEST = ("-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--no-header", "--tb=line")
 
 
 def judged(item: dict[str, Any]) -> dict[str, Any]:
@@ -45,7 +45,7 @@ def judged(item: dict[str, Any]) -> dict[str, Any]:
 def tested(root: Path, tests: list[str], limit: float) -> str:
     """Run tests in a copy until one fails; `killed`, `survived` or `timeout`."""
     try:
-        done = run_pytest(root, tests, limit)
+        done = _pytest(root, tests, limit)
     except subprocess.TimeoutExpired:
         return "timeout"
     return "survived" if done.returncode in (0, 5) else "killed"
@@ -53,7 +53,7 @@ def tested(root: Path, tests: list[str], limit: float) -> str:
 
 def quick_first(root: Path, tests: list[str]) -> list[str]:
     """Run tests once, unbroken, and return their files, those that take least time first; none where a test fails."""
-    done = run_pytest(root, ["--durations=0", "-vv", *tests])
+    done = _pytest(root, ["--durations=0", "-vv", *tests])
     if done.returncode:
         return []
     paths = [root / test for test in tests]
@@ -64,11 +64,10 @@ def quick_first(root: Path, tests: list[str]) -> list[str]:
     return sorted(took, key=lambda file: took[file])
 
 
-def run_pytest(root: Path, arguments: list[str], limit: float | None = None) -> subprocess.CompletedProcess[str]:
-    """Run tests in a copy, one process and one thread, until one fails."""
-    env = {key: value for key, value in os.environ.items() if key not in ("PYTHONDONTWRITEBYTECODE", "CI")}
-    env |= {"PYTHONPATH": str(root / "src"), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "pytest", *_PYTEST, *arguments]
+def _pytest(root: Path, arguments: list[str], limit: float | None = None) -> subprocess.CompletedProcess[str]:
+    env = {**os.environ, "PYTHONPATH": str(root / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
+    env |= {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+    command = [sys.executable, "-m", "pytest", *PYTEST, *arguments]
     return subprocess.run(command, cwd=root, env=env, timeout=limit, capture_output=True, text=True)
 
 
