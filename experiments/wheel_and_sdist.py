@@ -3,7 +3,7 @@
     python experiments/wheel_and_sdist.py [--python python3.11 python3.12 python3.13] [--tests tests/cli ...] [--keep DIR]
 
 The sdist is built from the checkout, the wheel from the sdist, as an index would. For each interpreter each of the two is
-installed in an empty virtual environment; there the README's demo runs, and its lines of Python on two logs that `simulate` makes.
+installed in an empty virtual environment; there the README's demo runs, and its Python on two logs that `simulate` makes.
 The wheel's environment has the extra `test`, too: the tests, which the sdist carries, are run from the unpacked sdist after its
 `src` is gone, so that only the wheel can give the package. Left out are the tests of the sources themselves (`SOURCES`);
 `--tests` alone leaves out all. Exit status 1 where something is missing, stray, or fails.
