@@ -16,7 +16,7 @@ from typing import Any
 from mutation_parts.trial import PYTEST, ROOT, copy_project
 
 FAULTS = Path(__file__).with_name("physical_faults.txt")
-_LIKELY = 3
+_LIKELY = 5
 """Files of tests that are collected first."""
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
 
@@ -69,7 +69,7 @@ def read_faults(path: Path = FAULTS) -> list[Fault]:
 
 
 def order_tests(fault: Fault, root: Path = ROOT) -> list[str]:
-    """Return the test files of the fault's room, those first that name what it is in."""
+    """Return the test files of the fault's room: first, short ones first, those that name most of what it is in."""
     text = fault.path(root).read_text(encoding="utf-8")
     line = text[: text.index(fault.old)].count("\n") + 1
     own, around, stem = set(), set(), Path(fault.file).stem
@@ -79,13 +79,14 @@ def order_tests(fault: Fault, root: Path = ROOT) -> list[str]:
             if node.lineno <= line <= (node.end_lineno or line):
                 around.add(node.name)
 
-    def likely(path: Path) -> tuple[float, int]:
+    def likely(path: Path) -> float:
         words = set(re.findall(r"\w+", path.read_text(encoding="utf-8")))
         named = 10.0 * (stem in path.stem or path.stem.removeprefix("test_") in fault.file)
-        return -(named + 5 * len(around & words) + len(own & words)), path.stat().st_size
+        return -(named + 5 * len(around & words) + len(own & words))
 
-    files = (root / "tests" / fault.room).rglob("test_*.py")
-    return [str(path.relative_to(root)) for path in sorted(files, key=likely)]
+    files = sorted((root / "tests" / fault.room).rglob("test_*.py"), key=likely)
+    files = [*sorted(files[:_LIKELY], key=lambda path: path.stat().st_size), *files[_LIKELY:]]
+    return [str(path.relative_to(root)) for path in files]
 
 
 def judge(fault: Fault, folder: Path, limit: float) -> dict[str, Any]:
