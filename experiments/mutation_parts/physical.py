@@ -16,6 +16,8 @@ from typing import Any
 from mutation_parts.trial import PYTEST, ROOT, copy_project
 
 FAULTS = Path(__file__).with_name("physical_faults.txt")
+_NO_TESTS = (4, 5)
+"""pytest's status where a test that was asked for is not there any more."""
 _LIKELY = 5
 """Files of tests that are collected first."""
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
@@ -89,8 +91,11 @@ def order_tests(fault: Fault, root: Path = ROOT) -> list[str]:
     return [str(path.relative_to(root)) for path in files]
 
 
-def judge(fault: Fault, folder: Path, limit: float) -> dict[str, Any]:
-    """Return whether the room's tests notice a fault: `noticed`, `unnoticed` or `undecided` in time; by which test; seconds."""
+def judge(fault: Fault, folder: Path, limit: float, known: str = "") -> dict[str, Any]:
+    """Return whether the room's tests notice a fault: `noticed`, `unnoticed` or `undecided` in time; by which test; seconds.
+
+    The test that noticed it in an earlier campaign runs first.
+    """
     root = copy_project(folder)
     path, begun = fault.path(root), time.monotonic()
     whole = path.read_text(encoding="utf-8")
@@ -99,13 +104,13 @@ def judge(fault: Fault, folder: Path, limit: float) -> dict[str, Any]:
     status: int | None = 0
     said = ""
     try:
-        for part in (tests[:_LIKELY], tests[_LIKELY:]):  # collecting all files takes longer than most first failures
-            if status == 0 and part:
+        for part in ([known] if known else [], tests[:_LIKELY], tests[_LIKELY:]):  # collecting all takes long
+            if part and status in (0, *_NO_TESTS):
                 status, said = run_forked(root, ["--timeout=120", *part], limit - (time.monotonic() - begun))
     finally:
         path.write_text(whole, encoding="utf-8")
     by = next(iter(_FAILED.findall(said)), "")
-    outcome = {None: "undecided", 0: "unnoticed"}.get(status, "noticed")
+    outcome = {None: "undecided", 0: "unnoticed", 5: "unnoticed"}.get(status, "noticed")
     if outcome == "noticed" and not by:
         raise SystemExit(f"{fault.room}: the tests do not run\n{said}")
     return {"outcome": outcome, "by": by, "seconds": round(time.monotonic() - begun, 1)}
