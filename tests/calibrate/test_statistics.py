@@ -21,7 +21,7 @@ from tau_dyn.calibrate.crossvalidation import compare_paired
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.gravity import RodLoads
 from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_and_cross_validate
-from tau_dyn.calibrate.outliers import find_moved_frames, find_outliers
+from tau_dyn.calibrate.outliers import _fit_move, _leave_out_each, find_moved_frames, find_outliers
 from tau_dyn.calibrate.pose_errors import PoseErrors, estimate_measurement_noise
 from tau_dyn.mechanism import forward_kinematics
 
@@ -136,3 +136,29 @@ def test_rods_carry_plate_and_half_of_themselves():
     force = RodLoads(rods)(robot.home[None])
     assert_allclose(force.sum(axis=1)[0], carried * robot.model.gravity.linear, rtol=1e-6, atol=1e-6)
     assert forward_kinematics(rods, robot.home[None]).ok.all()
+
+
+def test_a_move_that_is_none_is_as_large_as_its_covariance_says(fits):
+    """Thirty other poses of each small fit's robot: the fitted move of the device in units of its covariance is 6 in the mean.
+
+    Poses and dimensions both are uncertain; either one alone would make it twice as large or more.
+    """
+    sizes = []
+    for seed, one in enumerate(fits):
+        poses, _ = measured(rods_of(), "nonparallel", N + 30, seed, noise=(NOISE, NOISE))
+        held = poses.take(np.arange(N, N + 30))
+        sigma = np.full((30, 3), one.fit.noise[0])
+        made = _fit_move("device", one.fit.frames, one.fit, held, one.fit.predict(held).base, sigma)
+        sizes.append(float(made.move @ np.linalg.pinv(made.cov) @ made.move))
+    assert 6 - 4 * np.sqrt(12 / 20) < np.mean(sizes) < 6 + 4 * np.sqrt(12 / 20)
+
+
+def test_each_pose_is_judged_by_a_move_fitted_without_it(rng):
+    """Leaving one pose after the other out of a linear fit gives the residuals that leverages promise."""
+    columns, r = rng.normal(size=(12, 3, 6)), rng.normal(size=(12, 3))
+    x = np.linalg.lstsq(columns.reshape(-1, 6), r.ravel(), rcond=None)[0]
+    left = _leave_out_each(cast(Any, SimpleNamespace(columns=columns, residuals=r - columns @ x)))
+    for k in range(12):
+        rest = np.arange(12) != k
+        own = np.linalg.lstsq(columns[rest].reshape(-1, 6), r[rest].ravel(), rcond=None)[0]
+        assert_allclose(left[k], r[k] - columns[k] @ own, rtol=1e-9)
