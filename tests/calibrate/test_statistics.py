@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from calibration_rigs import family_at, measured, rods_of
 
 from tau_dyn.calibrate.addition_tests import _ProjectedResidual
-from tau_dyn.calibrate.crossvalidation import compare_paired
+from tau_dyn.calibrate.crossvalidation import compare_paired, split_folds
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.gravity import RodLoads
 from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_and_cross_validate
@@ -162,3 +162,13 @@ def test_each_pose_is_judged_by_a_move_fitted_without_it(rng):
         rest = np.arange(12) != k
         own = np.linalg.lstsq(columns[rest].reshape(-1, 6), r[rest].ravel(), rcond=None)[0]
         assert_allclose(left[k], r[k] - columns[k] @ own, rtol=1e-9)
+
+
+def test_poses_of_the_same_joints_are_left_out_together():
+    """Seven configurations measured three times: each stands in one fold with all of its poses, and each pose in one fold."""
+    configuration = np.tile(np.arange(7), 3)
+    for seed in range(5):
+        folds = split_folds(configuration, seed)
+        assert sorted(np.concatenate(folds).tolist()) == list(range(21)) and len(folds) == 5
+        for k in range(7):
+            assert [int(np.sum(configuration[fold] == k)) for fold in folds].count(3) == 1

@@ -116,6 +116,14 @@ def test_friction_grows_with_the_torque_of_either_sign(sign):
     assert_allclose(np.diff(speed) * RATE_HZ, sign * 3.0 * 0.5 * 0.75 / INERTIA, rtol=1e-6)
 
 
+def test_friction_by_the_torque_holds_against_a_load_of_either_side():
+    """Held by a quarter of its torque, a joint rests as far below a command left of the top as right of it."""
+    left = run(np.full(1500, 1.2), "0 1 0", back_emf=0.5, load_friction=0.25)
+    right = run(np.full(1500, np.pi - 1.2), "0 1 0", back_emf=0.5, load_friction=0.25)
+    assert abs(left[-1] - 1.2) > 0.01 and np.ptp(left[-200:]) == np.ptp(right[-200:]) == 0.0
+    assert_allclose(left - 1.2, -(right - (np.pi - 1.2)), atol=1e-9)
+
+
 def test_a_profile_speeds_up_and_brakes_alike():
     """With 2 rad/s^2 both ways a step of 0.5 rad takes `2 sqrt(0.5 / 2) = 1 s`, half of it at half the way."""
     found = run(step(0.5, 2.0), position_gain=4000.0, back_emf=40.0, acceleration_limit=2.0, speed_limit=np.inf)
