@@ -126,3 +126,10 @@ def test_a_mass_may_be_off_to_either_side(one, factor):
     z = 0.07 / np.hypot(0.02, 0.005)
     assert_allclose(found.p_value, 2 * stats.norm.sf(z), rtol=1e-9)
     assert_allclose(found.score, z**2, rtol=1e-9)
+
+
+def test_masses_that_scatter_about_their_mean_factor_are_no_gain(l1):
+    """Plus 40 % and plus 20 % raise the mean factor by four of its errors or more, yet the others stand still: no gain."""
+    names = ("cart1_link.mass", "cart2_link.mass")
+    found = judged(l1, dict(zip(names, (1.4, 1.2), strict=True)))
+    assert sorted(f.joints for f in found) == [("cart1_link",), ("cart2_link",)]

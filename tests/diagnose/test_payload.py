@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.diagnose import Finding, diagnose
 from tau_dyn.diagnose.nominal import find_parameter_changes
-from tau_dyn.diagnose.payload import compute_body_properties
+from tau_dyn.diagnose.payload import compare_with_trusted, compute_body_properties
 from tau_dyn.identify import Identification, identify
 from tau_dyn.log import Log
 from tau_dyn.robot import Robot, load_robot
@@ -176,3 +176,18 @@ def _inertia(points: np.ndarray, mass: float) -> np.ndarray:
     """Return `ixx ixy iyy ixz iyz izz` of equal point masses (n, 3) about the origin."""
     J = sum(mass * (p @ p * np.eye(3) - np.outer(p, p)) for p in points)
     return J[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+
+
+def test_trust_in_the_file_enters_as_its_square(robot) -> None:
+    """Masses trusted to s, 2 s and 3 s: what that adds to the covariance of a difference grows as 1, 4, 9."""
+    fit = identify(robot, [recorded(robot, 3)], model="asymmetric")
+    added = []
+    for factor in (1.0, 2.0, 3.0):
+        known = {
+            p.name: {"prior_stderr": 0.05 * factor * p.value}
+            for p in fit.nominal
+            if p.name.endswith(".mass") and p.value > 0
+        }
+        added.append(compare_with_trusted(robot, fit.nominal.update(known), fit.estimate).S)
+    assert_allclose(added[2] - added[0], 8 / 3 * (added[1] - added[0]), rtol=1e-6, atol=1e-12)
+    assert np.trace(added[1] - added[0]) > 0
