@@ -14,13 +14,13 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 sys.path.insert(0, str(Path(__file__).parent))
-from calibration_rigs import family_at, measured, rods_of
+from calibration_rigs import RodFamily, family_at, measured, rods_of
 
 from tau_dyn.calibrate.addition_tests import _ProjectedResidual
 from tau_dyn.calibrate.crossvalidation import compare_paired, split_folds
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.gravity import RodLoads
-from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_and_cross_validate
+from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_and_cross_validate, fit_geometry
 from tau_dyn.calibrate.outliers import _fit_move, _leave_out_each, find_moved_frames, find_outliers
 from tau_dyn.calibrate.pose_errors import PoseErrors, estimate_measurement_noise
 from tau_dyn.mechanism import forward_kinematics
@@ -172,3 +172,15 @@ def test_poses_of_the_same_joints_are_left_out_together():
         assert sorted(np.concatenate(folds).tolist()) == list(range(21)) and len(folds) == 5
         for k in range(7):
             assert [int(np.sum(configuration[fold] == k)) for fold in folds].count(3) == 1
+
+
+def test_a_play_is_as_sure_as_it_says():
+    """Sixty um of play at one cart, found in 24 small campaigns: its errors are those that the fits state."""
+    rods, z = rods_of(), []
+    for seed in range(24):
+        poses, _ = measured(rods, "nonparallel", 40, seed, noise=(2e-5, 2e-5), backlash=np.array([6e-5, 0, 0]))
+        family = RodFamily(rods, poses)
+        spec = replace(family.spec("nonparallel"), additions={"backlash": ("cart1",)})
+        p = fit_geometry(family.build(spec), spec, poses, Options(seed=seed), None, "it").parameters["cart1.backlash"]
+        z.append((p.value - 6e-5) / p.stderr)
+    assert 1 - 3 * np.sqrt(2 / 24) < np.mean(np.square(z)) < 1 + 4 * np.sqrt(2 / 24)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.modes import Mode, StateSpace
+from tau_dyn.modes.feedback_tests import _answers
 from tau_dyn.modes.modal import compute_frequency_and_damping, find_resonances, widen_modes
 from tau_dyn.modes.modal_form import build_layout, build_modal_form, free_numbers
 from tau_dyn.modes.record import Record
@@ -102,3 +105,19 @@ def test_freedoms_that_a_fit_used_make_its_residual_less_believable(rng):
         for _ in range(120)
     ]
     assert 0.35 < np.mean(p) < 0.65 and np.mean(np.array(p) < 0.1) < 0.25
+
+
+def test_a_late_model_turns_the_phase_back(rng):
+    """Three samples late the response is `z^-3` times the prompt one, at every frequency."""
+    model, f = build_model(rng), np.array([1.0, 9.0, 40.0])
+    z = np.exp(2j * np.pi * f * DT)[:, None, None]
+    assert_allclose(replace(model, delay=3).frequency_response(f), z**-3 * model.frequency_response(f), rtol=1e-12)
+
+
+def test_chance_alone_foretells_no_input(rng):
+    """White inputs that nothing feeds back: of their variance past innovations foretell nothing, in the median of 40."""
+    shares = []
+    for _ in range(40):
+        record = Record(rng.normal(size=(600, 1)), rng.normal(size=(600, 1)), DT, ("u",), ("y",))
+        shares.append(_answers([record], [rng.normal(size=(570, 1))], 20, 0)[1])
+    assert np.median(shares) < 0.01
