@@ -7,7 +7,7 @@ from tau_dyn.control.iterative.filters import TimeShift
 
 
 def test_a_shift_forwards_leads_the_phase() -> None:
-    """Five samples earlier a wave leads by `2 pi f 5 dt`: inside, applied and by its matrix, it is the wave times the response."""
+    """Five samples earlier a wave leads by `2 pi f 5 dt`: applied, and by its matrix, it is the response."""
     shift, t = TimeShift(0.7, 5, 0.004), 0.004 * np.arange(200)
     for f in (1.0, 7.0, 30.0):
         wave = np.exp(2j * np.pi * f * t)
