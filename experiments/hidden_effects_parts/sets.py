@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hidden_effects_parts.actuator_forms import ACTUATOR_FORMS
 from hidden_effects_parts.body_forms import BODY_FORMS
 from hidden_effects_parts.drive_forms import DRIVE_FORMS
 from hidden_effects_parts.forms import Form, Places, log_uniform
@@ -27,7 +28,14 @@ from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.simulate import Sensors, simulate
 
-KNOWN_FORMS: tuple[type[Form], ...] = (*FRICTION_FORMS, *SLIP_FORMS, *DRIVE_FORMS, *BODY_FORMS, *TIMING_FORMS)
+KNOWN_FORMS: tuple[type[Form], ...] = (
+    *FRICTION_FORMS,
+    *SLIP_FORMS,
+    *DRIVE_FORMS,
+    *BODY_FORMS,
+    *TIMING_FORMS,
+    *ACTUATOR_FORMS,
+)
 """Every form that a cause of the contract explains."""
 
 LAMBDA = (15.0, 600.0)

@@ -47,7 +47,7 @@ _WEIGHING = ("mass", "mx", "my", "mz")
 _STIFFNESS = 30.0
 """How much less of a misfit masses and first moments take than inertias, where either can: a drive's inertia that nobody gave
 is in the bodies' inertia, and the robot file knows masses better."""
-_SIGNALS = ("inertia", "weight_gradient", "load", "passive")
+_SIGNALS = ("inertia", "weight_gradient", "load", "reducer_torque", "passive")
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,6 +315,7 @@ def _scene(
         campaigns=campaigns,
         trained=[part == TRAIN for part in parts],
         coupled=model.robot.coupled_pairs,
+        ratios=model.robot.gear_ratios,
     )
     force = np.max([np.abs(run.y_all).max(axis=0) for run in runs], axis=0)
     inertia = np.max([np.diagonal(m.signals["inertia"], axis1=1, axis2=2).max(axis=0) for m in motions], axis=0)

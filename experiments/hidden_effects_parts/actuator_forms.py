@@ -1,0 +1,166 @@
+"""What hides in actuators: lossy gears, bristles, compensated friction, cogging, forces that were only asked for.
+
+Each is written here in another form than the library's: a gear by its efficiencies, a bristle by LuGre's equation with
+micro-damping, compensation by a logistic switch, and a motor's limit by a controller that drives the axis into it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Self
+
+import numpy as np
+
+from hidden_effects_parts.forms import Added, Form, Places, log_uniform, one
+from hidden_effects_parts.recording import RATE_HZ, Recording
+from hidden_effects_parts.robots import Rig
+
+ORDERS = (1, 2, 4, 6, 12)
+"""Periods of a motor's cogging in a turn: eccentricity, pole pairs, poles, slots."""
+HIGHEST_HZ = 25.0
+"""Frequency of the cogging at the fast speeds: about what `diagnose` leaves of forces with its low-pass."""
+
+
+class LossyGear(Added):
+    """A gear loses the share A of its load when it drives, and up to 60 % of A when it is driven."""
+
+    names = ("directional_efficiency",)
+    robots = "hinges"
+
+    @classmethod
+    def draw(cls, rig: Rig, places: Places, rng: np.random.Generator) -> Self:
+        """Draw a joint and what is lost when driven, as a share of what is lost when driving."""
+        return cls((one(rig, rng),), {"driven": float(rng.uniform(0, 0.6))}, 0.6)
+
+    def unit(self, run: Recording) -> np.ndarray:
+        """Return what the motor needs beyond the load, or is spared."""
+        (j,) = self.joints
+        load, v = run.rig.mechanism.inverse_dynamics(run.q, run.v, run.a)[:, j], run.v[:, j]
+        power = load * v
+        return run.column(j, np.where(power > 0, load, -self.inner["driven"] * load) * (power != 0))
+
+    def truth(self, amplitude: float) -> dict[str, float]:
+        """Return what is lost when driving."""
+        return {"loss_driving": amplitude}
+
+
+class SoftBristle(Added):
+    """LuGre's bristle takes the part A of Coulomb friction and builds it up over 0.1 to 1 % of the range, with micro-damping."""
+
+    names = ("lugre", "hysteresis")
+    robots = "small"
+
+    @classmethod
+    def draw(cls, rig: Rig, places: Places, rng: np.random.Generator) -> Self:
+        """Draw a joint, the way the bristle bends and its damping time."""
+        j = one(rig, rng)
+        inner = {"way": places.span[j] * log_uniform(rng, 1e-3, 1e-2), "damping_s": float(rng.uniform(0, 2e-3))}
+        return cls((j,), inner, 0.8 * rig.friction.coulomb[j])
+
+    def unit(self, run: Recording) -> np.ndarray:
+        """Return the bristle's force less that of Coulomb friction."""
+        (j,), way = self.joints, self.inner["way"]
+        v, z = run.motion.v[:, j], np.zeros(len(run.motion.t))
+        speed = (v[1:] + v[:-1]) / 2 / way
+        keep = np.exp(-np.abs(speed) / RATE_HZ)
+        for k, (s, e) in enumerate(zip(np.sign(speed).tolist(), keep.tolist(), strict=True)):
+            z[k + 1] = s + (z[k] - s) * e
+        rate = v / way - np.abs(v) / way * z
+        return run.column(j, (z + self.inner["damping_s"] * rate - np.sign(v))[:: run.step])
+
+
+class Compensated(Added):
+    """A drive's friction compensation takes A off above one speed, 4 to 15 % of the fast ones; below it all of it stands."""
+
+    names = ("static_friction",)
+    robots = "small"
+
+    @classmethod
+    def draw(cls, rig: Rig, places: Places, rng: np.random.Generator) -> Self:
+        """Draw a joint and the speed."""
+        j = one(rig, rng)
+        return cls((j,), {"speed": places.fast[j] * log_uniform(rng, 0.04, 0.15)}, rig.friction.coulomb[j])
+
+    def unit(self, run: Recording) -> np.ndarray:
+        """Return the friction that is not compensated."""
+        (j,), speed = self.joints, self.inner["speed"]
+        v = run.v[:, j]
+        return run.column(j, np.sign(v) / (1 + np.exp(np.clip((np.abs(v) / speed - 1) / 0.05, -50, 50))))
+
+    def truth(self, amplitude: float) -> dict[str, float]:
+        """Return the friction."""
+        return {"static_friction": amplitude}
+
+
+class MotorCogging(Added):
+    """A force that repeats some whole number of times in each motor turn, with a second harmonic."""
+
+    names = ("cogging",)
+    robots = "hinges"
+
+    @classmethod
+    def draw(cls, rig: Rig, places: Places, rng: np.random.Generator) -> Self:
+        """Draw a joint, an order whose period the joint passes slowly enough to be seen, and phases."""
+        j = one(rig, rng)
+        ratio = rig.nominal.gear_ratios[rig.joints[j]]
+        seen = [k for k in ORDERS if places.fast[j] * ratio * k / (2 * np.pi) < HIGHEST_HZ]
+        order = float(rng.choice(seen or ORDERS[:1]))
+        inner = {"period": 2 * np.pi / (ratio * order), "second": float(rng.uniform(0, 0.5))}
+        inner |= {"phase": float(rng.uniform(0, 6)), "other": float(rng.uniform(0, 6))}
+        return cls((j,), inner, 0.3 * rig.friction.coulomb[j])
+
+    def unit(self, run: Recording) -> np.ndarray:
+        """Return both harmonics."""
+        (j,), i = self.joints, self.inner
+        turn = 2 * np.pi * run.q[:, j] / i["period"]
+        return run.column(j, np.cos(turn + i["phase"]) + i["second"] * np.cos(2 * turn + i["other"]))
+
+    def truth(self, amplitude: float) -> dict[str, float]:
+        """Return the first harmonic's size and the period."""
+        return {"cogging": amplitude, "period": self.inner["period"]}
+
+
+class AskedForce(Form):
+    """The log holds what the controller of an axis asks for; its motor gives less, the faster it turns.
+
+    The line's height is the share 1 - A of what the motion would need at most; a cascade drives the axis into it.
+    """
+
+    names = ("torque_speed_limit",)
+    robots = "axis"
+    motions = ("prbs", "mixed", "fourier")
+
+    @classmethod
+    def draw(cls, rig: Rig, places: Places, rng: np.random.Generator) -> Self:
+        """Draw where the line ends, 1.3 to 3 times the fast speeds."""
+        return cls((0,), {"no_load": places.fast[0] * float(rng.uniform(1.3, 3))}, 0.6)
+
+    def act(self, run: Recording, amplitude: float) -> Recording:
+        """Return the run that the limited motor makes of the motion, with the asked force in its log."""
+        m, rig, dt = run.motion, run.rig, 1 / RATE_HZ
+        mass, f = float(rig.inertia(m.q[:1])[0, 0, 0]), rig.friction
+        need = rig.force(m.q, m.v, m.a)[:, 0]
+        line = 1 - np.abs(m.v[:, 0]) / self.inner["no_load"]
+        along = need * np.sign(m.v[:, 0]) > 0
+        stall = (1 - amplitude) * float(np.max((np.abs(need) / np.maximum(line, 0.05))[along]))
+        forward, backward = (
+            (float(f.coulomb_pos[0]), float(f.viscous_pos[0])),
+            (float(f.coulomb_neg[0]), float(f.viscous_neg[0])),
+        )
+        bandwidth = 2 * np.pi * 3.0  # rad/s
+        q, v = float(m.q[0, 0]), float(m.v[0, 0])
+        rows = []
+        for q_ref, v_ref, ahead in zip(m.q[:, 0].tolist(), m.v[:, 0].tolist(), need.tolist(), strict=True):
+            asked = ahead + mass * (bandwidth**2 * (q_ref - q) + 2 * bandwidth * (v_ref - v))
+            limit = max(0.0, stall * (1 - abs(v) / self.inner["no_load"]))
+            given = min(asked, limit) if v > 0 else max(asked, -limit) if v < 0 else asked
+            drag = forward[0] + forward[1] * v if v > 0 else -backward[0] + backward[1] * v if v < 0 else 0.0
+            a = (given - drag) / mass
+            rows.append((q, v, a, asked))
+            q, v = q + dt * v + dt**2 / 2 * a, v + dt * a
+        q_all, v_all, a_all, asked_all = (x[:, None] for x in np.array(rows)[:: run.step].T)
+        return replace(run, q=q_all, v=v_all, a=a_all, tau=asked_all)
+
+
+ACTUATOR_FORMS: tuple[type[Form], ...] = (LossyGear, SoftBristle, Compensated, MotorCogging, AskedForce)
+"""Forms of this file."""
