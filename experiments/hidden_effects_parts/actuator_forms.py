@@ -123,7 +123,8 @@ class MotorCogging(Added):
 class AskedForce(Form):
     """The log holds what the controller of an axis asks for; its motor gives less, the faster it turns.
 
-    The line's height is the share 1 - A of what the motion would need at most; a cascade drives the axis into it.
+    The line has its no-load speed at 1.3 to 3 times the fast speeds, and passes them at the share 1.1 - A of what hard
+    accelerations would take there; a cascade drives the axis into it.
     """
 
     names = ("torque_speed_limit",)
@@ -132,27 +133,24 @@ class AskedForce(Form):
 
     @classmethod
     def draw(cls, rig: Rig, places: Places, rng: np.random.Generator) -> Self:
-        """Draw where the line ends, 1.3 to 3 times the fast speeds."""
-        return cls((0,), {"no_load": places.fast[0] * float(rng.uniform(1.3, 3))}, 0.6)
+        """Draw where the line ends."""
+        fast, f = places.fast[0], rig.friction
+        inner = {"no_load": fast * float(rng.uniform(1.3, 3))}
+        need = float(rig.inertia(np.zeros((1, 1)))[0, 0, 0] * places.hard[0] + f.coulomb[0] + f.viscous[0] * fast)
+        return cls((0,), inner | {"stall": need / (1 - fast / inner["no_load"])}, 0.8)
 
     def act(self, run: Recording, amplitude: float) -> Recording:
         """Return the run that the limited motor makes of the motion, with the asked force in its log."""
-        m, rig, dt = run.motion, run.rig, 1 / RATE_HZ
-        mass, f = float(rig.inertia(m.q[:1])[0, 0, 0]), rig.friction
+        m, rig, dt, f = run.motion, run.rig, 1 / RATE_HZ, run.rig.friction
+        mass, stall, no_load = float(rig.inertia(m.q[:1])[0, 0, 0]), self.inner["stall"], self.inner["no_load"]
         need = rig.force(m.q, m.v, m.a)[:, 0]
-        line = 1 - np.abs(m.v[:, 0]) / self.inner["no_load"]
-        along = need * np.sign(m.v[:, 0]) > 0
-        stall = (1 - amplitude) * float(np.max((np.abs(need) / np.maximum(line, 0.05))[along]))
-        forward, backward = (
-            (float(f.coulomb_pos[0]), float(f.viscous_pos[0])),
-            (float(f.coulomb_neg[0]), float(f.viscous_neg[0])),
-        )
+        forward, backward = ((float(c[0]), float(d[0])) for c, d in (
+            (f.coulomb_pos, f.viscous_pos), (f.coulomb_neg, f.viscous_neg)))  # fmt: skip
         bandwidth = 2 * np.pi * 3.0  # rad/s
-        q, v = float(m.q[0, 0]), float(m.v[0, 0])
-        rows = []
+        q, v, rows = float(m.q[0, 0]), float(m.v[0, 0]), []
         for q_ref, v_ref, ahead in zip(m.q[:, 0].tolist(), m.v[:, 0].tolist(), need.tolist(), strict=True):
             asked = ahead + mass * (bandwidth**2 * (q_ref - q) + 2 * bandwidth * (v_ref - v))
-            limit = max(0.0, stall * (1 - abs(v) / self.inner["no_load"]))
+            limit = max(0.0, (1.1 - amplitude) * stall * (1 - abs(v) / no_load))
             given = min(asked, limit) if v > 0 else max(asked, -limit) if v < 0 else asked
             drag = forward[0] + forward[1] * v if v > 0 else -backward[0] + backward[1] * v if v < 0 else 0.0
             a = (given - drag) / mass

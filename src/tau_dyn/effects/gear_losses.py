@@ -9,8 +9,8 @@ drives while `torque v > 0` and is driven while `torque v < 0`. Of an efficiency
         = (driving + driven) / 2 |torque| sign(v) + (driving - driven) / 2 torque:
 
 one mechanism, whose mean is `load_friction`. The difference scales the torque as heavier bodies do. Where the refit of the
-masses absorbs that, as on a single joint, the two causes are twins and a weighed payload tells them. Reference: Hamon, Gautier & Garrec
-2010; Abba & Sardain 2003; Duclusaud et al. 2025 (BAM, models M5 and M6).
+masses absorbs that, as on a single joint, the two causes are twins and a weighed payload tells them. Reference: Hamon, Gautier &
+Garrec 2010; Abba & Sardain 2003; Duclusaud et al. 2025 (BAM, models M5 and M6).
 """
 
 from __future__ import annotations
