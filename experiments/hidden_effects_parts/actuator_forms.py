@@ -123,7 +123,7 @@ class MotorCogging(Added):
 class AskedForce(Form):
     """The log holds what the controller of an axis asks for; its motor gives less, the faster it turns.
 
-    The line has its no-load speed at 1.3 to 3 times the fast speeds, and passes them at the share 1.1 - A of what hard
+    The line has its no-load speed at 1.3 to 3 times the fast speeds, and passes them at the share 1.25 - A of what hard
     accelerations would take there; a cascade drives the axis into it.
     """
 
@@ -150,11 +150,11 @@ class AskedForce(Form):
         q, v, rows = float(m.q[0, 0]), float(m.v[0, 0]), []
         for q_ref, v_ref, ahead in zip(m.q[:, 0].tolist(), m.v[:, 0].tolist(), need.tolist(), strict=True):
             asked = ahead + mass * (bandwidth**2 * (q_ref - q) + 2 * bandwidth * (v_ref - v))
-            limit = max(0.0, (1.1 - amplitude) * stall * (1 - abs(v) / no_load))
+            limit = max(0.0, (1.25 - amplitude) * stall * (1 - abs(v) / no_load))
             given = min(asked, limit) if v > 0 else max(asked, -limit) if v < 0 else asked
             drag = forward[0] + forward[1] * v if v > 0 else -backward[0] + backward[1] * v if v < 0 else 0.0
             a = (given - drag) / mass
-            rows.append((q, v, a, asked))
+            rows.append((q + dt / 2 * v + dt**2 / 8 * a, v + dt / 2 * a, a, asked))  # a force is held: its middle counts
             q, v = q + dt * v + dt**2 / 2 * a, v + dt * a
         q_all, v_all, a_all, asked_all = (x[:, None] for x in np.array(rows)[:: run.step].T)
         return replace(run, q=q_all, v=v_all, a=a_all, tau=asked_all)

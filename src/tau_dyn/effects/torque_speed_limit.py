@@ -22,9 +22,9 @@ from tau_dyn.parameters import Parameter, Parameters
 
 REPORTED = "reported_force"
 """Signal (N, na) [N or N m]: the force that the log holds, low-passed as positions are."""
-_STALLS = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Stall forces tried, as shares of the largest force logged."""
-_NO_LOADS = (1.1, 1.3, 1.6, 2.2, 3.5, 7.0)
+_STALLS = tuple(np.geomspace(0.35, 5.0, 24))
+"""Stall forces tried, as shares of the largest force logged: 12 % apart, since a line that is 10 % off cuts other samples."""
+_NO_LOADS = (1.2, 1.5, 2.0, 3.0, 6.0)
 """No-load speeds tried, as shares of the fast speeds; the last is nearly a plain limit of the force."""
 _OFF = 0.3
 """Distance of the lost share from one within which it is the cause: a line fitted to noise loses a few per cent of its excess."""
@@ -74,4 +74,9 @@ class TorqueSpeedLimit(JointwiseEffect):
         """Return lines around the largest force and the fast speeds."""
         force = scene.scales.get(joints[0], {}).get("force", 0.0)
         fast = float(scene.fast[scene.index(joints[0])])
-        return [{"stall": s * force, "no_load": n * fast} for s in _STALLS for n in _NO_LOADS if force > 0 and fast > 0]
+        return [
+            {"stall": s * force, "no_load": n * fast}
+            for s in map(float, _STALLS)
+            for n in _NO_LOADS
+            if force > 0 and fast > 0
+        ]
