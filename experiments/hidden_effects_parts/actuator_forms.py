@@ -1,12 +1,11 @@
-"""What hides in actuators: lossy gears, bristles, compensated friction, cogging, forces that were only asked for.
+"""What hides in actuators: lossy gears, bristles, compensated friction, cogging.
 
-Each is written here in another form than the library's: a gear by its efficiencies, a bristle by LuGre's equation with
-micro-damping, compensation by a logistic switch, and a motor's limit by a controller that drives the axis into it.
+Each is written here in another form than the library's: a gear by its power, a bristle by LuGre's equation with
+micro-damping, and compensation by a logistic switch.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -120,45 +119,5 @@ class MotorCogging(Added):
         return {"cogging": amplitude, "period": self.inner["period"]}
 
 
-class AskedForce(Form):
-    """The log holds what the controller of an axis asks for; its motor gives less, the faster it turns.
-
-    The line has its no-load speed at 1.3 to 3 times the fast speeds, and passes them at the share 1.25 - A of what hard
-    accelerations would take there; a cascade drives the axis into it.
-    """
-
-    names = ("torque_speed_limit",)
-    robots = "axis"
-    motions = ("prbs", "mixed", "fourier")
-
-    @classmethod
-    def draw(cls, rig: Rig, places: Places, rng: np.random.Generator) -> Self:
-        """Draw where the line ends."""
-        fast, f = places.fast[0], rig.friction
-        inner = {"no_load": fast * float(rng.uniform(1.3, 3))}
-        need = float(rig.inertia(np.zeros((1, 1)))[0, 0, 0] * places.hard[0] + f.coulomb[0] + f.viscous[0] * fast)
-        return cls((0,), inner | {"stall": need / (1 - fast / inner["no_load"])}, 0.8)
-
-    def act(self, run: Recording, amplitude: float) -> Recording:
-        """Return the run that the limited motor makes of the motion, with the asked force in its log."""
-        m, rig, dt, f = run.motion, run.rig, 1 / RATE_HZ, run.rig.friction
-        mass, stall, no_load = float(rig.inertia(m.q[:1])[0, 0, 0]), self.inner["stall"], self.inner["no_load"]
-        need = rig.force(m.q, m.v, m.a)[:, 0]
-        forward, backward = ((float(c[0]), float(d[0])) for c, d in (
-            (f.coulomb_pos, f.viscous_pos), (f.coulomb_neg, f.viscous_neg)))  # fmt: skip
-        bandwidth = 2 * np.pi * 3.0  # rad/s
-        q, v, rows = float(m.q[0, 0]), float(m.v[0, 0]), []
-        for q_ref, v_ref, ahead in zip(m.q[:, 0].tolist(), m.v[:, 0].tolist(), need.tolist(), strict=True):
-            asked = ahead + mass * (bandwidth**2 * (q_ref - q) + 2 * bandwidth * (v_ref - v))
-            limit = max(0.0, (1.25 - amplitude) * stall * (1 - abs(v) / no_load))
-            given = min(asked, limit) if v > 0 else max(asked, -limit) if v < 0 else asked
-            drag = forward[0] + forward[1] * v if v > 0 else -backward[0] + backward[1] * v if v < 0 else 0.0
-            a = (given - drag) / mass
-            rows.append((q + dt / 2 * v + dt**2 / 8 * a, v + dt / 2 * a, a, asked))  # a force is held: its middle counts
-            q, v = q + dt * v + dt**2 / 2 * a, v + dt * a
-        q_all, v_all, a_all, asked_all = (x[:, None] for x in np.array(rows)[:: run.step].T)
-        return replace(run, q=q_all, v=v_all, a=a_all, tau=asked_all)
-
-
-ACTUATOR_FORMS: tuple[type[Form], ...] = (LossyGear, SoftBristle, Compensated, MotorCogging, AskedForce)
+ACTUATOR_FORMS: tuple[type[Form], ...] = (LossyGear, SoftBristle, Compensated, MotorCogging)
 """Forms of this file."""

@@ -76,6 +76,7 @@ def scene(motion: Motion, *more: str, campaigns: int = 2) -> Scene:
         coupled=((JOINTS[0], JOINTS[1]),),
         scales={joint: {"force": 1.0} for joint in JOINTS},
         ratios=dict.fromkeys(JOINTS, 15.0),
+        limits=dict.fromkeys(JOINTS, (1.0, 2.0)),
     )
 
 

@@ -156,7 +156,7 @@ def test_what_has_no_settings_is_tried_once_a_joint() -> None:
         ("hysteresis", ("inertia", "damping", "reversal"), "forces do not show the loop"),
         ("lugre", (), "the logs give no reversal"), ("lugre", ("reversal",), None),
         ("directional_efficiency", (), "the logs give no load"), ("directional_efficiency", ("load", "reducer_torque"), None),
-        ("torque_speed_limit", ("load",), "the logs give no reported_force"),
+        ("torque_speed_limit", ("reported_force",), "the robot file gives no effort"),
         ("cogging", (), "the robot file gives no gear ratio"),
         ("guideway_compliance", ("side_force",), "no measured tool positions are looked at here"),
         ("cart_tilt", ("cart_sensitivity",), None),

@@ -225,7 +225,6 @@ def build_scene(
     campaigns: int = 1,
     trained: Sequence[np.ndarray] | None = None,
     coupled: tuple[tuple[str, str], ...] = (),
-    ratios: Mapping[str, float] | None = None,
 ) -> Scene:
     """Return what motions offer together.
 
@@ -240,7 +239,6 @@ def build_scene(
         campaigns: Number of logs that are told apart.
         trained: Which samples of each motion causes are fitted to (n,); by default all.
         coupled: Pairs of joints that a shared motor may drive.
-        ratios: Gear ratios that the robot file gives.
     """
     q, v = (np.concatenate([getattr(motion, key) for motion in motions]) for key in ("q", "v"))
     seen = q if trained is None else q[np.concatenate(trained)]
@@ -260,7 +258,6 @@ def build_scene(
         often=often,
         coupled=coupled,
         hard=hard,
-        ratios=ratios or {},
     )
 
 

@@ -315,8 +315,14 @@ def _scene(
         campaigns=campaigns,
         trained=[part == TRAIN for part in parts],
         coupled=model.robot.coupled_pairs,
-        ratios=model.robot.gear_ratios,
     )
     force = np.max([np.abs(run.y_all).max(axis=0) for run in runs], axis=0)
     inertia = np.max([np.diagonal(m.signals["inertia"], axis1=1, axis2=2).max(axis=0) for m in motions], axis=0)
-    return replace(scene, scales=measure_scales(model.parameters, scene, force, inertia))
+    robot = model.robot
+    ends = zip(robot.actuated, robot.effort_limit.tolist(), robot.velocity_limit.tolist(), strict=True)
+    return replace(
+        scene,
+        scales=measure_scales(model.parameters, scene, force, inertia),
+        ratios=robot.gear_ratios,
+        limits={joint: (f, v) for joint, f, v in ends if 0 < f < np.inf and 0 < v < np.inf},
+    )

@@ -115,6 +115,7 @@ class Scene:
         timing: Joint -> delay and time constant [s] of its logged force that fit the baseline best; empty where none is long.
         step_s: Time between samples of the logs, as they were recorded [s].
         ratios: Joint -> gear ratio of its drive, where the robot file gives one.
+        limits: Joint -> largest force and speed that the robot file allows, where it gives both.
         often: Positions below and above which the joints are rarely trained on (2, na); None where all of it counts.
     """
 
@@ -137,6 +138,7 @@ class Scene:
     timing: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     step_s: float = 0.0
     ratios: Mapping[str, float] = field(default_factory=dict)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def index(self, joint: str) -> int:
         """Return a joint's place."""

@@ -5,8 +5,9 @@ A motor on a given supply delivers less torque the faster it turns: in the direc
     limit(v) = stall (1 - |v| / no_load),     nothing beyond no_load.
 
 Logged is what the controller asked for. Of it `excess = sign(v) max(0, sign(v) tau_log - limit(v))` never reached the joint, so
-`tau_log = model + excess`. The logged force stands in its own column, whose noise would pass for a little of the effect: only a
-share near one of the excess is the cause. Reference: Hughes & Drury 2013, ch. 3.
+`tau_log = model + excess`. The logged force stands in its own column: a line laid through the noise of a steady force would lose
+half of that noise. So the line is not searched for; it is that of the robot file's effort and velocity limits. Beyond a line that
+is none, only a few per cent of the excess are lost, so a share near one is the cause. Reference: Hughes & Drury 2013, ch. 3.
 """
 
 from __future__ import annotations
@@ -22,10 +23,6 @@ from tau_dyn.parameters import Parameter, Parameters
 
 REPORTED = "reported_force"
 """Signal (N, na) [N or N m]: the force that the log holds, low-passed as positions are."""
-_STALLS = tuple(np.geomspace(0.35, 5.0, 24))
-"""Stall forces tried, as shares of the largest force logged: 12 % apart, since a line that is 10 % off cuts other samples."""
-_NO_LOADS = (1.2, 1.5, 2.0, 3.0, 6.0)
-"""No-load speeds tried, as shares of the fast speeds; the last is nearly a plain limit of the force."""
 _OFF = 0.3
 """Distance of the lost share from one within which it is the cause: a line fitted to noise loses a few per cent of its excess."""
 
@@ -37,7 +34,7 @@ class TorqueSpeedLimit(JointwiseEffect):
     cause = True
     equation = "tau_log = tau + lost sign(v) max(0, sign(v) tau_log - stall (1 - |v| / no_load))"
     reference = "Hughes & Drury 2013, ch. 3"
-    reveals = "accelerations at speed that ask for more than the motor gives, with the asked force in the log"
+    reveals = "accelerations at speed beyond what the motor gives, its stall force and no-load speed in the robot file as limits"
     mistaken_for = ("drive_gain", "quadratic_drag", "viscous_curvature", "drive_lag")
     # All of what lies beyond the line is lost
     plausible = (PlausibleRange("lost", 1 - _OFF, 1 + _OFF),)
@@ -45,7 +42,6 @@ class TorqueSpeedLimit(JointwiseEffect):
     quantities = (("lost", "1"),)
     nonnegative = True
     defaults = {"stall": 1.0, "no_load": 1.0}
-    refined = ("stall", "no_load")
     setting_units = {"stall": "F", "no_load": "V"}
     positive = ("stall", "no_load")
 
@@ -71,12 +67,12 @@ class TorqueSpeedLimit(JointwiseEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return lines around the largest force and the fast speeds."""
-        force = scene.scales.get(joints[0], {}).get("force", 0.0)
-        fast = float(scene.fast[scene.index(joints[0])])
-        return [
-            {"stall": s * force, "no_load": n * fast}
-            for s in map(float, _STALLS)
-            for n in _NO_LOADS
-            if force > 0 and fast > 0
-        ]
+        """Return the line of the robot file, where it gives one."""
+        line = scene.limits.get(joints[0])
+        return [{"stall": line[0], "no_load": line[1]}] if line else []
+
+    @classmethod
+    def untestable(cls, scene: Scene) -> tuple[str, str] | None:
+        """Return that the robot file gives no line, where so."""
+        missing = ("the robot file gives no effort and velocity limits, which are the line's ends", cls.reveals)
+        return super().untestable(scene) if any(joint in scene.limits for joint in scene.joints) else missing
