@@ -122,9 +122,21 @@ SIZES = {
     "static_friction": 20.0, "cogging": 5.0,
 }  # fmt: skip
 NOT_BY_A_STATE = {
-    "delay", "thermal_drift", "hysteresis", "friction_change", "backlash", "transmission_error", "pinion_scale",
-    "joint_compliance", "structural_compliance", "guideway_compliance", "cart_tilt", "drive_lag", "guideway_nonparallel",
-    "lugre", "torque_speed_limit",
+    "delay",
+    "thermal_drift",
+    "hysteresis",
+    "friction_change",
+    "backlash",
+    "transmission_error",
+    "pinion_scale",
+    "joint_compliance",
+    "structural_compliance",
+    "guideway_compliance",
+    "cart_tilt",
+    "drive_lag",
+    "guideway_nonparallel",
+    "lugre",
+    "torque_speed_limit",
 }
 OF_HINGES = {"directional_efficiency"}  # fmt: skip
 ROBOTS = ("gantry_tau", "linear_axis")

@@ -1,4 +1,4 @@
-"""Causes in actuators, told from logs: a motor's torque-speed line, a gear that loses more one way, a motor's cogging."""
+"""Causes in actuators, told from logs: a torque-speed line, a gear that loses more one way, a motor that cogs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.diagnose import diagnose
+from tau_dyn.identify import Choices
 from tau_dyn.log import Log
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
@@ -53,3 +54,52 @@ def test_a_log_of_asked_forces_names_the_torque_speed_line(seed: int):
     assert lost.value == pytest.approx(1, abs=0.1)
     plain = diagnose(robot, Log(t, {"q_x": q, "tau_x": given}, "given.csv"))
     assert not [f for f in plain.findings if f.status == "confirmed"]
+
+
+def build_pendulum(ratio: float = 20.0) -> Robot:
+    """Return an arm of 4 kg whose weight a geared motor lifts."""
+    return load_robot_from_urdf(
+        f"""<robot name="pendulum"><link name="base_link"/><link name="arm"><inertial><origin xyz="0.3 0 0"/><mass value="4"/>
+ <inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="x" type="revolute">
+ <parent link="base_link"/><child link="arm"/><axis xyz="0 1 0"/><limit lower="-3" upper="3" velocity="6" effort="90"/></joint>
+ <transmission name="d"><joint name="x"/><actuator name="m"><mechanicalReduction>{ratio}</mechanicalReduction></actuator>
+ </transmission></robot>""",
+        "pendulum",
+    )
+
+
+def swing(driving: float = 0.0, driven: float = 0.0, cogging: float = 0.0, seed: int = 0) -> Log:
+    """Return 60 s of the arm, with what its gear loses each way and a motor that cogs three times a turn behind 20 : 1."""
+    rng, t = np.random.default_rng(seed), np.arange(0, 60, 1 / 250)
+    w, size = 2 * np.pi * np.array([0.21, 0.47, 0.83]), np.array([0.9, 0.4, 0.15])
+    wave = w * t[:, None] + rng.uniform(0, 6, 3)
+    q, v = np.sum(size * np.sin(wave), axis=1) - 1, np.sum(size * w * np.cos(wave), axis=1)
+    load = -0.41 * np.sum(size * w**2 * np.sin(wave), axis=1) - 4 * 9.81 * 0.3 * np.cos(q)
+    tau = load + 1.2 * np.sign(v) + 0.4 * v + np.where(load * v > 0, driving, -driven) * load
+    tau += cogging * np.sin(3 * 20 * q + 1)
+    noise = rng.normal(size=(2, len(t)))
+    return Log(t, {"q_x": q + 2e-5 * noise[0], "tau_x": tau + 0.1 * noise[1]}, "swing.csv")
+
+
+def test_the_refit_of_a_mass_makes_a_lossy_gear_the_twin_of_load_friction():
+    """What a gear loses more when driving looks like a heavier arm; with the arm weighed both losses are read off."""
+    robot, log = build_pendulum(), swing(driving=0.3, driven=0.1)
+    free = next(f for f in diagnose(robot, log).findings if f.status == "confirmed")
+    assert free.cause == "load_friction" and "directional_efficiency" in free.indistinguishable_from
+    weighed = diagnose(robot, log, choices=Choices(fix=("arm.*",))).findings[0]
+    assert (weighed.cause, weighed.status) == ("directional_efficiency", "confirmed")
+    values = {p.name: p.value for p in weighed.parameters}
+    assert values == pytest.approx({"x.loss_driving": 0.3, "x.loss_driven": 0.1}, abs=0.02)
+
+
+def test_equal_losses_are_not_called_directional():
+    """20 % each way, on a weighed arm, are load friction."""
+    first = diagnose(build_pendulum(), swing(driving=0.2, driven=0.2), choices=Choices(fix=("arm.*",))).findings[0]
+    assert (first.cause, first.status) == ("load_friction", "confirmed")
+
+
+@pytest.mark.parametrize(("ratio", "cause"), [(20.0, "cogging"), (1.0, "cyclic_ripple")])
+def test_a_known_gear_ratio_tells_cogging_from_a_ripple(ratio: float, cause: str):
+    """Three periods a motor turn behind 20 : 1; where the file gives no ratio, it is a ripple of the joint."""
+    first = diagnose(build_pendulum(ratio), swing(cogging=0.4)).findings[0]
+    assert (first.cause, first.status) == (cause, "confirmed")

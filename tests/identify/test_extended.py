@@ -26,9 +26,16 @@ AMPLITUDES = {
     "lugre": (25.0, {"distance": 0.01}), "static_friction": (25.0, {"speed": 0.05}), "cogging": (8.0, {"period": 0.05}),
 }  # fmt: skip
 UNSEEN = {
-    "coulomb_asymmetry", "viscous_asymmetry", "torque_offset",  # the friction below has them already
-    "backlash", "pinion_scale", "guideway_compliance", "cart_tilt", "guideway_nonparallel",  # forces do not show them
-    "armature", "gravity_direction",  # masses have them already
+    "coulomb_asymmetry",
+    "viscous_asymmetry",
+    "torque_offset",  # the friction below has them already
+    "backlash",
+    "pinion_scale",
+    "guideway_compliance",
+    "cart_tilt",
+    "guideway_nonparallel",  # forces do not show them
+    "armature",
+    "gravity_direction",  # masses have them already
     "directional_efficiency",  # of hinges with a gear
 }
 ASKED = {"torque_speed_limit"}
