@@ -53,7 +53,7 @@ def build_rows(logs: list, law: str, settings: dict[str, float]) -> tuple[np.nda
     W, y = [], []
     for motion, share, counts in logs:
         effects = [EFFECTS["symmetric_friction"](["x"], ["N m"])]
-        effects += [EFFECTS[law](["x"], ["N m"], **settings)] if law else []
+        effects += [EFFECTS[law](["x"], ["N m"]).with_settings(**settings)] if law else []
         parts = [motion.signals["reducer_torque"], *(e.columns(motion)[:, 0] for e in effects)]
         rows, seen = np.column_stack([*parts, share]), counts[:, None].astype(float)
         rows, seen = (decimate(lowpass(x, FORCE_HZ, RATE_HZ), STEP) for x in (rows, seen))

@@ -137,7 +137,7 @@ def test_cogging_repeats_a_whole_number_of_times_a_motor_turn():
     orders = [2 * np.pi / (50 * row["period"]) for row in cls.grid(scene(x=50.0), ("x",))]
     assert_allclose(orders, np.arange(1, len(orders) + 1), rtol=1e-9)
     assert len(orders) == 31  # 2 rad / 500 is the shortest period
-    effect = cls(["x"], ["N m"], **cls.grid(scene(x=50.0), ("x",))[3])
+    effect = cls(["x"], ["N m"]).with_settings(**cls.grid(scene(x=50.0), ("x",))[3])
     q = np.linspace(0, 2 * np.pi / 50, 401)
     turn = effect.columns(moving(np.ones(401), q))[:, 0, 0]
     assert_allclose(turn, np.sin(4 * 50 * q), atol=1e-12)
