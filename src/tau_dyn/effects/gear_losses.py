@@ -55,6 +55,7 @@ class DirectionalEfficiency(JointwiseEffect):
     # From spur gears to worms at the verge of holding their load by themselves
     plausible = (PlausibleRange("loss_driving", 0.0, 1.0), PlausibleRange("loss_driven", 0.0, 1.0))
     needs = ("load", "reducer_torque")
+    special = "load_friction"
     quantities = (("loss_driving", "1"), ("loss_driven", "1"))
     sentence = "a gear that loses {loss_driving} of its load when it drives and {loss_driven} when it is driven"
     nonnegative = True
