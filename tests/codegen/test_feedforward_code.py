@@ -161,7 +161,7 @@ def test_out_of_reach_is_a_status_and_leaves_the_forces_alone(name: str, write, 
     assert status == 0
 
 
-@pytest.mark.parametrize("cause", ["delay", "hysteresis", "friction_change"])
+@pytest.mark.parametrize("cause", ["delay", "hysteresis", "lugre", "friction_change"])
 def test_what_needs_a_history_is_refused_by_name(cause: str) -> None:
     """`tau_ff(q, v, a)` cannot remember; the sentence says which effect would have to."""
     robot = load_robot("linear_axis")
@@ -171,7 +171,9 @@ def test_what_needs_a_history_is_refused_by_name(cause: str) -> None:
     assert build_program(Feedforward(model.steady())).difference < 1e-10
 
 
-@pytest.mark.parametrize("cause", ["load_friction", "passive_joint_friction", "gravity_direction"])
+@pytest.mark.parametrize(
+    "cause", ["load_friction", "directional_efficiency", "passive_joint_friction", "gravity_direction"]
+)
 def test_what_a_mechanism_carries_is_written_out_with_loops_too(cause: str) -> None:
     """Loads of guides, turning of bearings and weights under another gravity are Pinocchio's, loops' forces included."""
     robot = load_robot("gantry_tau", arms="complete")

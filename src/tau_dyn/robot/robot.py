@@ -97,6 +97,7 @@ class Robot(Shown):
             they choose the assembly mode.
         mimics: Joints that follow an actuated one, directly or over others.
         friction: What the file says of the actuated joints' friction, their followers' included.
+        gear_ratios: Motor turns a turn of actuated joints, or radians a metre of slides, where the file gives them.
         packages: Folders of ROS packages by name in which meshes lie, before those that are found.
     """
 
@@ -122,6 +123,7 @@ class Robot(Shown):
     drive_scales: Mapping[str, float] = field(default_factory=dict)
     mimics: Mapping[str, Mimic] = field(default_factory=dict)
     friction: Mapping[str, JointFriction] = field(default_factory=dict)
+    gear_ratios: Mapping[str, float] = field(default_factory=dict)
     packages: Mapping[str, str | Path] = field(default_factory=dict)
 
     @property
