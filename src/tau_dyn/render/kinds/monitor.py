@@ -193,21 +193,21 @@ def present_fleet(found: Fleet) -> r.Presentation:
 
 
 def _list_spreads(found: Fleet) -> Iterator[r.Element]:
-    heads = (
-        ("mean", "number"),
-        ("95 % interval", "number"),
-        ("spread", "number"),
-        ("95 % interval", "number"),
-        ("", "unit"),
-    )
-    columns = [r.Column("parameter"), *(r.Column(text, kind) for text, kind in heads), r.Column("units", "number")]
+    columns = [
+        r.Column("parameter"),
+        r.Column("combination", on=r.On.PAGE),
+        r.Column("mean, 95 % interval", "number"),
+        r.Column("spread, 95 % interval", "number"),
+        r.Column("", "unit"),
+        r.Column("units", "number", on=r.On.PAGE),
+    ]
     rows = []
     for p in found.parameters:
         mean, spread = (
-            f"[{r.format_number(low, 4)}, {r.format_number(high, 4)}]" for low, high in (p.mean_ci95, p.spread_ci95)
+            f"{r.format_number(x, digits)} [{r.format_number(low, digits)}, {r.format_number(high, digits)}]"
+            for x, (low, high), digits in ((p.mean, p.mean_ci95, 4), (p.spread, p.spread_ci95, 2))
         )
-        cells = [p.expression, r.format_number(p.mean, 4), mean, r.format_number(p.spread, 2), spread]
-        rows.append(r.Row([*cells, r.format_unit(p.unit), str(p.n_units)]))
+        rows.append(r.Row([p.name, p.expression, mean, spread, r.format_unit(p.unit), str(p.n_units)]))
     yield r.ResultTable(columns, rows, on=r.On.ALL)
     yield r.explain(
         "Spread: standard deviation over units, their own errors taken out; its interval reaches zero where units may be equal. "
