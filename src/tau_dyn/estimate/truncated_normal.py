@@ -24,8 +24,8 @@ _BISECTIONS = 22  # of the angle of a hit, to 4e-8 rad
 _MIN_CHAINS = 200
 """Chains that run at least, to measure how much they remember."""
 _MAX_CHAINS = 1000  # side by side; more draws are later states of the same chains
-_FIRST_PATHS = 5  # paths before the chains' memory is measured over as many more
-_MAX_PATHS = 128
+_FIRST_PATHS = 4  # paths before the chains' memory is measured over as many more
+_MAX_PATHS = 128  # 32 times as many as the first look takes; chains that still remember their start are said to
 _MAX_MEMORY = 0.2
 """Correlation of any coordinate over the chains, between half of their paths and all of them; by chance it reaches 0.12."""
 _MAX_DRIFT = 4.5
@@ -96,7 +96,7 @@ def _is_indefinite(entries: np.ndarray) -> np.ndarray:
         return ~((a > 0) & (e > 0) & (h > 0) & (j - i / h * i > 0))
 
 
-class Sample(NamedTuple):
+class TruncatedDraws(NamedTuple):
     """Draws (N, d), the largest memory of a coordinate, and whether the chains have forgotten their start."""
 
     z: np.ndarray
@@ -104,7 +104,7 @@ class Sample(NamedTuple):
     converged: bool
 
 
-def sample_truncated_normal(inside: ConvexSet, start: np.ndarray, n: int, rng: np.random.Generator) -> Sample:
+def sample_truncated_normal(inside: ConvexSet, start: np.ndarray, n: int, rng: np.random.Generator) -> TruncatedDraws:
     """Draw from the standard normal distribution in a convex set.
 
     Args:
@@ -120,7 +120,7 @@ def sample_truncated_normal(inside: ConvexSet, start: np.ndarray, n: int, rng: n
             z = rng.standard_normal((max(n, _MIN_CHAINS), len(start)))
             kept = np.concatenate([kept, z[inside.contains(z)]])
         if len(kept) >= n:
-            return Sample(kept[:n], 0.0, True)
+            return TruncatedDraws(kept[:n], 0.0, True)
     chains = min(max(n, _MIN_CHAINS), _MAX_CHAINS)
     z = np.tile(start, (chains, 1))
     paths, memory, drift = _FIRST_PATHS, 1.0, np.inf
@@ -131,7 +131,7 @@ def sample_truncated_normal(inside: ConvexSet, start: np.ndarray, n: int, rng: n
     found = [z]
     while len(found) * chains < n:
         found.append(_follow_paths(inside, found[-1], rng, paths // 2))
-    return Sample(np.concatenate(found)[:n], memory, memory < _MAX_MEMORY and drift < _MAX_DRIFT)
+    return TruncatedDraws(np.concatenate(found)[:n], memory, memory < _MAX_MEMORY and drift < _MAX_DRIFT)
 
 
 def _compare(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:

@@ -33,7 +33,7 @@ class PredictiveBands:
 
     Attributes:
         joints: Outputs.
-        lower: Lower ends of each run (n, m), NaN where there is no residual to make them of.
+        lower: Lower ends of the residual of each run (n, m), NaN where there is none to make them of.
         upper: Upper ends.
         inside: Used samples within their band, by joint (m,).
         used: Used samples, by joint (m,).
@@ -102,8 +102,8 @@ def build_predictive_bands(estimate: Estimate, held: Regression, theta: np.ndarr
             counts[2 * k] += np.sum((e >= low) & (e <= high) & mask, axis=0)
             counts[2 * k + 1] += np.sum(mask, axis=0)
             width += np.sum(np.where(mask, high - low, 0.0), axis=0) * (k == 0)
-        lower.append(run.W_all @ theta + low)
-        upper.append(run.W_all @ theta + high)
+        lower.append(low)
+        upper.append(high)
     return PredictiveBands(held.outputs, tuple(lower), tuple(upper), *counts, width / np.maximum(counts[1], 1))  # type: ignore[call-arg]
 
 

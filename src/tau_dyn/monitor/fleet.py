@@ -249,7 +249,7 @@ def _find_centre(model: Model, together: Estimate, seed: int) -> dict[str, float
 
 def _fix_unseen(regression: Regression, together: Estimate, centre: Mapping[str, float]) -> Regression:
     """Return the regression with one unknown a base parameter: what the logs see only with others has a fixed value."""
-    changes = {name: {"value": centre[name]} for name in together.base.names}
+    changes: dict[str, dict[str, Any]] = {name: {"value": centre[name]} for name in together.base.names}
     for column in together.base.dropped:
         changes[together.base.names[column]] |= {"free": False, "prior_stderr": None}
     return regression.with_parameters(regression.parameters.update(changes))
