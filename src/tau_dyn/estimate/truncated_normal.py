@@ -15,6 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tau_dyn.results import Brief
+
 _STEP = 0.15
 """Angle between looks at the walls; what leaves a set and returns between two looks was out by 0.003 of its length [rad]."""
 _PATH = (0.8, 2.4)  # length of a path, around the quarter turn after which a free one has forgotten its start [rad]
@@ -37,7 +39,7 @@ _EACH = len(_UPPER[0])
 
 
 @dataclass(frozen=True, eq=False)
-class ConvexSet:
+class ConvexSet(Brief):
     """Where `a + B z >= 0` and every matrix `J0_k + sum_j z_j J_kj` is positive definite.
 
     Attributes:

@@ -18,6 +18,7 @@ from scipy import stats
 
 from tau_dyn.estimate import Estimate, Regression
 from tau_dyn.identify.posterior import compute_data_covariance, measure_logs
+from tau_dyn.results import Brief
 
 BAND_LEVEL = 0.90
 """Share of the samples that a band is made to hold."""
@@ -28,7 +29,7 @@ _REFIT_TOLERANCE = 1e-10  # relative singular value below which the other folds 
 
 
 @dataclass(frozen=True, eq=False)
-class PredictiveBands:
+class PredictiveBands(Brief):
     """Bands around predicted forces, and the share of samples in them.
 
     Attributes:
