@@ -306,6 +306,19 @@ def get_inertial_parameters(link: LinkInertia) -> list[Parameter]:
     return rows
 
 
+def compute_body_stderr(link: LinkInertia, total: float) -> np.ndarray:
+    """Return how far a link's ten numbers (10,) may be off the robot file, if nobody weighed it: 25 % of its size.
+
+    Args:
+        link: The link; its radius is that of gyration about the joint frame's origin, or its centre's distance if larger.
+        total: Mass of all links [kg]; a link without mass counts as a thousandth of it.
+    """
+    mass = max(float(link.nominal[0]), 1e-3 * total)
+    radius = np.sqrt(max(float(link.nominal[[4, 6, 9]].sum()), 1e-6 * mass) / mass / 2)
+    radius = max(radius, float(np.linalg.norm(link.nominal[1:4])) / mass)
+    return BODY_STDERR * mass * radius ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+
+
 def compute_inertia_matrix(pi: np.ndarray) -> np.ndarray:
     """Return the inertia matrix (3, 3) about the joint frame's origin of ten inertial numbers in Pinocchio's order [kg m^2]."""
     xx, xy, yy, xz, yz, zz = pi[4:]
