@@ -22,7 +22,8 @@ INTRODUCTION = """# Causes
 
 `diagnose` may name each of these; their files, one a family, are in `src/tau_dyn/effects/`. v > 0 is forward, `encoder - load` is
 what the encoder reads beyond the load. Units are those of a slide; a hinge has N m for N and rad for m.
-`simulate --effects E.yaml` hides any of them but `friction_change`, which takes two logs. With temperature, the simulated
+`simulate --effects E.yaml` hides any of them but `friction_change`, which takes two logs, and `torque_speed_limit`, which a log
+of the delivered force does not have. With temperature, the simulated
 `temp_room` warms from 20 towards 40 degC with a time constant of one minute.
 
 This page is written by `experiments/effects_table.py`.

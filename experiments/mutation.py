@@ -1,10 +1,16 @@
-"""Would the tests notice? Breaks the core rooms on purpose, one small change at a time, and runs their tests.
+"""Would the tests notice? Breaks rooms on purpose, one small change at a time, and runs their tests.
 
+    python experiments/mutation.py --physical [--rooms log diagnose ...] [--limit 900] [--out DIR]
     python experiments/mutation.py [--rooms estimate effects ...] [--sample 60] [--seed 0] [--jobs 2] [--out DIR]
 
-In: this checkout, with cosmic-ray installed (`pip install cosmic-ray`). A random sample of each room's mutants (another operator,
-number, comparison, a loop that never runs, a decorator gone) is tried in copies of the project; the tests named after the
-file run first, then the room's, quick ones first. Out: `mutation.csv`, a row a mutant; `mutation.md`, killed and survived by
+`--physical`: each fault of `mutation_parts/physical_faults.txt`, as a physicist errs (a sign, a factor, a lever not squared,
+degrees of freedom, one side for two), is shown to its room's own tests, likely ones first, with `--limit` seconds. Out:
+`physical.csv`, a row a fault, and `physical.md`, the shares by room and all that went unnoticed. A later call with the same DIR
+tries those again alone.
+
+Without: this checkout, with cosmic-ray installed (`pip install cosmic-ray`). A random sample of each room's mutants (another
+operator, number, comparison, a loop that never runs, a decorator gone) is tried in copies of the project; the tests named after
+the file run first, then the room's, quick ones first. Out: `mutation.csv`, a row a mutant; `mutation.md`, killed and survived by
 room with the 95 % interval of the share, and every survivor with its line, to be explained or to be killed. Interrupted, it
 goes on where it stopped.
 """
@@ -15,7 +21,7 @@ import time
 from pathlib import Path
 
 import pandas as pd
-from mutation_parts.mutants import sampled
+from mutation_parts.physical import Fault, fail_unbroken, judge, read_faults
 from mutation_parts.trial import ROOT, judged, quick_first
 from scipy.stats import binomtest
 
@@ -31,6 +37,8 @@ ROOMS: dict[str, list[str]] = {
     "estimate": ["tests/estimate"],
     "identify": ["tests/identify"],
 }
+KNOWN = ROOT / "docs" / "results" / "data" / "physical_faults.csv"
+"""The last campaign of physical faults; the test that noticed one runs first."""
 EVERYWHERE = ["tests/test_frozen.py"]
 """What is asked of every core room."""
 _SLACK, _FACTOR = 30.0, 4.0
@@ -38,6 +46,8 @@ _SLACK, _FACTOR = 30.0, 4.0
 
 
 def main(rooms: list[str], sample: int, seed: int, jobs: int, out_dir: Path) -> pd.DataFrame:
+    from mutation_parts.mutants import sampled  # cosmic-ray, which the physical faults do not need
+
     out_dir.mkdir(parents=True, exist_ok=True)
     rows = []
     for room in rooms:
@@ -68,6 +78,59 @@ def _timed(tests: list[str]) -> tuple[list[str], float]:
     return files, _SLACK + _FACTOR * (time.monotonic() - begun)
 
 
+def main_physical(rooms: list[str], limit: float, out_dir: Path) -> pd.DataFrame:
+    """Show the physical faults of rooms to their tests."""
+    out_dir.mkdir(parents=True, exist_ok=True)
+    path, faults = out_dir / "physical.csv", [f for f in read_faults() if not rooms or f.room in rooms]
+    for fault in faults:
+        fault.apply(fault.path(ROOT).read_text(encoding="utf-8"))
+    before = pd.read_csv(path).fillna("").to_dict("records") if path.exists() else []
+    rows = {(r["room"], r["file"], r["was"], r["became"]): r for r in before}
+    earlier = pd.read_csv(KNOWN).fillna("").to_dict("records") if KNOWN.exists() else []
+    known = {(r["room"], r["file"], r["was"], r["became"]): r["by"] for r in [*earlier, *before] if r["by"]}
+
+    def keep() -> pd.DataFrame:
+        table = pd.DataFrame(rows.values())
+        write_whole(path, table.to_csv(index=False))
+        write_whole(out_dir / "physical.md", page_physical(table))
+        return table
+
+    def name(fault: Fault) -> tuple[str, str, str, str]:
+        return fault.room, fault.file, fault.old, fault.new
+
+    for room in dict.fromkeys(f.room for f in faults):
+        mine = [f for f in faults if f.room == room]
+        for k, fault in enumerate(mine, 1):
+            if rows.get(name(fault), {}).get("outcome") != "noticed":
+                made = judge(fault, out_dir, limit, known.get(name(fault), ""))
+                rows[name(fault)] = dict(zip(("room", "file", "was", "became"), name(fault), strict=True)) | {
+                    "why": fault.why,
+                    **made,
+                }
+                print(f"{room} {k}/{len(mine)} {fault.file}: {fault.why}: {made}", flush=True)
+                keep()
+        told = [rows[name(f)] for f in mine]
+        empty = fail_unbroken([row["by"] for row in told if row["by"]], out_dir)
+        for row in told:
+            row["outcome"] = "undecided" if row["by"] in empty else row["outcome"]
+    table = keep()
+    print(page_physical(table))
+    return table
+
+
+def page_physical(table: pd.DataFrame) -> str:
+    """Return noticed faults by room and the list of the others, as Markdown."""
+    lines = ["| room | faults | noticed |", "|---|---|---|"]
+    for room, part in table.groupby("room", sort=False):
+        lines.append(f"| `{room}` | {len(part)} | {int((part['outcome'] == 'noticed').sum())} |")
+    lines += [f"| all | {len(table)} | {int((table['outcome'] == 'noticed').sum())} |", ""]
+    for _, row in table[table["outcome"] != "noticed"].iterrows():
+        lines.append(
+            f"- {row['room']}/{row['file']}: {row['why']} ({row['outcome']}): `{row['was']}` became `{row['became']}`"
+        )
+    return "\n".join(lines) + "\n"
+
+
 def page(table: pd.DataFrame) -> str:
     """Return the table by room and the list of survivors, as Markdown."""
     table = table[table["outcome"] != "none"]
@@ -85,7 +148,9 @@ def page(table: pd.DataFrame) -> str:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rooms", nargs="+", choices=list(ROOMS), default=list(ROOMS), metavar="ROOM")
+    parser.add_argument("--physical", action="store_true", help="the list of faults that a physicist makes")
+    parser.add_argument("--rooms", nargs="+", default=[], metavar="ROOM")
+    parser.add_argument("--limit", type=float, default=900.0, help="seconds that a physical fault's tests may take")
     parser.add_argument("--sample", type=int, default=60, help="mutants a room")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
@@ -93,4 +158,7 @@ if __name__ == "__main__":
     args = parser.parse_args()
     import mutation  # under its own name, so that other processes find its functions
 
-    mutation.main(args.rooms, args.sample, args.seed, args.jobs, args.out)
+    if args.physical:
+        mutation.main_physical(args.rooms, args.limit, args.out)
+    else:
+        mutation.main(args.rooms or list(ROOMS), args.sample, args.seed, args.jobs, args.out)

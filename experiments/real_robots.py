@@ -12,6 +12,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import pandas as pd
@@ -139,7 +140,7 @@ def main(only: list[str], out: Path) -> None:
             for warning in found.warnings:
                 print("   warning:", warning[:160])
             for f in found.findings:
-                gain = f.gain.to_dict() if f.gain else {}
+                gain = asdict(f.gain) if f.gain else {}
                 values = "; ".join(f"{p.name}={p.value:.4g}+-{p.stderr or float('nan'):.2g}" for p in f.parameters)
                 rows.append({"robot": name, "status": f.status, "cause": f.cause, "joints": "+".join(f.joints), "values": values,
                              "why_not_confirmed": f.why_not_confirmed, **gain})  # fmt: skip

@@ -1,17 +1,19 @@
-"""Do wheel and sdist stand by themselves: build both, look inside, and pass the tests from the wheel without a checkout.
+"""The whole path of a newcomer, on every CPython named: build wheel and sdist, install each, do what the README says, test.
 
-    python experiments/wheel_and_sdist.py [--tests tests/cli tests/log ...] [--python python3.12] [--keep DIR]
+    python experiments/wheel_and_sdist.py [--python python3.11 python3.12 python3.13] [--tests tests/cli ...] [--keep DIR]
 
-The sdist is built from the checkout, the wheel from the sdist, as an index would. The wheel is installed in an empty virtual
-environment with its extra `test`; the tests, which the sdist carries, are run from the unpacked sdist after its `src` is gone,
-so that only the wheel can give the package. Left out are the tests of the sources themselves (`SOURCES`). Exit status 1 where
-something is missing, stray, or fails.
+The sdist is built from the checkout, the wheel from the sdist, as an index would. For each interpreter each of the two is
+installed in an empty virtual environment; there the README's demo runs, and its Python on two logs that `simulate` makes.
+The wheel's environment has the extra `test`, too: the tests, which the sdist carries, are run from the unpacked sdist after its
+`src` is gone, so that only the wheel can give the package. Left out are the tests of the sources themselves (`SOURCES`);
+`--tests` alone leaves out all. Exit status 1 where something is missing, stray, or fails.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -100,18 +102,57 @@ def unpacked(archive: Path, folder: Path) -> Path:
     return inside
 
 
+def follow_readme(python: Path, folder: Path) -> None:
+    """Do in an empty folder what the README says, with an environment's programs alone."""
+    folder.mkdir()
+    clean = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    command = python.with_name("tau-dyn")
+    run(command, "demo", "--quiet", "--out", "demo", cwd=folder, env=clean)
+    if not (folder / "demo" / "report.html").stat().st_size:
+        sys.exit("the demo wrote no report")
+    for name, seed in (("monday", 1), ("tuesday", 2)):
+        made = (
+            "simulate",
+            "gantry_tau",
+            "--set",
+            "prototype=l1",
+            "--motion",
+            "fourier",
+            "--seed",
+            seed,
+            "--out",
+            f"{name}.csv",
+        )
+        run(command, *made, "--quiet", cwd=folder, env=clean)
+    (lines,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    run(python, "-c", lines, cwd=folder, env=clean)
+    if not (folder / "extended.yaml").stat().st_size:
+        sys.exit("the README's lines wrote no model")
+
+
+def try_tests(python: Path, sdist: Path, folder: Path, tests: list[str]) -> None:
+    """Run tests of the unpacked sdist on the installed wheel."""
+    place = unpacked(sdist, folder)
+    shutil.rmtree(place / "src")
+    clean = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    where = "import tau_dyn, sys; sys.exit('site-packages' not in tau_dyn.__file__)"
+    run(python, "-c", where, cwd=place, env=clean)
+    aside = [f"--ignore={path}" for path in SOURCES]
+    run(python, "-m", "pytest", "-q", *tests, *aside, cwd=place, env=clean)
+
+
 def main() -> None:
-    """Build, look, install, test."""
+    """Build, look, install, follow the README, test."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tests", nargs="+", default=["tests"], help="what is run of the tests (default: all)")
-    parser.add_argument("--python", default=sys.executable, help="interpreter of the empty environment")
+    parser.add_argument("--tests", nargs="*", default=["tests"], help="what is run of the tests (default: all)")
+    parser.add_argument("--python", nargs="+", default=[sys.executable], help="interpreters of the empty environments")
     parser.add_argument("--keep", type=Path, help="keep wheel and sdist here")
     parser.add_argument("--build-only", action="store_true", help="build and look inside")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
         dist = args.keep or work / "dist"
-        run(args.python, "-m", "venv", work / "maker")
+        run(args.python[0], "-m", "venv", work / "maker")
         maker = work / "maker" / "bin" / "python"
         run(maker, "-m", "pip", "install", "--quiet", "build")
         run(maker, "-m", "build", "--outdir", dist, ROOT)
@@ -122,16 +163,18 @@ def main() -> None:
             sys.exit("\n".join(wrong))
         if args.build_only:
             return
-        run(args.python, "-m", "venv", work / "venv")
-        python = work / "venv" / "bin" / "python"
-        run(python, "-m", "pip", "install", "--quiet", f"{wheel}[test]")
-        place = unpacked(sdist, work / "sdist")
-        shutil.rmtree(place / "src")
-        clean = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
-        where = "import tau_dyn, sys; sys.exit('site-packages' not in tau_dyn.__file__)"
-        run(python, "-c", where, cwd=place, env=clean)
-        aside = [f"--ignore={path}" for path in SOURCES]
-        run(python, "-m", "pytest", "-q", *args.tests, *aside, cwd=place, env=clean)
+        for k, interpreter in enumerate(args.python):
+            for archive, extra in ((sdist, ""), (wheel, "[test]" if args.tests else "")):
+                place = work / f"{k}_{archive.suffix[1:]}"
+                place.mkdir()
+                run(interpreter, "-m", "venv", place / "venv")
+                python = place / "venv" / "bin" / "python"
+                run(python, "-m", "pip", "install", "--quiet", f"{archive}{extra}")
+                follow_readme(python, place / "readme")
+                if extra:
+                    try_tests(python, sdist, place / "sdist", args.tests)
+                shutil.rmtree(place)
+            print(f"{interpreter}: fine", flush=True)
 
 
 if __name__ == "__main__":

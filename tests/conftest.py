@@ -9,6 +9,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from witnesses import (  # noqa: F401
+    pytest_make_collect_report,
+    pytest_runtest_makereport,
+    pytest_sessionstart,
+)
 
 from tau_dyn.robot import Robot, load_robot_from_urdf
 

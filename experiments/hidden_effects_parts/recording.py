@@ -120,7 +120,7 @@ def draw_sensing(rig: Rig, rng: np.random.Generator, *, coarse: bool | None = No
     coarse = bool(rng.random() < 0.4) if coarse is None else coarse
     size = (2e-5 if rig.name in TURNING else 5e-6) * (4 if coarse else 1)
     rounded = rng.random() < 0.3
-    force = {"l1": 5.0, "axis": 2.0, "arm": 0.4, "geared": 0.6}[rig.name]
+    force = {"l1": 5.0, "axis": 2.0, "arm": 0.4, "elbow": 0.4, "geared": 0.6}[rig.name]
     colour = float(rng.choice((0.0, 0.0, 0.5, 0.9)))
     noise, step = (size / 3, size * np.sqrt(12) * np.sqrt(8) / 3) if rounded else (size, 0.0)  # the same in all
     return Sensing(float(noise), float(step), force, colour, float(rng.choice(LOG_RATES_HZ)))

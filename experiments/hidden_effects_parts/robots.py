@@ -1,7 +1,8 @@
 """The robots in which something hides, as they truly are: masses off the file's, friction near Dressler 2012, Table 6.1.
 
-Four robots: the L1 Gantry-Tau (`l1`), one linear axis (`axis`), a serial arm of three hinges (`arm`), whose last two may share a
-motor, and a six-axis arm with geared drives (`geared`), of whose rotors' inertia its file says nothing. Forces are
+Five robots: the L1 Gantry-Tau (`l1`), one linear axis (`axis`), a serial arm of three hinges (`arm`), whose last two may share a
+motor, its last two hinges alone (`elbow`, for actuators), and a six-axis arm with geared drives (`geared`), of whose rotors'
+inertia its file says nothing. Forces are
 `rigid body + base friction` with a sign that jumps exactly where the speed changes its own.
 """
 
@@ -27,10 +28,11 @@ GEARED = (
     (14.0, 16.0, 12.0, 14.0), (18.0, 15.0, 15.0, 12.0), (9.0, 10.0, 8.0, 7.0), (3.0, 3.5, 2.5, 2.0), (2.5, 2.0, 1.5, 2.0),
     (1.5, 1.8, 0.8, 1.0),
 )  # N m, N m/(rad/s)  # fmt: skip
-FRICTION = {"l1": TABLE_6_1, "axis": AXIS, "arm": ARM, "geared": GEARED}
+FRICTION = {"l1": TABLE_6_1, "axis": AXIS, "arm": ARM, "elbow": ARM[1:], "geared": GEARED}
 ROTORS = ((2.5e-4, 101), (2.5e-4, 101), (1.2e-4, 101), (3e-5, 80), (3e-5, 80), (1e-5, 50))
 """Rotor inertia [kg m2] and gear ratio of each drive of the geared arm, up to 30 % off."""
-TURNING = ("arm", "geared")
+ARM_RATIOS = {"turn": 101, "lift": 41, "bend": 21}
+TURNING = ("arm", "elbow", "geared")
 """Robots whose joints are hinges."""
 OFF = 0.1
 """Largest relative error of a mass in the robot file."""
@@ -75,17 +77,25 @@ def _geared_urdf() -> str:
 
 @cache
 def nominal_robot(name: str) -> Robot:
-    """Return a robot as its file has it: `l1`, `l1_point` (point masses for rods), `axis`, `arm` or `geared`."""
+    """Return a robot as its file has it: `l1`, `l1_point` (point masses for rods), `axis`, `arm`, `elbow` or `geared`."""
     if name == "axis":
         return load_robot("linear_axis")
     if name not in TURNING:
         return load_robot("gantry_tau", prototype="l1", rod_mass_model="point" if name == "l1_point" else "uniform")
     kind = "<type>transmission_interface/SimpleTransmission</type>"
+    ratios = ARM_RATIOS
+    if name == "geared":
+        ratios = {row[0]: ratio for row, (_, ratio) in zip(_GEARED, ROTORS, strict=True)}
+    elif name == "elbow":
+        ratios = {joint: ratio for joint, ratio in ARM_RATIOS.items() if joint != "turn"}
     drives = (
-        f'<transmission name="{j}_drive">{kind}<joint name="{j}"/><actuator name="{j}_motor"/></transmission>'
-        for j in [row[0] for row in _GEARED][: 6 if name == "geared" else 3]
+        f'<transmission name="{j}_drive">{kind}<joint name="{j}"/><actuator name="{j}_motor"><mechanicalReduction>{ratio}'
+        "</mechanicalReduction></actuator></transmission>"
+        for j, ratio in ratios.items()
     )
     urdf = _geared_urdf() if name == "geared" else _ARM_URDF
+    if name == "elbow":
+        urdf = urdf.replace('name="turn" type="revolute"', 'name="turn" type="fixed"')
     return load_robot_from_urdf(urdf.replace("TRANSMISSIONS", "\n".join(drives)), name)
 
 
@@ -204,6 +214,8 @@ DRAWS: dict[str, Callable[[np.random.Generator], str]] = {
     "arm": lambda rng: "arm",
     "geared": lambda rng: "geared",
     "several": lambda rng: str(rng.choice(("l1", "l1", "arm", "geared"))),
+    "small": lambda rng: str(rng.choice(("axis", "elbow"))),
+    "hinges": lambda rng: str(rng.choice(("elbow", "elbow", "elbow", "arm"))),
     "cart": lambda rng: str(rng.choice(("l1", "axis"))),
 }
 """Choices of a robot by chance: most effects are tried on any, some on those that can have them."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hidden_effects_parts.actuator_forms import ACTUATOR_FORMS
 from hidden_effects_parts.body_forms import BODY_FORMS
 from hidden_effects_parts.drive_forms import DRIVE_FORMS
 from hidden_effects_parts.forms import Form, Places, log_uniform
@@ -27,7 +28,14 @@ from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.simulate import Sensors, simulate
 
-KNOWN_FORMS: tuple[type[Form], ...] = (*FRICTION_FORMS, *SLIP_FORMS, *DRIVE_FORMS, *BODY_FORMS, *TIMING_FORMS)
+KNOWN_FORMS: tuple[type[Form], ...] = (
+    *FRICTION_FORMS,
+    *SLIP_FORMS,
+    *DRIVE_FORMS,
+    *BODY_FORMS,
+    *TIMING_FORMS,
+    *ACTUATOR_FORMS,
+)
 """Every form that a cause of the contract explains."""
 
 LAMBDA = (15.0, 600.0)
@@ -97,6 +105,7 @@ def draw_set(
     forms: Sequence[type[Form]] | None = None,
     seconds: float = 110.0,
     strength: tuple[float, float] | None = None,
+    robots: str = "any",
 ) -> HiddenSet:
     """Draw a set.
 
@@ -107,12 +116,13 @@ def draw_set(
         forms: Forms to draw from; by default all known ones, or all unknown ones.
         seconds: Length of the training data, or of all data where no log is held out [s].
         strength: Range that lambda is drawn from.
+        robots: Robots of clean sets, as `robots.DRAWS` calls them.
     """
     rng = np.random.default_rng([seed, number, sum(map(ord, what))])
     if what == "feedback":
         return _with_feedback(number, rng, seconds)
     if what == "clean":
-        return _clean(number, rng, seconds)
+        return _clean(number, rng, seconds, robots)
     pool = tuple(forms or (UNKNOWN_FORMS if what == "unknown" else KNOWN_FORMS))
     for _ in range(TRIES):
         found = _with_forms(what, number, rng, pool, seconds, strength or (STRONG if what == "pairs" else LAMBDA))
@@ -128,11 +138,11 @@ def hidden_force(plain: Recording, run: Recording) -> np.ndarray:
     return run.tau - run.rig.force(run.q, run.v, run.a)
 
 
-def _clean(number: int, rng: np.random.Generator, seconds: float) -> HiddenSet:
+def _clean(number: int, rng: np.random.Generator, seconds: float, robots: str) -> HiddenSet:
     """Nothing hides; half the robots have the masses their files say, and a third have thermometers."""
     nominal = bool(rng.random() < 0.5)
     base = str(rng.choice(("asymmetric", "asymmetric", "symmetric")))
-    rig = draw_rig(DRAWS["any"](rng), base, rng, off=0.02 if nominal else 0.1)
+    rig = draw_rig(DRAWS[robots](rng), base, rng, off=0.02 if nominal else 0.1)
     sensing = draw_sensing(rig, rng)
     runs, held = _runs(rig, sensing, rng, seconds, 1, ())
     if rng.random() < 1 / 3:

@@ -45,7 +45,7 @@ class Lugre(Form):
 class MaxwellSlip(Added):
     """Coulomb friction that builds up over millimetres after a reversal: four springs that slip one after another."""
 
-    names = ("hysteresis",)
+    names = ("lugre", "hysteresis")
 
     @classmethod
     def draw(cls, rig: Rig, places: Places, rng: np.random.Generator) -> Self:

@@ -12,12 +12,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import cosmic_ray.plugins
-from cosmic_ray.mutating import use_mutation
-
 ROOT = Path(__file__).resolve().parents[2]
 COPIED = ("src", "tests", "urdf", "docs", "experiments", "identification", "pyproject.toml", "README.md")
-_PYTEST = ("-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--no-header", "--tb=line")
+PYTEST = ("-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--no-header", "--tb=line")
 
 
 def judged(item: dict[str, Any]) -> dict[str, Any]:
@@ -26,7 +23,10 @@ def judged(item: dict[str, Any]) -> dict[str, Any]:
     Args:
         item: `Mutant.to_dict()` with `folder` (copies are kept there, one a process), `tests` (of the room) and `limit` [s].
     """
-    root = _copy(Path(item["folder"]))
+    import cosmic_ray.plugins  # not needed for the physical faults
+    from cosmic_ray.mutating import use_mutation
+
+    root = copy_project(Path(item["folder"]))
     file = root / "src" / "tau_dyn" / item["module"]
     operator = cosmic_ray.plugins.get_operator(item["operator"])()
     none = {"outcome": "none", "was": "", "became": ""}
@@ -67,11 +67,12 @@ def quick_first(root: Path, tests: list[str]) -> list[str]:
 def _pytest(root: Path, arguments: list[str], limit: float | None = None) -> subprocess.CompletedProcess[str]:
     env = {**os.environ, "PYTHONPATH": str(root / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
     env |= {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
-    command = [sys.executable, "-m", "pytest", *_PYTEST, *arguments]
+    command = [sys.executable, "-m", "pytest", *PYTEST, *arguments]
     return subprocess.run(command, cwd=root, env=env, timeout=limit, capture_output=True, text=True)
 
 
-def _copy(folder: Path) -> Path:
+def copy_project(folder: Path) -> Path:
+    """Return this process's copy of the project, made when first asked for."""
     root = folder / f"copy_{os.getpid()}"
     if not root.exists():
         root.mkdir(parents=True)

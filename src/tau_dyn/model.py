@@ -27,6 +27,7 @@ _FORMAT = 1  # version of the model file's layout
 
 COMPUTED: dict[str, Callable[[Mechanism, np.ndarray, np.ndarray, np.ndarray], np.ndarray]] = {
     "load": lambda mechanism, q, v, a: mechanism.guide_load(q, v, a),
+    "reducer_torque": lambda mechanism, q, v, a: mechanism.reducer_torque(q, v, a),
     "passive": lambda mechanism, q, v, a: mechanism.passive_rates(q)[1],
     "inertia": lambda mechanism, q, v, a: mechanism.inertia(q),
     "weight_gradient": lambda mechanism, q, v, a: mechanism.weight_gradient(q),

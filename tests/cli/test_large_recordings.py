@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import sys
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ def everything_is_large(monkeypatch) -> None:
     import tau_dyn.identify  # noqa: F401
 
     monkeypatch.setattr(recording, "MAX_IN_MEMORY_SAMPLES", 100)
-    blocks = sys.modules["tau_dyn.identify.streaming"]
+    blocks = import_module("tau_dyn.identify.streaming")  # packages load their modules when a name is used
     monkeypatch.setattr(blocks, "SIZE", 1)
     monkeypatch.setattr(blocks, "MIN_BLOCK_ROWS", 101)
 

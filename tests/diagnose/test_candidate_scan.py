@@ -223,3 +223,14 @@ def test_joints_that_are_late_alike_have_one_delay(one):
     assert [fit.effect.joints for fit in combine_group_tests("delay", [whole, *alone]).fits] == [joints]
     apart = replace(whole, statistic=440.0)  # 69 less than three delays explain: they are not alike
     assert len(combine_group_tests("delay", [apart, *alone]).fits) == 3
+
+
+def test_a_cause_on_many_joints_is_tried_on_each_of_them(one, rng):
+    """One joint of five stands out at 1e-4, the others show nothing: five tries alone, and their sum as another, make it 1e-3."""
+    fit = clean_fits(one, QuadraticDrag, rng)[0]
+    (alone,) = (replace(fit, n_effective_tests=1.0, overdispersion=1.0, one_sided=False, dof=1) for _ in range(1))
+    strong = replace(alone, statistic=float(stats.chi2.isf(1e-4, 1)))
+    weak = replace(alone, statistic=0.0)
+    found = combine_group_tests("quadratic_drag", [strong, weak, weak, weak, weak])
+    assert found.p_value == pytest.approx(2 * (1 - (1 - 1e-4) ** 5), rel=1e-6)
+    assert combine_group_tests("quadratic_drag", [strong]).p_value == pytest.approx(1e-4, rel=1e-6)

@@ -139,3 +139,36 @@ def test_p_is_uniform_for_a_law_of_many_amplitudes(make):
     theta, noise = channel.runs[0].W @ channel.parameters.values, make.coloured
     p = [confirmed(make, make.measuring(channel, theta + noise(rng, 9000, 1)), PLACES).p_value for _ in range(120)]
     assert stats.kstest(p, "uniform").pvalue > 0.01
+
+
+def test_a_misfit_that_changes_from_block_to_block_is_no_confirmation(make):
+    """The force lacks another multiple of the speed in every 2 s, none in the mean: blocks scatter, and that is counted.
+
+    The noise model's word weighs ten blocks, here beside 32: the level of 2 % may grow to 3.6 %; uncounted it is a third.
+    """
+    found = []
+    for seed in range(80):
+        rng = np.random.default_rng(seed)
+        lacks = np.repeat(rng.normal(0, 8, 160), 100)[:, None]
+        found.append(confirmed(make, make.bench(rng, lambda m, x=lacks: x * np.abs(m.v), n=16000)).is_confirmed)
+    assert np.mean(found) < 0.036 + 2.5 * np.sqrt(0.036 * 0.964 / 80)
+
+
+def test_few_blocks_have_the_tails_of_students_law(make):
+    """Ten seconds of confirming data are a few blocks: their tails are those of Student's law and no normal ones."""
+    seen = 0
+    for seed in range(12):
+        found = confirmed(make, make.bench(np.random.default_rng(seed), lambda m: 2.5 * np.abs(m.v), n=2500))
+        z, blocks = found.share / found.stderr, 6
+        if z > 1:
+            seen += 1
+            assert stats.t.sf(z, 4 * blocks) < found.p_value < stats.t.sf(z, blocks - 2)
+    assert seen > 3
+
+
+def test_an_effect_that_turns_round_is_not_confirmed(make):
+    """As large in the confirming blocks, with the other sign: the share is -1, and the test is one-sided."""
+    sign = np.where(make.turns(4000) == VALIDATION, -1.0, 1.0)[:, None]
+    found = confirmed(make, make.bench(np.random.default_rng(2), lambda m: 15 * sign * np.abs(m.v)))
+    assert_allclose(found.share, -1.0, atol=0.3)
+    assert found.p_value > 0.99 and not found.is_confirmed

@@ -77,6 +77,17 @@ def test_half_the_noise_halves_the_limit(make):
     assert limit.unit == "N/(m/s)" and "viscous asymmetry of" in limit.phrase and "at x" in limit.phrase
 
 
+def test_blocks_that_scatter_raise_the_limit(make, rng):
+    """Where blocks scatter nine times as much as the noise model says, three times the amplitude is needed to be seen."""
+    channel = make.bench(rng, causes=(ViscousAsymmetry,))
+    search = searched(make, channel, rng)
+    (candidate,) = search.last
+    fits = tuple(replace(fit, overdispersion=9.0) for fit in candidate.tested)
+    loud = replace(search, last=(replace(candidate, fits=fits, tested=fits),))
+    (plain,), (limit,) = (compute_detection_limits(x, ())[0] for x in (search, loud))
+    assert_allclose(limit.amplitude, 3 * plain.amplitude, rtol=1e-6)
+
+
 def test_the_limit_is_that_of_the_joint_where_it_is_hardest_to_see(make, rng):
     """A joint that moves a third as much shows less of a drag: its limit is the one that is said."""
     motion = make.moving(rng, ("brisk", "lazy"), 4000)

@@ -260,3 +260,14 @@ def test_a_joint_on_which_encoder_noise_makes_the_cause_is_left_out(monkeypatch)
     left = noise.reject_artefacts(ground, CandidateCause("spring", (b, a), 0.0, (a, b)), [], 20)
     assert left is not None and left.fits == (b,)
     assert noise.reject_artefacts(ground, CandidateCause("spring", (a,), 0.0, (a,)), [], 20) is None
+
+
+def test_an_answer_one_sample_later_stands_at_lag_one():
+    """A controller that pushes 1e5 N/m against the noise of the sample before: the tap at lag +1, and none before it."""
+    rng = np.random.default_rng(8)
+    q, noise = moved(rng)
+    later = np.vstack([np.zeros((1, 2)), noise[:-1]])
+    found = estimate_feedback_taps(logged(q + noise, -1e5 * later + 1e-3 * rng.standard_normal(q.shape)), JOINTS, 20.0)
+    reach = len(found) // 2
+    assert_allclose(found[reach + 1], -1e5 * np.eye(2), atol=0.1e5)
+    assert np.abs(found[: reach + 1]).max() < 0.1e5

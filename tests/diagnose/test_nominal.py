@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy import stats
 
 from tau_dyn.diagnose.nominal import find_parameter_changes
 from tau_dyn.model import Model
@@ -116,3 +117,19 @@ def test_a_number_that_no_machine_has_is_suspected():
         changes = {"carriage_link.mass": {"value": factor * mass, "stderr": 0.001 * factor * mass}}
         (finding,) = find_parameter_changes(model, nominal, nominal.update(changes))
         assert finding.status == status and ("plausible" in finding.why_not_confirmed) == (status == "suspected")
+
+
+@pytest.mark.parametrize("factor", [1.07, 0.93])
+def test_a_mass_may_be_off_to_either_side(one, factor):
+    """7 % off, known to half a per cent and trusted to two: the chance is that of both tails at 0.07 over their root sum."""
+    (found,) = judged(one, factor)
+    z = 0.07 / np.hypot(0.02, 0.005)
+    assert_allclose(found.p_value, 2 * stats.norm.sf(z), rtol=1e-9)
+    assert_allclose(found.score, z**2, rtol=1e-9)
+
+
+def test_masses_that_scatter_about_their_mean_factor_are_no_gain(l1):
+    """Plus 40 % and plus 20 % raise the mean factor by four of its errors or more, yet the others stand still: no gain."""
+    names = ("cart1_link.mass", "cart2_link.mass")
+    found = judged(l1, dict(zip(names, (1.4, 1.2), strict=True)))
+    assert sorted(f.joints for f in found) == [("cart1_link",), ("cart2_link",)]

@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from tau_dyn.diagnose import Finding, diagnose
 from tau_dyn.diagnose.nominal import find_parameter_changes
+from tau_dyn.diagnose.payload import compare_with_trusted, compute_body_properties
 from tau_dyn.identify import Identification, identify
 from tau_dyn.log import Log
 from tau_dyn.robot import Robot, load_robot
@@ -157,3 +160,34 @@ def test_a_rotor_other_than_the_files_is_a_parameter(tmp_path) -> None:
     assert first.status == "parameter" and first.joints == ("bend",)
     (p,) = first.parameters
     assert p.value == pytest.approx(0.3, abs=4 * (p.stderr or 0) + 0.01) and p.unit == "N m s^2/rad"
+
+
+def test_a_body_is_the_same_in_any_frame() -> None:
+    """Two point masses on a bar: mass, middle and `m r^2` about it come back from the numbers about any origin and axes."""
+    ends, turn = np.array([[0.3, 0.1, -0.2], [0.5, -0.1, 0.2]]), Rotation.from_rotvec([0.4, -0.2, 0.7]).as_matrix()
+    pi = np.concatenate([[4.0], 2.0 * ends.sum(axis=0), _inertia(ends, 2.0)])
+    place = np.array([0.1, 0.2, 0.3])
+    found = compute_body_properties(pi, turn, place)
+    assert_allclose(found[:4], [4.0, *(turn.T @ (ends.mean(axis=0) - place))], rtol=1e-12)
+    assert_allclose(found[4:], _inertia((ends - ends.mean(axis=0)) @ turn, 2.0), atol=1e-12)
+
+
+def _inertia(points: np.ndarray, mass: float) -> np.ndarray:
+    """Return `ixx ixy iyy ixz iyz izz` of equal point masses (n, 3) about the origin."""
+    J = sum(mass * (p @ p * np.eye(3) - np.outer(p, p)) for p in points)
+    return J[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+
+
+def test_trust_in_the_file_enters_as_its_square(robot) -> None:
+    """Masses trusted to s, 2 s and 3 s: what that adds to the covariance of a difference grows as 1, 4, 9."""
+    fit = identify(robot, [recorded(robot, 3)], model="asymmetric")
+    added = []
+    for factor in (1.0, 2.0, 3.0):
+        known = {
+            p.name: {"prior_stderr": 0.05 * factor * p.value}
+            for p in fit.nominal
+            if p.name.endswith(".mass") and p.value > 0
+        }
+        added.append(compare_with_trusted(robot, fit.nominal.update(known), fit.estimate).S)
+    assert_allclose(added[2] - added[0], 8 / 3 * (added[1] - added[0]), rtol=1e-6, atol=1e-12)
+    assert np.trace(added[1] - added[0]) > 0

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from raising import raises_code
 
 from tau_dyn.effects import EFFECTS, Motion, Scene, name_effect_in_errors
-from tau_dyn.effects.lost_motion import integrate_bristle
+from tau_dyn.effects.presliding import integrate_bristle
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])

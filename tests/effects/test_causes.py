@@ -22,6 +22,7 @@ payload link_mass gravity_direction structural_compliance joint_compliance guide
 guideway_compliance cart_tilt rod_length joint_placement tool_frame gravity_sag clock_offset resolver_error outliers
 timestamp_jitter friction_change
 armature drive_lag viscous_curvature force_scale
+directional_efficiency lugre static_friction torque_speed_limit cogging
 """.split()
 CAUSES = [name for name, cls in EFFECTS.items() if cls.cause]
 JOINTS, UNITS, N = ("j1", "j2", "j3"), ("N", "N", "N m"), 400
@@ -38,6 +39,7 @@ def motion(rng) -> Motion:
     root = rng.standard_normal((N, 3, 3))
     signals = {
         "load": rng.standard_normal((N, 3)),
+        "reducer_torque": rng.standard_normal((N, 3)),
         "passive": rng.standard_normal((N, 4, 3, 3)),
         "inertia": root @ root.transpose(0, 2, 1) + np.eye(3),
         "damping": rng.uniform(1, 3, (N, 3)),
@@ -51,6 +53,7 @@ def motion(rng) -> Motion:
         "guide_across": rng.standard_normal((N, 3, 2, 3)),
         "gravity_turn": rng.standard_normal((N, 3, 2)),
         "campaign": np.repeat((0.0, 1.0), N // 2),
+        "reported_force": np.cumsum(rng.standard_normal((N, 3)), axis=0),
     }
     return Motion.of(JOINTS, q, v, a, t=t, signals=signals)
 
@@ -71,6 +74,9 @@ def scene(motion: Motion, *more: str, campaigns: int = 2) -> Scene:
         signals,
         campaigns,
         coupled=((JOINTS[0], JOINTS[1]),),
+        scales={joint: {"force": 1.0} for joint in JOINTS},
+        ratios=dict.fromkeys(JOINTS, 15.0),
+        limits=dict.fromkeys(JOINTS, (1.0, 2.0)),
     )
 
 
@@ -147,7 +153,16 @@ def test_its_words_carry_numbers_and_units(name: str, motion: Motion, rng) -> No
 
 @pytest.mark.parametrize(
     "name",
-    ["stribeck", "load_friction", "quadratic_drag", "viscous_curvature", "passive_joint_friction", "reducer_coupling"],
+    [
+        "stribeck",
+        "load_friction",
+        "quadratic_drag",
+        "viscous_curvature",
+        "passive_joint_friction",
+        "reducer_coupling",
+        "directional_efficiency",
+        "static_friction",
+    ],
 )
 def test_friction_never_drives(name: str, motion: Motion, rng) -> None:
     """With admissible amplitudes the actuators give power at every sample: friction takes energy and gives none."""

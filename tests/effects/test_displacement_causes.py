@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.effects import EFFECTS, DisplacementEffect, Motion, Scene
-from tau_dyn.effects.lost_motion import integrate_bristle
+from tau_dyn.effects.presliding import integrate_bristle
 
 T = np.arange(0, 2, 1e-3)
 

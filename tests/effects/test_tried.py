@@ -40,7 +40,7 @@ def test_each_joints_own_way_counts() -> None:
     about = scene()
     for joint, way, middle in (("x", 0.5, 1.25), ("y", 2.0, 1.0), ("w", 2.0, 0.0)):
         assert_allclose([s["travel"] for s in tried("backlash", joint, about)], [1e-5 * way, 1e-4 * way, 1e-3 * way])
-        bristles = [s["distance"] for s in tried("hysteresis", joint, about)]
+        bristles = [s["distance"] for s in tried("lugre", joint, about)]
         assert_allclose(bristles, np.geomspace(1e-3 * way, 0.1 * way, 8))
         waves = [s["period"] for s in tried("cart_tilt", joint, about)]
         assert_allclose(waves, [2 * way, way / 0.75, way, way / 1.5, way / 2, way / 3, way / 4])
@@ -153,7 +153,11 @@ def test_what_has_no_settings_is_tried_once_a_joint() -> None:
         ("joint_compliance", ("tool", "force"), None),
         ("backlash", ("inertia", "damping", "weight_gradient", "reversal"), "play shows in forces only at reversals"),
         ("backlash", ("tool",), "the logs give no reversal"), ("backlash", ("load_side", "reversal"), None),
-        ("hysteresis", ("inertia", "damping", "reversal"), "the logs give no weight_gradient"),
+        ("hysteresis", ("inertia", "damping", "reversal"), "forces do not show the loop"),
+        ("lugre", (), "the logs give no reversal"), ("lugre", ("reversal",), None),
+        ("directional_efficiency", (), "the logs give no load"), ("directional_efficiency", ("load", "reducer_torque"), None),
+        ("torque_speed_limit", ("reported_force",), "the robot file gives no effort"),
+        ("cogging", (), "the robot file gives no gear ratio"),
         ("guideway_compliance", ("side_force",), "no measured tool positions are looked at here"),
         ("cart_tilt", ("cart_sensitivity",), None),
     ],

@@ -37,6 +37,12 @@ def test_each_output_is_weighted_by_its_own_noise(rng):
     assert np.all(e.stderr > 0.9 * best)
 
 
+def test_the_noise_of_few_samples_is_not_made_small_by_the_fit(rng):
+    """Three parameters of both joints' 24 rows: the variance is 1 in the mean of 400 fits, which leave 21 of 24 of it."""
+    found = [solve_least_squares(make(rng, 12, np.ones(2))).sigma ** 2 for _ in range(400)]
+    assert_allclose(np.mean(found), 1.0, atol=0.05)
+
+
 def test_without_noise_the_truth_comes_back(rng):
     """1e-9 is what rounding leaves of 3000 exact equations."""
     e = solve_least_squares(make(rng, noise=np.zeros(2)))

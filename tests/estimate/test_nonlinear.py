@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from tau_dyn.estimate import DescentRules, descend, factor_system, fit_nonlinear
+from tau_dyn.estimate.weights import compute_loss, compute_robust_weights, compute_tuning_constant
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -192,3 +193,42 @@ def test_states_need_not_be_vectors():
     end = descend(problem, np.eye(3), DescentRules(small_step=1e-12))
     assert end.converged
     assert end.state == pytest.approx(true, abs=1e-10)
+
+
+def test_a_prior_pulls_towards_its_value_in_every_step():
+    """NIST's Misra1a with b1 known as 250 to 0.5: the minimum is SciPy's with the prior as one more residual, from afar, too."""
+    known = Parameters([Parameter("b1", 250.0, "1", prior_stderr=0.5), Parameter("b2", 3e-4, "1")])
+    found = fit_nonlinear(misra, known, jacobian=misra_slope, noise=0.1)
+    best = least_squares(
+        lambda b: np.append(misra(b) / 0.1, (b[0] - 250.0) / 0.5),
+        [250.0, 5e-4],
+        x_scale=[1e2, 1e-4],
+        xtol=1e-15,
+        ftol=1e-15,
+    )
+    assert found.parameters.values == pytest.approx(best.x, rel=1e-6)
+    assert found.cost == pytest.approx(2 * best.cost, rel=1e-9)
+
+
+def test_hubers_minimum_is_the_one_of_another_program():
+    """A curve with a tenth of far measurements: the minimum of Huber's loss is SciPy's with the same constant."""
+    rng = np.random.default_rng(11)
+    x = np.linspace(0, 4, 100)
+    y = 2 * np.exp(-0.7 * x) + 0.01 * rng.standard_normal(100)
+    y[::10] += 0.3 * np.arange(10)
+    c = compute_tuning_constant("huber", 1)
+    found = fit_nonlinear(lambda b: y - b[0] * np.exp(-b[1] * x), start(1.0, 1.0), loss="huber", noise=0.01)
+    best = least_squares(
+        lambda b: (y - b[0] * np.exp(-b[1] * x)) / 0.01, [1.0, 1.0], loss="huber", f_scale=c, xtol=1e-15, ftol=1e-15
+    )
+    assert found.parameters.values == pytest.approx(best.x, rel=1e-5)
+    assert found.cost == pytest.approx(2 * best.cost, rel=1e-6)
+
+
+@pytest.mark.parametrize("loss", ["none", "huber", "biweight"])
+def test_the_slope_of_a_loss_is_twice_the_distance_by_its_weight(loss):
+    """`rho' = 2 d w(d)`: loss and weights are of one law, smooth where it turns over from near to far."""
+    d = np.linspace(0.05, 8, 160)
+    step = 1e-6
+    slope = (compute_loss(loss, d + step, 2) - compute_loss(loss, d - step, 2)) / (2 * step)
+    assert slope == pytest.approx(2 * d * compute_robust_weights(loss, d, 2), abs=1e-4)

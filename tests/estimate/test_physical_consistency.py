@@ -133,3 +133,15 @@ def test_bounds_alone_are_never_the_contradiction(monkeypatch):
     seen = find_base(np.eye(2), ("m0", "m1"))
     with raises_code("too_little_data"):
         solve_consistent(masses(1.0, 1.0), seen, np.array([1.0, -1.0]), np.eye(2), None)
+
+
+@pytest.mark.parametrize("precision", [1e2, 1e4, 1e6, 1e8])
+def test_data_almost_without_noise_have_an_answer_too(seen, precision, rng):
+    """However precise the data, an impossible estimate has a nearest possible one; it is no contradiction in the user's input."""
+    beta = PHYSICAL.copy()
+    beta[0], beta[9] = 0.001, -0.3  # a mass of 1 g with the moments of 2 kg, and a negative one
+    R = precision * np.linalg.qr(rng.normal(size=(10, 10)))[1] * np.geomspace(1, 1e-6, 10)
+    found = solve_consistent(link_parameters(PHYSICAL), seen, beta, R, PHYSICS)
+    J = pseudo_inertia(found.parameters.values)
+    assert np.linalg.eigvalsh(J)[0] > -1e-6 * np.trace(J)
+    assert "arm_link inertia" in found.moved

@@ -24,6 +24,7 @@ SETTINGS = {
     "position_friction": {"half": 0.5, "degree": 3},
     "viscous_curvature": {"knee": 0.05},
     "hysteresis": {"distance": 1e-3},
+    "lugre": {"distance": 1e-3},
 }
 SIZES = {
     "quadratic_drag": 7.5,
@@ -34,7 +35,14 @@ SIZES = {
     "coulomb": 0.0,
 }
 """Of a parameter, in units of the force that stops a joint within a second, at its speed where it multiplies one."""
-FIXED = {"tilt_x": 0.02, "tilt_y": -0.03, "gain_error": 0.05, "load_friction": 0.01}
+FIXED = {
+    "tilt_x": 0.02,
+    "tilt_y": -0.03,
+    "gain_error": 0.05,
+    "load_friction": 0.01,
+    "loss_driving": 0.015,
+    "loss_driven": 0.005,
+}
 
 
 def build_model(name: str, causes: tuple[str, ...]) -> Model:
@@ -90,6 +98,7 @@ def compare_motions(in_mujoco, model: Model) -> tuple[float, float]:
         ("l1", "viscous_asymmetry"),
         ("ur5", "stribeck"),
         ("ur5", "load_friction"),
+        ("ur5", "directional_efficiency"),
     ],
 )
 def test_the_callback_moves_as_we_do(name, cause, compare):
@@ -112,13 +121,17 @@ def test_bearings_of_a_closed_form(compare):
 
 NATIVE = {
     "cyclic_ripple": "actuator/dcmotor[@cogging]",
+    "cogging": "actuator/dcmotor[@cogging]",
     "hysteresis": "actuator/dcmotor[@lugre]",
+    "lugre": "actuator/dcmotor[@lugre]",
     "quadratic_drag": "worldbody//joint[@damping]",
     "gravity_direction": "option[@gravity]",
 }
 
 
-@pytest.mark.parametrize(("name", "cause"), list(zip(("ur5", "delta", "ur5", "l1"), NATIVE, strict=True)))
+@pytest.mark.parametrize(
+    ("name", "cause"), list(zip(("ur5", "ur5", "delta", "delta", "ur5", "l1"), NATIVE, strict=True))
+)
 def test_what_mujoco_has_elements_for(name, cause, compare):
     """Ripples, bristles, drag and gravity's direction stand in the file; half a second is ours within 0.1 %."""
     model = build_model(name, (cause,))

@@ -106,6 +106,14 @@ def test_a_reference_that_comes_late_is_named(axis_log, motion):
     assert check.numbers["joints"]["axis"]["lag"] == pytest.approx(-0.02, abs=2e-4)
 
 
+@pytest.mark.parametrize("lag", [2.3e-3, 3.8e-3])
+def test_a_lag_is_known_to_a_part_of_a_sample(axis_log, motion, lag):
+    """The position follows by 2.3 and 3.8 sample steps: the lag is found to a tenth of a step, by a parabola."""
+    t = axis_log.t
+    log = Log(t, {"q_axis": motion(t - lag), "q_ref_axis": motion(t), "tau_axis": axis_log.channels["tau_axis"]})
+    assert check_log(log).numbers["joints"]["axis"]["lag"] == pytest.approx(lag, abs=1e-4)
+
+
 def test_gaps_and_lost_samples_are_named(axis_log):
     """A gap of 0.5 s is a warning and the longest part is judged; a lost sample is counted."""
     keep = np.setdiff1d(np.arange(axis_log.n_samples), [*range(4000, 4500), 9000])

@@ -93,3 +93,15 @@ def test_a_quick_reversal_is_no_loss(rng):
     v = 0.04 * np.clip(4 * np.sin(2 * np.pi * t / 2.4), -1, 1)
     q = np.cumsum(v) * 0.004 + 2e-6 * rng.standard_normal(len(t))
     assert not find_lost_samples(Log(t, {"q_a": q}, "strokes.csv")).alarm
+
+
+def test_a_mended_clock_leaps_where_the_samples_were_lost(axis_log) -> None:
+    """Thirty samples lost in fast motion: nearly each leap of the mended clock is one step long and stands at its place."""
+    speed = np.abs(np.gradient(axis_log.channels["q_axis"]))
+    fast = np.flatnonzero(speed[200:-200] > 0.6 * speed.max()) + 200
+    lost = fast[:: len(fast) // 30][:30]
+    lost = lost[np.diff(lost, prepend=-1000) > 60]
+    keep = np.setdiff1d(np.arange(axis_log.n_samples), lost)
+    mended = mend_log(recounted(axis_log, keep))
+    leaps = np.flatnonzero(np.diff(mended.t) > 1.5 * axis_log.dt)
+    assert len(np.intersect1d(leaps, np.flatnonzero(np.diff(keep) == 2))) > 0.7 * len(lost) > 10

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.scale import run_many
+from tau_dyn.scale import iterate_in_order, run_many
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # Dask's own, at the end of its processes
 
@@ -136,3 +136,21 @@ def test_a_cluster_elsewhere_without_workers_is_said(settings) -> None:
 
 def _submit(function):
     return lambda client: lambda item: client.submit(function, item, pure=False)
+
+
+def test_results_keep_the_order_of_their_items():
+    """With three under way at once and the last to be sent done first, results come as their items were given."""
+    running: list[Promise] = []
+
+    class Promise:
+        def __init__(self, item: int) -> None:
+            self.item = item
+            running.append(self)
+
+        def result(self) -> int:
+            running.remove(self)
+            return 10 * self.item
+
+    made = iterate_in_order(Promise, range(7), 3)
+    assert next(made) == 0 and len(running) == 3
+    assert list(made) == [10, 20, 30, 40, 50, 60]

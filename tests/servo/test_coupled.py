@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from tests.servo.arms import build_arm, build_commands, build_law, build_link, build_truth, record
+from tests.servo.coupled import PlanarArms
 
 from tau_dyn.identify import Choices
 from tau_dyn.servo import identify_loop
@@ -10,8 +12,6 @@ from tau_dyn.servo.records import InertialSpace, build_records, build_waves, com
 from tau_dyn.servo.simulation import read_values
 from tau_dyn.servo.waves import Trials
 from tau_dyn.simulate import ServoLaw
-from tests.servo.arms import build_arm, build_commands, build_law, build_link, build_truth, record
-from tests.servo.coupled import PlanarArms
 
 
 def test_coupled_joints_move_as_one_system():
@@ -54,8 +54,8 @@ def test_intervals_hold_what_is_true():
         log = record(arm, build_truth(arm).with_values(values), build_law(arm), seed, 24.0)
         law = ServoLaw.of(arm.actuated, position_gain=2.65, force_per_unit=2.9, back_emf=0.17)
         found = identify_loop(arm, log, law=law, holdout=log.split(0.9)[1], choices=Choices(fix=("j*_link.mass",)))
-        values |= {f"{j}.{k}": x for j in arm.actuated
-                   for k, x in (("load_friction", 0.2), ("stiction", 0.01), ("command_delay", 0.012), ("offset", 0.0))}  # fmt: skip
+        alike = {"load_friction": 0.2, "stiction": 0.01, "command_delay": 0.012, "offset": 0.0}
+        values |= {f"{j}.{k}": x for j in arm.actuated for k, x in alike.items()}
         z += [(p.value - values[p.name]) / p.stderr for p in found.parameters if p.name in values and p.stderr]
     assert len(z) > 40
     assert np.mean(np.abs(z) < 1.96) > 0.85

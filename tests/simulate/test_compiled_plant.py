@@ -224,6 +224,19 @@ def test_a_law_that_fails_on_expressions_runs_in_python(make):
     assert_allclose(run.q[-1], 0.1 * np.cos(0.5), rtol=1e-3)
 
 
+def test_a_defect_of_ours_while_tracing_shows(make, monkeypatch):
+    """What our own effects do not foresee is raised, and not hidden by the slower way; a law of the user's is forgiven."""
+
+    def defect(*_args, **_settings):
+        raise AttributeError("a name that is not there")
+
+    monkeypatch.setattr(compiled_plant, "build_equations", defect)
+    monkeypatch.setattr(compiled_plant, "_TRACED", compiled_plant._TracedModels())
+    with pytest.raises(AttributeError, match="a name that is not there"):
+        CompiledPlant.find(make.friction(make.block(), 20.0, 10.0, 0.1), LONG)
+    assert CompiledPlant.find(Model.of(make.block(), [_Norm(["axis"], ["N"])]), LONG) is None
+
+
 SOURCE = 'int answer(void);\n__attribute__((visibility("default"))) int answer(void) { return 42; }\n'
 
 

@@ -35,6 +35,9 @@ IN_THE_ROBOT = {
     "drive_gain": {"gain_error": 0.05},
     "cyclic_ripple": {"ripple_sin": 3, "ripple_cos": 1},
     "hysteresis": {"hysteresis": 15},
+    "lugre": {"lugre": 15},
+    "static_friction": {"static_friction": 12},
+    "cogging": {"cogging_sin": 3, "cogging_cos": 1},
     "reducer_coupling": {"inertia": 3, "coulomb": 4},
     "viscous_curvature": {"viscous_curvature": 25},
     "gravity_direction": {"base.tilt_y": 0.1},
@@ -44,7 +47,12 @@ IN_THE_LOG = {
     "delay", "backlash", "transmission_error", "pinion_scale", "joint_compliance", "structural_compliance",
     "guideway_compliance", "guideway_nonparallel", "cart_tilt", "drive_lag",
 }  # fmt: skip
-SETTINGS = {"stribeck": {"speed": 0.1}, "position_friction": {"half": 0.3}, "thermal_drift": {"lag": 0.5}}
+SETTINGS = {
+    "stribeck": {"speed": 0.1},
+    "static_friction": {"speed": 0.1},
+    "position_friction": {"half": 0.3},
+    "thermal_drift": {"lag": 0.5},
+}
 
 
 def hidden(make, tmp_path, name: str, values: dict[str, float], robot=None, **settings: float) -> Model:
@@ -76,7 +84,7 @@ def truth(model: Model, run) -> Motion:
         travel[k] = np.where(same, travel[k - 1], 0.0) + np.abs(run.q[k] - run.q[k - 1])
     warm = np.repeat(compute_warm_up(run.t - run.t[0])[:, None], run.q.shape[1], axis=1)
     signals = {"reversal": travel, "temperature": warm}
-    if model.effects[1].name == "hysteresis":
+    if model.effects[1].name in ("hysteresis", "lugre"):
         signals[STATE] = bristle(np.diff(run.q, axis=0) / model.effects[1].settings["distance"])
     return model.motion(run.q, run.v, run.a, t=run.t, signals=signals)
 
@@ -106,7 +114,11 @@ def test_the_plant_obeys_the_law(name: str, make, tmp_path) -> None:
 def test_every_cause_is_simulated_or_refused() -> None:
     """No cause is silently left out: the plant has it, the log has it, or the simulator says why not."""
     causes = {name for name, cls in EFFECTS.items() if cls.cause}
-    assert causes == set(IN_THE_ROBOT) | IN_THE_LOG | {"friction_change"}
+    assert causes == set(IN_THE_ROBOT) | IN_THE_LOG | {
+        "friction_change",
+        "directional_efficiency",
+        "torque_speed_limit",
+    }
 
 
 def test_a_change_between_campaigns_needs_a_campaign(make, tmp_path) -> None:

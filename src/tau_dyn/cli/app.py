@@ -72,6 +72,7 @@ COMMANDS: dict[str, Callable[..., Outcome]] = {
     "lead-through": control.lead_through,
     "payload": monitor.payload,
     "watch": monitor.watch,
+    "fleet": monitor.fleet,
     "compare": listings.compare,
     "view": view.view,
     "fk": kinematics.fk,

@@ -18,6 +18,7 @@ from tau_dyn.exceptions import InputError
 
 _CODE = Group("--to c")
 _DRIVES = Group("--to mjlab, isaaclab")
+_TRAINED = Group("--to mjlab, isaaclab, playground")
 _SENT = Group("--to reference, rapid")
 
 
@@ -46,6 +47,7 @@ class ExportOptions:
     Attributes:
         name: With which all functions begin (default: the robot's name)
         actuators: Fitted actuators, whose delays count (a file of `actuators`)
+        samples: Samples that `identify --samples` wrote, to randomise a trainer's robots; FILE.npz beside FILE.py
         motion: t, q_ref_J (or q_J) of each joint
         correction: Add this learned correction to the motion
         period: The controller's sample period
@@ -60,6 +62,7 @@ class ExportOptions:
 
     name: Annotated[str | None, Parameter(group=_CODE, metavar="NAME")] = None
     actuators: Annotated[Path | None, Parameter(group=_DRIVES, metavar="FILE.yaml")] = None
+    samples: Annotated[Path | None, Parameter(group=_TRAINED, metavar="SAMPLES.parquet")] = None
     motion: Annotated[Path | None, Parameter(group=_SENT, metavar="MOTION.csv")] = None
     correction: Annotated[Path | None, Parameter(group=_SENT, metavar="FILE.csv")] = None
     period: Annotated[args.Positive, Parameter(group=_SENT, metavar="S")] = 0.004
@@ -98,7 +101,7 @@ def export(
     model: Annotated[Path, Parameter(name="MODEL.yaml|ROBOT")],
     /,
     *,
-    to: Literal["urdf", "mjcf", "sdf", "fmu", "bam", "mjlab", "isaaclab", "c", "reference", "rapid"],
+    to: Literal["urdf", "mjcf", "sdf", "fmu", "bam", "mjlab", "isaaclab", "playground", "c", "reference", "rapid"],
     out: Annotated[
         Path | None, args.build_destination("FILE", "By default beside the model, or here for a robot")
     ] = None,
@@ -120,10 +123,12 @@ def export(
         raise InputError(
             "bad_option", f"--to {to} {'needs --motion MOTION.csv' if chosen.moves else 'takes no --motion'}"
         )
+    if options.samples is not None and to not in _TRAINERS:
+        raise InputError("bad_option", f"--samples goes with --to {', '.join(_TRAINERS)}, not with {to}")
     with show_progress(output.quiet) as step:
         step("writing")
         made = chosen.make(_Request(model, to, path, options, robot_options))
-    files = (model, options.motion, options.correction, options.actuators)
+    files = (model, options.motion, options.correction, options.actuators, options.samples)
     given = [p for p in files if p is not None and p.is_file()]
     return Outcome(
         result={"out": str(path), "format": to, **made.result},
@@ -179,8 +184,27 @@ def _make_exchanged(request: _Request) -> Made:
     return Made(files, said, result, (*made.left_out, *made.by_callback, *price))
 
 
+_TRAINERS = ("mjlab", "isaaclab", "playground")
+
+
+def _make_randomisation(request: _Request) -> Made:
+    """Return samples as a trainer's module and the table beside it."""
+    from tau_dyn.exchange import build_randomisation, read_samples
+
+    samples = request.options.samples
+    if samples is None:
+        raise InputError("missing_input", f"--to {request.to} needs --samples SAMPLES.parquet of identify --samples")
+    model, beside = request.load_model(), request.out.with_suffix(".npz")
+    made = build_randomisation(model, read_samples(samples, model), request.to, beside.name)  # type: ignore[arg-type]
+    said = f"{made.n_samples} samples of {model.robot.name} -> {request.out} and {beside}"
+    result = {"out": [str(request.out), str(beside)], "samples": made.n_samples, "left_out": list(made.left_out)}
+    return Made({request.out: made.module, beside: partial(_write_bytes, made.table)}, said, result, made.left_out)
+
+
 def _make_drives(request: _Request) -> Made:
-    """Return the drives for BAM, mjlab or Isaac Lab."""
+    """Return the drives for BAM, mjlab or Isaac Lab; with samples what randomises them."""
+    if request.options.samples is not None:
+        return _make_randomisation(request)
     from tau_dyn.control.iterative import read_actuators
     from tau_dyn.exchange import build_drive_files, describe_price
 
@@ -333,6 +357,7 @@ FORMATS: dict[str, Format] = {
     "bam": Format(".json", _make_drives),
     "mjlab": Format(".py", _make_drives),
     "isaaclab": Format(".py", _make_drives),
+    "playground": Format(".py", _make_randomisation),
     "c": Format(".c", _make_kinematics),
     "reference": Format(".csv", _make_reference, moves=True),
     "rapid": Format(".mod", _make_rapid, moves=True),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
@@ -24,7 +26,11 @@ def identify(
     model: Annotated[str, Parameter(metavar="MODEL")] = "asymmetric",
     fitting: args.FittingOptions = args.FittingOptions(),
     per_log: Annotated[args.Strings, Parameter(group=args.CHOICES, metavar="NAME")] = (),
-    out: Annotated[Path | None, args.build_destination("MODEL.yaml", "Write the identified model here")] = None,
+    samples: Annotated[args.Whole, Parameter(metavar="N")] = 0,
+    out: Annotated[
+        Path | None,
+        args.build_destination("MODEL.yaml", "Write the identified model here, or samples as .parquet or .csv"),
+    ] = None,
     controller: Annotated[Path | None, Parameter(metavar="LAW.yaml")] = None,
     estimator: Literal["auto", "wls", "ml", "iv", "robust"] = "auto",
     jobs: Annotated[args.Whole, Parameter(group=_BLOCKS, metavar="N")] = 0,
@@ -39,6 +45,8 @@ def identify(
         model: Friction model: rigid (none), symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg); or a model
             file, which gives start values and effects
         per_log: Estimate a value for each log, everything else shared, and test whether the logs differ
+        samples: Draw N physically consistent parameter sets that the logs and the robot file leave possible; beside MODEL.yaml
+            they are MODEL_samples.parquet
         controller: The servo's law, for logs of commands and positions without torque (cmd_J, q_J); without it its gains are
             estimated, and masses are known up to their scale
         estimator: wls: weighted least squares of filtered signals; ml: maximum likelihood at the full rate with encoder
@@ -77,18 +85,45 @@ def identify(
                 estimator=estimator,
                 **fitting.collect(model, output.seed),
             )
+        files, drawn = _list_files(out, found, samples, output.seed, step)
     told = "output error through the closed loop" if isinstance(found, LoopIdentification) else found.estimator
 
     return Outcome(
-        result=found.to_dict(),
-        warnings=found.warnings,
+        result=found.to_dict() | ({} if drawn is None else {"samples": drawn.to_dict()}),
+        warnings=[*found.warnings, *(() if drawn is None else drawn.warnings)],
         inputs=[
             *robot_options.list_files(robot),
             *fitting.list_inputs(model, [*logs, *holdout], [*trained, *held]),
             controller,
         ],
         lines=[f"estimator: {told}"],
-        files={out: found.model.save},
-        named={"model": out},
+        files=files,
+        named={"samples" if _is_table(path) else "model": path for path in files},
         found=found,
     )
+
+
+def _is_table(path: Path | None) -> bool:
+    return path is not None and path.suffix in (".parquet", ".csv")
+
+
+def _list_files(
+    out: Path | None, found: Any, samples: int, seed: int, step: Callable[[str], None]
+) -> tuple[dict[Path | None, Callable[[Path], None]], Any]:
+    """Return what to write and the samples: the model, and beside it the samples, or these alone where `--out` names a table."""
+    if not samples:
+        if _is_table(out):
+            raise InputError("bad_option", f"--out {out} names a table of samples; say how many with --samples N")
+        return {out: found.model.save}, None
+    from tau_dyn.identify import Identification
+
+    if not isinstance(found, Identification):
+        raise InputError(
+            "unsupported", "--samples needs logs with torque; of commands and positions there are none yet"
+        )
+    step("samples")
+    drawn = found.sample(samples, seed=seed)
+    if out is None or _is_table(out):
+        return {out: partial(drawn.save, ending=out.suffix if out else ".csv")}, drawn
+    beside = out.with_name(f"{out.stem}_samples.parquet")
+    return {out: found.model.save, beside: partial(drawn.save, ending=".parquet")}, drawn

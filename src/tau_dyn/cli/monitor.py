@@ -1,4 +1,4 @@
-"""`tau-dyn payload` and `watch`."""
+"""`tau-dyn payload`, `watch` and `fleet`."""
 
 from __future__ import annotations
 
@@ -111,3 +111,54 @@ def watch(
         inputs=[model, *read_files, *([(logs[-1], growing.sha256)] if growing is not None else [])],
         found=found,
     )
+
+
+def fleet(
+    robot: args.RobotName,
+    logs: Annotated[
+        tuple[str, ...],
+        Parameter(name="[UNIT=]LOG", help="Logs with torque; several of one unit as UNIT=LOG, else each is a unit"),
+    ] = (),
+    /,
+    *,
+    model: Annotated[str, Parameter(metavar="MODEL")] = "asymmetric",
+    fitting: args.FittingOptions = args.FittingOptions(),
+    out: Annotated[Path | None, args.build_destination("FLEET.yaml", "Write the fleet's model here")] = None,
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.Output = args.Output(),
+) -> Outcome:
+    """Mean and spread of each parameter over units of one type, and the units that are outlying.
+
+    A new unit then needs little motion: tau-dyn identify ROBOT NEW.csv --model FLEET.yaml
+
+    Args:
+        model: Friction model, as identify takes it, or a model file
+    """
+    with show_progress(output.quiet) as step:
+        step("loading")
+        from tau_dyn.monitor import identify_fleet
+
+        if not logs:
+            raise InputError("missing_input", "fleet takes a log of each unit after the robot")
+        pairs = [_split_unit(text) for text in logs]
+        machine = robot_options.load(robot)
+        read = fitting.read_logs([path for _, path in pairs])
+        machine = robot_options.hold_silent_joints(machine, robot, read)
+        units: dict[str, list[Any]] = {}
+        for (unit, _), log in zip(pairs, read, strict=True):
+            units.setdefault(unit, []).append(log)
+        found = identify_fleet(machine, units, progress=step, **fitting.collect(model, output.seed))
+    return Outcome(
+        result=found.to_dict(),
+        warnings=found.warnings,
+        inputs=[*robot_options.list_files(robot), *fitting.list_inputs(model, [path for _, path in pairs], read)],
+        files={out: found.model.save},
+        named={"model": out},
+        found=found,
+    )
+
+
+def _split_unit(text: str) -> tuple[str, str]:
+    """Return unit and path of `[UNIT=]LOG`; a log without a unit is one by itself."""
+    unit, equals, path = text.partition("=")
+    return (unit, path) if equals and unit and not Path(text).exists() else (Path(text).stem, text)

@@ -152,6 +152,10 @@ class TreeForm(Mechanism):
             load.append(np.sqrt(as_expression_array([across @ across]))[0] if joint.slides else abs(tau[k]))
         return as_expression_array([load])
 
+    def reducer_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return what each drive's reducer transmits (1, na); see `Mechanism.reducer_torque`."""
+        return as_expression_array([self._forces(q, v, a)[0]])
+
     def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
         """Return no bearings: there are no loops."""
         return (), as_expression_array(np.zeros((1, 0, 3, self.robot.na)))
@@ -205,6 +209,10 @@ class LoopForm(TreeForm):
             size = np.sqrt(as_expression_array([across @ across]))[0]
             load.append(size if joint.slides else abs(closed.felt[k]))
         return as_expression_array([load])
+
+    def reducer_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return what each drive's reducer transmits (1, na), loops included; see `Mechanism.reducer_torque`."""
+        return as_expression_array([self._close(q, v, a).felt])
 
     def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
         """Return how fast passive bearings turn per actuated speed (1, n, 3, na); see `Mechanism.passive_rates`."""

@@ -29,7 +29,7 @@ from tau_dyn.codegen.tracing import (
     flatten_outputs,
     trace_function,
 )
-from tau_dyn.effects import STATE, DisplacementEffect, Effect, Hysteresis, Motion, acts_on_recording, follow_reversal
+from tau_dyn.effects import STATE, Bristle, DisplacementEffect, Effect, Motion, acts_on_recording, follow_reversal
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import BY_STATE, COMPUTED, Model
 
@@ -104,7 +104,7 @@ class _Remembered:
 
     def __init__(self, effects: Sequence[Effect], na: int, campaign: float | None = None) -> None:
         self.na, self._campaign = na, campaign
-        self.bristles = [e for e in effects if isinstance(e, Hysteresis)]
+        self.bristles = [e for e in effects if isinstance(e, Bristle)]
         self.warm = tuple(e for e in effects if "temperature" in e.needs)
         remembers = any("reversal" in e.needs or isinstance(e, DisplacementEffect) for e in effects)
         self.size = (2 + len(self.bristles)) * na if remembers else 0
@@ -115,7 +115,7 @@ class _Remembered:
         found: dict[str, Any] = {}
         if "reversal" in effect.needs:
             found["reversal"] = given["m"][None, : self.na]
-        if isinstance(effect, Hysteresis):
+        if isinstance(effect, Bristle):
             start = (2 + self.bristles.index(effect)) * self.na
             found[STATE] = given["m"][None, start : start + self.na]
         if effect in self.warm:
@@ -169,7 +169,7 @@ class _Inputs(TracingInputs):
     def ask(self, effect: Effect, a: Any, sign: float, force: Any = None) -> Any:
         """Return an effect's force (na,) at accelerations (1, na), and for effects that feel it at a force (na,)."""
         robot = self.model.robot
-        felt = [] if isinstance(effect, Hysteresis) else [n for n in effect.needs if n in COMPUTED]
+        felt = [] if isinstance(effect, Bristle) else [n for n in effect.needs if n in COMPUTED]
         signals = {n: COMPUTED[n](self.form, self.q, self.v, a) for n in felt}
         signals |= self.remembered.signals(effect, self.beside)
         if force is not None:

@@ -87,6 +87,7 @@ def _limit(ground: NullModel, candidate: CandidateCause, causes: int) -> Limit |
         if amplitude is None:
             continue  # a joint that hardly moves says nothing of the others
         first = next(iter(fit.effect.parameters))
+        amplitude = max([amplitude, *(row.low for row in fit.effect.plausible if not (row.of or row.setting))])
         values = fit.effect.parameters.with_values({first.name: max(amplitude, first.lower)})
         plausible = not fit.effect.find_implausible(values, ground.channel.scene.scales)
         joints = fit.effect.joints

@@ -47,7 +47,7 @@ _WEIGHING = ("mass", "mx", "my", "mz")
 _STIFFNESS = 30.0
 """How much less of a misfit masses and first moments take than inertias, where either can: a drive's inertia that nobody gave
 is in the bodies' inertia, and the robot file knows masses better."""
-_SIGNALS = ("inertia", "weight_gradient", "load", "passive")
+_SIGNALS = ("inertia", "weight_gradient", "load", "reducer_torque", "passive")
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,4 +318,11 @@ def _scene(
     )
     force = np.max([np.abs(run.y_all).max(axis=0) for run in runs], axis=0)
     inertia = np.max([np.diagonal(m.signals["inertia"], axis1=1, axis2=2).max(axis=0) for m in motions], axis=0)
-    return replace(scene, scales=measure_scales(model.parameters, scene, force, inertia))
+    robot = model.robot
+    ends = zip(robot.actuated, robot.effort_limit.tolist(), robot.velocity_limit.tolist(), strict=True)
+    return replace(
+        scene,
+        scales=measure_scales(model.parameters, scene, force, inertia),
+        ratios=robot.gear_ratios,
+        limits={joint: (f, v) for joint, f, v in ends if 0 < f < np.inf and 0 < v < np.inf},
+    )

@@ -166,6 +166,7 @@ def _strongest(significant: Sequence[CandidateCause]) -> tuple[CandidateCause, t
     beyond = [c.merit_under(scatter) - first.merit_under(scatter) for c in significant]
     level = [(x, k) for k, x in enumerate(beyond) if abs(x) < MIN_2LOGL_DIFFERENCE]
     best = significant[max(level)[1]]
+    best = next((significant[k] for _, k in level if significant[k].cause == best.effects[0].special), best)
     alike = {k for _, k in level}
     near = (
         c

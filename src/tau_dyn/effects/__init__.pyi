@@ -15,6 +15,7 @@ from .causes import (
     PARAMETER_CAUSES as PARAMETER_CAUSES,
     list_causes as list_causes,
 )
+from .cogging import Cogging as Cogging
 from .effect import (
     Effect as Effect,
     PlausibleRange as PlausibleRange,
@@ -34,6 +35,7 @@ from .friction import (
     ViscousAsymmetry as ViscousAsymmetry,
     ViscousCurvature as ViscousCurvature,
 )
+from .gear_losses import DirectionalEfficiency as DirectionalEfficiency, LoadFriction as LoadFriction
 from .guideways import (
     GUIDE_ACROSS as GUIDE_ACROSS,
     SENSITIVITY as SENSITIVITY,
@@ -48,15 +50,16 @@ from .jointwise import (
     JointwiseDisplacement as JointwiseDisplacement,
     JointwiseEffect as JointwiseEffect,
 )
-from .lost_motion import (
-    STATE as STATE,
-    Backlash as Backlash,
-    Hysteresis as Hysteresis,
-    JointCompliance as JointCompliance,
-    follow_reversal as follow_reversal,
-)
+from .lost_motion import Backlash as Backlash, JointCompliance as JointCompliance
 from .motion import JointMotion as JointMotion, JointScales as JointScales, Motion as Motion, Scene as Scene
 from .periodic import CyclicRipple as CyclicRipple, TransmissionError as TransmissionError
+from .presliding import (
+    STATE as STATE,
+    Bristle as Bristle,
+    Hysteresis as Hysteresis,
+    Lugre as Lugre,
+    follow_reversal as follow_reversal,
+)
 from .robot_file import (
     GRAVITY_TURN as GRAVITY_TURN,
     Armature as Armature,
@@ -65,6 +68,7 @@ from .robot_file import (
     PinionScale as PinionScale,
     ReducerCoupling as ReducerCoupling,
 )
+from .static_friction import StaticFriction as StaticFriction
 from .structural_compliance import StructuralCompliance as StructuralCompliance
 from .timing import (
     Delay as Delay,
@@ -72,9 +76,9 @@ from .timing import (
     TimingEffect as TimingEffect,
     apply_first_order_lowpass as apply_first_order_lowpass,
 )
+from .torque_speed_limit import REPORTED as REPORTED, TorqueSpeedLimit as TorqueSpeedLimit
 from .varying_friction import (
     FrictionChange as FrictionChange,
-    LoadFriction as LoadFriction,
     PassiveJointFriction as PassiveJointFriction,
     PositionFriction as PositionFriction,
     ThermalDrift as ThermalDrift,

@@ -14,6 +14,7 @@ from collections.abc import Collection, Iterable
 from inspect import isabstract
 from typing import TypeVar
 
+from tau_dyn.effects.cogging import Cogging
 from tau_dyn.effects.effect import Effect
 from tau_dyn.effects.friction import (
     AsymmetricFriction,
@@ -25,16 +26,19 @@ from tau_dyn.effects.friction import (
     ViscousAsymmetry,
     ViscousCurvature,
 )
+from tau_dyn.effects.gear_losses import DirectionalEfficiency, LoadFriction
 from tau_dyn.effects.guideways import CartTilt, GuidewayCompliance, GuidewayNonparallel
 from tau_dyn.effects.jointwise import DisplacementEffect, JointwiseEffect
-from tau_dyn.effects.lost_motion import Backlash, Hysteresis, JointCompliance
+from tau_dyn.effects.lost_motion import Backlash, JointCompliance
 from tau_dyn.effects.periodic import CyclicRipple, TransmissionError
+from tau_dyn.effects.presliding import Hysteresis, Lugre
 from tau_dyn.effects.robot_file import Armature, DriveGain, GravityDirection, PinionScale, ReducerCoupling
+from tau_dyn.effects.static_friction import StaticFriction
 from tau_dyn.effects.structural_compliance import StructuralCompliance
 from tau_dyn.effects.timing import Delay, DriveLag
+from tau_dyn.effects.torque_speed_limit import TorqueSpeedLimit
 from tau_dyn.effects.varying_friction import (
     FrictionChange,
-    LoadFriction,
     PassiveJointFriction,
     PositionFriction,
     ThermalDrift,
@@ -96,6 +100,7 @@ _IN_ORDER: tuple[type[Effect], ...] = (
     QuadraticDrag, ViscousCurvature, TorqueOffset, DriveGain, CyclicRipple, Delay, DriveLag, Backlash, Hysteresis,
     TransmissionError, ReducerCoupling, PinionScale, GravityDirection, Armature, StructuralCompliance, JointCompliance,
     GuidewayNonparallel, GuidewayCompliance, CartTilt, FrictionChange,
+    DirectionalEfficiency, Lugre, StaticFriction, TorqueSpeedLimit, Cogging,
 )  # fmt: skip
 
 for _effect in _IN_ORDER:

@@ -190,6 +190,7 @@ class Effect(ABC):
         speed_law: Whether its force on a joint is an odd function of that joint's speed alone.
         grows: A setting that counts terms, of which more are tried where one was found; empty for none.
         shared_by_joints: Whether joints cannot have amplitudes of their own, as the recording has one for all.
+        special: The cause that is this law with less freedom, and is named where data do not tell them apart; mostly empty.
         dense: Whether its grid is so fine that it is first tried on decimated motion; it then has `local_frequency`.
     """
 
@@ -215,6 +216,7 @@ class Effect(ABC):
     shared_by_joints: ClassVar[bool] = False
     speed_law: ClassVar[bool] = False
     dense: ClassVar[bool] = False
+    special: ClassVar[str] = ""
 
     def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
         """Let the effect act on these joints, whose forces are in these units ('N' or 'N m').

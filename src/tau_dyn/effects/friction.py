@@ -125,7 +125,7 @@ class Stribeck(JointwiseEffect):
     equation = "tau += stribeck sign(v) exp(-(|v| / speed)^power)"
     reference = "Stribeck 1902; Armstrong-Helouvry, Dupont & Canudas de Wit 1994"
     reveals = "constant-speed strokes from very slow to fast, in both directions"
-    mistaken_for = ("hysteresis", "quadratic_drag", "backlash")
+    mistaken_for = ("static_friction", "lugre", "quadratic_drag", "backlash")
     # Breakaway friction reaches three times the friction in motion (Armstrong-Helouvry, Dupont & Canudas de Wit 1994)
     plausible = (PlausibleRange("stribeck", 0.0, 3.0, of="coulomb"),)
     quantities = (("stribeck", "F"),)

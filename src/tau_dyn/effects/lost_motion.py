@@ -1,16 +1,11 @@
-"""What comes between an encoder and its load: play, a bristle, a spring.
+"""What comes between an encoder and its load: play, a spring. A bristle's loop is `presliding.py`.
 
 Play is a play operator: the encoder travels it before the load follows. The play and the `travel` that closes it are one length
 physically; `travel` only shapes the few micrometres after a reversal, which most filters hide, so it is a setting of its own.
 
-A bristle's state z swings from one side to the other over `distance` after a reversal. As a force (setting `displaced` 0) it
-stands beside Coulomb friction, of which a part then builds up over the distance; as a displacement (1) it is a loop of the
-deflection. Along a recording z obeys `dz/dq = (1 - z sign(v)) / distance`, which covers reversals before it has swung; single
-states are taken to have swung.
-
 A spring carries the force of the model without it, or, where the joint's friction acts on the motor's side of it (setting
 `friction` 0), that of its rigid bodies. A quasi-static law: it holds well below the resonance of load and spring, which is
-`structural_compliance`. Reference: Nordin & Gutman 2002; Dahl 1968; Ruderman et al. 2009; Spong 1987; Dressler 2012, 4.2 and 6.3.
+`structural_compliance`. Reference: Nordin & Gutman 2002; Spong 1987; Dressler 2012, 4.2 and 6.3.
 """
 
 from __future__ import annotations
@@ -21,14 +16,13 @@ from dataclasses import replace
 import numpy as np
 
 from tau_dyn.effects.effect import (
-    PlausibleRange,
     build_slide_and_hinge_ranges,
     format_amount,
     format_quantity,
     spell_unit,
 )
-from tau_dyn.effects.jointwise import SEEN_DIRECTLY, DisplacementEffect, JointwiseDisplacement, JointwiseEffect
-from tau_dyn.effects.motion import JointMotion, Motion, Scene
+from tau_dyn.effects.jointwise import JointwiseDisplacement
+from tau_dyn.effects.motion import JointMotion, Scene
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter
 
@@ -66,122 +60,6 @@ class Backlash(JointwiseDisplacement):
         k = scene.index(joints[0])
         way = float(scene.high[k] - scene.low[k])
         return [{"travel": share * way} for share in _PLAYS] if way > 0 else []
-
-
-_DISTANCES = (1e-3, 0.1)
-_N_TRIALS = 8  # distances tried, a factor of about two apart; refinement does the rest
-_PIECE = 30.0  # exponents of a stretch that is integrated at once; exp(30) leaves half of the digits
-STATE = "presliding"
-"""Signal (N, na) that replaces z where somebody follows it from sample to sample, as the simulator does."""
-
-
-class Hysteresis(JointwiseDisplacement):
-    """A bristle's friction force, or the loop that it leaves between encoder and load."""
-
-    name = "hysteresis"
-    cause = True
-    equation = "tau += hysteresis (z - sign(v)); encoder - load = lost_motion z; z = sign(v) (1 - 2 exp(-x / distance))"
-    reference = "Dahl 1968; Ruderman et al. 2009"
-    reveals = "short slow strokes back and forth, with the load side or the tool measured"
-    mistaken_for = ("stribeck", "backlash", "joint_compliance")
-    # Presliding cannot hold more than friction; lost motion is that of gears (see backlash)
-    plausible = (
-        PlausibleRange("hysteresis", 0.0, 1.5, of="coulomb"),
-        *build_slide_and_hinge_ranges("lost_motion", "Q", (0.0, 0.0), (1e-3, 2e-2)),
-    )
-    needs = (*JointwiseDisplacement.needs, "reversal")
-    nonnegative = True
-    quantities = ()
-    defaults = {"distance": 1e-3, "displaced": 0}
-    setting_units = {"distance": "Q"}
-    positive = ("distance",)
-    refined = ("distance",)
-    open_ends = {"distance": "both"}
-
-    @property
-    def terms(self) -> tuple[tuple[str, str], ...]:
-        """One amplitude: a force, or a displacement."""
-        return (("lost_motion", "Q"),) if self.measured else (("hysteresis", "F"),)
-
-    @property
-    def measured(self) -> bool:
-        """Only the displacement is the encoder's."""
-        if self.settings["displaced"] not in (0, 1):
-            raise InputError(
-                "invalid_value", "setting displaced of effect hysteresis is 0 (a force) or 1 (a displacement)"
-            )
-        return self.settings["displaced"] == 1
-
-    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return z, less the sign for a force."""
-        z = joint.signals.get(STATE)
-        if z is None:
-            z = self._along(joint)
-        return [z if self.measured else z - joint.sign]
-
-    def _along(self, joint: JointMotion) -> np.ndarray:
-        """Return z (N,) along a recording, or as if it had always swung where samples are in no order."""
-        x = joint.signal("reversal")
-        if joint.t is None:
-            return joint.sign * (1 - 2 * np.exp(-x / self.settings["distance"]))
-        return integrate_bristle(joint.q, self.settings["distance"])
-
-    def columns(self, motion: Motion) -> np.ndarray:
-        """Return force per unit parameter (N, na, p)."""
-        if self.measured:
-            return DisplacementEffect.columns(self, motion)
-        return JointwiseEffect.columns(self, motion)
-
-    def displacement(self, motion: Motion) -> np.ndarray:
-        """Return encoder minus load per unit parameter (N, na, p); none for a force."""
-        made = super().displacement(motion)
-        return made if self.measured else np.zeros_like(made)
-
-    def followed(self, z: np.ndarray, dq: np.ndarray) -> np.ndarray:
-        """Return the state z (...) after moving by `dq` (...) [m or rad]."""
-        sign = np.sign(dq)
-        return np.where(sign == 0, z, sign - (sign - z) * np.exp(-np.abs(dq) / self.settings["distance"]))
-
-    def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return the loop and the distance that it takes."""
-        way = self.setting("distance", joint)
-        if self.measured:
-            return f"a loop of {format_amount(values['lost_motion'])} to either side between encoder and load, entered over {way}"
-        return f"{format_amount(values['hysteresis'])} of the friction that builds up over {way} after a reversal"
-
-    @classmethod
-    def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return distances from a thousandth to a tenth of the way travelled; displacements where they can be seen."""
-        k = scene.index(joints[0])
-        way = float(scene.high[k] - scene.low[k])
-        if way <= 0:
-            return []
-        displaced = float(bool(SEEN_DIRECTLY & scene.signals))
-        return [{"distance": float(x) * way, "displaced": displaced} for x in np.geomspace(*_DISTANCES, _N_TRIALS)]
-
-
-def follow_reversal(travel: np.ndarray, heading: np.ndarray, dq: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the way since the last reversal [m or rad] and the direction of motion, each (...), after moving by `dq` (...)."""
-    sign = np.sign(dq)
-    return np.abs(dq) + np.where(sign * heading < 0, 0.0, travel), np.where(sign == 0, heading, sign)
-
-
-def integrate_bristle(q: np.ndarray, distance: float) -> np.ndarray:
-    """Return z (N,) along positions (N,) in order, exact where a joint does not turn between two samples.
-
-    It starts from the other side, as if it had just turned. With x the way travelled over `distance`,
-    `z e^x` grows by `sign (e^x_{k+1} - e^x_k)`, which is summed over pieces short enough for the exponential.
-    """
-    step = np.diff(q)
-    x = np.concatenate([[0.0], np.cumsum(np.abs(step))]) / distance
-    sign = np.sign(step)
-    moving = sign[sign != 0]
-    z = np.full(len(q), -moving[0] if moving.size else 0.0)
-    edges = np.append(np.unique(np.searchsorted(x, np.arange(0, x[-1], _PIECE))), len(q) - 1)
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
-        grown = np.exp(np.minimum(x[a : b + 1] - x[a], 20 * _PIECE))
-        z[a + 1 : b + 1] = (z[a] + np.cumsum(sign[a:b] * np.diff(grown))) / grown[1:]
-    return z
 
 
 class JointCompliance(JointwiseDisplacement):

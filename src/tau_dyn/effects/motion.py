@@ -24,12 +24,14 @@ class Motion:
         a: Accelerations (N, na).
         sign: Direction of motion (N, na), in [-1, 1]; `sign(v)` unless the caller says otherwise.
         t: Time (N,) [s] of samples in order, evenly spaced; None for samples in no order, as in a single simulator step.
-        signals: What else some effects feel, by name: `load` (N, na) [N, N m] across each joint's axis, `passive`
+        signals: What else some effects feel, by name: `load` (N, na) [N, N m] across each joint's axis, `reducer_torque`
+            (N, na) that its drive transmits, with its sign, `passive`
             (N, n, 3, na) angular velocity of each passive joint per actuated speed, `inertia` (N, na, na) mass matrix,
             `damping` (N, na) growth of friction with speed, `weight_gradient` (N, na, na) change of the weights with the
             positions, `rigid_force` (N, na) force of the rigid bodies, `force` (N, na) force of the model without the effect,
-            `temperature` (N, na) [degC], `reversal` (N, na) distance since each joint's last reversal [m or rad], `campaign`
-            (N,) number of the log, `gravity_turn` (N, na, 2) forces at rest per turn of gravity.
+            `temperature` (N, na) [degC], `reversal` (N, na) distance since each joint's last reversal [m or rad],
+            `reported_force` (N, na) force that the log holds, `campaign` (N,) number of the log, `gravity_turn` (N, na, 2)
+            forces at rest per turn of gravity.
     """
 
     joints: tuple[str, ...]
@@ -112,6 +114,8 @@ class Scene:
         coupled: Pairs of joints that a shared motor may drive: neighbours in the chain, or declared by the robot file.
         timing: Joint -> delay and time constant [s] of its logged force that fit the baseline best; empty where none is long.
         step_s: Time between samples of the logs, as they were recorded [s].
+        ratios: Joint -> gear ratio of its drive, where the robot file gives one.
+        limits: Joint -> largest force and speed that the robot file allows, where it gives both.
         often: Positions below and above which the joints are rarely trained on (2, na); None where all of it counts.
     """
 
@@ -133,6 +137,8 @@ class Scene:
     coupled: tuple[tuple[str, str], ...] = ()
     timing: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     step_s: float = 0.0
+    ratios: Mapping[str, float] = field(default_factory=dict)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def index(self, joint: str) -> int:
         """Return a joint's place."""

@@ -104,7 +104,7 @@ class CyclicRipple(PeriodicEffect):
     equation = "tau += sum_k ripple_sin_k sin(2 pi k q / period) + ripple_cos_k cos(2 pi k q / period)"
     reference = "Dressler 2012, 4.2; Holtz & Springob 1996"
     reveals = "slow strokes at several constant speeds over many periods"
-    mistaken_for = ("transmission_error", "resolver_error", "position_friction")
+    mistaken_for = ("cogging", "transmission_error", "resolver_error", "position_friction")
     # Cogging and tooth meshing are a few per cent of the largest force, 20 % in hobby gears
     plausible = (PlausibleRange("ripple", -0.2, 0.2, of="force"),)
     wave = ("ripple", "F")

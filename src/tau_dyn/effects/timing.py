@@ -160,7 +160,7 @@ class DriveLag(TimingEffect):
     equation = "time_constant d tau_log / dt = tau - tau_log"
     reference = "Swevers, Verdonck & De Schutter 2007; Ljung 1999, 13.3"
     reveals = "forces that change within the time constant: quick reversals, a multisine up to 20 Hz"
-    mistaken_for = ("delay", "clock_offset", "joint_compliance", "hysteresis")
+    mistaken_for = ("delay", "clock_offset", "joint_compliance", "lugre")
     # Current filters of drives are set from 0.1 ms to some tens of ms; a display's filter reaches 100 ms
     plausible = (PlausibleRange("time_constant", 0.0, 0.1, "s"),)
     needs = ("force",)

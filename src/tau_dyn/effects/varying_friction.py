@@ -1,9 +1,7 @@
-"""Friction that follows more than the joint's speed: load, temperature, campaign, place, passive bearings.
+"""Friction that follows more than the joint's speed: temperature, campaign, place, passive bearings.
 
-For a cart, `load` is the force that its rod puts across the guideway; for a hinge, the rigid-body torque that its reducer
-transmits (`Mechanism.guide_load`); the model's masses give it, not the data. The temperature's lag starts in equilibrium at the
-first sample; without a clock the temperature given is taken for it. Its reference only moves Coulomb and viscous friction. A
-campaign is one log, numbered from zero in the order given.
+The temperature's lag starts in equilibrium at the first sample; without a clock the temperature given is taken for it. Its
+reference only moves Coulomb and viscous friction. A campaign is one log, numbered from zero in the order given.
 
 Friction of the place is a sum of Legendre polynomials, nearly independent of each other where the joint visits its range evenly;
 P_0 is Coulomb friction itself. Beyond the range it stays as at its end.
@@ -12,7 +10,7 @@ A passive bearing turns with `w = P v`, `P` from the loops (`Mechanism.passive_r
 its friction, with one pair of coefficients for all bearings. `w / |w|` reverses with the bearing, not with a joint: when all
 carts move alike, no rod turns. There the direction is noise; identification leaves such samples out (`other_speeds`), a smoothed
 sign (feedforward) fades with the fastest joint's, and the simulator takes the force at the current speed, so that it brakes but
-cannot hold. Reference: Hamon, Gautier & Garrec 2010; Dressler 2012, 6.2; Bittencourt & Gunnarsson 2012; Khalil & Dombre 2002, 9.6
+cannot hold. Reference: Dressler 2012, 6.2; Bittencourt & Gunnarsson 2012; Khalil & Dombre 2002, 9.6
 and ch. 10 (virtual work).
 """
 
@@ -27,28 +25,6 @@ from tau_dyn.effects.effect import Effect, PlausibleRange, format_amount, format
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion, Motion, Scene
 from tau_dyn.parameters import Parameter, Parameters
-
-
-class LoadFriction(JointwiseEffect):
-    """Coulomb friction in proportion to the load."""
-
-    name = "load_friction"
-    cause = True
-    equation = "tau += load_friction |load| sign(v)"
-    reference = "Hamon, Gautier & Garrec 2010"
-    reveals = "the same strokes in both directions at places and accelerations where the load differs much"
-    mistaken_for = ("position_friction", "coulomb_asymmetry", "payload")
-    # 0.1 to 1 % in rolling guides, 20 % in sliding ones; a reducer of 65 % efficiency loses half of what it transmits
-    plausible = (PlausibleRange("load_friction", 0.0, 0.5),)
-    needs = ("load",)
-    quantities = (("load_friction", "1"),)
-    sentence = "friction of {load_friction} of the load that its guide or reducer carries"
-    nonnegative = True
-
-    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return the load's size against the motion."""
-        return [np.abs(joint.signal("load")) * joint.sign]
-
 
 _MIN_LAG_S = 3.0  # s; a quicker drift is no matter of temperature
 _LAG_STEP = 2.0  # ratio of neighbouring time constants tried; refinement does the rest

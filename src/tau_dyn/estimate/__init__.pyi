@@ -51,6 +51,7 @@ from .regression import (
     StreamedData as StreamedData,
     SufficientStatistics as SufficientStatistics,
 )
+from .truncated_normal import ConvexSet as ConvexSet, sample_truncated_normal as sample_truncated_normal
 from .weights import (
     LOSSES as LOSSES,
     build_prior_rows as build_prior_rows,

@@ -1,8 +1,8 @@
 """Where a model's effects stand for MuJoCo: in elements of the file that are exactly their laws, else in a callback beside it.
 
     quadratic_drag      second coefficient of a joint's `damping`                       MuJoCo 3.7
-    cyclic_ripple       passive `dcmotor` with `cogging`, one a harmonic                4.0
-    hysteresis          passive `dcmotor` with `lugre`, Dahl's law: no damping, static = Coulomb    4.0
+    cyclic_ripple, cogging  passive `dcmotor` with `cogging`, one a harmonic                4.0
+    lugre, hysteresis   passive `dcmotor` with `lugre`, Dahl's law: no damping, static = Coulomb    4.0
     reducer_coupling    `tendon/fixed` of joints in one chain with armature, damping, frictionloss  3.3
     gravity_direction   `option/gravity`, in which forces at rest are linear
     delay               `sensor/actuatorfrc` that shows a drive's force so much later, from one step up      3.5
@@ -26,12 +26,15 @@ from tau_dyn.codegen import list_unsupported_effects
 from tau_dyn.effects import (
     Armature,
     AsymmetricFriction,
+    Bristle,
+    Cogging,
     CyclicRipple,
     Delay,
     DriveGain,
     Effect,
     GravityDirection,
     Hysteresis,
+    Lugre,
     QuadraticDrag,
     ReducerCoupling,
     acts_on_recording,
@@ -49,7 +52,9 @@ friction that stops joints included; 1 ms would leave 0.11 %."""
 _SINCE = {
     QuadraticDrag: (3, 7),
     CyclicRipple: (4, 0),
+    Cogging: (4, 0),
     Hysteresis: (4, 0),
+    Lugre: (4, 0),
     ReducerCoupling: (3, 3),
     GravityDirection: (3, 3),
     Delay: (3, 5),
@@ -137,7 +142,7 @@ def _is_native(effect: Effect, model: Model) -> bool:
     since = next((first for kind, first in _SINCE.items() if type(effect) is kind), None)
     if since is None or get_mujoco_version() < since:
         return False
-    if isinstance(effect, Hysteresis):
+    if isinstance(effect, Bristle):
         forces = {j: sum(force for _, force in _list_bristles(model.effects, model, j)) for j in effect.joints}
         return not effect.measured and all(force <= _find_dry(model, j) for j, force in forces.items())
     if isinstance(effect, Delay):
@@ -170,8 +175,8 @@ def _find_dry(model: Model, joint: str) -> float:
 def _list_bristles(effects: Iterable[Effect], model: Model, joint: str) -> list[tuple[float, float]]:
     """Return distance [m or rad] and force [N or N m] of each bristle on a joint."""
     values = model.effect_parameters
-    kept = [e for e in effects if isinstance(e, Hysteresis) and joint in e.joints and not e.measured]
-    return [(e.settings["distance"], values[f"{joint}.hysteresis{e.label}"].value) for e in kept]
+    kept = [e for e in effects if isinstance(e, Bristle) and joint in e.joints and not e.measured]
+    return [(e.settings["distance"], values[f"{joint}.{e.terms[0][0]}{e.label}"].value) for e in kept]
 
 
 def compute_gravity(model: Model, places: EffectPlaces) -> np.ndarray:
@@ -203,10 +208,10 @@ def add_passive_motors(actuator: Element, model: Model, places: EffectPlaces) ->
     passive = {"input": "none", "motorconst": "0", "resistance": "1"}
     count: Counter[str] = Counter()
     for effect in places.native:
-        for joint in effect.joints if isinstance(effect, CyclicRipple | Hysteresis) else ():
+        for joint in effect.joints if isinstance(effect, CyclicRipple | Bristle) else ():
             count[joint] += 1
             name = {"name": f"{joint}_{effect.name}_{count[joint]}", "joint": joint}
-            if isinstance(effect, Hysteresis):
+            if isinstance(effect, Bristle):
                 ((distance, force),) = _list_bristles([effect], model, joint)
                 law = _write([force / distance, 0, force, force, 1])
                 if force:

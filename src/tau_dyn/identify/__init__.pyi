@@ -32,6 +32,12 @@ from .per_log import (
     compute_contrast_p_value as compute_contrast_p_value,
     name_apart as name_apart,
 )
+from .posterior import (
+    Samples as Samples,
+    Widening as Widening,
+    compute_data_covariance as compute_data_covariance,
+    draw_samples as draw_samples,
+)
 from .preparation import (
     CODE as CODE,
     EXPERIMENT as EXPERIMENT,

@@ -30,7 +30,9 @@ ESTIMATORS = ("auto", "wls", "ml", "iv", "robust")
 MAX_COLUMN_VALUES = 30_000_000
 """Numbers in the full-rate columns (samples x joints x columns) up to which they are held in memory."""
 
-PARAMETER_DEPENDENT_SIGNALS = frozenset({"force", "rigid_force", "load", "inertia", "damping", "weight_gradient"})
+PARAMETER_DEPENDENT_SIGNALS = frozenset(
+    {"force", "rigid_force", "load", "reducer_torque", "inertia", "damping", "weight_gradient"}
+)
 """Signals that follow from the parameters' values, so that a fit changes the columns it was made with."""
 
 MAX_ITERATIONS = 8  # bounds the time of a fit that does not converge

@@ -18,6 +18,7 @@ import numpy as np
 from tau_dyn.effects import FRICTION_MODELS
 from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Preparation, Regression
 from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.identify.bands import PredictiveBands, build_predictive_bands
 from tau_dyn.identify.data import BuiltData, Data, drop_repeated_logs, get_log_list, require_forces
 from tau_dyn.identify.estimate_warnings import (
     list_equivalent_models,
@@ -157,6 +158,7 @@ def identify(
         logs=train,
         force_offset=offset,
         per_log=compared,
+        bands=errors.bands,
     )
 
 
@@ -243,12 +245,13 @@ def _account_for_timing(settled: Settled, solver: Estimator) -> tuple[Settled, F
 
 
 class _Judged(NamedTuple):
-    """Data that the fit never saw: their regression, where its rows are there to look at, the errors on them, and how."""
+    """Data that the fit never saw: their regression where its rows are there, errors on them, how, and predictive bands."""
 
     regression: Regression | None
     errors: ForceErrors | None
     how: str
     warnings: tuple[str, ...] = ()
+    bands: PredictiveBands | None = None
 
 
 def _judge_held_out(held_out: Data, settled: Settled, offset: ForceOffset | None) -> _Judged:
@@ -267,8 +270,10 @@ def _judge_held_out(held_out: Data, settled: Settled, offset: ForceOffset | None
     how = "held-out logs: " + ", ".join(log.name for log in held_out.logs)
     if settled.built.data.per_log:
         how += f", with the mean over the training logs of {', '.join(settled.built.data.per_log)}"
-    errors = build_force_errors(built.regression, model.parameters.values)
-    return _Judged(built.regression, errors, how, built.left_out)
+    theta = model.parameters.values
+    errors = build_force_errors(built.regression, theta)
+    bands = None if settled.built.data.per_log else build_predictive_bands(settled.estimate, built.regression, theta)
+    return _Judged(built.regression, errors, how, built.left_out, bands)
 
 
 def _judge_last_part(built: BuiltData, solver: Estimator) -> _Judged:
@@ -281,7 +286,8 @@ def _judge_last_part(built: BuiltData, solver: Estimator) -> _Judged:
         return _Judged(None, None, "the logs are too short to hold a part out", (said,))
     how = "last 30 % of each log, predicted by a fit of its first 70 %"
     errors = build_force_errors(last, estimate.theta)
-    return _Judged(last if built.blocks is None else None, errors, how, estimate.warnings)
+    bands = build_predictive_bands(estimate, last, estimate.theta)
+    return _Judged(last if built.blocks is None else None, errors, how, estimate.warnings, bands)
 
 
 def _refuse_in_blocks(estimator: str, data: Data) -> None:

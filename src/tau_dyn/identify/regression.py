@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion, name_effect_in_errors
+from tau_dyn.effects import REPORTED, Effect, JointMotion, JointwiseEffect, Motion, name_effect_in_errors
 from tau_dyn.estimate import Preparation, Regression, RegressionRun
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.preparation import (
@@ -261,7 +261,9 @@ def prepare_segment(
         force = lowpass(force, preparation.position_cutoff_hz, rate)
     v = differentiate(q, dt, accuracy=4)
     a = differentiate(v, dt, accuracy=4)
-    measured = {**get_measured_signals(log, joints, q, v, preparation.speed_threshold), **(signals or {})}
+    reported = force if smooth_hz is None else lowpass(force, preparation.position_cutoff_hz, rate)
+    measured = get_measured_signals(log, joints, q, v, preparation.speed_threshold)
+    measured = {**measured, REPORTED: reported, **(signals or {})}
     refuse_missing_temperature(model, log, measured)
     gate = compute_gate(log, Motion.of(joints, q, v, a, signals=measured), model, preparation, rate)
     sign = np.sign(v)

@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Regression, SufficientStatistics
+from tau_dyn.exceptions import InputError
+from tau_dyn.identify.bands import PredictiveBands
 from tau_dyn.identify.per_log import PerLogParameter
+from tau_dyn.identify.posterior import Samples, draw_samples
 from tau_dyn.identify.timing import ForceOffset
 from tau_dyn.log import Log, Recording
 from tau_dyn.message_codes import format_warnings
@@ -105,6 +108,7 @@ class Identification(Shown):
         logs: The training logs, for going on with them.
         force_offset: How late forces were logged; None where it was not looked at.
         per_log: Parameters that have a value per log; `model` holds their mean.
+        bands: Bands that should hold 90 % of the held-out samples; None where there are none or rows are on disk.
     """
 
     model: Model
@@ -121,11 +125,29 @@ class Identification(Shown):
     logs: tuple[Log | Recording, ...] = ()
     force_offset: ForceOffset | None = None
     per_log: tuple[PerLogParameter, ...] = ()
+    bands: PredictiveBands | None = None
 
     @property
     def parameters(self) -> Parameters:
         """Identified parameters; of one with a value per log, the mean."""
         return self.model.parameters
+
+    def sample(self, n: int, *, seed: int = 0) -> Samples:
+        """Draw robots that the logs and the robot file leave possible, each physically consistent; see `posterior.py`.
+
+        Args:
+            n: Number of draws.
+            seed: Of the random numbers.
+
+        Raises:
+            InputError: The number is no positive one, or parameters have a value per log.
+            CannotAnswer: No consistent robot is near the estimate.
+        """
+        if self.per_log:
+            raise InputError(
+                "bad_option", f"--samples gives one set of parameters, and {self.per_log[0].name} has a value per log"
+            )
+        return draw_samples(self.model, self.estimate, self.nominal, n, seed=seed)
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the parameter table in the contract's form.
@@ -176,6 +198,7 @@ class Identification(Shown):
             "train": self.train.to_dict(),
             "holdout": None if self.holdout is None else self.holdout.to_dict(),
             "holdout_how": self.holdout_how,
+            "predictive_bands": None if self.bands is None else self.bands.to_dict(),
             "timing": None if self.force_offset is None else self.force_offset.to_dict(),
             "condition_number": self.estimate.cond,
             "rank": self.estimate.base.rank,

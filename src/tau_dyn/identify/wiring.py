@@ -25,7 +25,7 @@ from tau_dyn.identify.excerpt import Excerpt, compute_clipped_power
 from tau_dyn.identify.wiring_alternatives import Rewiring, list_alternatives
 from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.message_codes import CodedWarning
-from tau_dyn.robot import BODY_STDERR, Robot
+from tau_dyn.robot import Robot, compute_body_stderr
 
 MIN_GAIN_NATS = 30.0
 """Log-likelihood gain from which an alternative is named; sound logs with bodies 40 % off reach about 5."""
@@ -331,12 +331,9 @@ def _prior(robot: Robot) -> np.ndarray:
     parents = {int(robot.model.parents[link.joint_id]) for link in robot.links}
     spread = np.zeros(len(names))
     for link in robot.links:
-        mass = max(float(link.nominal[0]), 1e-3 * total)
-        radius = np.sqrt(max(float(link.nominal[[4, 6, 9]].sum()), 1e-6 * mass) / mass / 2)
-        radius = max(radius, float(np.linalg.norm(link.nominal[1:4])) / mass)
-        sizes = BODY_STDERR * mass * radius ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+        sizes = compute_body_stderr(link, total)
         if link.joint_id not in parents:
-            reach = max(PAYLOAD_REACH_M, radius)
+            reach = max(PAYLOAD_REACH_M, sizes[1] / sizes[0])
             sizes = np.hypot(sizes, PAYLOAD_SHARE * total * reach ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2]))
         spread[[names.index(name) for name in link.names]] = sizes[list(link.own)]
     moved = np.abs(np.diagonal(build_mechanism(robot).inertia(robot.home[None])[0]))

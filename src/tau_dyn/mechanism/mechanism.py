@@ -265,6 +265,14 @@ class Mechanism(ABC):
         transmits; what turns the drive's own inertia does not pass it.
         """
 
+    def reducer_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return what each drive's reducer transmits (N, na) [N or N m], with its sign: the rigid bodies' force.
+
+        What turns the drive's own inertia does not pass it. Of a hinge, `guide_load` is its size.
+        """
+        drive = np.array([self.robot.parameters[f"{joint}.armature"].value for joint in self.robot.actuated])
+        return self.inverse_dynamics(q, v, a) - drive * a
+
     @abstractmethod
     def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
         """Return how fast passive pairs turn: their names, and (N, n, 3, na) angular velocity per actuated speed.

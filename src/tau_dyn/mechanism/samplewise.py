@@ -136,8 +136,7 @@ class SamplewiseTree(Mechanism):
         load = np.sqrt(np.sum(self.guide_force(q, v, a) ** 2, axis=2))
         hinges = [k for k in range(self.robot.na) if k not in self._sliding]
         if hinges:
-            drive = np.array([self.robot.parameters[f"{joint}.armature"].value for joint in self.robot.actuated])
-            load[:, hinges] = np.abs(self.inverse_dynamics(q, v, a) - drive * a)[:, hinges]
+            load[:, hinges] = np.abs(self.reducer_torque(q, v, a))[:, hinges]
         return load
 
     def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:

@@ -1,4 +1,4 @@
-"""A payload from two recordings, and what has changed on a running robot since when."""
+"""A payload from two recordings, units of one type, and what has changed on a running robot since when."""
 
 from tau_dyn.public_names import attach_public_names
 

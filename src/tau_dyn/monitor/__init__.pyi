@@ -1,4 +1,4 @@
-"""A payload from two recordings, and what has changed on a running robot since when."""
+"""A payload from two recordings, units of one type, and what has changed on a running robot since when."""
 
 from .change_detection import (
     BLOCK_S as BLOCK_S,
@@ -8,6 +8,16 @@ from .change_detection import (
     DetectedChange as DetectedChange,
 )
 from .directions import Direction as Direction
+from .fleet import (
+    MIN_UNITS as MIN_UNITS,
+    Fleet as Fleet,
+    FleetParameter as FleetParameter,
+    OutlyingUnit as OutlyingUnit,
+    RandomEffects as RandomEffects,
+    estimate_random_effects as estimate_random_effects,
+    find_outlying_units as find_outlying_units,
+    identify_fleet as identify_fleet,
+)
 from .follow import GrowingFile as GrowingFile
 from .payload import (
     FrictionDifference as FrictionDifference,

@@ -24,6 +24,7 @@ from .robot import (
     LinkInertia as LinkInertia,
     Loop as Loop,
     Robot as Robot,
+    compute_body_stderr as compute_body_stderr,
     compute_inertia_matrix as compute_inertia_matrix,
 )
 from .stock import list_stock_robots as list_stock_robots

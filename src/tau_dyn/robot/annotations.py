@@ -43,10 +43,14 @@ class BallConstraint:
 
 @dataclass(frozen=True)
 class Transmission:
-    """An actuated joint and its drive's inertia seen at the joint [kg or kg m^2]; None where the file gives no rotor inertia."""
+    """An actuated joint and its drive's inertia seen at the joint [kg or kg m^2]; None where the file gives no rotor inertia.
+
+    `ratio` is the gear's, motor turns a turn of the joint or radians a metre; 1 where the file gives none.
+    """
 
     joint: str
     armature: float | None
+    ratio: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -308,12 +312,14 @@ class _Reader:
         found: dict[str, Transmission] = {}
         for element in self.root.findall("transmission"):
             for joint in element.findall("joint"):
-                drives = [self._reflected_inertia(actuator, joint) for actuator in element.findall("actuator")]
+                actuators = element.findall("actuator")
+                drives = [self._reflected_inertia(actuator, joint) for actuator in actuators]
                 given = [inertia for inertia in drives if inertia is not None]
                 if joint.get("name") not in self.fixed:
                     name = self.joint_of(joint, "name")
                     if name not in found or given:
-                        found[name] = Transmission(name, sum(given) if given else None)
+                        ratio = self._find_ratio(actuators[0], joint) if len(actuators) == 1 else None
+                        found[name] = Transmission(name, sum(given) if given else None, abs(ratio or 1.0))
         for joint in self.root.findall("ros2_control/joint"):
             if joint.find("command_interface") is not None and joint.get("name") not in self.fixed:
                 name = self.joint_of(joint, "name")
@@ -360,10 +366,16 @@ class _Reader:
         return tuple(found.values())
 
     def _reflected_inertia(self, actuator: Element, joint: Element) -> float | None:
-        """Return a rotor's inertia seen through its gear; the ratio is Drake's, or ROS' `<mechanicalReduction>`."""
-        inertia, ratio = (self._drake_value(actuator, tag) for tag in ("rotor_inertia", "gear_ratio"))
+        """Return a rotor's inertia seen through its gear."""
+        inertia = self._drake_value(actuator, "rotor_inertia")
         if inertia is None:
             return None
+        ratio = self._find_ratio(actuator, joint)
+        return inertia * (1.0 if ratio is None else ratio) ** 2
+
+    def _find_ratio(self, actuator: Element, joint: Element) -> float | None:
+        """Return a gear's ratio, Drake's or ROS' `<mechanicalReduction>`; None where the file gives none."""
+        ratio = self._drake_value(actuator, "gear_ratio")
         for element in (actuator, joint):
             if ratio is None and (text := element.findtext("mechanicalReduction")) is not None:
                 values = parse_numbers(text)
@@ -373,7 +385,7 @@ class _Reader:
                         f"{self.where}: <mechanicalReduction>{text[:40]}</...> must be one finite number",
                     )
                 ratio = values[0]
-        return inertia * (1.0 if ratio is None else ratio) ** 2
+        return ratio
 
     def _drake_value(self, actuator: Element, tag: str) -> float | None:
         for namespace in _DRAKE:

@@ -163,6 +163,7 @@ def load_robot_from_urdf(
         drive_scales=_drive_scales(names, notes, source),
         mimics=mimics,
         friction=_sum_friction(names, notes, mimics),
+        gear_ratios={t.joint: t.ratio for t in notes.transmissions if t.ratio != 1 and t.joint in names},
         packages=dict(packages or {}),
     )
 

@@ -97,6 +97,7 @@ class Robot(Shown):
             they choose the assembly mode.
         mimics: Joints that follow an actuated one, directly or over others.
         friction: What the file says of the actuated joints' friction, their followers' included.
+        gear_ratios: Motor turns a turn of actuated joints, or radians a metre of slides, where the file gives them.
         packages: Folders of ROS packages by name in which meshes lie, before those that are found.
     """
 
@@ -122,6 +123,7 @@ class Robot(Shown):
     drive_scales: Mapping[str, float] = field(default_factory=dict)
     mimics: Mapping[str, Mimic] = field(default_factory=dict)
     friction: Mapping[str, JointFriction] = field(default_factory=dict)
+    gear_ratios: Mapping[str, float] = field(default_factory=dict)
     packages: Mapping[str, str | Path] = field(default_factory=dict)
 
     @property
@@ -302,6 +304,19 @@ def get_inertial_parameters(link: LinkInertia) -> list[Parameter]:
         lower = 0.0 if INERTIAL[k] in ("mass", "ixx", "iyy", "izz") else -np.inf
         rows.append(Parameter(f"{link.link}.{INERTIAL[k]}", float(link.nominal[k]), _UNITS[k], lower))
     return rows
+
+
+def compute_body_stderr(link: LinkInertia, total: float) -> np.ndarray:
+    """Return how far a link's ten numbers (10,) may be off the robot file, if nobody weighed it: 25 % of its size.
+
+    Args:
+        link: The link; its radius is that of gyration about the joint frame's origin, or its centre's distance if larger.
+        total: Mass of all links [kg]; a link without mass counts as a thousandth of it.
+    """
+    mass = max(float(link.nominal[0]), 1e-3 * total)
+    radius = np.sqrt(max(float(link.nominal[[4, 6, 9]].sum()), 1e-6 * mass) / mass / 2)
+    radius = max(radius, float(np.linalg.norm(link.nominal[1:4])) / mass)
+    return BODY_STDERR * mass * radius ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
 
 
 def compute_inertia_matrix(pi: np.ndarray) -> np.ndarray:

@@ -86,8 +86,12 @@ def _trace_model(
     try:
         equations = build_equations(model, encoders=shown, campaign=campaign)
         return equations, write_plant_source(equations)
-    except Exception:  # whatever a law of the user's does on expressions: Python simulates it
+    except InputError:  # it uses what expressions do not have: Python simulates it
         return None
+    except Exception:
+        if all(type(effect).__module__.startswith("tau_dyn.") for effect in (*model.effects, *shown)):
+            raise  # a defect of ours
+        return None  # a law of the user's may do anything on expressions
 
 
 def _identify(model: Model, shown: Sequence[DisplacementEffect], campaign: float | None) -> tuple:

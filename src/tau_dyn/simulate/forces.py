@@ -25,9 +25,9 @@ import numpy as np
 
 from tau_dyn.effects import (
     STATE,
+    Bristle,
     DisplacementEffect,
     Effect,
-    Hysteresis,
     JointMotion,
     JointwiseEffect,
     Motion,
@@ -68,7 +68,7 @@ class Memory:
         start = self._temperature()
         self._warm = {id(e): start for e in effects if "temperature" in e.needs}
         self._lag = {id(e): e.settings.get("lag", 0.0) for e in effects if "temperature" in e.needs}
-        self._bristles = {id(e): (e, np.zeros(na)) for e in effects if isinstance(e, Hysteresis)}
+        self._bristles = {id(e): (e, np.zeros(na)) for e in effects if isinstance(e, Bristle)}
         self._travel, self._heading = np.zeros(na), np.zeros(na)
         self._remembers = any("reversal" in e.needs or isinstance(e, DisplacementEffect) for e in effects)
 
@@ -206,7 +206,7 @@ class SampledForces:
         return (force[1:] - force[0]).T
 
     def _feels_acceleration(self, effect: Effect, values: np.ndarray) -> bool:
-        if {"passive", "gravity_turn"} & set(effect.needs) or isinstance(effect, Hysteresis):
+        if {"passive", "gravity_turn"} & set(effect.needs) or isinstance(effect, Bristle):
             return False  # feel speeds or places alone, and not every state by chance closes the loops
         states = np.random.default_rng(0).uniform(-1, 1, (_PROBES, 2, self.na))
         return any(np.any(self._per_acceleration(effect, values, q, v) != 0) for q, v in states)
@@ -254,4 +254,4 @@ class _Jointwise:
 def _by_joint(effect: JointwiseEffect) -> bool:
     """Return whether a joint's own motion and what is remembered are all that an effect feels."""
     plain = type(effect).columns is JointwiseEffect.columns and set(effect.needs) <= _REMEMBERED
-    return plain or isinstance(effect, Hysteresis)
+    return plain or isinstance(effect, Bristle)

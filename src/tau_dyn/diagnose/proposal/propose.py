@@ -235,7 +235,7 @@ def propose_motion(
 def _signals(model: Model) -> frozenset[str]:
     """Return what effects may feel of a motion without further sensors."""
     return frozenset(
-        {"force", "rigid_force", "inertia", "weight_gradient", "load", "reversal"}
+        {"force", "rigid_force", "inertia", "weight_gradient", "load", "reducer_torque", "reversal"}
         | ({"passive"} if model.robot.loops else set())
     )
 

@@ -351,8 +351,8 @@ def _list_stretches(
 ) -> Iterator[r.View]:
     for i, run in enumerate(data.runs):
         predicted = run.W @ found.estimate.theta
-        ends = run if held_out else None if part is None else part.runs[i]
-        bands = () if ends is None else ((float(ends.t[0]), float(ends.t[-1]), "held"),)
+        told = run if held_out else None if part is None else part.runs[i]
+        bands = () if told is None else ((float(told.t[0]), float(told.t[-1]), "held"),)
         for k, joint in enumerate(data.outputs):
             used, unit = run.usable[:, k], r.format_unit(data.units[k])
             y, fitted = run.y[:, k], predicted[:, k]
@@ -360,5 +360,8 @@ def _list_stretches(
             both = r.Curve("measured", "measured", y), r.Curve("predicted", "predicted", fitted)
             above = r.Strip(f"force [{unit}]", both, pad_used(np.concatenate([y[used], fitted[used]])), 290)
             rest = (r.Curve("residual", "residual", y - fitted),)
+            if held_out and found.bands is not None:
+                ends = (("90 % band", found.bands.lower), ("90 % band", found.bands.upper))
+                rest += tuple(r.Curve(name, "predicted", x[i][:, k]) for name, x in ends)
             below = r.Strip(f"residual [{unit}]", rest, pad_used(np.concatenate([left, -left]), 0.25), 180, masked=True)
             yield r.View(run.name, joint, run.t, (above, below), held_out, bands, used)

@@ -82,6 +82,11 @@ def _build_glance(found: Identification, rows: Sequence[ParameterRow]) -> Iterat
             )
         )
     yield r.Beside(left, [r.Facts(facts)], "glance")
+    if found.bands is not None:
+        joints = found.bands.to_dict()["per_joint"].items()
+        listed = [f"{j} {r.format_percent(100 * row['share'])}" for j, row in joints if row["share"] is not None]
+        hold = r.format_percent(100 * found.bands.share)
+        yield r.explain(f"Predictive bands at 90 % hold {hold} of the held-out samples ({r.format_list(listed, 6)}).")
     together = fit_quality.list_combinations(found)
     if together:
         more = len(together) - _MAX_COMBINATIONS

@@ -1,4 +1,4 @@
-"""A payload, and what changed on a watched robot."""
+"""A payload, a fleet of units, and what changed on a watched robot."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from tau_dyn import results as r
-from tau_dyn.monitor import Direction, PayloadEstimate, PropertyEstimate, WatchResult
+from tau_dyn.monitor import Direction, Fleet, PayloadEstimate, PropertyEstimate, WatchResult
 from tau_dyn.render.presentation import flatten_rows, present_kind, warn
 
 
@@ -170,3 +170,46 @@ def _draw_trace(found: WatchResult) -> Iterator[r.Element]:
             )
     if views:
         yield r.TimeView("largest statistic over its threshold, over time", views, [r.Key("measured", "1 is an alarm")])
+
+
+@present_kind.register
+def present_fleet(found: Fleet) -> r.Presentation:
+    """Return how a fleet is presented."""
+    robot = found.model.robot
+    shown = [p for p in found.parameters if p.spread_ci95[0] > 0]
+    told = r.count(len(found.parameters), "parameter")
+    headline = f"{r.count(len(found.units), 'unit')}: they differ in {len(shown)} of {told}."
+    odd = [row.unit for row in found.outlying]
+    verdict = (
+        r.Verdict("care", f"Outlying: {r.format_list(odd)}.")
+        if odd
+        else r.Verdict("good", "No unit is outlying; start a new one with identify --model.")
+    )
+    return r.Presentation(
+        "Fleet", robot.name, f"{robot.name}: fleet", headline, verdict, f"units: {r.format_list(list(found.units), 6)}",
+        [r.Chapter("fleet", "Mean and spread over units", lambda: _list_spreads(found), r.On.ALL), *warn(found.warnings)],
+        found.warnings, r.RobotPicture(robot), data=lambda: flatten_rows([p.to_dict() for p in found.parameters]), result=found,
+    )  # fmt: skip
+
+
+def _list_spreads(found: Fleet) -> Iterator[r.Element]:
+    columns = [
+        r.Column("parameter"),
+        r.Column("combination", on=r.On.PAGE),
+        r.Column("mean, 95 % interval", "number"),
+        r.Column("spread, 95 % interval", "number"),
+        r.Column("", "unit"),
+        r.Column("units", "number", on=r.On.PAGE),
+    ]
+    rows = []
+    for p in found.parameters:
+        mean, spread = (
+            f"{r.format_number(x, digits)} [{r.format_number(low, digits)}, {r.format_number(high, digits)}]"
+            for x, (low, high), digits in ((p.mean, p.mean_ci95, 4), (p.spread, p.spread_ci95, 2))
+        )
+        rows.append(r.Row([p.name, p.expression, mean, spread, r.format_unit(p.unit), str(p.n_units)]))
+    yield r.ResultTable(columns, rows, on=r.On.ALL)
+    yield r.explain(
+        "Spread: standard deviation over units, their own errors taken out; its interval reaches zero where units may be equal. "
+        "Combinations are of parameters that the logs see only together."
+    )

@@ -1,0 +1,445 @@
+r"""What logs and robot file leave open: draws of all parameters, each a robot that may exist.
+
+    beta ~ N(B theta, c C),   theta ~ N(theta_file, S),   theta consistent
+
+`B` combines parameters into base parameters. `C` is the covariance of least squares; where the scatter of 2 s blocks says
+more, its directions count, shrunk towards their mean as far as so few blocks demand (oracle approximating shrinkage). `S` is
+25 % of each body's size; parameters without a nominal value, as friction, have none. Consistent: bounds hold and each body's
+pseudo-inertia is positive definite. `c >= 1` is what the model leaves unexplained (`Widening`). Draws come from
+`truncated_normal.py`. A parameter that neither the logs nor the file tell keeps its value in all draws.
+
+Reference: Traversaro et al. 2016; Wensing, Kim & Slotine 2018 (consistency); Chen, Wiesel, Eldar & Hero 2010 (shrinkage);
+Birge 1932 (scatter beyond the errors).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from scipy import linalg, optimize, stats
+
+from tau_dyn.estimate import (
+    ConvexSet,
+    Estimate,
+    InertialBody,
+    assign_blocks,
+    pseudo_inertia,
+    sample_truncated_normal,
+)
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.files import write_atomically
+from tau_dyn.identify.fitted_model import build_physical_constraints
+from tau_dyn.model import Model
+from tau_dyn.parameters import Parameters
+from tau_dyn.results import Brief, format_list
+from tau_dyn.robot import compute_body_stderr
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+_SIGNIFICANCE_LEVEL = 0.01  # at which physics or another log is said to contradict the errors
+_ACTIVE = 1e-6  # of a pseudo-inertia's trace: an eigenvalue below it is held by physics
+_MARGINS = (1e-3, 1e-5, 1e-7)
+"""How far inside the walls the chains begin, relative to a body's size; the largest that leaves room is taken."""
+_MAX_SAMPLES = 100_000  # more fill memory and tell no more
+
+
+@dataclass(frozen=True)
+class Widening:
+    """Factors on variances for what the model leaves unexplained; 1 where nothing is.
+
+    Attributes:
+        logs: Scatter of whole logs' scores over what the errors predict, of three logs or more.
+        physics: Squared distance of the plain estimate from the consistent set over its expectation, where it is significant.
+        prior: Of the robot file's values, until they agree with the logs.
+    """
+
+    logs: float = 1.0
+    physics: float = 1.0
+    prior: float = 1.0
+
+    @property
+    def data(self) -> float:
+        """Factor on the covariance of the estimate."""
+        return max(self.logs, self.physics)
+
+    def to_dict(self) -> dict[str, float]:
+        """Return the contract's form."""
+        return {"logs": self.logs, "physics": self.physics, "prior": self.prior}
+
+
+@dataclass(frozen=True, eq=False)
+class Samples(Brief):
+    """Draws of a model's parameters.
+
+    Attributes:
+        model: The identified model.
+        values: A row a draw, a column a parameter, in the order of `model.parameters` (n, p).
+        widening: What the spread was widened by.
+        held: Free parameters that neither the logs nor the robot file tell; all draws have the model's value.
+        warnings: What is doubtful.
+        seed: Of the random numbers.
+    """
+
+    model: Model
+    values: np.ndarray
+    widening: Widening
+    held: tuple[str, ...]
+    warnings: tuple[str, ...]
+    seed: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return self.model.parameters.names
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the draws as a table with named columns."""
+        import pandas as pd
+
+        return pd.DataFrame(self.values, columns=list(self.names))
+
+    def build_model(self, k: int) -> Model:
+        """Return the model of one draw."""
+        return self.model.with_parameters(self.model.parameters.with_values(self.values[k]))
+
+    def save(self, path: str | Path, ending: str = "") -> None:
+        """Write the table as Parquet or CSV; it appears whole or not at all.
+
+        Args:
+            path: The file.
+            ending: `.parquet` or `.csv`; by default the file's own.
+
+        Raises:
+            InputError: Another ending.
+        """
+        ending = ending or Path(path).suffix
+        require_table_name(Path(path).with_suffix(ending))
+        with write_atomically(path) as temporary:
+            if ending == ".csv":
+                self.to_frame().to_csv(temporary, index=False)
+            else:
+                self.to_frame().to_parquet(temporary, index=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form: what went in, and 90 % of each parameter's draws."""
+        ends = np.quantile(self.values, (0.05, 0.5, 0.95), axis=0).T
+        rows = [
+            {"name": name, "unit": p.unit, "median": m, "ci90": [low, high]}
+            for name, p, (low, m, high) in zip(self.names, self.model.parameters, ends.tolist(), strict=True)
+        ]
+        return {"n": len(self.values), "widening": self.widening.to_dict(), "held": list(self.held), "parameters": rows}
+
+
+def require_table_name(path: Path) -> None:
+    """Refuse a table's file that is neither Parquet nor CSV.
+
+    Raises:
+        InputError: It ends otherwise.
+    """
+    if path.suffix not in (".parquet", ".csv"):
+        raise InputError("cannot_write", f"{path}: samples are written as .parquet or .csv")
+
+
+class _Target(NamedTuple):
+    """The normal distribution of the varying parameters: `theta = mean + factor @ z`, `z ~ N(0, 1)`."""
+
+    names: tuple[str, ...]
+    mean: np.ndarray
+    factor: np.ndarray
+
+
+def draw_samples(model: Model, estimate: Estimate, nominal: Parameters, n: int, *, seed: int = 0) -> Samples:
+    """Draw robots from what an identification leaves open.
+
+    Args:
+        model: The identified model.
+        estimate: Its solved regression.
+        nominal: All parameters before the fit.
+        n: Number of draws.
+        seed: Of the random numbers.
+
+    Raises:
+        InputError: The number is no positive one.
+        CannotAnswer: No consistent robot is near the estimate.
+    """
+    if not 0 < n <= _MAX_SAMPLES:
+        raise InputError("bad_option", f"--samples {n}: write a number from 1 to {_MAX_SAMPLES}")
+    C = compute_data_covariance(estimate)
+    sizes = _list_prior_stderr(model, estimate, nominal)
+    bodies = [b for b in build_physical_constraints(model).bodies if len(b.parameters) > 1]
+    widening = Widening(
+        logs=measure_logs(estimate, C), physics=_measure_physics(estimate, C, bodies),
+        prior=_measure_prior(estimate, C, nominal, sizes),
+    )  # fmt: skip
+    target, held = _build_target(estimate, widening.data * C, nominal, sizes, widening.prior)
+    inside = _build_set(target, estimate.parameters, bodies)
+    drawn = sample_truncated_normal(inside, _find_start(inside), n, np.random.default_rng([29, seed]))
+    values = np.tile(_get_values(estimate, model), (n, 1))
+    columns = [model.parameters.names.index(name) for name in target.names]
+    values[:, columns] = target.mean + drawn.z @ target.factor.T
+    return Samples(
+        model, values, widening, held, tuple(_list_warnings(widening, held, drawn.converged, drawn.memory)), seed
+    )
+
+
+def compute_data_covariance(estimate: Estimate) -> np.ndarray:
+    """Return one covariance (r, r) of the base parameters: autoregressive, enlarged where blocks of 2 s scatter more.
+
+    In coordinates in which the first is the identity, the second has the eigenvalues of a Wishart matrix of few blocks; shrunk
+    towards their mean they are what so few blocks can tell, and where they exceed one they count.
+    """
+    scale = np.sqrt(np.diag(estimate.cov))
+    L = linalg.cholesky(_regular(estimate.cov / np.outer(scale, scale)), lower=True) * scale[:, None]
+    inner = linalg.solve_triangular(L, linalg.solve_triangular(L, estimate.scatter, lower=True).T, lower=True)
+    blocks = _count_blocks(estimate)
+    eigenvalues, vectors = np.linalg.eigh(_shrink((inner + inner.T) / 2, blocks))
+    root = L @ vectors * np.sqrt(np.maximum(eigenvalues, 1.0))
+    return root @ root.T
+
+
+def _regular(correlation: np.ndarray) -> np.ndarray:
+    """Return a correlation matrix without eigenvalues that rounding made zero or negative."""
+    eigenvalues, vectors = np.linalg.eigh((correlation + correlation.T) / 2)
+    return vectors * np.maximum(eigenvalues, 1e-12 * eigenvalues[-1]) @ vectors.T
+
+
+def _shrink(S: np.ndarray, n: int) -> np.ndarray:
+    """Return a covariance (r, r) of n observations shrunk towards its mean eigenvalue (Chen et al. 2010, OAS)."""
+    r, mean = len(S), np.trace(S) / len(S)
+    squares = float(np.sum(S**2))
+    above = (1 - 2 / r) * squares + np.trace(S) ** 2
+    below = (n + 1 - 2 / r) * (squares - np.trace(S) ** 2 / r)
+    share = 1.0 if below <= 0 else min(1.0, above / below)
+    return (1 - share) * S + share * mean * np.eye(r)
+
+
+def _count_blocks(estimate: Estimate) -> int:
+    """Return how many blocks of 2 s the scatter is of."""
+    count = 0
+    for run in estimate.regression.rows():
+        start, seen = None, set()
+        for rows in run:
+            start = rows.t[0] if start is None else start
+            seen |= set(assign_blocks(rows.t[rows.usable.any(axis=1)] - start).tolist())
+        count += len(seen)
+    return max(count, 1)
+
+
+def measure_logs(estimate: Estimate, C: np.ndarray) -> float:
+    """Return the scatter of logs' scores over what the errors predict (Birge); 1 of fewer than three logs, or of less scatter."""
+    regression, base = estimate.regression, estimate.base
+    names = [run.name for run in regression.runs]
+    if estimate.estimator != "wls" or regression.everything is not None or len(set(names)) < 3:
+        return 1.0
+    kept = [regression.parameters.names.index(base.names[c]) for c in base.kept]
+    theta = _unconstrained(estimate)
+    score, J = {name: np.zeros(base.rank) for name in names}, np.zeros((base.rank, base.rank))
+    for run in regression.runs:
+        W = (run.W[:, :, kept] / estimate.sigma[:, None])[run.usable]
+        e = ((run.y - run.W @ theta) / estimate.sigma)[run.usable]
+        score[run.name] += W.T @ e
+        J += W.T @ W
+    K = len(score)
+    bend = sum(np.outer(s, s) for s in score.values()) * K / (K - 1)
+    scale = np.sqrt(np.diag(J))
+    inverse = np.linalg.pinv(J / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    scatter = inverse @ bend @ inverse
+    return max(1.0, float(np.trace(np.linalg.solve(C, scatter))) / base.rank)
+
+
+def _unconstrained(estimate: Estimate) -> np.ndarray:
+    """Return a full vector (p,) of the regression that predicts as the plain base estimates do."""
+    names = estimate.regression.parameters.names
+    theta = estimate.parameters.values
+    theta[[names.index(n) for n in estimate.base.names]] = 0.0
+    theta[[names.index(estimate.base.names[c]) for c in estimate.base.kept]] = estimate.beta_plain
+    return theta
+
+
+def _measure_physics(estimate: Estimate, C: np.ndarray, bodies: list[InertialBody]) -> float:
+    """Return by how much physics moves the estimate: chi-square over its expectation, where that is significant; else 1."""
+    moved = estimate.beta - estimate.beta_plain
+    active = sum(p.free and p.at_bound for p in estimate.parameters)
+    for body in bodies:
+        J = pseudo_inertia(body.map @ estimate.parameters.select(body.parameters).values)
+        active += int(np.sum(np.linalg.eigvalsh(J) < _ACTIVE * max(float(np.trace(J)), 1e-12)))
+    if not active:
+        return 1.0
+    distance = float(moved @ np.linalg.solve(C, moved))
+    return distance / active if stats.chi2.sf(distance, active) < _SIGNIFICANCE_LEVEL else 1.0
+
+
+def _list_prior_stderr(model: Model, estimate: Estimate, nominal: Parameters) -> np.ndarray:
+    """Return each free column's standard error in the robot file (q,), inf where the file tells nothing.
+
+    What was measured beforehand is in the data already and has none here either.
+    """
+    total = sum(max(float(link.nominal[0]), 0.0) for link in model.robot.links)
+    told: dict[str, float] = {}
+    for link in model.robot.links:
+        sizes = compute_body_stderr(link, total)
+        told |= {name: float(sizes[k]) for name, k in zip(link.names, link.own, strict=True)}
+    known = [nominal[n].prior_stderr is None and told.get(n, 0.0) > 0 for n in estimate.base.names]
+    return np.array([told[n] if ok else np.inf for n, ok in zip(estimate.base.names, known, strict=True)])
+
+
+def _combine(estimate: Estimate) -> np.ndarray:
+    """Return how base parameters follow the free columns (r, q)."""
+    base = estimate.base
+    B = np.zeros((base.rank, len(base.names)))
+    B[range(base.rank), base.kept] = 1.0
+    B[:, base.dropped] = base.K
+    return B
+
+
+def _measure_prior(estimate: Estimate, C: np.ndarray, nominal: Parameters, sizes: np.ndarray) -> float:
+    """Return the factor on the file's variances at which its values agree with the logs; 1 where they do."""
+    B, told = _combine(estimate), np.isfinite(sizes)
+    root = linalg.cholesky(C, lower=True)
+    A = linalg.solve_triangular(root, B, lower=True)
+    y = linalg.solve_triangular(root, estimate.beta_plain, lower=True) - A @ np.where(
+        told, nominal.select(estimate.base.names).values, 0
+    )
+    free = A[:, ~told & B.any(axis=0)]
+    rest = (
+        linalg.null_space((free / np.maximum(np.linalg.norm(free, axis=0), 1e-300)).T) if free.size else np.eye(len(y))
+    )
+    if not rest.shape[1] or not told.any():
+        return 1.0
+    eigenvalues, vectors = np.linalg.eigh(rest.T @ (A[:, told] * sizes[told] ** 2) @ A[:, told].T @ rest)
+    squares = (vectors.T @ rest.T @ y) ** 2
+
+    def excess(log_factor: float) -> float:
+        return float(np.sum(squares / (1 + np.exp(log_factor) * np.maximum(eigenvalues, 0.0)))) / len(squares) - 1
+
+    if excess(0.0) <= 0 or excess(30.0) >= 0:
+        return 1.0
+    return float(np.exp(optimize.brentq(excess, 0.0, 30.0, xtol=1e-6)))  # type: ignore[arg-type]
+
+
+def _build_target(
+    estimate: Estimate, C: np.ndarray, nominal: Parameters, sizes: np.ndarray, factor: float
+) -> tuple[_Target, tuple[str, ...]]:
+    """Return the distribution without walls, and the free parameters that nothing tells."""
+    base, B = estimate.base, _combine(estimate)
+    told = np.isfinite(sizes)
+    varying = told.copy()
+    varying[base.kept] = True
+    now = estimate.parameters.select(base.names).values
+    root = linalg.cholesky(C, lower=True)
+    A = linalg.solve_triangular(root, B, lower=True)
+    y = linalg.solve_triangular(root, estimate.beta_plain - B[:, ~varying] @ now[~varying], lower=True)
+    spread = np.sqrt(factor) * sizes[told]
+    prior = np.zeros((int(told.sum()), len(base.names)))
+    prior[range(len(prior)), told] = 1 / spread
+    rows = np.concatenate([A, prior])[:, varying]
+    values = np.concatenate([y, nominal.select(base.names).values[told] / spread])
+    scale = np.linalg.norm(rows, axis=0)
+    Q, R = np.linalg.qr(rows / scale)
+    mean = linalg.solve_triangular(R, Q.T @ values) / scale
+    inverse = linalg.solve_triangular(R, np.eye(len(R))) / scale[:, None]
+    names = tuple(n for n, ok in zip(base.names, varying, strict=True) if ok)
+    return _Target(names, mean, inverse), tuple(n for n in base.names if n not in names)
+
+
+def _build_set(target: _Target, parameters: Parameters, bodies: list[InertialBody]) -> ConvexSet:
+    """Return where bounds hold and bodies are consistent, in the target's coordinates; each wall in units of its size."""
+    place = {name: k for k, name in enumerate(target.names)}
+    bounds = [
+        (side * (target.mean[k] - end), side * target.factor[k])
+        for name, k in place.items()
+        for side, end in ((1.0, parameters[name].lower), (-1.0, parameters[name].upper))
+        if np.isfinite(end)
+    ]
+    J0, J = [], []
+    for body in bodies:
+        if not any(name in place for name in body.parameters):
+            continue
+        pi = body.map @ parameters.select(body.parameters).values
+        length = np.sqrt(max(abs(pi[[4, 6, 9]]).sum(), 1e-12) / max(abs(pi[0]), 1e-12))
+        unit = np.array([1 / length, 1 / length, 1 / length, 1.0]) / np.sqrt(max(abs(pi[0]), 1e-12))
+        middle, slope = np.zeros(10), np.zeros((len(target.names), 10))
+        for name, column in zip(body.parameters, body.map.T, strict=True):
+            if name in place:
+                middle += target.mean[place[name]] * column
+                slope += np.outer(target.factor[place[name]], column)
+            else:
+                middle += parameters[name].value * column
+        J0.append(pseudo_inertia(middle) * np.outer(unit, unit))
+        J.append(np.array([pseudo_inertia(row) for row in slope]) * np.outer(unit, unit))
+    sizes = [max(float(np.linalg.norm(b)), 1e-300) for _, b in bounds]
+    d = len(target.names)
+    return ConvexSet(
+        np.array([a / s for (a, _), s in zip(bounds, sizes, strict=True)]),
+        np.array([b / s for (_, b), s in zip(bounds, sizes, strict=True)]).reshape(len(bounds), d),
+        np.array(J0).reshape(-1, 4, 4),
+        np.stack(J, axis=1) if J else np.zeros((d, 0, 4, 4)),
+    )
+
+
+def _find_start(inside: ConvexSet) -> np.ndarray:
+    """Return the most likely point (d,) that keeps a margin to all walls.
+
+    Raises:
+        CannotAnswer: There is none.
+    """
+    d = inside.B.shape[1]
+    if inside.contains(np.zeros((1, d)))[0]:
+        return np.zeros(d)
+    import cvxpy as cp  # slow to import
+
+    for margin in _MARGINS:
+        z = cp.Variable(d)
+        walls: list[Any] = [inside.a + inside.B @ z >= margin] if len(inside.a) else []
+        for k, J0 in enumerate(inside.J0):
+            J = cp.reshape(inside.J[:, k].reshape(d, 16).T @ z, (4, 4), order="C")
+            walls.append(J0 + (J + J.T) / 2 >> margin * np.eye(4))
+        problem = cp.Problem(cp.Minimize(cp.sum_squares(z)), walls)
+        try:
+            problem.solve(solver=cp.CLARABEL)
+        except cp.SolverError:
+            continue
+        if z.value is not None and inside.contains(z.value[None])[0]:
+            return np.asarray(z.value)
+    raise CannotAnswer(
+        "infeasible",
+        "no robot within the errors of these logs and of the robot file has bodies that may exist",
+        "look at the warnings of identify first; a wrong sign, unit or fixed value is the usual reason",
+    )
+
+
+def _get_values(estimate: Estimate, model: Model) -> np.ndarray:
+    """Return the model's parameters (p,) at the estimate."""
+    return model.parameters.with_values({p.name: p.value for p in estimate.parameters}).values
+
+
+def _list_warnings(widening: Widening, held: tuple[str, ...], converged: bool, memory: float) -> list[str]:
+    said = []
+    if held:
+        said.append(
+            f"neither the logs nor the robot file tell {format_list(held, 4)}; all samples have the model's value"
+        )
+    if widening.logs > 2:
+        said.append(
+            f"the logs differ by {widening.logs**0.5:.2g} times what their errors allow; the samples are widened by that factor"
+        )
+    if widening.physics > 1:
+        said.append(
+            f"the plain estimate is {widening.physics**0.5:.2g} times as far from any possible robot as its errors allow; the "
+            "samples are widened by that factor, and diagnose may say why"
+        )
+    if widening.prior > 2:
+        said.append(
+            f"the logs contradict the robot file's inertias, whose errors count {widening.prior**0.5:.2g} times; the samples "
+            "spread as widely where the logs tell nothing"
+        )
+    if not converged:
+        said.append(
+            f"the sampler did not forget its start (correlation {memory:.2g}); do not rely on the samples' spread"
+        )
+    return said
