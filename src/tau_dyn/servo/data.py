@@ -25,7 +25,7 @@ STEP_PER_ROOT = 0.022
 square of it; a tenth of the residual is little beside it."""
 STEP_RATIO = 4.0
 """Step of the fits over that of exact motions."""
-COARSE_IS_ENOUGH_RAD = 1.6e-3
+LARGE_RESIDUAL_RAD = 1.6e-3
 """Residual from which what a model misses outweighs the errors of long steps and of loads along the measured motion."""
 MAX_SETTLINGS = 5
 """Fits in turn with loads along the motion that the last one simulates; three are usual."""
@@ -116,7 +116,7 @@ def fit_coupled(
     Reference: Stetter 1978.
     """
     fit = fit or fit_loop(data.build_problem(), progress)
-    if float(np.median(fit.sigma)) > COARSE_IS_ENOUGH_RAD:
+    if float(np.median(fit.sigma)) > LARGE_RESIDUAL_RAD:
         return data, fit
     for _ in range(MAX_SETTLINGS):
         data = data.settle(fit)

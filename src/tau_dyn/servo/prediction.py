@@ -82,7 +82,7 @@ def simulate_coupled(
     space = replace(space, nominal=space.at(unknowns), directions=space.directions[:, :0])
     trial = Trials({key: value[:, None] for key, value in values.items()}, np.zeros((0, 1)))
     motions = [[np.repeat(x, every, axis=0)[: len(f.t)] for x in r.motion] for r, f in zip(records, fine, strict=True)]
-    first = loads = [compute_load_waves(space, *motion, f.dt) for motion, f in zip(motions, fine, strict=True)]
+    first = loads = [compute_load_waves(space, q, v, a, f.dt) for (q, v, a), f in zip(motions, fine, strict=True)]
     links: list[np.ndarray] = []
     change, smooth = np.inf, False
     for _ in range(MAX_SWEEPS):
