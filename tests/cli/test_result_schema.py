@@ -46,6 +46,7 @@ CALLS = {
     "diagnose": ["diagnose", "linear_axis", "empty.csv"],
     "payload": ["payload", "linear_axis", "empty.csv", "--loaded", "loaded.csv"],
     "watch": ["watch", "model.yaml", "empty.csv", "loaded.csv"],
+    "fleet": ["fleet", "linear_axis", "one=empty.csv", "two=loaded.csv", "three=later.csv", "--out", "fleet.yaml"],
     "compare": ["compare", "model.yaml", "model.yaml"],
     "excite": [
         "excite",

@@ -230,7 +230,7 @@ def test_forces_at_states_are_given_or_refused_by_name(name: str, cause: str) ->
     except InputError as fault:
         assert cause not in {e.name for e in model.steady().effects}
         assert str(fault).startswith(f"effect {cause} ") and "\n" not in str(fault)
-    signals = {"temperature": q, "reversal": np.ones_like(q), "campaign": np.ones(6)}
+    signals = {"temperature": q, "reversal": np.ones_like(q), "campaign": np.ones(6), "reported_force": 5.0 * v}
     along = model.torque(q, v, a, t=0.01 * np.arange(6), signals=signals)  # a recording has everything
     assert along.shape == q.shape and np.all(np.isfinite(along))
     assert_allclose(
