@@ -29,13 +29,13 @@ LARGE_RESIDUAL_RAD = 1.6e-3
 """Residual from which what a model misses outweighs the errors of long steps and of loads along the measured motion."""
 MAX_SETTLINGS = 5
 """Fits in turn with loads along the motion that the last one simulates; three are usual."""
-SAME_RMS = 1e-4
+RMS_TOLERANCE = 1e-4
 """Relative change of every joint's residual from which loads count as settled: where a model misses much, unknowns wander."""
 SETTLED = 0.1
 """Change of every unknown over its standard error from which its loads count as settled."""
 
 
-class Settled(NamedTuple):
+class ExactMotions(NamedTuple):
     """Exact motions of all logs, and the trial that they are of."""
 
     motions: tuple[SimulatedMotion, ...]
@@ -65,7 +65,7 @@ class LoopData:
     records: Sequence[LoopRecord]
     loads: Sequence[LoadWaves]
     unknowns: LoopUnknowns
-    settled: Settled | None = None
+    settled: ExactMotions | None = None
     whole: bool = False
     step: float = MAX_STEP_S
 
@@ -101,7 +101,7 @@ class LoopData:
         ]
         trials = Trials({key: value[:, None] for key, value in values.items()}, inertial[:, None])
         return replace(
-            self, loads=loads, settled=Settled(tuple(motions), trials), step=min(self.step, STEP_RATIO * step)
+            self, loads=loads, settled=ExactMotions(tuple(motions), trials), step=min(self.step, STEP_RATIO * step)
         )
 
 
@@ -130,7 +130,7 @@ def fit_coupled(
 
 
 def _is_alike(sigma: np.ndarray, before: np.ndarray) -> bool:
-    return bool(np.all(np.abs(sigma - before) < SAME_RMS * before))
+    return bool(np.all(np.abs(sigma - before) < RMS_TOLERANCE * before))
 
 
 def fit_precisely(problem: LoopProblem, progress: Callable[[str], None]) -> LoopFit:
