@@ -24,6 +24,7 @@ WHOLE = 'import pytest\npytest.importorskip("no_such_witness")\ndef test_compare
 def run(folder: Path, ci: str, path: str | None = None) -> subprocess.CompletedProcess[str]:
     """Run the tests of a folder with the plugin."""
     env = {**os.environ, "CI": ci, "PYTHONPATH": str(TESTS), "PATH": os.environ["PATH"] if path is None else path}
+    env.pop("TAU_DYN_WITHOUT", None)
     command = [sys.executable, "-m", "pytest", "-p", "witnesses", "-q", "-rA", "--rootdir", str(folder), str(folder)]
     return subprocess.run(command, env=env, cwd=folder, capture_output=True, text=True)
 
@@ -52,6 +53,12 @@ def test_a_run_in_ci_without_a_compiler_does_not_begin(tmp_path) -> None:
     assert done.returncode == pytest.ExitCode.USAGE_ERROR and "1 passed" not in done.stdout
     assert all(command in done.stderr for command in PROGRAMS.values())
     assert run(tmp_path, "", path=str(tmp_path)).returncode == 0
+
+
+def test_a_program_that_cannot_be_installed_is_named_by_hand() -> None:
+    """Only what is named may be absent."""
+    said = list_missing(lambda name: True, lambda name: False, ("chromium",))
+    assert len(said) == len(PROGRAMS) - 1 and "chromium" not in said[0]
 
 
 def test_a_skip_is_a_failure_in_ci_alone(tmp_path) -> None:
