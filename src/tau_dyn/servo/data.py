@@ -21,8 +21,8 @@ _ITERATIONS = 6  # from a solution of nearly the same problem
 EXACT_STEP_S = 5e-4
 """Shortest step of exact motions [s]."""
 STEP_PER_ROOT = 0.022
-"""Step of exact motions over the root of the residual [s / sqrt(rad)]: steps of 1 ms are off by 0.02 to 0.09 mrad, of h by the
-square of it; a tenth of the residual is little beside it."""
+"""Step of exact motions over the root of the residual [s / sqrt(rad)]: steps of 1 ms are off by some 0.02 mrad, others
+by the square of it, so that this one is off by a hundredth of the residual."""
 STEP_RATIO = 4.0
 """Step of the fits over that of exact motions."""
 LARGE_RESIDUAL_RAD = 1.6e-3

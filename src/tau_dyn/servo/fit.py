@@ -36,9 +36,10 @@ DELAYS_S = np.arange(0.0, 0.0601, 0.0025)
 MOVING = 0.03
 """Speed from which a joint's friction has a direction [rad/s]: twice what a step of a 12 bit encoder makes at 20 ms."""
 MAX_DIRECTIONS = 40
-"""Directions of the inertial numbers that are estimated at most; an arm of six joints informs on 8 to 12."""
+"""Directions of the inertial numbers that are estimated at most; an arm of six joints has some 36."""
 MIN_INFORMATION = 1e-5
-"""Information of a direction, with prior knowledge as 1, from which it is estimated."""
+"""Information of a direction, with prior knowledge as 1, from which it is estimated. It is small: what a log hardly
+shows may stand for something else, as gravity at a joint that barely turns for a constant torque."""
 MAX_ITERATIONS = 15  # of Gauss-Newton: fits settle in 4 to 10
 FINE_DIFFERENCES = 0.05
 """Steps of differences near a solution, over those that friction cannot hide far from one: large ones end a search too soon
@@ -48,7 +49,8 @@ MAX_CONTRAST = 2.0
 """Factor within which a log's residual may be weighed other than its joint's usual one: what no model explains in one log
 (a contact, a shaken joint) must not decide about the others."""
 BLOCK_S = (1.0, 5.0)
-"""Shortest and longest blocks over which the gradient's scatter is taken [s]: residuals forget within the longest."""
+"""Shortest and longest blocks over which the gradient's scatter is taken [s]: an encoder's rounding lasts as long as a joint
+rests, a second where steps are commanded, and what a model misses is forgotten within the longest."""
 BLOCKS = 100
 """Blocks that are wanted: several for each unknown of a joint, or the scatter among them comes out too small."""
 _SMALL_GAIN = 1e-3  # relative fall of the loss below which a first search ends, twice in turn
@@ -250,7 +252,7 @@ def choose_directions(
     p = len(space.nominal)
     information = np.zeros((p, p))
     for r, w in zip(records, loads, strict=True):
-        v, a = r.motion[1:]
+        a = r.motion[2]
         for j in range(r.q.shape[1]):
             where = r.used & (r.enabled > 0)
             X = ((w.load[:, j] + w.inertia[:, j] * a[:, j : j + 1]) * space.prior)[where]
