@@ -204,16 +204,6 @@ def diagnose(
     Raises:
         InputError: A log, the model or a choice is at fault.
         CannotAnswer: The logs determine nothing, or are too short for three parts.
-
-    Example:
-        >>> t, w = np.arange(0.0, 20.0, 0.005), np.array([[3.0], [7.0]])
-        >>> q, v, a = (np.sum(x, axis=0) for x in (0.1 * np.sin(w * t), 0.1 * w * np.cos(w * t), -0.1 * w**2 * np.sin(w * t)))
-
-        >>> rng, stribeck = np.random.default_rng(0), 30.0 * np.sign(v) * np.exp(-np.abs(v) / 0.05)
-        >>> tau = 95.0 * a + 20.0 * np.sign(v) + stribeck + rng.normal(size=t.size)
-        >>> why = td.diagnose(td.load_robot("linear_axis"), td.Log(t, {"q_axis": q, "tau_axis": tau}))
-        >>> why.verdict, why.findings[0].cause
-        ('named', 'stribeck')
     """
     if isinstance(robot, Identification):
         logs, model, robot = logs or robot.logs, robot.model.with_parameters(robot.nominal), robot.model.robot
