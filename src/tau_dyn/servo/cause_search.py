@@ -286,7 +286,7 @@ def free_causes(
 def _drop_superfluous(
     data: LoopData, u: LoopUnknowns, fit: LoopFit, taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]], progress
 ) -> tuple[LoopUnknowns, LoopFit, set[tuple[str, int]]]:  # noqa: ANN001
-    """Take out of `taken` what is no longer distinct from its null beside the others, and refit without it."""
+    """Take out of `taken` what is not distinct from its null beside the others, and refit without it."""
     dropped: set[tuple[str, int]] = set()
     needed: set[tuple[str, int]] = set()
     while True:

@@ -89,7 +89,7 @@ class LoopData:
         records, loads = ([rows[k] for k in chosen] for rows in (self.records, self.loads))
         return replace(self, records=records, loads=loads, settled=settled)
 
-    def settle(self, fit: LoopFit) -> LoopData:
+    def with_exact_motions(self, fit: LoopFit) -> LoopData:
         """Return the data with loads along the motions that a fit simulates, and the error that its steps make."""
         u, space = self.unknowns, self.space
         inertial, values = fit.x[u.n - space.n_unknowns :], u.with_values(fit.x)
@@ -119,7 +119,7 @@ def fit_coupled(
     if float(np.median(fit.sigma)) > LARGE_RESIDUAL_RAD:
         return data, fit
     for _ in range(MAX_SETTLINGS):
-        data = data.settle(fit)
+        data = data.with_exact_motions(fit)
         problem = data.build_problem()
         problem = problem.with_finer_differences() if data.whole else problem
         before, fit = fit, fit_loop(problem, progress, _ITERATIONS, fit.x)

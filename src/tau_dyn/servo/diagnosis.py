@@ -94,7 +94,8 @@ def diagnose_loop(
     held = data
     if not parts.same_logs:
         held = replace(
-            replace(data, unknowns=search.unknowns, records=parts.confirm).settle(search.fit), unknowns=unknowns
+            replace(data, unknowns=search.unknowns, records=parts.confirm).with_exact_motions(search.fit),
+            unknowns=unknowns,
         )
     progress("confirmation and gain")
     findings = _confirm(held, search, parts, seed)
