@@ -312,8 +312,7 @@ def compute_explained(effects: Sequence[Effect], ground: NullModel, both: np.nda
         part = [effects[k] for k in left[start : start + _CHUNK]]
         quick = [channel.quick_columns(effect) for effect in part]
         made = [c or ground.library.columns(effect) for c, effect in zip(quick, part, strict=True)]
-        rows = np.stack([ground.whiten_columns(c) for c in made], axis=1)
-        found[left[start : start + _CHUNK]] = ground.explained(rows, both, find_nonnegative(effects[0]))
+        found[left[start : start + _CHUNK]] = ground.explained(made, both, find_nonnegative(effects[0]))
     return found
 
 

@@ -207,9 +207,30 @@ class NullModel:
         """Return white rows (R, k) with everything accounted for projected out."""
         return C - self.Q @ (self.Q.T @ C)
 
-    def explained(self, C: np.ndarray, both: np.ndarray, nonnegative: np.ndarray) -> np.ndarray:
-        """Return score statistics (g, d) of white rows (R, g, k), g settings at once, for residuals (R, d)."""
-        return compute_statistics_of_rows(C, both, self.Q, nonnegative)
+    def explained(
+        self, settings: Sequence[Sequence[np.ndarray]], both: np.ndarray, nonnegative: np.ndarray
+    ) -> np.ndarray:
+        """Return score statistics (g, d) of g settings' columns, each over the runs (n, m, k), for residuals (R, d).
+
+        Rows of outputs at which all of them are zero say nothing and are left out: most effects act on one joint.
+        """
+        whiten, k = self.whiten, len(nonnegative)
+        parts, rows, first = [], [], 0
+        for number, L in enumerate(whiten.rows):
+            run, output = divmod(number, whiten.n_outputs)
+            last = first + L.shape[0]
+            if L.nnz:
+                columns = np.concatenate([made[run][:, output] for made in settings], axis=1)
+                if columns.any():
+                    parts.append(L @ columns)
+                    rows.append(np.arange(first, last))
+            first = last
+        if not parts:
+            return np.zeros((len(settings), both.shape[1]))
+        C, index = np.concatenate(parts) / self.scale, np.concatenate(rows)
+        all_of_them = len(index) == self.n_rows
+        both, Q = (both, self.Q) if all_of_them else (both[index], self.Q[index])
+        return compute_statistics_of_rows(C.reshape(len(C), len(settings), k), both, Q, nonnegative)
 
 
 def orthonormalise(B: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:

@@ -51,7 +51,13 @@ from .jointwise import (
     JointwiseEffect as JointwiseEffect,
 )
 from .lost_motion import Backlash as Backlash, JointCompliance as JointCompliance
-from .motion import JointMotion as JointMotion, JointScales as JointScales, Motion as Motion, Scene as Scene
+from .motion import (
+    JointMotion as JointMotion,
+    JointScales as JointScales,
+    LazySignals as LazySignals,
+    Motion as Motion,
+    Scene as Scene,
+)
 from .periodic import CyclicRipple as CyclicRipple, TransmissionError as TransmissionError
 from .presliding import (
     STATE as STATE,

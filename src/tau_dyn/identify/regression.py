@@ -42,6 +42,7 @@ from tau_dyn.log import (
     decimate,
     differentiate,
     lowpass,
+    lowpass_and_decimate,
     resample_segments,
 )
 from tau_dyn.model import Model
@@ -162,13 +163,13 @@ class PreparedSegment:
         """
         samples = np.round(late * self.rate_hz).astype(int)
         gate = np.column_stack([hold_closed(x, int(n)) for x, n in zip(self.gate.T, samples, strict=True)])
-        share = decimate(lowpass(gate, self.preparation.force_cutoff_hz, self.rate_hz), self.factor)
+        share = self.passed(gate)
         usable = self.usable & (share > MIN_SHARE)
         return replace(self, gate=gate, usable=usable, weight=np.where(usable, share, 1.0))
 
     def passed(self, x: np.ndarray) -> np.ndarray:
         """Return an array (N, ...) through the low-pass that both sides share, decimated (n, ...)."""
-        return decimate(lowpass(x, self.preparation.force_cutoff_hz, self.rate_hz), self.factor)
+        return lowpass_and_decimate(x, self.preparation.force_cutoff_hz, self.rate_hz, self.factor)
 
     def columns(self, Y: np.ndarray, *, gated: bool = True) -> np.ndarray:
         """Return columns (N, na, p) as the fit sees them (n, na, p), joint by joint; many do not touch a joint.
@@ -176,13 +177,14 @@ class PreparedSegment:
         Samples are laid out last, as filters like them.
         """
         N, na, p = Y.shape
+        rows = np.ascontiguousarray(Y.transpose(1, 2, 0))
+        k, column = np.nonzero((rows.max(axis=2, initial=0) != 0) | (rows.min(axis=2, initial=0) != 0))
         out = np.zeros((na, p, -(-N // self.factor)))
-        for k in range(na):
-            rows = np.ascontiguousarray(Y[:, k].T)
-            touching = np.flatnonzero((rows.max(axis=1, initial=0) != 0) | (rows.min(axis=1, initial=0) != 0))
-            if touching.size:
-                x = rows[touching]
-                out[k, touching] = self.passed((self.gate[:, k] * x if gated else x).T).T
+        if k.size:
+            touching = rows[k, column]
+            if gated:
+                touching *= np.ascontiguousarray(self.gate.T)[k]
+            out[k, column] = self.passed(touching.T).T
         if gated:
             out /= self.weight.T[:, None]
         return out.transpose(2, 0, 1)
@@ -273,7 +275,7 @@ def prepare_segment(
         a = differentiate(v, dt, accuracy=4)
     motion = model.motion(q, v, a, sign, t=log.t, signals=measured, needs=needs)
     factor = preparation.factor(rate)
-    share = decimate(lowpass(gate, preparation.force_cutoff_hz, rate), factor)
+    share = lowpass_and_decimate(gate, preparation.force_cutoff_hz, rate, factor)
     usable = share > MIN_SHARE
     edge = compute_edge_samples(preparation.force_cutoff_hz, rate)
     if smooth_hz is not None:
