@@ -311,7 +311,9 @@ def compute_explained(effects: Sequence[Effect], ground: NullModel, both: np.nda
     for start in range(0, len(left), _CHUNK):
         part = [effects[k] for k in left[start : start + _CHUNK]]
         quick = [channel.quick_columns(effect) for effect in part]
-        made = [c or ground.library.columns(effect) for c, effect in zip(quick, part, strict=True)]
+        exact = [effect for c, effect in zip(quick, part, strict=True) if c is None]
+        exactly = iter(ground.library.make_together(exact, ground.whiten.runs))
+        made = [next(exactly) if c is None else c for c in quick]
         found[left[start : start + _CHUNK]] = ground.explained(made, both, find_nonnegative(effects[0]))
     return found
 

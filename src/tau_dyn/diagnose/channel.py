@@ -137,6 +137,10 @@ class Channel(ABC):
     def run_columns(self, effect: Effect, run: int) -> np.ndarray:
         """Return an effect's columns (n, m, k) of one run, filtered and masked as the measurements are."""
 
+    def run_columns_together(self, effects: Sequence[Effect], run: int) -> list[np.ndarray]:
+        """Return the columns (n, m, k) of several effects of one run; see `Channel.run_columns`."""
+        return [self.run_columns(effect, run) for effect in effects]
+
     def columns(self, effect: Effect) -> list[np.ndarray]:
         """Return an effect's columns (n, m, k) of each run."""
         return [self.run_columns(effect, k) for k in range(len(self.runs))]
@@ -276,8 +280,8 @@ class EffectColumns(Sequence[np.ndarray]):
 
     def __init__(self, channel: Channel, effect: Effect) -> None:
         """Make nothing yet."""
-        self._channel, self._effect = channel, effect
-        self._made: dict[int, np.ndarray] = {}
+        self._channel, self.effect = channel, effect
+        self.made: dict[int, np.ndarray] = {}
 
     def __len__(self) -> int:
         """Return the number of runs."""
@@ -287,9 +291,9 @@ class EffectColumns(Sequence[np.ndarray]):
         """Return the columns of one run."""
         if run >= len(self):
             raise IndexError(run)
-        if run not in self._made:
-            self._made[run] = self._channel.run_columns(self._effect, run)
-        return self._made[run]
+        if run not in self.made:
+            self.made[run] = self._channel.run_columns(self.effect, run)
+        return self.made[run]
 
 
 class ColumnCache:
@@ -304,3 +308,13 @@ class ColumnCache:
         """Return an effect's exact columns."""
         key = (effect.name, effect.joints, tuple(sorted(effect.settings.items())), effect.label)
         return self._made.setdefault(key, EffectColumns(self.channel, effect))
+
+    def make_together(self, effects: Sequence[Effect], runs: Sequence[int]) -> list[EffectColumns]:
+        """Return the exact columns of several effects, those of the runs given made, together."""
+        found = [self.columns(effect) for effect in effects]
+        for run in runs:
+            new = [one for one in dict.fromkeys(found) if run not in one.made]
+            together = self.channel.run_columns_together([one.effect for one in new], run) if new else []
+            for one, columns in zip(new, together, strict=True):
+                one.made[run] = columns
+        return found

@@ -66,8 +66,11 @@ class ForceChannel(Channel):
 
     def run_columns(self, effect: Effect, run: int) -> np.ndarray:
         """Return an effect's columns (n, m, k) of one run; see `Channel.run_columns`."""
-        piece = self.prepared[run]
-        return piece.columns(effect.columns(piece.motion))
+        return self.prepared[run].columns_of([effect])[0]
+
+    def run_columns_together(self, effects: Sequence[Effect], run: int) -> list[np.ndarray]:
+        """Return the columns (n, m, k) of several effects of one run."""
+        return self.prepared[run].columns_of(effects)
 
     def whole_columns(self, effect: Effect) -> list[np.ndarray]:
         """Return the columns without any sample left out, for drawing."""

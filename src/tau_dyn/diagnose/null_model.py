@@ -218,7 +218,7 @@ class NullModel:
         parts, rows, first = [], [], 0
         for number, L in enumerate(whiten.rows):
             run, output = divmod(number, whiten.n_outputs)
-            last = first + L.shape[0]
+            last = first + len(L.indptr) - 1
             if L.nnz:
                 columns = np.concatenate([made[run][:, output] for made in settings], axis=1)
                 if columns.any():

@@ -13,8 +13,9 @@ itself stands in `preparation.py`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeGuard
 
 import numpy as np
 
@@ -49,6 +50,7 @@ from tau_dyn.model import Model
 
 MIN_SHARE = 0.5
 """Share of the filter's weight that must lie on usable samples."""
+_MAX_VALUES = 2_000_000  # filtered in one call: 16 MB
 
 
 def build_regression(
@@ -189,6 +191,29 @@ class PreparedSegment:
             out /= self.weight.T[:, None]
         return out.transpose(2, 0, 1)
 
+    def columns_of(self, effects: Sequence[Effect]) -> list[np.ndarray]:
+        """Return the gated columns (n, na, p) of several effects, filtered together; zeros are not filtered."""
+        gate, N = np.ascontiguousarray(self.gate.T), len(self.gate)
+        out, rows, places = [], [], []
+
+        def finish() -> None:
+            if rows:
+                for (made, k, column), x in zip(places, self.passed(np.stack(rows).T).T, strict=True):
+                    made[k, column] = x / self.weight[:, k]
+            rows.clear()
+            places.clear()
+
+        for effect in effects:
+            size, touching = _list_touching(effect, self.motion)
+            out.append(np.zeros((gate.shape[0], size, -(-N // self.factor))))
+            for k, column, x in touching:
+                rows.append(gate[k] * x)
+                places.append((out[-1], k, column))
+                if len(rows) * N > _MAX_VALUES:
+                    finish()
+        finish()
+        return [made.transpose(2, 0, 1) for made in out]
+
     def run(self, model: Model) -> RegressionRun:
         """Return the regression of a model on this stretch."""
         Y = compute_columns(model, self.motion)
@@ -222,14 +247,33 @@ def compute_columns(model: Model, motion: Motion) -> np.ndarray:
 
 def _fill(out: np.ndarray, effect: Effect, motion: Motion) -> None:
     """Write an effect's columns (na, p, N); those of each joint alone without the zeros between them."""
-    if not isinstance(effect, JointwiseEffect) or type(effect).columns is not JointwiseEffect.columns:
+    if not _acts_by_joint(effect):
         out[:] = effect.columns(motion).transpose(1, 2, 0)
         return
-    n = len(effect.terms)
-    for k, joint in enumerate(effect.joints):
-        index = motion.joints.index(joint)
-        for m, column in enumerate(effect.per_joint(JointMotion.of(motion, index))):
-            out[index, n * k + m] = column
+    for k, column, x in _list_touching(effect, motion)[1]:
+        out[k, column] = x
+
+
+def _acts_by_joint(effect: Effect) -> TypeGuard[JointwiseEffect]:
+    return isinstance(effect, JointwiseEffect) and type(effect).columns is JointwiseEffect.columns
+
+
+def _list_touching(effect: Effect, motion: Motion) -> tuple[int, Iterator[tuple[int, int, np.ndarray]]]:
+    """Return how many columns an effect has, and joint, column and values (N,) of those that are not zero."""
+    if _acts_by_joint(effect):
+        n, every = len(effect.terms), enumerate(effect.joints)
+        size, made = (
+            n * len(effect.joints),
+            (
+                (k, n * place + m, x)
+                for place, k in ((place, motion.joints.index(joint)) for place, joint in every)
+                for m, x in enumerate(effect.per_joint(JointMotion.of(motion, k)))
+            ),
+        )
+    else:
+        rows = effect.columns(motion).transpose(1, 2, 0)
+        size, made = rows.shape[1], ((k, c, rows[k, c]) for k in range(len(rows)) for c in range(rows.shape[1]))
+    return size, (row for row in made if row[2].max(initial=0) != 0 or row[2].min(initial=0) != 0)
 
 
 def prepare_segment(
