@@ -30,12 +30,12 @@ from tau_dyn.modes import (
     Mode,
     Record,
     RefinedModel,
-    StateSpace,
+    RefinementPath,
     compress_subspace_data,
     compute_aic_bic,
     compute_log_det_loss,
     count_free_parameters,
-    refine,
+    descend_to_fit,
     stabilise_poles,
 )
 from tau_dyn.parameters import Parameter
@@ -148,7 +148,7 @@ def _most_likely(records: Sequence[Record]) -> RefinedModel | None:
     least = compute_aic_bic(
         compute_log_det_loss(_at_once(records)), n, count_free_parameters(0, p, m, direct=True, predicts=False)
     )[1]
-    better: list[tuple[float, StateSpace]] = []
+    better: list[tuple[float, RefinementPath]] = []
     try:
         factors = compress_subspace_data(records)
     except (TauDynError, np.linalg.LinAlgError):
@@ -156,17 +156,16 @@ def _most_likely(records: Sequence[Record]) -> RefinedModel | None:
     for order in (o for o in ORDERS if o <= factors.largest_order):
         try:
             start = stabilise_poles(factors.model(order, direct=True))
-            found = refine(start, records, direct=True, maximum_rounds=_MAX_ITERATIONS, covariance=False)
+            found = descend_to_fit(start, records, direct=True, maximum_rounds=_MAX_ITERATIONS)
         except (TauDynError, np.linalg.LinAlgError):
             continue
-        bic = compute_aic_bic(
-            found.loss, found.n_samples, count_free_parameters(order, p, m, direct=True, predicts=False)
-        )[1]
+        freedom = count_free_parameters(order, p, m, direct=True, predicts=False)
+        bic = compute_aic_bic(found.loss, found.path.state.n_samples, freedom)[1]
         if np.isfinite(bic) and bic < least:
-            better.append((bic, start))
-    for _, start in sorted(better, key=lambda pair: pair[0]):  # uncertainties are worked out of the best alone
+            better.append((bic, found))
+    for _, found in sorted(better, key=lambda pair: pair[0]):
         try:
-            return refine(start, records, direct=True, maximum_rounds=_MAX_ITERATIONS)
+            return found.finish()  # uncertainties of the best alone
         except (TauDynError, np.linalg.LinAlgError):
             continue
     return None
