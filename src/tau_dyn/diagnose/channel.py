@@ -20,7 +20,7 @@ from typing import ClassVar
 import numpy as np
 
 from tau_dyn.effects import Effect, Motion, Scene
-from tau_dyn.estimate import RegressionRun, Whitener, build_prior_rows
+from tau_dyn.estimate import Autoregression, RegressionRun, Whitener, build_prior_rows
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
 
@@ -303,6 +303,7 @@ class ColumnCache:
         """Start empty."""
         self.channel = channel
         self._made: dict[tuple, EffectColumns] = {}
+        self._white: dict[tuple, tuple[Whitener, np.ndarray, np.ndarray]] = {}
 
     def columns(self, effect: Effect) -> EffectColumns:
         """Return an effect's exact columns."""
@@ -318,3 +319,15 @@ class ColumnCache:
             for one, columns in zip(new, together, strict=True):
                 one.made[run] = columns
         return found
+
+    def whiten_baseline(
+        self, parts: tuple[int, ...], noise: tuple[Autoregression, ...]
+    ) -> tuple[Whitener, np.ndarray, np.ndarray]:
+        """Return what whitens these parts under a noise model of each output, the baseline's white columns and measurements.
+
+        The last ones asked for are kept: many effects are tried beside the same baseline.
+        """
+        if (parts, noise) not in self._white:
+            whiten = Whitener.of(self.channel.runs, self.channel.masks(*parts), noise)
+            self._white = {(parts, noise): (whiten, whiten(self.channel.free_columns), whiten(self.channel.target))}
+        return self._white[parts, noise]

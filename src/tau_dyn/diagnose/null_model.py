@@ -153,12 +153,12 @@ class NullModel:
     ) -> NullModel:
         """Project out the baseline's free columns and those of effects."""
         channel = library.channel
-        whiten = Whitener.of(channel.runs, channel.masks(*parts), noise)
+        whiten, free, target = library.whiten_baseline(tuple(parts), tuple(noise))
         prior_rows, prior_y = channel.prior
-        B = [whiten(channel.free_columns), *(whiten(library.columns(effect)) for effect in effects)]
+        B = [free, *(whiten(library.columns(effect)) for effect in effects)]
         blank = np.zeros((len(prior_y), sum(c.shape[1] for c in B[1:])))
         stacked = np.concatenate([np.concatenate(B, axis=1), np.concatenate([prior_rows, blank], axis=1)])
-        y = np.concatenate([whiten(channel.target), prior_y])
+        y = np.concatenate([target, prior_y])
         Q = orthonormalise(stacked)
         e = y - Q @ (Q.T @ y)
         n = whiten.n_rows
@@ -239,9 +239,10 @@ def orthonormalise(B: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:
     B = B[:, norm > 0] / norm[norm > 0]
     if B.size == 0:
         return np.zeros((len(B), 0))
-    Q, R, _ = cast(Any, linalg.qr(B, mode="economic", pivoting=True))
+    tall, triangle = np.linalg.qr(B)  # pivots are looked for in the triangle: exchanging long columns is slow
+    Q, R, _ = cast(Any, linalg.qr(triangle, mode="economic", pivoting=True))
     diagonal = np.abs(np.diag(R))
-    return Q[:, : int(np.sum(diagonal > tolerance * diagonal[0]))]
+    return tall @ Q[:, : int(np.sum(diagonal > tolerance * diagonal[0]))]
 
 
 def compute_overdispersion(block: np.ndarray, scores: np.ndarray, square: float) -> float:
