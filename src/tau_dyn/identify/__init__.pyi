@@ -26,6 +26,7 @@ from .log_integrity import (
     check_integrity as check_integrity,
     is_diagnosis_invalid as is_diagnosis_invalid,
 )
+from .motor_electrics import RECORDED as RECORDED
 from .per_log import (
     LogValue as LogValue,
     PerLogParameter as PerLogParameter,
