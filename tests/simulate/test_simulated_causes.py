@@ -143,7 +143,7 @@ def test_a_change_between_campaigns_needs_a_campaign(make, tmp_path) -> None:
     ],
 )
 def test_a_motors_circuit_is_logged_and_moves_nothing(name: str, values: dict, settings: dict, make, tmp_path) -> None:
-    """The log holds the force that the law makes of the true one, beside the voltage or pulse width; the robot moves as without."""
+    """The log holds what the law makes of the true force, beside the voltage or pulse width; the robot moves as without."""
     model = hidden(make, tmp_path, name, values, **settings)
     run = simulate_drive(model, there_and_back(model), None, Sensors(), np.random.default_rng(0), feedback="ideal")
     log = measure(run, Sensors(), np.random.default_rng(0))

@@ -35,8 +35,6 @@ from .per_log import (
 )
 from .posterior import (
     Samples as Samples,
-    Widening as Widening,
-    compute_data_covariance as compute_data_covariance,
     draw_samples as draw_samples,
 )
 from .preparation import (
@@ -70,3 +68,4 @@ from .result import (
     build_force_errors as build_force_errors,
 )
 from .streaming import BlockExecutor as BlockExecutor
+from .widening import Widening as Widening, compute_data_covariance as compute_data_covariance

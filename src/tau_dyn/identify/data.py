@@ -287,7 +287,7 @@ class BuiltData(NamedTuple):
 
 
 def shift_forces(log: Log, joints: Sequence[str], seconds: float) -> Log:
-    """Return a log whose forces, and voltages that they may be, are read `seconds` later, by cubic interpolation; its ends keep their last value."""
+    """Return a log whose forces and voltages are read `seconds` later, by cubic interpolation; its ends keep their last value."""
     t = np.clip(log.t + seconds, log.t[0], log.t[-1])
     names = [n for joint in joints for s in ("tau", *RECORDED) if (n := f"{s}_{joint}") in log.channels]
     return replace(log, channels={**log.channels, **{n: CubicSpline(log.t, log.channels[n])(t) for n in names}})
