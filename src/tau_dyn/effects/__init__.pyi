@@ -58,6 +58,15 @@ from .motion import (
     Motion as Motion,
     Scene as Scene,
 )
+from .motor_electrics import (
+    PULSE_WIDTH as PULSE_WIDTH,
+    VOLTAGE as VOLTAGE,
+    BackEmf as BackEmf,
+    CircuitEffect as CircuitEffect,
+    Inductance as Inductance,
+    SupplySag as SupplySag,
+    WindingHeat as WindingHeat,
+)
 from .periodic import CyclicRipple as CyclicRipple, TransmissionError as TransmissionError
 from .presliding import (
     STATE as STATE,

@@ -22,6 +22,7 @@ import numpy as np
 from tau_dyn.effects import REPORTED, Effect, JointMotion, JointwiseEffect, Motion, name_effect_in_errors
 from tau_dyn.estimate import Preparation, Regression, RegressionRun
 from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.identify.motor_electrics import RECORDED, SPEED
 from tau_dyn.identify.preparation import (
     Kept,
     choose_preparation,
@@ -219,6 +220,11 @@ class PreparedSegment:
         Y = compute_columns(model, self.motion)
         y = self.passed(self.gate * self.force) / self.weight
         signals = {key: decimate(getattr(self.motion, key), self.factor) for key in ("q", "v", "a")}
+        joints = model.robot.actuated
+        for name in RECORDED:
+            if self.log.has(name, joints):  # through both filters, as forces are
+                smooth = lowpass(self.log.joint(name, joints), self.preparation.position_cutoff_hz, self.rate_hz)
+                signals |= {name: self.passed(smooth), SPEED: self.passed(self.motion.v)}
         return RegressionRun(
             self.log.name,
             decimate(self.log.t, self.factor),
