@@ -75,7 +75,7 @@ class LoopData:
         """Return the fit's problem, with other unknowns or other masks where they are given."""
         records = records or self.records
         pieces, loads = (records, self.loads) if self.whole else split_pieces(records, self.loads)
-        problem = LoopProblem(unknowns or self.unknowns, build_waves(self.space, pieces, loads, self.law), pieces)
+        problem = LoopProblem(unknowns or self.unknowns, build_waves(pieces, loads, self.law), pieces)
         problem = problem.with_step(self.step)
         if self.settled is None:
             return problem

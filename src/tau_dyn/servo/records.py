@@ -17,9 +17,10 @@ from scipy.interpolate import interp1d
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log, differentiate, lowpass
+from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.model import Model
 from tau_dyn.robot import BODY_STDERR
-from tau_dyn.servo.waves import Waves
+from tau_dyn.servo.waves import LoadRows, Waves
 from tau_dyn.simulate import ServoLaw
 
 MOTION_HZ = 12.0
@@ -34,10 +35,6 @@ WARM_UP_S = 1.0
 """Start of a piece that does not count [s]: a dozen time constants of a servo's loop."""
 ROWS = 20_000
 """Samples whose regressors are computed at once: 60 MB for an arm of six joints."""
-MAJORANT = 0.525
-"""Own inertia over the sum of a row of the mass matrix, at least: a half and 5 % (Gershgorin)."""
-_STEP = 1e-4
-"""Step of a position by which the load's growth is taken [rad]."""
 _MIN_RADIUS = 0.02
 """Smallest size of a body that its uncertainty is taken of [m]."""
 
@@ -163,6 +160,11 @@ class InertialSpace:
         """Return the parameters (p,) at unknowns (K,)."""
         return self.nominal + self.directions @ unknowns
 
+    def build_mechanism(self, unknowns: np.ndarray | None = None) -> Mechanism:
+        """Return the robot's dynamics at unknowns (K,), or at the nominal values, without drive inertias."""
+        robot, values = self.model.robot, self.nominal if unknowns is None else self.at(unknowns)
+        return build_mechanism(robot.with_parameters(robot.parameters.with_values(values)))
+
 
 def _measure_bodies(model: Model) -> dict[str, float]:
     """Return the uncertainty of each inertial parameter that nobody weighed."""
@@ -185,7 +187,6 @@ class LoadWaves:
         inertia: (N, na, m).
         stiffness: (N, na) at the nominal values [N m/rad].
         along: The motion's positions (N, na) [rad].
-        held: Whether each load is that of the middle between its sample and the next.
         speed: The motion's speeds (N, na) [rad/s], where it is simulated.
     """
 
@@ -193,13 +194,12 @@ class LoadWaves:
     inertia: np.ndarray
     stiffness: np.ndarray
     along: np.ndarray
-    held: bool = False
     speed: np.ndarray | None = None
 
     def cut(self, part: slice) -> LoadWaves:
         """Return a part of the waves."""
         speed = None if self.speed is None else self.speed[part]
-        return LoadWaves(self.load[part], self.inertia[part], self.stiffness[part], self.along[part], self.held, speed)
+        return LoadWaves(self.load[part], self.inertia[part], self.stiffness[part], self.along[part], speed)
 
 
 def compute_load_columns(space: InertialSpace, q: np.ndarray, v: np.ndarray, a: np.ndarray, dt: float) -> LoadWaves:
@@ -212,63 +212,64 @@ def compute_load_waves(space: InertialSpace, q: np.ndarray, v: np.ndarray, a: np
     return _compute_waves(space, space.basis, (q, v, a), dt)
 
 
-def compute_held_loads(space: InertialSpace, q: np.ndarray, v: np.ndarray, dt: float) -> LoadWaves:
-    """Return loads along a simulated motion (N, na) at the middle of each step, whose acceleration is its change of speed.
-
-    Each joint's own inertia is raised, and its load lowered by as much, where the others' share of it would let the relaxation
-    diverge: it converges where twice the own inertias exceed the mass matrix.
-    """
-    rate = np.diff(q, axis=0) / dt
-    middle = np.append(np.arange(len(rate)), len(rate) - 1)
-    motion = ((0.5 * (q[1:] + q[:-1]))[middle], rate[middle], (np.diff(v, axis=0) / dt)[middle])
-    return replace(_compute_waves(space, space.basis, motion, dt, majorant=True), along=q, held=True)
-
-
 def _compute_waves(
-    space: InertialSpace,
-    basis: np.ndarray,
-    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
-    dt: float,
-    majorant: bool = False,
+    space: InertialSpace, basis: np.ndarray, motion: tuple[np.ndarray, np.ndarray, np.ndarray], dt: float
 ) -> LoadWaves:
     mechanism, (q, v, a), (n, na) = space.model.mechanism, motion, motion[0].shape
-    every = max(1, round(SLOW_S / dt))
-    some = np.unique(np.append(np.arange(0, n, every), n - 1))
+    some = np.unique(np.append(np.arange(0, n, count_slow(dt)), n - 1))
     qs, zero = q[some], np.zeros((len(some), na))
     still = mechanism.regressor(qs, zero, zero)
-    inertia = np.empty((len(some), na, basis.shape[1]))
-    stiffness, coupling = np.empty((2, len(some), na))
-    for j in range(na):
-        push = np.zeros_like(qs)
-        push[:, j] = 1.0
-        column = mechanism.regressor(qs, zero, push) - still
-        inertia[:, j] = column[:, j] @ basis
-        coupling[:, j] = np.abs(np.delete(column, j, axis=1) @ space.nominal).sum(axis=1)
-        ahead, behind = (mechanism.regressor(qs + s * _STEP * push, zero, zero)[:, j] for s in (1, -1))
-        stiffness[:, j] = (ahead - behind) @ space.nominal / (2 * _STEP)
-    if majorant:
-        inertia[..., 0] = np.maximum(inertia[..., 0], MAJORANT * (inertia[..., 0] + coupling))
-    full, stiff = (
-        interp1d(some, x, axis=0, assume_sorted=True)(np.arange(n)) if len(some) > 1 else x[[0] * n]
-        for x in (inertia, stiffness)
+    columns = [(mechanism.regressor(qs, zero, zero + unit) - still)[:, j] @ basis for j, unit in enumerate(np.eye(na))]
+    full, stiffness = (
+        _fill_between(some, x, n)
+        for x in (np.stack(columns, axis=1), np.einsum("njj->nj", space.build_mechanism().weight_gradient(qs)))
     )
     load = np.empty_like(full)
     for k in range(0, n, ROWS):
         part = slice(k, k + ROWS)
         load[part] = mechanism.regressor(q[part], v[part], a[part]) @ basis - full[part] * a[part, :, None]
-    return LoadWaves(load, full, stiff, q)
+    return LoadWaves(load, full, stiffness, q)
 
 
-def build_waves(
-    space: InertialSpace,
-    records: Sequence[LoopRecord],
-    loads: Sequence[LoadWaves],
-    law: ServoLaw,
-) -> Waves:
+def _fill_between(some: np.ndarray, x: np.ndarray, n: int) -> np.ndarray:
+    return interp1d(some, x, axis=0, assume_sorted=True)(np.arange(n)) if len(some) > 1 else x[[0] * n]
+
+
+def fill_coupled_loads(mechanism: Mechanism, rows: LoadRows, log: int, part: slice, every: int, dt: float) -> None:
+    """Take a log's loads along its motion from one sample to another, that one included; its acceleration is its change of speed.
+
+    They hold from each sample to the next, and are those of the middle.
+    """
+    q, v = rows.motion[:, part, :, log]
+    n, na = len(q) - 1, q.shape[1]
+    a = np.diff(v, axis=0) / dt
+    tau = mechanism.inverse_dynamics(0.5 * (q[1:] + q[:-1]), np.diff(q, axis=0) / dt, a)
+    some = np.minimum(np.arange(0, n + every, every), n)
+    mass, slope = mechanism.inertia(q[some]), mechanism.weight_gradient(q[some])
+    share = (np.arange(every) / every)[:, None]
+
+    def fill(x: np.ndarray) -> np.ndarray:
+        own = np.einsum("njj->nj", x)
+        return (own[:-1, None] + share * np.diff(own, axis=0)[:, None]).reshape(-1, na)[:n]
+
+    blocks = np.pad(a, ((0, (len(some) - 1) * every - n), (0, 0))).reshape(-1, every, na)
+    pushed = blocks @ mass[:-1] + share * (blocks @ np.diff(mass, axis=0))
+    steps, first = slice(part.start, part.start + n), part.start // every
+    rows.along[part, :, log] = q
+    rows.load[steps, :, log] = tau - pushed.reshape(-1, na)[:n]
+    rows.inertia[steps, :, log], rows.stiffness[steps, :, log] = fill(mass), fill(slope)
+    rows.mass[log, first : first + len(some)], rows.slope[log, first : first + len(some)] = mass, slope
+
+
+def count_slow(dt: float) -> int:
+    """Return the samples over which inertias and stiffness may be interpolated."""
+    return max(1, round(SLOW_S / dt))
+
+
+def build_waves(records: Sequence[LoopRecord], loads: Sequence[LoadWaves], law: ServoLaw) -> Waves:
     """Return the waves of logs, padded to the longest.
 
     Args:
-        space: Inertial numbers and their unknowns.
         records: The logs.
         loads: Loads along each log's motion.
         law: Whose entries that differ by log are handed on.
@@ -295,14 +296,13 @@ def build_waves(
         by_log={key: np.stack([r.entries[key] for r in records], axis=1) for key in keys},
         encoder_on_motor=law.encoder == "motor",
         measured_on_motor=law.measured == "motor",
-        held=loads[0].held,
     )
 
 
 def refine_record(record: LoopRecord, every: int) -> LoopRecord:
     """Return a record with samples between the measured ones, its positions interpolated."""
     n = (len(record.t) - 1) * every + 1
-    t, q = (_refine(x, every) for x in (record.t, record.q))
+    t, q = (refine(x, every) for x in (record.t, record.q))
     before = np.arange(n) // every
     return replace(
         record, t=t, q=q, command=record.command[before], supply=record.supply[before], enabled=record.enabled[before],
@@ -310,7 +310,8 @@ def refine_record(record: LoopRecord, every: int) -> LoopRecord:
     )  # fmt: skip
 
 
-def _refine(x: np.ndarray, every: int) -> np.ndarray:
+def refine(x: np.ndarray, every: int) -> np.ndarray:
+    """Return rows (N, na) with `every` steps from each to the next."""
     n = len(x)
     return interp1d(np.arange(n), x, axis=0, assume_sorted=True)(np.arange((n - 1) * every + 1) / every)
 
