@@ -7,12 +7,13 @@ The source is C99, built once and kept (`codegen/compiler.py`). Where there is n
 from __future__ import annotations
 
 import ctypes
+from functools import partial
 
 import numpy as np
 
 from tau_dyn.codegen import LibraryCache, is_compiling_allowed
 from tau_dyn.servo.waves import LoadRows, Trials, Waves
-from tau_dyn.simulate import SERVO_ENTRIES
+from tau_dyn.simulate import COMMANDS, SERVO_ENTRIES
 
 NAMES = (*SERVO_ENTRIES, "armature", "coulomb", "viscous", "offset")
 """Numbers of a joint in the order in which the kernel takes them."""
@@ -25,6 +26,7 @@ _SOURCE = r"""
 #include <stdlib.h>
 #include <string.h>
 enum {@NAMES@, COUNT};
+enum {POSITION, SPEED, OUTPUT};
 typedef struct {double position, speed;} goal_t;
 
 static inline double least_of(double a, double b) {return a < b ? a : b;}
@@ -63,7 +65,7 @@ typedef struct {
   const double *cmd, *way, *stiff, *ld, *in, *ldb, *inb;
   double *shown;
   goal_t g;
-  double q, v, m, w, integral, next_load, mass, last;
+  double q, v, m, w, v_before, integral, next_load, mass, last;
   /* total is h over both inertias, S and open are the inverse steps of the twist's rate, firm and loose inverse mobilities */
   double total, share, a, S, stuck, open, firm, loose, gap;
   double rest0, slope, turn, full;
@@ -71,7 +73,8 @@ typedef struct {
 } joint_t;
 
 /* What the law and the friction do over a step, and its load at the middle: from the state before it */
-static void drive(joint_t *x, int64_t N, int64_t often, int64_t k, int64_t i, int on_motor, double supply, double straight) {
+static void drive(joint_t *x, int64_t N, int64_t often, int64_t k, int64_t i, int on_motor, int told, double supply,
+    double straight) {
   const double *p = x->p;
   double h = x->h, half = 0.5 * h;
   int64_t at = k * often + i, one = at - x->behind;
@@ -84,16 +87,27 @@ static void drive(joint_t *x, int64_t N, int64_t often, int64_t k, int64_t i, in
     before = p[command_step] * nearbyint(before / p[command_step]);
   }
   double goal = first + x->part * (before - first);
-  if (x->profiled) goal = follow(&x->g, goal, p[acceleration_limit], p[speed_limit], h);
+  if (x->profiled && told == POSITION) goal = follow(&x->g, goal, p[acceleration_limit], p[speed_limit], h);
   int motor = on_motor && x->elastic;
   double seen = motor ? x->m : x->q, seen_speed = motor ? x->w : x->v, turning = x->elastic ? x->w : x->v;
-  double middle = x->q + half * x->v, e = goal - (seen + half * seen_speed);
-  if (p[dead_band] > 0) e = (e > 0 ? 1.0 : e < 0 ? -1.0 : 0.0) * most_of(fabs(e) - p[dead_band], 0.0);
-  double u = p[position_gain] * e - p[derivative_gain] * seen_speed;
-  if (p[integral_gain] != 0) {
-    x->integral = clip(x->integral + p[integral_gain] * h * e, -p[limit], p[limit]);
-    u += x->integral;
+  double middle = x->q + half * x->v, e = goal, u = goal, slow = p[derivative_gain], gain = p[integral_gain];
+  if (told == POSITION) {
+    e = goal - (seen + half * seen_speed);
+    if (p[dead_band] > 0) e = (e > 0 ? 1.0 : e < 0 ? -1.0 : 0.0) * most_of(fabs(e) - p[dead_band], 0.0);
+    u = p[position_gain] * e - p[derivative_gain] * seen_speed;
   }
+  if (told != OUTPUT && p[speed_gain] > 0) {  /* a loop of speed, alone or inside that of position */
+    e = clip(told == POSITION ? u : goal, -p[speed_limit], p[speed_limit]) - seen_speed;
+    u = p[speed_gain] * e; slow = p[speed_gain]; gain = p[speed_integral_gain];
+  }
+  if (told != OUTPUT && gain != 0) {  /* to the middle of the step; a speed's error over the last one is known by now */
+    if (p[speed_gain] > 0) x->integral -= half * gain * (seen_speed - x->v_before);
+    x->v_before = seen_speed;
+    u += clip(x->integral + half * gain * e, -p[limit], p[limit]);
+    x->integral = clip(x->integral + gain * h * e, -p[limit], p[limit]);
+  }
+  /* what the motor's torque loses per unit of its speed; the law's part where it acts at once and is not at its limit */
+  double loses = p[back_emf] + (told != OUTPUT && !x->past && fabs(u) < p[limit] && (motor || !x->elastic) ? supply * slow : 0.0);
   u = clip(u, -p[limit], p[limit]);
   u = u * (1.0 - p[supply_sag] * fabs(u));
   if (x->past) {
@@ -106,8 +120,8 @@ static void drive(joint_t *x, int64_t N, int64_t often, int64_t k, int64_t i, in
   if (p[drive_exponent] != 1.0) {
     double grown = x->full * pow(most_of(fabs(y), straight), p[drive_exponent] - 1.0);
     push = grown * y;
-    lever = grown * (fabs(y) > straight ? p[drive_exponent] : 1.0) * p[back_emf];
-  } else {push = x->full * y; lever = x->full * p[back_emf];}
+    lever = grown * (fabs(y) > straight ? p[drive_exponent] : 1.0) * loses;
+  } else {push = x->full * y; lever = x->full * loses;}
   if (y * u < 0) {push *= p[braking]; lever *= p[braking];}
   double late = (double)i + 0.5;
   x->rest = x->rest0 + late * x->slope + x->stiff[k] * (middle - x->way[k] - late * x->turn);
@@ -159,6 +173,17 @@ static void take_inertia(joint_t *x, double least, double contact) {
   spring(x->stuck, p[joint_compliance] > 0 ? p[joint_damping] : 2.0 * mu * contact / h, mu, h, &x->a, &x->S);
   x->S = 1.0 / x->S; x->open = h / mu;
   x->firm = 1.0 / (x->total + share * share * x->S); x->loose = 1.0 / (x->total + share * share * x->open);
+}
+
+static double combine(const double *by, const double *unknowns, int64_t K) {
+  double a = 0.0, b = 0.0, c = 0.0, d = 0.0;
+  int64_t i = 0;
+  for (; i + 4 <= K; i += 4) {
+    a += by[i] * unknowns[i]; b += by[i + 1] * unknowns[i + 1];
+    c += by[i + 2] * unknowns[i + 2]; d += by[i + 3] * unknowns[i + 3];
+  }
+  for (; i < K; i++) a += by[i] * unknowns[i];
+  return (a + b) + (c + d);
 }
 
 static void show(joint_t *x, int64_t k, int64_t plane, int on_motor, int with_speeds) {
@@ -223,16 +248,18 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
   int64_t N = size[0], J = size[1], C = size[2], L = size[3], K = size[4], often = size[5], every = size[10], R = size[11];
   int on_motor = (int)size[6], shown_on_motor = (int)size[7], held_load = (int)size[8], with_speeds = (int)size[9];
   int64_t together = every ? J : 1, window = size[12], sweeps = size[13], failed = 0;  /* together are stepped at once */
+  int told = (int)size[14];
   int64_t plane = J * C * L * N;
   double least = limits[0], straight = limits[1], contact = limits[2], settled = limits[3];
   joint_t *all = malloc(2 * (size_t)together * sizeof(joint_t)), *kept = all + together;
-  double *M = malloc((size_t)(3 * J * J + J) * sizeof(double)), *G = M + J * J;  /* and room for a step */
+  double *M = malloc((size_t)(3 * J * J + J + K) * sizeof(double)), *G = M + J * J;  /* and room for a step */
+  double *unknowns = M + 3 * J * J + J;
   if (!all || !M) {free(all); free(M); return 1;}
   for (int64_t s = 0; s < L && !failed; s++) for (int64_t j0 = 0; j0 < J; j0 += together) for (int64_t c = 0; c < C; c++) {
     double h = dt[s] / (double)often;
     const double *sup = supply + s * N, *en = enabled + s * N;
     int moved = 0;
-    for (int64_t i = 0; i < K; i++) moved = moved || inertial[i * C + c] != 0.0;
+    for (int64_t i = 0; i < K; i++) {unknowns[i] = inertial[i * C + c]; moved = moved || unknowns[i] != 0.0;}
     for (int64_t n = 0; n < together; n++) {
       joint_t *x = all + n;
       int64_t j = j0 + n, row = (j * L + s) * N;
@@ -255,12 +282,12 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
       x->elastic = p[joint_compliance] > 0 || p[backlash] > 0;
       x->profiled = isfinite(p[speed_limit]) || isfinite(p[acceleration_limit]);
       x->gap = 0.5 * p[backlash]; x->integral = 0.0; x->last = -1.0;
-      x->q = x->m = start[j * L + s]; x->v = x->w = speed[j * L + s];
+      x->q = x->m = start[j * L + s]; x->v = x->w = x->v_before = speed[j * L + s];
       x->v_next = 0.0;  /* between steps, what the last one changed */
       x->g.position = x->cmd[0]; x->g.speed = 0.0;
       if (p[command_step] > 0) x->g.position = p[command_step] * nearbyint(x->cmd[0] / p[command_step]);
       x->next_load = x->ld[0];
-      if (moved) for (int64_t i = 0; i < K; i++) x->next_load += x->ldb[i] * inertial[i * C + c];
+      if (moved) x->next_load += combine(x->ldb, unknowns, K);
       if (x->elastic) {
         double rest0 = x->next_load + p[offset];
         double twist = p[joint_compliance] * rest0 + (rest0 > 0 ? x->gap : rest0 < 0 ? -x->gap : 0.0);
@@ -283,9 +310,9 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
             joint_t *x = all + n;
             double now = held_load ? x->ld[k] : x->next_load;
             x->mass = x->in[k]; x->next_load = x->ld[k + 1];
-            if (moved) for (int64_t i = 0; i < K; i++) {
-              x->mass += x->inb[k * K + i] * inertial[i * C + c];
-              x->next_load += x->ldb[(k + 1) * K + i] * inertial[i * C + c];
+            if (moved) {
+              x->mass += combine(x->inb + k * K, unknowns, K);
+              x->next_load += combine(x->ldb + (k + 1) * K, unknowns, K);
             }
             x->rest0 = now + x->p[offset];
             x->slope = held_load ? 0.0 : (x->next_load - now) / (double)often;
@@ -302,7 +329,7 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
             }
           }
           for (int64_t i = 0; i < often; i++) {
-            for (int64_t n = 0; n < together; n++) drive(all + n, N, often, k, i, on_motor, sup[k], straight);
+            for (int64_t n = 0; n < together; n++) drive(all + n, N, often, k, i, on_motor, told, sup[k], straight);
             if (every) turn_together(all, J, M, k, i, sweeps, settled);
             else turn_joint(all, all->rest);
             for (int64_t n = 0; n < together; n++) {
@@ -357,10 +384,9 @@ def run_compiled(
     out = np.empty((1 + 2 * motion, na, c, s, n))
     shown = np.moveaxis(out, -1, 1)
     flags = (waves.encoder_on_motor, waves.measured_on_motor, waves.held)
-    along, load, inertia, stiffness = (
-        np.array(np.moveaxis(x, 0, -1), float, order="C")
-        for x in (waves.along, waves.load, waves.inertia, waves.stiffness)
-    )
+    own = [np.moveaxis(x, 0, -1) for x in (waves.along, waves.load, waves.inertia, waves.stiffness)]
+    make = np.ascontiguousarray if waves.coupling is None else partial(np.array, order="C")  # a copy is filled
+    along, load, inertia, stiffness = (make(x) for x in own)
     coupling, matrices, faults = waves.coupling, np.zeros((2, s, 0, na, na)), []
     every = window = 0
     settle = _SETTLE()
@@ -380,7 +406,24 @@ def run_compiled(
                 return 1
 
         settle = _SETTLE(call)
-    sizes = np.array([n, na, c, s, k, often, *flags, motion, every, matrices.shape[2], window, sweeps], dtype=np.int64)
+    sizes = np.array(
+        [
+            n,
+            na,
+            c,
+            s,
+            k,
+            often,
+            *flags,
+            motion,
+            every,
+            matrices.shape[2],
+            window,
+            sweeps,
+            min(COMMANDS.index(waves.told), 2),
+        ],
+        dtype=np.int64,
+    )
     inputs = [waves.dt, waves.start, waves.speed, np.moveaxis(waves.command, 0, -1), along, load]
     inputs += [np.moveaxis(waves.load_by, (0, 2), (-2, -1)), inertia]
     inputs += [np.moveaxis(waves.inertia_by, (0, 2), (-2, -1)), stiffness]
@@ -390,4 +433,4 @@ def run_compiled(
     failed = library.loop_run(*(ctypes.c_void_p(x.ctypes.data) for x in (sizes, *inputs, out)), settle)
     if faults:
         raise faults[0]
-    return None if failed else np.ascontiguousarray(shown)
+    return None if failed else shown

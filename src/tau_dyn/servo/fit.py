@@ -23,7 +23,7 @@ import numpy as np
 
 from tau_dyn.log import lowpass
 from tau_dyn.servo.loop import simulate_loops
-from tau_dyn.servo.records import MOTION_HZ, InertialSpace, LoadWaves, LoopRecord
+from tau_dyn.servo.records import MOTION_HZ, InertialSpace, LoopRecord
 from tau_dyn.servo.waves import Trials, Waves
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
 
@@ -40,6 +40,8 @@ MAX_DIRECTIONS = 40
 MIN_INFORMATION = 1e-5
 """Information of a direction, with prior knowledge as 1, from which it is estimated. It is small: what a log hardly
 shows may stand for something else, as gravity at a joint that barely turns for a constant torque."""
+INFORMATION_S = 0.02
+"""Time between the samples that directions are chosen by [s]: a fourth of a period of the motion's low-pass."""
 MAX_ITERATIONS = 15  # of Gauss-Newton: fits settle in 4 to 10
 FINE_DIFFERENCES = 0.05
 """Steps of differences near a solution, over those that friction cannot hide far from one: large ones end a search too soon
@@ -167,19 +169,21 @@ def delay_command(command: np.ndarray, dt: float, delay: float) -> np.ndarray:
 
 
 def screen_equation_error(
-    law: ServoLaw, space: InertialSpace, records: Sequence[LoopRecord], loads: Sequence[LoadWaves], estimate_gain: bool
+    law: ServoLaw, space: InertialSpace, records: Sequence[LoopRecord], estimate_gain: bool
 ) -> EquationError:
     """Return the best delay, friction and drive inertia of each joint by the rebuilt torque, bodies as the file has them."""
     na = len(law.joints)
     values = {key: np.array(law.values[key]) for key in ("position_gain", "command_delay")}
     values |= {key: np.zeros(na) for key in JOINT_UNITS}
     residual, sigma = [np.full(r.q.shape, np.nan) for r in records], np.zeros(na)
+    mechanism = space.build_mechanism()
+    moved = [mechanism.inverse_dynamics(*r.motion) for r in records]
     for j in range(na):
         best = None
         for delay in [float(law.values["command_delay"][j])] if law.values["command_delay"][j] > 0 else DELAYS_S:
             rows = [
-                _build_rows(law, space, r, w, j, float(delay), estimate_gain)
-                for r, w in zip(records, loads, strict=True)
+                _build_rows(law, r, tau[:, j], j, float(delay), estimate_gain)
+                for r, tau in zip(records, moved, strict=True)
             ]
             y, X = np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
             if len(y) < 10 * X.shape[1]:
@@ -189,7 +193,7 @@ def screen_equation_error(
             rms = float(np.std(y - X @ beta))
             if best is None or rms < best[0]:
                 best = (rms, delay, beta, rows)
-        stiff = float(law.values["position_gain"][j] * law.values["force_per_unit"][j])
+        stiff = float(compute_stiffness(law.values)[j])
         if best is None:
             values["coulomb"][j] = 0.01 * stiff
             sigma[j] = 0.01 * stiff
@@ -225,14 +229,13 @@ def _fill_gains(values: dict[str, np.ndarray], law: ServoLaw) -> dict[str, np.nd
 
 
 def _build_rows(
-    law: ServoLaw, space: InertialSpace, r: LoopRecord, w: LoadWaves, j: int, delay: float, estimate_gain: bool
+    law: ServoLaw, r: LoopRecord, moved: np.ndarray, j: int, delay: float, estimate_gain: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return torque, columns (sign, speed, one, acceleration) and mask of one joint where it moves and its motor is on."""
     rate, (q, v, a) = 1 / r.dt, r.motion
     goal = delay_command(r.command[:, j : j + 1], r.dt, delay)[:, 0]
     goal = lowpass(goal, MOTION_HZ, rate) if rate > 2.5 * MOTION_HZ else goal
     error = goal - q[:, j]
-    moved = (w.load[:, j] + w.inertia[:, j] * a[:, j : j + 1]) @ space.nominal
     where = r.used & (np.abs(v[:, j]) > MOVING) & (r.enabled > 0)
     edge = round(0.3 * rate)
     where[:edge], where[-edge:] = False, False
@@ -240,25 +243,44 @@ def _build_rows(
     if estimate_gain:
         return error[where], np.stack([*columns, moved], axis=1)[where], where
     entries = r.entries
-    u = np.clip(entries["position_gain"][j] * error, -entries["limit"][j], entries["limit"][j])
+    u = _rebuild_output(r, j, goal, error)
     tau = entries["force_per_unit"][j] * (u * r.supply - entries["back_emf"][j] * v[:, j])
     return (tau - moved)[where], np.stack(columns, axis=1)[where], where
 
 
-def choose_directions(
-    space: InertialSpace, records: Sequence[LoopRecord], loads: Sequence[LoadWaves], screen: EquationError
-) -> InertialSpace:
+def _rebuild_output(r: LoopRecord, j: int, goal: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Return the law's output (N,) along the measured motion."""
+    p, v = {key: x[j] for key, x in r.entries.items()}, r.motion[1][:, j]
+    u, gain = goal, p["integral_gain"]
+    if r.told == "position":
+        goal, u = error, p["position_gain"] * error - p["derivative_gain"] * v
+    if r.told in ("position", "speed"):
+        if p["speed_gain"] > 0:
+            goal, gain = np.clip(u, -p["speed_limit"], p["speed_limit"]) - v, p["speed_integral_gain"]
+            u = p["speed_gain"] * goal
+        u = u + np.clip(gain * np.cumsum(goal) * r.dt, -p["limit"], p["limit"])
+    return np.clip(u, -p["limit"], p["limit"])
+
+
+def compute_stiffness(values: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return each loop's torque per unit of position error (na,) [N m/rad], the measure of small changes of torque."""
+    inner = np.where(values["speed_gain"] > 0, values["speed_gain"], 1.0)
+    return values["position_gain"] * inner * values["force_per_unit"]
+
+
+def choose_directions(space: InertialSpace, records: Sequence[LoopRecord], screen: EquationError) -> InertialSpace:
     """Return the space with the directions of which the logs know more than the robot file."""
     p = len(space.nominal)
     information = np.zeros((p, p))
-    for r, w in zip(records, loads, strict=True):
-        a = r.motion[2]
+    for r in records:
+        every = max(1, int(INFORMATION_S / r.dt + 1e-9))
+        some = np.flatnonzero(r.used & (r.enabled > 0))[::every]
+        if len(some) < 10:
+            continue
+        Y = space.model.mechanism.regressor(*(x[some] for x in r.motion)) * space.prior
+        worth = max(1.0, 0.5 / r.dt) / every  # samples that one independent residual is worth, at half a second
         for j in range(r.q.shape[1]):
-            where = r.used & (r.enabled > 0)
-            X = ((w.load[:, j] + w.inertia[:, j] * a[:, j : j + 1]) * space.prior)[where]
-            if len(X) < 10:
-                continue
-            worth = max(1.0, 0.5 / r.dt)  # samples that one independent residual is worth, at half a second
+            X = np.ascontiguousarray(Y[:, j])
             information += X.T @ X / (screen.sigma[j] ** 2 * worth)
     values, vectors = np.linalg.eigh(information)
     order = np.argsort(values)[::-1][:MAX_DIRECTIONS]
@@ -310,17 +332,18 @@ class LoopProblem:
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Return measured minus simulated positions (N, na, C, S) at vectors (n, C), zero where samples do not count."""
-        y = self.simulate(x)
-        return np.where(self.used[:, None, None, :], self.measured[:, :, None, :] - y, 0.0)
+        r = self.measured[:, :, None, :] - self.simulate(x)
+        np.copyto(r, 0.0, where=~self.used[:, None, None, :])
+        return r
 
     def list_steps(self, x: np.ndarray) -> np.ndarray:
         """Return steps (n,) for differences, above what friction that holds would hide."""
         values = self.unknowns.with_values(x)
-        stiff = values["position_gain"] * values["force_per_unit"]
+        stiff = compute_stiffness(values)
         small = {
             "armature": 2e-5 * stiff, "coulomb": 1e-3 * stiff, "viscous": 1e-3 * stiff, "offset": 1e-3 * stiff,
             "load_friction": 0.02, "stiction": 1e-3 * stiff, "command_delay": 1e-3, "dead_band": 5e-4,
-            "supply_sag": 0.02, "braking": 0.05,
+            "supply_sag": 0.02, "braking": 0.05, "speed_gain": 1e-3, "speed_integral_gain": 1e-3,
             "back_emf": 1e-3 * values["position_gain"], "stiction_speed": 5e-3, "torque_delay": 1e-3, "backlash": 1e-3,
             "joint_compliance": 1e-3 / stiff, "joint_damping": 1e-4 * stiff,
         }  # fmt: skip
@@ -332,7 +355,7 @@ class LoopProblem:
         return np.append(np.maximum(steps, 1e-9), np.full(self.unknowns.space.n_unknowns, 0.15))
 
     def differentiate(self, x: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
-        """Return the residual (N, na, S), and joint by joint the sensitivities (N S, n_j) and which unknowns they belong to."""
+        """Return the residual (N, na, S), and joint by joint the sensitivities (n_j, S N) and which unknowns they belong to."""
         u, steps, joint_of = self.unknowns, self.list_steps(x), self.unknowns.joint_of
         kind_of = np.append(np.nonzero(u.free)[0], len(u.kinds) + np.arange(u.space.n_unknowns))
         names = np.unique(kind_of)
@@ -344,8 +367,8 @@ class LoopProblem:
         for j in range(r.shape[1]):
             mine = np.flatnonzero((joint_of == j) | (joint_of < 0))
             at = [1 + int(np.searchsorted(names, kind_of[k])) for k in mine]
-            change = (r[:, j][:, at] - base[:, j][:, None]) / steps[mine][None, :, None]
-            sensitivities.append(change.transpose(0, 2, 1).reshape(-1, len(mine)))
+            rows = r[:, j].transpose(1, 2, 0)
+            sensitivities.append(((rows[at] - rows[:1]) / steps[mine][:, None, None]).reshape(len(mine), -1))
             owners.append(mine)
         return base, sensitivities, owners
 
@@ -450,16 +473,16 @@ def _accumulate(problem, r, sensitivities, owners, weight):  # noqa: ANN001, ANN
     """Return normal matrix (n, n), right side (n,) and the gradient's scatter over blocks (n, n)."""
     n = problem.unknowns.n
     H, g = np.zeros((n, n)), np.zeros(n)
-    blocks = problem.blocks.reshape(-1)
+    blocks = problem.blocks.T.reshape(-1)
     sums = np.zeros((blocks.max() + 1, n))
     for j, (S, mine) in enumerate(zip(sensitivities, owners, strict=True)):
-        flat = r[:, j].reshape(-1)
-        weights = np.broadcast_to(weight[j], r[:, j].shape).reshape(-1, 1)
-        H[np.ix_(mine, mine)] += S.T @ (S * weights)
-        rows = -S * flat[:, None] * weights  # the residual's derivative is minus the position's
-        g[mine] += rows.sum(axis=0)
-        for column, k in enumerate(mine):
-            sums[:, k] += np.bincount(blocks, weights=rows[:, column], minlength=len(sums))
+        weights = np.broadcast_to(weight[j][:, None], r[:, j].T.shape).reshape(-1)
+        weighed = S * weights
+        H[np.ix_(mine, mine)] += S @ weighed.T
+        weighed *= -r[:, j].T.reshape(-1)  # the residual's derivative is minus the position's
+        g[mine] += weighed.sum(axis=1)
+        for row, k in zip(weighed, mine, strict=True):
+            sums[:, k] += np.bincount(blocks, weights=row, minlength=len(sums))
     blocks_used = max(2, int(np.count_nonzero(np.abs(sums).sum(axis=1))))
     most = max(len(mine) for mine in owners)
     return H, g, sums.T @ sums * blocks_used / max(blocks_used - most, 0.2 * blocks_used)
@@ -526,8 +549,16 @@ def build_unknowns(
     return LoopUnknowns(values, tuple(kinds), free, lower, upper, np.full(shape, np.inf), space)
 
 
-_LOWEST = {"offset": -np.inf, "position_gain": 1e-3, "force_per_unit": 1e-4, "stiction_speed": 1e-3, "armature": 1e-7,
-           "command_delay": -0.02, "drive_exponent": 0.2}  # fmt: skip
+_LOWEST = {
+    "offset": -np.inf,
+    "position_gain": 1e-3,
+    "speed_gain": 1e-4,
+    "force_per_unit": 1e-4,
+    "stiction_speed": 1e-3,
+    "armature": 1e-7,
+    "command_delay": -0.02,
+    "drive_exponent": 0.2,
+}
 """Lower bounds of kinds; zero for the others. A delay below zero is a position that is read after its time stamp."""
 HIGHEST = {
     "load_friction": 0.95,

@@ -22,7 +22,7 @@ from tau_dyn.robot import NOMINAL_MASS_STDERR, Robot
 from tau_dyn.servo.by_gain import compare_gains
 from tau_dyn.servo.data import LoopData, fit_coupled
 from tau_dyn.servo.doubts import list_loop_warnings
-from tau_dyn.servo.fit import JOINT_UNITS, LoopFit, get_unit
+from tau_dyn.servo.fit import JOINT_UNITS, LoopFit, fit_loop, get_unit
 from tau_dyn.servo.prediction import predict_positions
 from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
 from tau_dyn.servo.records import LoopRecord, mask_unused
@@ -94,7 +94,7 @@ def _judge_last_part(data: LoopData, progress: Callable[[str], None]):  # noqa: 
     part = fit_coupled(replace(data, records=first), progress)[1]
     predicted = predict(data, part, last)
     errors = build_position_errors(data.law.joints, last, predicted)
-    data, fit = fit_coupled(data, progress)
+    data, fit = fit_coupled(data, progress, fit_loop(data.build_problem(), progress, first=part.x))
     return data, fit, errors, [(r, p, True) for r, p in zip(last, predicted, strict=True)]
 
 

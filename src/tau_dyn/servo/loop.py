@@ -113,7 +113,7 @@ class _Loops:
         if self._joint is not None:
             m, q = (q, q - self._joint.start) if waves.measured_on_motor else (q + self._joint.start, q)
             w = v.copy()
-        self._state = [m, w, q, v, np.zeros(shape), np.zeros(shape), goal, delayed]
+        self._state = [m, w, q, v, v, np.zeros(shape), np.zeros(shape), goal, delayed]
         self._show(0)
 
     def copy_state(self) -> list[Any]:
@@ -131,11 +131,12 @@ class _Loops:
     def run(self, begin: int, stop: int) -> None:
         """Step from one sample to another."""
         waves, p, h, often, rows = self._waves, self._p, self._h, self._often, self._rows
-        m, w, q, v, integral, gained, goal, delayed = self._state
+        m, w, q, v, before, integral, gained, goal, delayed = self._state
         half, joint, load = 0.5 * h, self._joint, self._load
-        has_integral, has_stiction = bool(np.any(p["integral_gain"])), bool(np.any(p["stiction"]))
+        has_stiction, pushes = bool(np.any(p["stiction"])), bool(np.any(p["load_friction"]))
         has_band, has_sag = bool(np.any(p["dead_band"])), bool(np.any(p["supply_sag"]))
-        has_derivative, pushes = bool(np.any(p["derivative_gain"])), bool(np.any(p["load_friction"]))
+        told, closed = waves.told, waves.told in ("position", "speed")
+        at_once = (p["torque_delay"] == 0) & (True if joint is None or waves.encoder_on_motor else ~joint.there)
         bends, one_way = bool(np.any(p["drive_exponent"] != 1.0)), bool(np.any(p["braking"] != 1.0))
         power = p["drive_exponent"]
         switched, finite = not np.all(waves.enabled), bool(np.any(np.isfinite(p["limit"])))
@@ -151,15 +152,26 @@ class _Loops:
             for i in range(often):
                 middle = q + half * v
                 seen, speed = (m, w) if waves.encoder_on_motor else (q, v)
-                e = goal.at(k * often + i) - (seen + half * speed)
-                if has_band:
-                    e = np.sign(e) * np.maximum(np.abs(e) - p["dead_band"], 0.0)
-                u = p["position_gain"] * e
-                if has_derivative:
-                    u = u - p["derivative_gain"] * speed
-                if has_integral:
-                    integral = np.clip(integral + p["integral_gain"] * h * e, -p["limit"], p["limit"])
-                    u = u + integral
+                e = u = goal.at(k * often + i)
+                slow, gain = p["derivative_gain"], p["integral_gain"]
+                if told == "position":
+                    e = e - (seen + half * speed)
+                    if has_band:
+                        e = np.sign(e) * np.maximum(np.abs(e) - p["dead_band"], 0.0)
+                    u = p["position_gain"] * e - p["derivative_gain"] * speed
+                inner = p["speed_gain"] > 0
+                if closed and np.any(inner):  # a loop of speed, alone or inside that of position
+                    lag = np.clip(u, -p["speed_limit"], p["speed_limit"]) - speed
+                    e, u = np.where(inner, lag, e), np.where(inner, p["speed_gain"] * lag, u)
+                    slow, gain = np.where(inner, p["speed_gain"], slow), np.where(inner, p["speed_integral_gain"], gain)
+                if closed and np.any(gain):  # to the middle of the step; a speed's error over the last one is known by now
+                    integral = integral - np.where(inner, half * gain * (speed - before), 0.0)
+                    before = speed
+                    u = u + np.clip(integral + half * gain * e, -p["limit"], p["limit"])
+                    integral = np.clip(integral + gain * h * e, -p["limit"], p["limit"])
+                loses = p["back_emf"]  # what the motor's torque loses per unit of its speed
+                if closed and np.any(slow):
+                    loses = loses + np.where((np.abs(u) < p["limit"]) & at_once, supply * slow, 0.0)
                 if finite:
                     u = np.minimum(np.maximum(u, -p["limit"]), p["limit"])
                 if has_sag:
@@ -169,9 +181,9 @@ class _Loops:
                 if bends:
                     size = np.maximum(np.abs(x), BEND)
                     grown = full * size ** (power - 1.0)
-                    push, lever = grown * x, grown * np.where(np.abs(x) > BEND, power, 1.0) * p["back_emf"]
+                    push, lever = grown * x, grown * np.where(np.abs(x) > BEND, power, 1.0) * loses
                 else:
-                    push, lever = full * x, full * p["back_emf"]
+                    push, lever = full * x, full * loses
                 if one_way:
                     share = np.where(x * u < 0, p["braking"], 1.0)
                     push, lever = push * share, lever * share
@@ -194,9 +206,9 @@ class _Loops:
                 )
                 others = slopes * (1 - np.eye(len(M)))[:, :, None]
                 rest = rest + np.einsum("jis,ics->jcs", others, apart)
-                before, (m, w, q, v) = v, _step_together(step, rest, M / h[0], v, gained)
-                gained = v - before
-            self._state = [m, w, q, v, integral, gained, goal, delayed]
+                old, (m, w, q, v) = v, _step_together(step, rest, M / h[0], v, gained)
+                gained = v - old
+            self._state = [m, w, q, v, before, integral, gained, goal, delayed]
             self._show(k + 1)
 
 
@@ -358,7 +370,8 @@ class _Goal:
         self._whole = np.floor(late).astype(int)
         self._part = late - self._whole
         self._limit, self._speed = p["acceleration_limit"], p["speed_limit"]
-        self._has_profile = bool(np.any(np.isfinite(self._limit)) or np.any(np.isfinite(self._speed)))
+        bounded = bool(np.any(np.isfinite(self._limit)) or np.any(np.isfinite(self._speed)))
+        self._has_profile = bounded and waves.told == "position"
         self._x, self._w = np.broadcast_to(self._command[0], shape).copy(), np.zeros(shape)
         grid = np.ogrid[: shape[0], : shape[1], : shape[2]]
         self._rows = [grid[0], grid[1] if command.shape[2] > 1 else np.zeros_like(grid[1]), grid[2]]

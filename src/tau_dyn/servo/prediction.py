@@ -1,7 +1,7 @@
 """Positions of a coupled robot from commands alone: servo loops whose loads are taken along the simulated motion itself.
 
 Window by window, loads are taken along a motion, the loops are simulated, the loads are taken along the result, until nothing
-moves (waveform relaxation). Where it ends does not depend on where it began; it begins with the measured motion, where there is one.
+moves (waveform relaxation). Where it ends does not depend on where it began: with the measured motion, where there is one.
 """
 
 from __future__ import annotations

@@ -24,8 +24,15 @@ from tau_dyn.model import Model
 from tau_dyn.robot import NOT_GIVEN, Robot
 from tau_dyn.servo.contact import Contact, find_contacts
 from tau_dyn.servo.data import LoopData
-from tau_dyn.servo.fit import FRICTION, LoopUnknowns, build_unknowns, choose_directions, screen_equation_error
-from tau_dyn.servo.records import InertialSpace, LoopRecord, build_records, compute_load_columns, compute_load_waves
+from tau_dyn.servo.fit import (
+    FRICTION,
+    LoopUnknowns,
+    build_unknowns,
+    choose_directions,
+    compute_stiffness,
+    screen_equation_error,
+)
+from tau_dyn.servo.records import InertialSpace, LoopRecord, build_records, compute_load_waves
 from tau_dyn.servo.waves import MAX_STEP_S, SPRING_STEP_S
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
 
@@ -131,11 +138,10 @@ def prepare_loop(
 ) -> LoopData:
     """Return what a fit starts from: the screen's values, and the inertial directions that the logs inform on."""
     space = InertialSpace.of(model)
-    loads = [compute_load_columns(space, *r.motion, r.dt) for r in records]
     progress("equation error")
-    estimate_gain = "position_gain" in law.estimated
-    screen = screen_equation_error(law, space, records, loads, estimate_gain)
-    space = choose_directions(space, records, loads, screen)
+    estimate_gain = "position_gain" in law.estimated and not np.any(law.values["speed_gain"])
+    screen = screen_equation_error(law, space, records, estimate_gain)
+    space = choose_directions(space, records, screen)
     loads = [compute_load_waves(space, *r.motion, r.dt) for r in records]
     unknowns = _build_unknowns(model, law, space, screen.values, own, friction)
     springy = any(np.any(law.values[k]) or k in law.estimated for k in ("joint_compliance", "backlash"))
@@ -152,7 +158,7 @@ def _build_unknowns(
     if "back_emf" in law.estimated and "viscous" in kinds:
         kinds.remove("viscous")  # one number until the servo saturates
     kinds = list(dict.fromkeys(kinds))
-    stiff = found["position_gain"] * law.values["force_per_unit"]
+    stiff = compute_stiffness({**law.values, **found})
     start = {key: value for key, value in found.items() if key in kinds}
     start |= {"load_friction": np.full(na, 0.15), "stiction": 2e-3 * stiff} if friction != "rigid" else {}
     start |= {

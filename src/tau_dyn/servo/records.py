@@ -21,7 +21,7 @@ from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.model import Model
 from tau_dyn.robot import BODY_STDERR
 from tau_dyn.servo.waves import LoadRows, Waves
-from tau_dyn.simulate import ServoLaw
+from tau_dyn.simulate import COMMANDS, ServoLaw
 
 MOTION_HZ = 12.0
 """Low-pass of measured positions before they are differentiated [Hz]: twice the bandwidth of a servo's position loop."""
@@ -47,13 +47,14 @@ class LoopRecord:
         name: The log's name.
         t: Time (N,) [s].
         q: Measured positions (N, na) [rad].
-        command: Commands (N, na) [rad].
+        command: Commands (N, na) [rad, or the law's unit].
         supply: Supply over the nominal one (N,).
         enabled: 1 where the motor is on (N,).
         used: Samples that count (N,).
         entries: Law entries (na,) that hold in this log.
         start: Positions from which it is simulated (na,) [rad]; None for the measured ones.
         speed: Speeds at the first sample (na,) [rad/s]; None for rest.
+        told: What commands are, of `simulate.COMMANDS`.
     """
 
     name: str
@@ -66,6 +67,18 @@ class LoopRecord:
     entries: Mapping[str, np.ndarray]
     start: np.ndarray | None = None
     speed: np.ndarray | None = None
+    told: str = COMMANDS[0]
+
+    @property
+    def goal(self) -> np.ndarray:
+        """Positions (N, na) that commands alone ask for: integrated speeds; where they are torques, to stay."""
+        if self.told == "position":
+            return self.command
+        if self.told != "speed":
+            return np.broadcast_to(self.q[:1], self.q.shape)
+        return self.q[0] + np.concatenate(
+            [np.zeros((1, self.q.shape[1])), np.cumsum(self.command[:-1], axis=0) * self.dt]
+        )
 
     @property
     def dt(self) -> float:
@@ -108,7 +121,15 @@ def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str])
     for name in exclude:
         used = used * (_get_column(log, name)[near] == 0)
     return LoopRecord(
-        log.name, t, q, log.joint("cmd", joints)[held], supply, enabled, used.astype(bool), law.in_log(log.name)
+        log.name,
+        t,
+        q,
+        log.joint("cmd", joints)[held],
+        supply,
+        enabled,
+        used.astype(bool),
+        law.in_log(log.name),
+        told=law.command,
     )
 
 
@@ -202,20 +223,9 @@ class LoadWaves:
         return LoadWaves(self.load[part], self.inertia[part], self.stiffness[part], self.along[part], speed)
 
 
-def compute_load_columns(space: InertialSpace, q: np.ndarray, v: np.ndarray, a: np.ndarray, dt: float) -> LoadWaves:
-    """Return loads along a motion (N, na), a column for each inertial parameter."""
-    return _compute_waves(space, np.eye(len(space.nominal)), (q, v, a), dt)
-
-
 def compute_load_waves(space: InertialSpace, q: np.ndarray, v: np.ndarray, a: np.ndarray, dt: float) -> LoadWaves:
     """Return loads along a motion (N, na): a column of the nominal values, and one for each unknown."""
-    return _compute_waves(space, space.basis, (q, v, a), dt)
-
-
-def _compute_waves(
-    space: InertialSpace, basis: np.ndarray, motion: tuple[np.ndarray, np.ndarray, np.ndarray], dt: float
-) -> LoadWaves:
-    mechanism, (q, v, a), (n, na) = space.model.mechanism, motion, motion[0].shape
+    mechanism, basis, (n, na) = space.model.mechanism, space.basis, q.shape
     some = np.unique(np.append(np.arange(0, n, count_slow(dt)), n - 1))
     qs, zero = q[some], np.zeros((len(some), na))
     still = mechanism.regressor(qs, zero, zero)
@@ -277,7 +287,10 @@ def build_waves(records: Sequence[LoopRecord], loads: Sequence[LoadWaves], law: 
     n = max(len(r.t) for r in records)
 
     def stack(arrays: Sequence[np.ndarray]) -> np.ndarray:
-        return np.stack([_pad(x, n) for x in arrays], axis=-1)
+        """Return arrays (N, ...) as (N, ..., S), in memory as compiled loops read them."""
+        rows = np.stack([_pad(x, n) for x in arrays], axis=-1)
+        order = {2: (1, 0), 3: (1, 2, 0), 4: (1, 3, 0, 2)}[rows.ndim]
+        return np.ascontiguousarray(rows.transpose(order)).transpose(np.argsort(order))
 
     keys = sorted({key for entries in law.by_log.values() for key in entries})
     return Waves(
@@ -296,6 +309,7 @@ def build_waves(records: Sequence[LoopRecord], loads: Sequence[LoadWaves], law: 
         by_log={key: np.stack([r.entries[key] for r in records], axis=1) for key in keys},
         encoder_on_motor=law.encoder == "motor",
         measured_on_motor=law.measured == "motor",
+        told=law.command,
     )
 
 

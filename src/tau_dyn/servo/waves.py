@@ -59,7 +59,7 @@ class Waves:
         dt: Time between samples of each log (S,) [s].
         start: Positions at the first sample (na, S).
         speed: Speeds at the first sample (na, S).
-        command: Commands (N, na, S) [rad], each holding until the next.
+        command: Commands (N, na, S) [rad, or the law's unit], each holding until the next.
         along: Motion that loads were taken along (N, na, S) [rad].
         load: Torque besides the own inertia (N, na, S) [N m].
         load_by: The same per unit of each inertial unknown (N, na, K, S).
@@ -74,6 +74,7 @@ class Waves:
         step: Longest step of the loop [s].
         held: Whether a load holds from its sample to the next, rather than changing evenly.
         coupling: Steps all joints at once; None for each of its own.
+        told: What commands are, of `simulate.COMMANDS`.
     """
 
     dt: np.ndarray
@@ -94,6 +95,7 @@ class Waves:
     step: float = MAX_STEP_S
     held: bool = False
     coupling: Coupling | None = None
+    told: str = "position"
 
 
 @dataclass(frozen=True, eq=False)
