@@ -126,7 +126,7 @@ static void drive(joint_t *x, int64_t N, int64_t often, int64_t k, int64_t i, in
   double late = (double)i + 0.5;
   x->rest = x->rest0 + late * x->slope + x->stiff[k] * (middle - x->way[k] - late * x->turn);
   x->damping = 0.5 * (lever + p[viscous]);
-  x->friction = p[coulomb] + p[load_friction] * fabs(push);
+  x->friction = p[coulomb] + p[load_friction] * fabs(push) + p[carried_friction] * fabs(x->rest);
   if (p[stiction] != 0) x->friction += p[stiction] * exp(-fabs(turning) / p[stiction_speed]);
   x->push = push + (x->damping - p[viscous]) * turning;
 }

@@ -55,7 +55,7 @@ class LoopData:
         unknowns: What may change.
         settled: Exact motions at one solution, by which a problem is corrected; None before a first fit.
         whole: Whether logs are simulated from start to end rather than in pieces: behind a spring no measured position
-            tells the state that a piece would begin with.
+            tells the state that a piece would begin with, and a loop without a position's error never forgets it.
         step: Longest step of the simulated loops [s].
     """
 

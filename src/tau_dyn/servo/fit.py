@@ -342,7 +342,7 @@ class LoopProblem:
         stiff = compute_stiffness(values)
         small = {
             "armature": 2e-5 * stiff, "coulomb": 1e-3 * stiff, "viscous": 1e-3 * stiff, "offset": 1e-3 * stiff,
-            "load_friction": 0.02, "stiction": 1e-3 * stiff, "command_delay": 1e-3, "dead_band": 5e-4,
+            "load_friction": 0.02, "carried_friction": 0.02, "stiction": 1e-3 * stiff, "command_delay": 1e-3, "dead_band": 5e-4,
             "supply_sag": 0.02, "braking": 0.05, "speed_gain": 1e-3, "speed_integral_gain": 1e-3,
             "back_emf": 1e-3 * values["position_gain"], "stiction_speed": 5e-3, "torque_delay": 1e-3, "backlash": 1e-3,
             "joint_compliance": 1e-3 / stiff, "joint_damping": 1e-4 * stiff,
@@ -562,6 +562,7 @@ _LOWEST = {
 """Lower bounds of kinds; zero for the others. A delay below zero is a position that is read after its time stamp."""
 HIGHEST = {
     "load_friction": 0.95,
+    "carried_friction": 0.95,
     "command_delay": 0.2,
     "supply_sag": 0.95,
     "dead_band": 0.2,

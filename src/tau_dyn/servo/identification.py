@@ -91,9 +91,10 @@ def _judge_last_part(data: LoopData, progress: Callable[[str], None]):  # noqa: 
         early = np.arange(len(r.t)) < TRAIN_SHARE * len(r.t)
         first.append(mask_unused(r, ~early))
         last.append(mask_unused(r, early))
-    part = fit_coupled(replace(data, records=first), progress)[1]
+    near, part = fit_coupled(replace(data, records=first), progress)
     predicted = predict(data, part, last)
     errors = build_position_errors(data.law.joints, last, predicted)
+    data = replace(near, records=data.records)  # with exact motions, which masks do not change
     data, fit = fit_coupled(data, progress, fit_loop(data.build_problem(), progress, first=part.x))
     return data, fit, errors, [(r, p, True) for r, p in zip(last, predicted, strict=True)]
 

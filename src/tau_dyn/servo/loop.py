@@ -135,6 +135,7 @@ class _Loops:
         half, joint, load = 0.5 * h, self._joint, self._load
         has_stiction, pushes = bool(np.any(p["stiction"])), bool(np.any(p["load_friction"]))
         has_band, has_sag = bool(np.any(p["dead_band"])), bool(np.any(p["supply_sag"]))
+        carries = bool(np.any(p["carried_friction"]))
         told, closed = waves.told, waves.told in ("position", "speed")
         at_once = (p["torque_delay"] == 0) & (True if joint is None or waves.encoder_on_motor else ~joint.there)
         bends, one_way = bool(np.any(p["drive_exponent"] != 1.0)), bool(np.any(p["braking"] != 1.0))
@@ -164,7 +165,9 @@ class _Loops:
                     lag = np.clip(u, -p["speed_limit"], p["speed_limit"]) - speed
                     e, u = np.where(inner, lag, e), np.where(inner, p["speed_gain"] * lag, u)
                     slow, gain = np.where(inner, p["speed_gain"], slow), np.where(inner, p["speed_integral_gain"], gain)
-                if closed and np.any(gain):  # to the middle of the step; a speed's error over the last one is known by now
+                if closed and np.any(
+                    gain
+                ):  # to the middle of the step; a speed's error over the last one is known by now
                     integral = integral - np.where(inner, half * gain * (speed - before), 0.0)
                     before = speed
                     u = u + np.clip(integral + half * gain * e, -p["limit"], p["limit"])
@@ -193,6 +196,8 @@ class _Loops:
                 friction = p["coulomb"]
                 if pushes:
                     friction = friction + p["load_friction"] * np.abs(push)
+                if carries:
+                    friction = friction + p["carried_friction"] * np.abs(rest)
                 if has_stiction:
                     friction = friction + p["stiction"] * np.exp(-np.abs(w) / p["stiction_speed"])
                 push = push + (damping - p["viscous"]) * w

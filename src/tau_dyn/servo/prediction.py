@@ -32,8 +32,9 @@ WINDOW_S = 0.5
 over which the mass matrix changes little."""
 MAX_SWEEPS = 16
 """Sweeps of a window at most; three are usual."""
-SETTLED_RAD = 1e-6
-"""Change of positions at which a window has settled [rad]: a thousandth of a step of a hobby servo's encoder."""
+SETTLED_RAD = 1e-5
+"""Largest change of positions at which a window has settled [rad]: a hundredth of a step of a hobby servo's encoder. The next
+sweep would change a tenth of it."""
 
 
 def predict_positions(

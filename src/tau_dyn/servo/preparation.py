@@ -34,7 +34,7 @@ from tau_dyn.servo.fit import (
 )
 from tau_dyn.servo.records import InertialSpace, LoopRecord, build_records, compute_load_waves
 from tau_dyn.servo.waves import MAX_STEP_S, SPRING_STEP_S
-from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
+from tau_dyn.simulate import COMMANDS, SERVO_ENTRIES, ServoLaw
 
 ALWAYS = ("armature", "command_delay")
 """What is estimated of every joint beside friction, unless the law or `--fix` gives it."""
@@ -146,7 +146,14 @@ def prepare_loop(
     unknowns = _build_unknowns(model, law, space, screen.values, own, friction)
     springy = any(np.any(law.values[k]) or k in law.estimated for k in ("joint_compliance", "backlash"))
     return LoopData(
-        model, law, space, records, loads, unknowns, whole=springy, step=SPRING_STEP_S if springy else MAX_STEP_S
+        model,
+        law,
+        space,
+        records,
+        loads,
+        unknowns,
+        whole=springy or law.command != COMMANDS[0],
+        step=SPRING_STEP_S if springy else MAX_STEP_S,
     )
 
 

@@ -3,7 +3,7 @@
     goal = profile(command(t - delay)),    e = goal - q, less the dead band
     u = clip(position_gain e + integral_gain int e dt - derivative_gain v, +-limit)          [share of the supply]
     x = u supply (1 - supply_sag |u|) - back_emf v,    tau = force_per_unit sign(x) |x|^drive_exponent
-    friction = coulomb + load_friction |tau| + stiction exp(-|v| / stiction_speed), and viscous v
+    friction = coulomb + load_friction |tau| + carried_friction |load| + stiction exp(-|v| / stiction_speed), and viscous v
 
 A cascade has a loop of speed inside: with a `speed_gain`, the first line of u is a wanted speed w, at most `speed_limit`, and
 u = speed_gain (w - v) + speed_integral_gain int (w - v) dt. `command` says what commands are: `position` (the default), `speed`
@@ -80,6 +80,7 @@ SERVO_ENTRIES = {
     "speed_limit": ServoEntry("rad/s", np.inf, "largest speed of the goal profile"),
     "acceleration_limit": ServoEntry("rad/s^2", np.inf, "largest acceleration of the goal profile"),
     "load_friction": ServoEntry("1", 0.0, "friction for a motor torque of one"),
+    "carried_friction": ServoEntry("1", 0.0, "friction for a load of one that the gear carries, the motor on or off"),
     "stiction": ServoEntry("N m", 0.0, "friction at rest beyond that of motion"),
     "stiction_speed": ServoEntry("rad/s", 0.05, "speed at which the friction of rest has fallen to a third"),
     "torque_delay": ServoEntry("s", 0.0, "time from the law's output to the motor's torque"),
