@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tau_dyn.message_codes import CodedWarning
-from tau_dyn.servo.fit import LoopFit, LoopProblem, LoopUnknowns, build_unknowns, fit_loop
+from tau_dyn.servo.fit import LoopFit, LoopProblem, fit_loop
+from tau_dyn.servo.unknowns import LoopUnknowns, build_unknowns
 
 if TYPE_CHECKING:
     from tau_dyn.servo.data import LoopData

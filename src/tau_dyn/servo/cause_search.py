@@ -17,7 +17,8 @@ import numpy as np
 from tau_dyn.effects import LOOP_CAUSES
 from tau_dyn.servo.by_gain import extend_unknowns, read_kind
 from tau_dyn.servo.data import LoopData, fit_precisely, refit_again
-from tau_dyn.servo.fit import LoopFit, LoopUnknowns, compute_stiffness, count_worth, fit_loop
+from tau_dyn.servo.fit import LoopFit, count_worth, fit_loop
+from tau_dyn.servo.unknowns import LoopUnknowns, compute_stiffness
 
 MIN_SCORE = 5.0
 """Score from which a cause is taken in: one false one in 1,000 candidates where some 60 blocks count."""

@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.model import Model
-from tau_dyn.servo.fit import LoopFit, LoopProblem, LoopUnknowns, fit_loop
+from tau_dyn.servo.fit import LoopFit, LoopProblem, fit_loop
 from tau_dyn.servo.prediction import SimulatedMotion, simulate_coupled
 from tau_dyn.servo.records import InertialSpace, LoadWaves, LoopRecord, build_waves, compute_load_waves, split_pieces
+from tau_dyn.servo.unknowns import LoopUnknowns
 from tau_dyn.servo.waves import MAX_STEP_S, Trials
 from tau_dyn.simulate import ServoLaw
 

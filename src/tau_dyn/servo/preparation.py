@@ -24,15 +24,9 @@ from tau_dyn.model import Model
 from tau_dyn.robot import NOT_GIVEN, Robot
 from tau_dyn.servo.contact import Contact, find_contacts
 from tau_dyn.servo.data import LoopData
-from tau_dyn.servo.fit import (
-    FRICTION,
-    LoopUnknowns,
-    build_unknowns,
-    choose_directions,
-    compute_stiffness,
-    screen_equation_error,
-)
+from tau_dyn.servo.equation_error import choose_directions, screen_equation_error
 from tau_dyn.servo.records import InertialSpace, LoopRecord, build_records, compute_load_waves
+from tau_dyn.servo.unknowns import FRICTION, LoopUnknowns, build_unknowns, compute_stiffness
 from tau_dyn.servo.waves import MAX_STEP_S, SPRING_STEP_S
 from tau_dyn.simulate import COMMANDS, SERVO_ENTRIES, ServoLaw
 
@@ -133,17 +127,15 @@ def read_loop_logs(robot: Robot, logs: Log | Recording | Iterable[Log | Recordin
     )  # fmt: skip
 
 
-def prepare_loop(
-    model: Model, law: ServoLaw, records: Sequence[LoopRecord], own: Choices, friction: str, progress: Progress
-) -> LoopData:
-    """Return what a fit starts from: the screen's values, and the inertial directions that the logs inform on."""
-    space = InertialSpace.of(model)
-    progress("equation error")
+def prepare_loop(given: LoopLogs, records: Sequence[LoopRecord]) -> LoopData:
+    """Return what a fit of some records starts from: the screen's values, and the inertial directions that they inform on."""
+    model, law, space = given.model, given.law, InertialSpace.of(given.model)
+    given.progress("equation error")
     estimate_gain = "position_gain" in law.estimated and not np.any(law.values["speed_gain"])
     screen = screen_equation_error(law, space, records, estimate_gain)
     space = choose_directions(space, records, screen)
     loads = [compute_load_waves(space, *r.motion, r.dt) for r in records]
-    unknowns = _build_unknowns(model, law, space, screen.values, own, friction)
+    unknowns = _build_unknowns(model, law, space, screen.values, given.own, given.friction)
     springy = any(np.any(law.values[k]) or k in law.estimated for k in ("joint_compliance", "backlash"))
     return LoopData(
         model,

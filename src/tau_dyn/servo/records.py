@@ -19,7 +19,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log, differentiate, lowpass
 from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.model import Model
-from tau_dyn.robot import BODY_STDERR
+from tau_dyn.robot import compute_body_stderr
 from tau_dyn.servo.waves import LoadRows, Waves
 from tau_dyn.simulate import COMMANDS, ServoLaw
 
@@ -35,8 +35,6 @@ WARM_UP_S = 1.0
 """Start of a piece that does not count [s]: a dozen time constants of a servo's loop."""
 ROWS = 20_000
 """Samples whose regressors are computed at once: 60 MB for an arm of six joints."""
-_MIN_RADIUS = 0.02
-"""Smallest size of a body that its uncertainty is taken of [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +156,13 @@ class InertialSpace:
     @classmethod
     def of(cls, model: Model) -> InertialSpace:
         """Return the space of a model, without unknowns."""
-        parameters, sizes = model.robot.parameters, _measure_bodies(model)
+        parameters, links = model.robot.parameters, model.robot.links
+        total = sum(float(link.nominal[0]) for link in links)
+        sizes = {
+            name: float(compute_body_stderr(link, total)[k])
+            for link in links
+            for k, name in zip(link.own, link.names, strict=True)
+        }
         nominal, prior = np.zeros((2, len(parameters)))
         for k, p in enumerate(parameters):
             if not p.name.endswith(".armature"):
@@ -185,18 +189,6 @@ class InertialSpace:
         """Return the robot's dynamics at unknowns (K,), or at the nominal values, without drive inertias."""
         robot, values = self.model.robot, self.nominal if unknowns is None else self.at(unknowns)
         return build_mechanism(robot.with_parameters(robot.parameters.with_values(values)))
-
-
-def _measure_bodies(model: Model) -> dict[str, float]:
-    """Return the uncertainty of each inertial parameter that nobody weighed."""
-    found = {}
-    for link in model.robot.links:
-        mass, moments, inertia = link.nominal[0], link.nominal[1:4], link.nominal[[4, 6, 9]]
-        size = max(mass, 1e-3)
-        radius = max(_MIN_RADIUS, float(np.linalg.norm(moments)) / size, float(np.sqrt(max(inertia.sum(), 0) / size)))
-        for k, name in zip(link.own, link.names, strict=True):
-            found[name] = BODY_STDERR * mass * radius ** (0 if k == 0 else 1 if k < 4 else 2)
-    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,9 @@ import numpy as np
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.model import Model
-from tau_dyn.servo.fit import JOINT_UNITS
 from tau_dyn.servo.prediction import predict_positions
 from tau_dyn.servo.records import InertialSpace, LoopRecord
+from tau_dyn.servo.unknowns import JOINT_UNITS
 from tau_dyn.simulate import ServoLaw, Trajectory
 
 FINE_HZ = 500.0
