@@ -1,0 +1,2 @@
+PAGE_DATA=None
+def write_page(r): pass
