@@ -35,6 +35,7 @@ class Case:
         causes: Hidden causes that are known here and from where; a tool is to name them.
         refuted: Causes that are known not to act, and from where.
         law: Controller file of a servo.
+        fixed: Parameters that were weighed, by pattern.
         order: Published order of a vibration set's model; 0 for none.
         published: Published figure, in words.
         origin: Who recorded it.
@@ -52,6 +53,7 @@ class Case:
     causes: Mapping[str, str] = field(default_factory=dict)
     refuted: Mapping[str, str] = field(default_factory=dict)
     law: Path | None = None
+    fixed: tuple[str, ...] = ()
     order: int = 0
     published: str = ""
     origin: str = ""

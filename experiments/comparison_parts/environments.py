@@ -41,7 +41,7 @@ TOOLS = {
     "baseline": Tool("baseline", ("numpy", "scipy", "pin")),
     "mujoco.sysid": Tool("mujoco_sysid", ("mujoco[sysid]",)),
     "FIGAROH": Tool("figaroh_tool", ("figaroh",)),
-    "BAM": Tool("bam_tool", ("better-actuator-models", "scipy", "cmaes"), "python3.12"),
+    "BAM": Tool("bam_tool", ("better-actuator-models", "optuna", "cmaes", "wandb", "scipy"), "python3.12"),
     "SLICOT": Tool("slicot", ("ctrlsys", "numpy", "scipy")),
     "FloBaRoID": Tool("flobaroid", absent="no package: its repository asks for Python 3.13 and an iDynTree built from source"),
 }

@@ -106,7 +106,7 @@ def find_counting(piece: Arrays, fast: np.ndarray) -> np.ndarray:
 def write_samples(case: Case, folder: Path) -> list[Held]:
     """Write the files that tools read; return the held-out stretches with their targets, which tools do not read."""
     folder.mkdir(parents=True, exist_ok=True)
-    about = {"name": case.name, "kind": case.kind, "channels": case.channels, "inputs": case.inputs, "order": case.order}
+    about = {"name": case.name, "kind": case.kind, "channels": case.channels, "inputs": case.inputs, "order": case.order, "fixed": case.fixed}
     if case.robot:
         (folder / "robot.urdf").write_text(strip_shapes(case.robot.urdf))
     if case.law:

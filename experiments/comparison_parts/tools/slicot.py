@@ -3,7 +3,7 @@
 import numpy as np
 from common import DoesNotApply, run
 
-HORIZON = 15
+HORIZON = 25
 
 
 def predict(case):

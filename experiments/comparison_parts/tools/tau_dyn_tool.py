@@ -8,9 +8,18 @@ import tau_dyn as td
 
 def force(case):
     robot = td.load_robot(case.folder / "robot.urdf", actuated=case.channels)
-    found = td.diagnose(robot, read_logs(case))
-    model = found.extended_model if found.recommendation == "extended" else found.model
-    return [model.torque(x["q"], x["v"], x["a"], t=x["t"]) for x in case.held], describe(found, found.model)
+    logs = read_logs(case)
+    try:
+        found = td.diagnose(robot, logs)
+        model, said = found.extended_model if found.recommendation == "extended" else found.model, describe(found, found.model)
+    except td.CannotAnswer as reason:
+        model = td.identify(robot, logs).model
+        said = {"note": f"diagnose cannot answer, identify does: {reason}"[:160], "parameters": get_values(model)}
+        if any(name.startswith("q_link_") for name in logs[0].channels):  # encoders behind the gears have a diagnosis of their own
+            from tau_dyn.diagnose.pipeline import diagnose_deflection
+
+            said["causes"] = list_causes(diagnose_deflection(robot, logs))
+    return [model.torque(x["q"], x["v"], x["a"], t=x["t"]) for x in case.held], said
 
 
 def servo(case):
@@ -22,8 +31,9 @@ def servo(case):
 
     robot, logs = td.load_robot(case.folder / "robot.urdf", actuated=case.channels), read_logs(case)
     law = read_servo_law(case.folder / "law.yaml", robot)
-    found = diagnose_loop(robot, logs, law=law)
-    model = found.extended_model if found.recommendation == "extended" else identify_loop(robot, logs, law=law).model
+    given = {"law": law, "choices": td.Choices(fix=tuple(case.fixed))}
+    found = diagnose_loop(robot, logs, **given)
+    model = found.extended_model if found.recommendation == "extended" else identify_loop(robot, logs, **given).model
     law, out = build_servo_law(dict(model.controller), robot, "the model"), []
     for name, x in zip(case.held_names, case.held):
         columns = {f"cmd_{j}": x["cmd"][:, k] for k, j in enumerate(case.channels)}
@@ -60,16 +70,22 @@ def read_logs(case):
     return [td.read_log(case.folder / "logs" / f"{name}.csv") for name in case.train_names]
 
 
-def describe(found, model):
-    values, told = {p.name: [p.value, p.stderr] for p in model.parameters}, [f for f in found.findings if f.status == "confirmed"]
+def list_causes(found):
+    return sorted({f.cause for f in found.findings if f.status == "confirmed"})
+
+
+def get_values(model):
+    values = {p.name: [p.value, p.stderr] for p in model.parameters}
     for joint in model.robot.actuated:
         for kind in ("coulomb", "viscous"):
             two = [values.get(f"{joint}.{kind}_{way}") for way in ("pos", "neg")]
             if all(two):
                 values[f"{joint}.{kind}"] = [np.mean([x for x, _ in two]), 0.5 * np.hypot(*[s or np.nan for _, s in two])]
-    if "carriage_link.mass" in values:
-        values["axis.mass"] = values["carriage_link.mass"]
-    return {"note": f"{found.verdict}, {found.recommendation}", "causes": sorted({f.cause for f in told}), "parameters": values,
+    return values | ({"axis.mass": values["carriage_link.mass"]} if "carriage_link.mass" in values else {})
+
+
+def describe(found, model):
+    return {"note": f"{found.verdict}, {found.recommendation}", "causes": list_causes(found), "parameters": get_values(model),
             "unexplained": sorted({x.joint for x in found.unexplained}), "warnings": list(found.warnings)}  # fmt: skip
 
 
