@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 from comparison_parts.case import Case
 from comparison_parts.environments import TOOLS, Missing, count_lines, ensure_environment
-from comparison_parts.page import PAGE_DATA, write_page
+from comparison_parts.page import write_page
 from comparison_parts.samples import write_samples
-from comparison_parts.score import judge
+from comparison_parts.score import judge, start_freely
 from comparison_parts.sets import SETS
 
 from tau_dyn.files import write_whole
@@ -65,18 +65,27 @@ def run_case(case: Case, tools: dict[str, str]) -> list[dict[str, Any]]:
             row |= run_tool(tool, python, samples, out) if os.path.isfile(python) else {"skipped": python}
             if "skipped" not in row:
                 try:
-                    row |= judge(case, held, [np.load(p) for p in sorted(out.glob("held_*.npy"))]).to_dict()
+                    predicted = [np.load(p) for p in sorted(out.glob("held_*.npy"))]
+                    if free := row.pop("free", None):
+                        row["forecast"] = judge(case, held, predicted).errors().tolist()
+                        predicted = [start_freely(x.target, p, free) for x, p in zip(held, predicted, strict=True)]
+                    row |= judge(case, held, predicted).to_dict()
                 except ValueError as fault:
                     row["skipped"] = str(fault)
             rows.append(row)
-            print({k: row.get(k) for k in ("set", "tool", "errors", "causes", "note", "skipped", "seconds")}, flush=True)
+            print(
+                {k: row.get(k) for k in ("set", "tool", "errors", "causes", "note", "skipped", "seconds")}, flush=True
+            )
     return rows
 
 
 def describe_case(case: Case) -> dict[str, Any]:
     """Return what the page says of a set."""
     keys = ("name", "kind", "known", "simulated", "causes", "refuted", "published", "origin", "channels")
-    return {k: getattr(case, k) for k in keys} | {"train": [x.name for x in case.train], "held": [x.name for x in case.held]}
+    return {k: getattr(case, k) for k in keys} | {
+        "train": [x.name for x in case.train],
+        "held": [x.name for x in case.held],
+    }
 
 
 def main() -> None:
@@ -86,7 +95,9 @@ def main() -> None:
     parser.add_argument("--tools", nargs="+", choices=TOOLS, default=list(TOOLS))
     parser.add_argument("--out", type=Path, default=Path("out/comparison"))
     parser.add_argument("--cache", type=Path, default=Path.home() / ".cache" / "tau_dyn_comparison")
-    parser.add_argument("--page", action="store_true", help="write docs/results/comparison.md from what stands in --out")
+    parser.add_argument(
+        "--page", action="store_true", help="write docs/results/comparison.md from what stands in --out"
+    )
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     kept = options.out / "comparison.json"

@@ -43,7 +43,9 @@ TOOLS = {
     "FIGAROH": Tool("figaroh_tool", ("figaroh",)),
     "BAM": Tool("bam_tool", ("better-actuator-models", "optuna", "cmaes", "wandb", "scipy"), "python3.12"),
     "SLICOT": Tool("slicot", ("ctrlsys", "numpy", "scipy")),
-    "FloBaRoID": Tool("flobaroid", absent="no package: its repository asks for Python 3.13 and an iDynTree built from source"),
+    "FloBaRoID": Tool(
+        "flobaroid", absent="no package: its repository asks for Python 3.13 and an iDynTree built from source"
+    ),
 }
 
 
@@ -64,7 +66,10 @@ def ensure_environment(name: str, cache: Path) -> str:
         base = shutil.which(tool.python)
         if base is None:
             raise Missing(f"not installed: it needs {tool.python}, which is not on the path")
-        for command in ([base, "-m", "venv", "--clear", str(folder)], [str(python), "-m", "pip", "install", "-q", *tool.packages]):
+        for command in (
+            [base, "-m", "venv", "--clear", str(folder)],
+            [str(python), "-m", "pip", "install", "-q", *tool.packages],
+        ):
             try:
                 ran = subprocess.run(command, capture_output=True, text=True, timeout=INSTALL_S, check=False)
             except subprocess.TimeoutExpired:

@@ -1,10 +1,10 @@
 """A data set -> the same samples for every tool, in files: training data whole, held-out data without what is to be predicted.
 
-Forces: positions are low-passed at 40 Hz and differentiated twice, once, here; tools get q, v, a and the raw force. Predicted and
-measured forces are then low-passed alike at 20 Hz and compared where a joint moves: faster than 5 % of its fast speed (the 95 %
-quantile of the training data), now and 50 ms before and after. At rest friction is any force up to its break-away, for every model.
-A quarter of a second at each end is left out. Filters are zero-phase Butterworth of order 4; slow logs are filtered at a fifth and a
-tenth of their rate. The mask is of the motion alone and is the same for all tools.
+Forces: positions are low-passed at 40 Hz and differentiated here; tools get q, v, a and the raw force. Predicted and measured
+forces are then low-passed alike at 20 Hz and compared where a joint moves: faster than 5 % of its fast speed (the 95 % quantile
+of the training data), 50 ms before and after too. At rest friction is any force up to its break-away, for every model. A quarter
+of a second at each end is left out. Filters are zero-phase Butterworth of order 4; slow logs are filtered at a fifth and a tenth
+of their rate. The mask is of the motion alone and is the same for all tools.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-from comparison_parts.case import Case
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
+from comparison_parts.case import Case
 from tau_dyn.log import Log, resample_segments
 
 POSITION_HZ, FORCE_HZ, EDGE_S = 40.0, 20.0, 0.25
@@ -52,7 +52,9 @@ def prepare_forces(log: Log, joints: tuple[str, ...]) -> list[Arrays]:
         dt, rate = float(np.median(np.diff(piece.t))), piece.rate_hz
         q = smooth(piece.joint("q", joints), min(POSITION_HZ, rate / 5), rate)
         v = np.gradient(q, dt, axis=0)
-        pieces.append({"t": piece.t, "q": q, "v": v, "a": np.gradient(v, dt, axis=0), "tau": piece.joint("tau", joints)})
+        pieces.append(
+            {"t": piece.t, "q": q, "v": v, "a": np.gradient(v, dt, axis=0), "tau": piece.joint("tau", joints)}
+        )
     return pieces
 
 
@@ -106,7 +108,14 @@ def find_counting(piece: Arrays, fast: np.ndarray) -> np.ndarray:
 def write_samples(case: Case, folder: Path) -> list[Held]:
     """Write the files that tools read; return the held-out stretches with their targets, which tools do not read."""
     folder.mkdir(parents=True, exist_ok=True)
-    about = {"name": case.name, "kind": case.kind, "channels": case.channels, "inputs": case.inputs, "order": case.order, "fixed": case.fixed}
+    about = {
+        "name": case.name,
+        "kind": case.kind,
+        "channels": case.channels,
+        "inputs": case.inputs,
+        "order": case.order,
+        "fixed": case.fixed,
+    }
     if case.robot:
         (folder / "robot.urdf").write_text(strip_shapes(case.robot.urdf))
     if case.law:

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-from comparison_parts.case import DATA, Case, split_in_time
 
+from comparison_parts.case import DATA, Case, split_in_time
 from tau_dyn.log import Log
 
 

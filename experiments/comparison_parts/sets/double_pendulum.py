@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import pandas as pd
 import yaml
-from comparison_parts.case import DATA, Case
 
+from comparison_parts.case import DATA, Case
 from tau_dyn.log import Log
 from tau_dyn.robot import load_robot_from_urdf
 
@@ -23,7 +23,9 @@ def read() -> Iterator[Case]:
 
 
 def _renamed(table: pd.DataFrame, name: str) -> Log:
-    pairs = [(f"{ours}_j{k}", f"{theirs}{k}") for k in (1, 2) for ours, theirs in (("q", "pos_meas"), ("tau", "tau_meas"))]
+    pairs = [
+        (f"{ours}_j{k}", f"{theirs}{k}") for k in (1, 2) for ours, theirs in (("q", "pos_meas"), ("tau", "tau_meas"))
+    ]
     return Log(table["time"].to_numpy(), {ours: table[theirs].to_numpy() for ours, theirs in pairs}, name)
 
 

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 
 from comparison_parts.case import DATA, MAPS, Case, split_in_time
-
 from tau_dyn.log import read_log
 from tau_dyn.robot import load_robot
 

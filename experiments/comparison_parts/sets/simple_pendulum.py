@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 import pandas as pd
-from comparison_parts.case import DATA, Case
 
+from comparison_parts.case import DATA, Case
 from tau_dyn.log import Log
 from tau_dyn.robot import load_robot_from_urdf
 

@@ -3,8 +3,9 @@
 from collections.abc import Iterator
 
 import numpy as np
-from comparison_parts.case import Case, split_in_time
 from spoiled_logs_parts.machines import as_log, make_log
+
+from comparison_parts.case import Case, split_in_time
 
 SEEDS = (71, 72, 73)
 

@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 
 import numpy as np
-from comparison_parts.case import DATA, Case, split_in_time
 from scipy.io import loadmat
 
+from comparison_parts.case import DATA, Case, split_in_time
 from tau_dyn.log import Log
 
 SETS = {

@@ -20,8 +20,15 @@ def process(name, x, known):
     held = np.searchsorted(x["t"], t, side="right") - 1
     q = np.interp(t, x["t"], x["target"][:, 0]) if known else np.full(len(t), x["start"][0])
     entries = [{"position": p, "speed": 0.0, "goal_position": c, "torque_enable": bool(on)}
-               for p, c, on in zip(q, x["cmd"][held, 0], x["torque_enable"][held] > 0)]  # fmt: skip
-    about = {"mass": MASS, "arm_mass": 0.0, "length": LENGTH, "kp": float(re.search(r"kp(\d+)", name)[1]), "vin": SUPPLY, "dt": DT}
+               for p, c, on in zip(q, x["cmd"][held, 0], x["torque_enable"][held] > 0, strict=True)]  # fmt: skip
+    about = {
+        "mass": MASS,
+        "arm_mass": 0.0,
+        "length": LENGTH,
+        "kp": float(re.search(r"kp(\d+)", name)[1]),
+        "vin": SUPPLY,
+        "dt": DT,
+    }
     return t, about | {"motor": "xl330", "entries": entries}
 
 
@@ -30,15 +37,26 @@ def predict(case):
         raise DoesNotApply("does not apply: it fits one servo with a pendulum")
     folder, out = case.folder / "bam", []
     folder.mkdir(exist_ok=True)
-    for name, x in zip(case.train_names, case.train):
+    for name, x in zip(case.train_names, case.train, strict=True):
         (folder / f"{name}.json").write_text(json.dumps(process(name, x, True)[1]))
     made = Path(case.folder) / "params.json"
-    asked = ["--logdir", str(folder), "--output", str(made), "--actuator", "xl330", "--model", MODEL, "--trials", str(TRIALS)]
+    asked = [
+        "--logdir",
+        str(folder),
+        "--output",
+        str(made),
+        "--actuator",
+        "xl330",
+        "--model",
+        MODEL,
+        "--trials",
+        str(TRIALS),
+    ]
     subprocess.run([sys.executable, "-m", "bam.fit", *asked], check=True, stdout=subprocess.DEVNULL)
     from bam.model import load_model
     from bam.simulate import Simulator
 
-    for name, x in zip(case.held_names, case.held):
+    for name, x in zip(case.held_names, case.held, strict=True):
         t, log = process(name, x, False)
         q = Simulator(load_model(str(made))).rollout_log(log, simulate_control=True)[0]
         out.append(np.interp(x["t"], t, np.ravel(q))[:, None])

@@ -18,7 +18,12 @@ def regressor(case, x):
     data, at = model.createData(), [model.joints[model.getJointId(j)].idx_v for j in case.channels]
     q, v, a = (np.zeros((len(x["t"]), model.nv)) for _ in "qva")
     q[:, at], v[:, at], a[:, at] = x["q"], x["v"], x["a"]
-    bodies = np.array([np.reshape(pin.computeJointTorqueRegressor(model, data, *row), (model.nv, -1))[at] for row in zip(q, v, a)])
+    bodies = np.array(
+        [
+            np.reshape(pin.computeJointTorqueRegressor(model, data, *row), (model.nv, -1))[at]
+            for row in zip(q, v, a, strict=True)
+        ]
+    )
     own = [np.einsum("nj,jk->njk", y, np.eye(len(at))) for y in (x["a"], np.sign(x["v"]), x["v"], np.ones_like(x["v"]))]
     return np.concatenate([bodies, *own], axis=2)
 
@@ -38,7 +43,11 @@ def force(case):
     error = np.sqrt(np.diag(np.linalg.inv(W[:, base].T @ W[:, base])) * np.mean((y - W[:, base] @ beta) ** 2))
     na = len(case.channels)
     names = [f"{j}.{kind}" for kind in ("armature", "coulomb", "viscous", "offset") for j in case.channels]
-    found = {names[c - W.shape[1] + 4 * na]: [b, s] for c, b, s in zip(base, beta, error) if c >= W.shape[1] - 4 * na}
+    found = {
+        names[c - W.shape[1] + 4 * na]: [b, s]
+        for c, b, s in zip(base, beta, error, strict=True)
+        if c >= W.shape[1] - 4 * na
+    }
     if na == 1 and case.channels[0] == "axis":
         found["axis.mass"] = [beta[0], error[0]]
     return [regressor(case, x)[:, :, base] @ beta for x in case.held], {"parameters": found}
@@ -83,7 +92,10 @@ def vibration(case):
     z = np.concatenate([y, np.zeros_like(h["u"][:, :1]) + np.zeros(y.shape[1])])
     for t in range(len(y), len(z)):
         z[t] = np.clip(row(t, z) @ beta, -1e6, 1e6)
-    return [z[len(y) :] + y0], {"note": f"ARX, order {ORDER}"}
+    p = y.shape[1]
+    C = np.concatenate([beta[k * p : (k + 1) * p].T for k in reversed(range(ORDER))], axis=1)
+    A = np.concatenate([C, np.eye(p * ORDER)[: p * (ORDER - 1)]])
+    return [z[len(y) :] + y0], {"note": f"ARX, order {ORDER}", "free": {"A": A.tolist(), "C": C.tolist()}}
 
 
 if __name__ == "__main__":

@@ -28,7 +28,9 @@ class DoesNotApply(Exception):
 def read_samples(folder: Path) -> SimpleNamespace:
     """Return the set: `kind`, `channels`, `urdf`, `train` and `held` as lists of arrays by name."""
     case = SimpleNamespace(folder=folder, **json.loads((folder / "set.json").read_text()))
-    case.train, case.held = ([dict(np.load(p)) for p in sorted(folder.glob(f"{part}_*.npz"))] for part in ("train", "held"))
+    case.train, case.held = (
+        [dict(np.load(p)) for p in sorted(folder.glob(f"{part}_*.npz"))] for part in ("train", "held")
+    )
     case.urdf = (folder / "robot.urdf").read_text() if (folder / "robot.urdf").is_file() else ""
     return case
 
@@ -49,6 +51,6 @@ def run(package: str, predict: Callable[[SimpleNamespace], tuple[list[np.ndarray
     for k, x in enumerate(predicted):
         np.save(out / f"held_{k:02d}.npy", np.asarray(x, dtype=float))
     used = resource.getrusage(resource.RUSAGE_SELF)
-    said |= {"version": version(package), "seconds": time.perf_counter() - began, "cpu_s": used.ru_utime + used.ru_stime,
-             "memory_mb": used.ru_maxrss / 1024}  # fmt: skip
+    said |= {"version": version(package) if predicted else "", "seconds": time.perf_counter() - began}
+    said |= {"cpu_s": used.ru_utime + used.ru_stime, "memory_mb": used.ru_maxrss / 1024}
     (out / "answer.json").write_text(json.dumps(said, indent=1, default=float))

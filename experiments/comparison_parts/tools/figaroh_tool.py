@@ -1,7 +1,7 @@
 """FIGAROH: its regressor, decimation by ten as its `solve` does, base parameters by two QR decompositions, least squares.
 
-Friction, rotor inertia and offsets are switched on. Its functions are called rather than its class, which asks for a subclass and a
-YAML file a robot and takes one recording only.
+Friction, rotor inertia and offsets are switched on. Its functions are called rather than its class, which asks for a
+subclass and a YAML file a robot and takes one recording.
 """
 
 import logging
@@ -49,12 +49,15 @@ def predict(case):
     small, _, expressions, phi = solver.double_decomposition(tau, W, names)
     error = np.abs(phi) * relative_stdev(small, phi, tau) / 100
     ours = {"fv": "viscous", "fs": "coulomb"}
-    found = {f"{joint}.{ours[kind]}": [value, stderr] for expression, value, stderr in zip(expressions, phi, error)
+    found = {f"{joint}.{ours[kind]}": [value, stderr] for expression, value, stderr in zip(expressions, phi, error, strict=True)
              for kind, _, joint in [expression.partition("_")] if kind in ours and joint in case.channels}  # fmt: skip
     if case.channels == ["axis"]:
         found["axis.mass"] = [phi[0], error[0]]
     at = np.argsort(order)
-    out = [(build_regressor_reduced(build(x), gone)[:, solver.base_indices] @ phi).reshape(model.nv, -1)[at].T for x in case.held]
+    out = [
+        (build_regressor_reduced(build(x), gone)[:, solver.base_indices] @ phi).reshape(model.nv, -1)[at].T
+        for x in case.held
+    ]
     return out, {"parameters": found}
 
 

@@ -1,8 +1,10 @@
-"""mujoco.sysid as its README has it: windows of the recording are simulated from measured states, parameters fitted to positions
-and speeds. Bodies have all ten numbers, joints armature, damping and dry friction. Forces are then those of MuJoCo's inverse.
+"""mujoco.sysid: windows of the recording are simulated from measured states, parameters fitted to positions and speeds.
 
-Servos are position actuators with a gain and a limit, bodies have mass and centre. A robot file without masses starts from guesses.
+Bodies have all ten numbers, joints armature, damping and dry friction. Forces are then those of MuJoCo's inverse. Servos are
+position actuators with a gain, their bodies have mass and centre. A robot file without masses starts from guesses.
 """
+
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -12,14 +14,16 @@ from mujoco import sysid
 
 RATE_HZ, WINDOWS, ITERATIONS, MOVING = 500.0, 20, 8, 0.05
 WINDOW_S = {"force": 0.25, "servo": 1.0}
-LEAST_KG, GUESS = 1e-3, (10.0, 0.1)  # a lighter body has no mass in the file and starts from these kg and kg m2
+GUESS = """<inertial><mass value="10"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>"""
 
 
 def build_spec(case, dt, name):
-    spec = mujoco.MjSpec.from_string(case.urdf)
-    for body in spec.bodies[1:]:
-        if body.joints and body.mass < LEAST_KG:
-            body.mass, body.inertia, body.explicitinertial = GUESS[0], [GUESS[1]] * 3, True
+    root = ElementTree.fromstring(case.urdf)
+    moved = {joint.find("child").get("link") for joint in root.findall("joint") if joint.get("type") != "fixed"}
+    for link in root.findall("link"):
+        if link.get("name") in moved and link.find("inertial") is None:
+            link.append(ElementTree.fromstring(GUESS))
+    spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
     spec.compile()
     spec = mujoco.MjSpec.from_string(spec.to_xml())
     spec.option.timestep, spec.modelname = dt, name
@@ -38,7 +42,11 @@ def build_parameters(case, spec):
     kind = sysid.InertiaType.Pseudo if case.kind == "force" else sysid.InertiaType.MassIpos
     for body in range(1, model.nbody if not case.fixed else 0):
         name = model.body(body).name
-        params.add(sysid.body_inertia_param(spec, model, name, inertia_type=kind, modifier=lambda s, p, n=name: set_body(s, n, p)))
+        params.add(
+            sysid.body_inertia_param(
+                spec, model, name, inertia_type=kind, modifier=lambda s, p, n=name: set_body(s, n, p)
+            )
+        )
     inertia = np.array([float(np.abs(model.body_inertia).max()) + 1e-3] * len(case.channels))
     size = np.array([np.sqrt(np.mean(np.concatenate([x["tau"] for x in case.train])[:, k] ** 2)) if case.kind == "force" else 1.0
                      for k in range(len(case.channels))])  # fmt: skip
@@ -48,7 +56,11 @@ def build_parameters(case, spec):
             params.add(sysid.Parameter(f"{joint}_{name}", start, 0.0, most,
                                        modifier=lambda s, p, j=joint, n=name: set_joint(s.joint(j), n, p.value[0])))  # fmt: skip
         if case.kind == "servo":
-            params.add(sysid.Parameter(f"{joint}_kp", 1.0, 0.01, 100.0, modifier=lambda s, p, j=joint: set_gain(s, j, p.value[0])))
+            params.add(
+                sysid.Parameter(
+                    f"{joint}_kp", 1.0, 0.01, 100.0, modifier=lambda s, p, j=joint: set_gain(s, j, p.value[0])
+                )
+            )
     return params
 
 
@@ -76,7 +88,9 @@ def cut(case, spec_of):
     """Return a `ModelSequences` a log name's gain, of windows with their measured start."""
     made = {}
     total = sum(x["t"][-1] - x["t"][0] for x in case.train)
-    for name, x in zip(case.train_names if case.kind == "servo" else ["log"] * len(case.train), case.train):
+    for name, x in zip(
+        case.train_names if case.kind == "servo" else ["log"] * len(case.train), case.train, strict=True
+    ):
         t = np.arange(x["t"][0], x["t"][-1], spec_of(name).option.timestep)
         if case.kind == "force":
             drive, q, v = (np.stack([np.interp(t, x["t"], y) for y in x[key].T], axis=1) for key in ("tau", "q", "v"))
@@ -89,11 +103,15 @@ def cut(case, spec_of):
         count = max(1, round(WINDOWS * (x["t"][-1] - x["t"][0]) / total))
         on = np.interp(t, x["t"], x.get("torque_enable", np.ones(len(x["t"])))) > 0.99
         moves = np.sqrt(np.array([np.mean(v[k : k + n] ** 2, axis=0) for k in range(0, len(t) - n, n)]))
-        chosen = np.flatnonzero((moves > MOVING * moves.max(axis=0)).all(axis=1))  # a joint at rest makes the weights infinite
+        chosen = np.flatnonzero(
+            (moves > MOVING * moves.max(axis=0)).all(axis=1)
+        )  # a joint at rest makes the weights infinite
         for start in n * chosen[np.linspace(0, len(chosen) - 1, min(count, len(chosen))).astype(int)]:
             part = slice(start, start + n)
             if on[part].all():
-                made.setdefault(name.split("_")[0], (spec_of(name), []))[1].append((t[part] - t[start], drive[part], q[part], v[part]))
+                made.setdefault(name.split("_")[0], (spec_of(name), []))[1].append(
+                    (t[part] - t[start], drive[part], q[part], v[part])
+                )
     groups = []
     for name, (spec, windows) in made.items():
         model = spec.compile()
@@ -102,8 +120,10 @@ def cut(case, spec_of):
         starts = [sysid.create_initial_state(model, q[0, at], v[0, at], np.zeros(0)) for _, _, q, v in windows]
         control = [sysid.TimeSeries(t, drive) for t, drive, _, _ in windows]
         both = [np.stack([q, v], axis=2).reshape(len(q), -1) for _, _, q, v in windows]
-        seen = [sysid.TimeSeries.from_names(t, z, model) for (t, *_), z in zip(windows, both)]
-        groups.append(sysid.ModelSequences(name, spec, [f"{name}{k}" for k in range(len(windows))], starts, control, seen))
+        seen = [sysid.TimeSeries.from_names(t, z, model) for (t, *_), z in zip(windows, both, strict=True)]
+        groups.append(
+            sysid.ModelSequences(name, spec, [f"{name}{k}" for k in range(len(windows))], starts, control, seen)
+        )
     return groups
 
 
@@ -119,17 +139,22 @@ def predict(case):
     found, result = sysid.optimize(params, residual, verbose=False, max_iters=ITERATIONS)
     values = {name: float(found[name].value[0]) for name in found.keys() if not name.endswith("_inertia")}
     _, half = sysid.calculate_intervals(residual(found.as_vector(), found)[0], np.asarray(result.jac))
-    spread = dict(zip(list_scalars(found), half))
+    spread = dict(zip(list_scalars(found), half, strict=True))
     told = {f"{j}.{ours}": [values[f"{j}_{kind}"], spread[f"{j}_{kind}"] / 1.96]
             for j in case.channels for ours, kind in (("coulomb", "frictionloss"), ("viscous", "damping"))}  # fmt: skip
     if case.channels == ["axis"]:
         told["axis.mass"] = [float(np.exp(2 * found["carriage_link_inertia"].value[0])) + values["axis_armature"], None]
     forecast = forecast_forces if case.kind == "force" else forecast_positions
-    return forecast(case, found, lambda name: build_spec(case, dt, name)), {"parameters": told, "note": f"{ITERATIONS} iterations"}
+    return forecast(case, found, lambda name: build_spec(case, dt, name)), {
+        "parameters": told,
+        "note": f"{ITERATIONS} iterations",
+    }
 
 
 def list_scalars(params):
-    return [name if params[name].size == 1 else f"{name}{k}" for name in params.keys() for k in range(params[name].size)]
+    return [
+        name if params[name].size == 1 else f"{name}{k}" for name in params.keys() for k in range(params[name].size)
+    ]
 
 
 def forecast_forces(case, params, spec_of):
@@ -137,7 +162,7 @@ def forecast_forces(case, params, spec_of):
     data, at = mujoco.MjData(model), [model.joint(j).dofadr[0] for j in case.channels]
     for x in case.held:
         path = []
-        for q, v, a in zip(x["q"], x["v"], x["a"]):
+        for q, v, a in zip(x["q"], x["v"], x["a"], strict=True):
             data.qpos[at], data.qvel[at], data.qacc[at] = q, v, a
             mujoco.mj_inverse(model, data)
             path.append(data.qfrc_inverse[at].copy())
@@ -147,7 +172,7 @@ def forecast_forces(case, params, spec_of):
 
 def forecast_positions(case, params, spec_of):
     out = []
-    for name, x in zip(case.held_names, case.held):
+    for name, x in zip(case.held_names, case.held, strict=True):
         model = sysid.apply_param_modifiers(params, spec_of(name))
         data, at = mujoco.MjData(model), [model.joint(j).qposadr[0] for j in case.channels]
         data.qpos[at] = x["start"]
@@ -156,7 +181,10 @@ def forecast_positions(case, params, spec_of):
         for k, now in enumerate(x["t"] - x["t"][0]):
             while data.time < now - 1e-9:
                 data.ctrl[:] = x["cmd"][max(k - 1, 0)]
-                model.actuator_gainprm[:], model.actuator_biasprm[:] = gains * on[max(k - 1, 0)], bias * on[max(k - 1, 0)]
+                model.actuator_gainprm[:], model.actuator_biasprm[:] = (
+                    gains * on[max(k - 1, 0)],
+                    bias * on[max(k - 1, 0)],
+                )
                 mujoco.mj_step(model, data)
             path.append(data.qpos[at].copy())
         out.append(np.array(path))

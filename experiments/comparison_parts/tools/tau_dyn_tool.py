@@ -11,11 +11,16 @@ def force(case):
     logs = read_logs(case)
     try:
         found = td.diagnose(robot, logs)
-        model, said = found.extended_model if found.recommendation == "extended" else found.model, describe(found, found.model)
+        model, said = (
+            found.extended_model if found.recommendation == "extended" else found.model,
+            describe(found, found.model),
+        )
     except td.CannotAnswer as reason:
         model = td.identify(robot, logs).model
         said = {"note": f"diagnose cannot answer, identify does: {reason}"[:160], "parameters": get_values(model)}
-        if any(name.startswith("q_link_") for name in logs[0].channels):  # encoders behind the gears have a diagnosis of their own
+        if any(
+            name.startswith("q_link_") for name in logs[0].channels
+        ):  # encoders behind the gears have a diagnosis of their own
             from tau_dyn.diagnose.pipeline import diagnose_deflection
 
             said["causes"] = list_causes(diagnose_deflection(robot, logs))
@@ -35,7 +40,7 @@ def servo(case):
     found = diagnose_loop(robot, logs, **given)
     model = found.extended_model if found.recommendation == "extended" else identify_loop(robot, logs, **given).model
     law, out = build_servo_law(dict(model.controller), robot, "the model"), []
-    for name, x in zip(case.held_names, case.held):
+    for name, x in zip(case.held_names, case.held, strict=True):
         columns = {f"cmd_{j}": x["cmd"][:, k] for k, j in enumerate(case.channels)}
         columns |= {f"q_{j}": np.full(len(x["t"]), x["start"][k]) for k, j in enumerate(case.channels)}
         columns |= {key: x[key] for key in ("torque_enable", "input_volts") if key in x}
@@ -57,13 +62,18 @@ def vibration(case):
     state = estimate_initial_state(m, train, predictor=True)
     whole = Record(np.concatenate([x["u"], h["u"]]) - u0, np.zeros((len(x["u"]) + len(h["u"]), len(y0))), *names)
     drives = delay_inputs(m, whole)
-    for u, y in zip(drives, train.y):  # the innovation form follows the training data to their end
+    for u, y in zip(drives, train.y, strict=False):  # the innovation form follows the training data to their end
         state = m.A @ state + m.B @ u + m.K @ (y - m.C @ state - m.D @ u)
     out = []
     for u in drives[len(train.y) :]:
         out.append(m.C @ state + m.D @ u)
         state = m.A @ state + m.B @ u
-    return [np.array(out) + y0], {"note": f"order {found.order}", "warnings": list(found.warnings)}
+    said = {
+        "note": f"order {found.order}",
+        "warnings": list(found.warnings),
+        "free": {"A": m.A.tolist(), "C": m.C.tolist()},
+    }
+    return [np.array(out) + y0], said
 
 
 def read_logs(case):
@@ -80,7 +90,10 @@ def get_values(model):
         for kind in ("coulomb", "viscous"):
             two = [values.get(f"{joint}.{kind}_{way}") for way in ("pos", "neg")]
             if all(two):
-                values[f"{joint}.{kind}"] = [np.mean([x for x, _ in two]), 0.5 * np.hypot(*[s or np.nan for _, s in two])]
+                values[f"{joint}.{kind}"] = [
+                    np.mean([x for x, _ in two]),
+                    0.5 * np.hypot(*[s or np.nan for _, s in two]),
+                ]
     return values | ({"axis.mass": values["carriage_link.mass"]} if "carriage_link.mass" in values else {})
 
 
