@@ -48,7 +48,8 @@ def run_tool(tool: str, python: str, samples: Path, out: Path) -> dict[str, Any]
     except subprocess.TimeoutExpired:
         return {"skipped": f"not done in {LIMIT_S:.0f} s"}
     if done.returncode != 0 or not (out / "answer.json").is_file():
-        return {"skipped": "failed: " + (done.stderr.strip().splitlines() or ["no word"])[-1][:200]}
+        said = done.stderr.strip().splitlines() or ["no word"]
+        return {"skipped": "failed: " + next((x for x in reversed(said) if "Error: " in x), said[-1])[:200]}
     return json.loads((out / "answer.json").read_text())
 
 

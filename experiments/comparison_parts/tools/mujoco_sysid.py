@@ -14,6 +14,7 @@ from mujoco import sysid
 
 RATE_HZ, WINDOWS, ITERATIONS, MOVING = 500.0, 20, 8, 0.05
 WINDOW_S = {"force": 0.25, "servo": 1.0}
+LEAST_KG = 1e-3  # a lighter body starts from the guess
 GUESS = """<inertial><mass value="10"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>"""
 
 
@@ -21,7 +22,10 @@ def build_spec(case, dt, name):
     root = ElementTree.fromstring(case.urdf)
     moved = {joint.find("child").get("link") for joint in root.findall("joint") if joint.get("type") != "fixed"}
     for link in root.findall("link"):
-        if link.get("name") in moved and link.find("inertial") is None:
+        mass = link.find("inertial/mass")
+        if link.get("name") in moved and (mass is None or float(mass.get("value")) < LEAST_KG):
+            for given in link.findall("inertial"):
+                link.remove(given)
             link.append(ElementTree.fromstring(GUESS))
     spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
     spec.compile()
