@@ -75,8 +75,8 @@ def test_multiplicity_grows_with_the_grid(make, one, rng):
     )
     drag = fit_group(ground, draws, QuadraticDrag, ("x",)).n_effective_tests
     assert_allclose([single, drag], 1.0, atol=0.15)
-    assert_allclose(some, 8, rtol=0.3)
-    assert_allclose(many, 40, rtol=0.35)
+    assert_allclose(some, 8, rtol=0.15)
+    assert_allclose(many, 40, rtol=0.2)
     smooth = fit_group(ground, draws, Stribeck, ("x",))
     assert 1.0 <= smooth.n_effective_tests < 0.8 * len(Stribeck.grid(ground.channel.scene, ("x",)))
 

@@ -17,13 +17,16 @@ def confirmed(make, channel, effect=EFFECT, others=()):
 
 
 def test_of_a_true_effect_all_of_it_is_seen(make):
-    """Over 40 logs the share is 1, scattering by its standard error, and each of them is confirmed."""
+    """Over 40 logs of a minute the share is 1, scattering by its standard error, and at least 19 of 20 are confirmed.
+
+    The whole of it amounts to two to nine standard errors in the twelve confirming seconds.
+    """
     found = [
         confirmed(make, make.bench(np.random.default_rng(seed), lambda m: 12 * np.abs(m.v), n=3000))
         for seed in range(40)
     ]
     share, stderr = np.array([(c.share, c.stderr) for c in found]).T
-    assert all(c.is_confirmed for c in found)
+    assert np.mean([c.is_confirmed for c in found]) >= 0.95
     assert_allclose(np.median(share), 1.0, atol=0.1)
     # the training amplitude is uncertain as well, three times as long as the confirming part
     assert 0.8 < np.std((share - 1) / stderr) < 1.6
@@ -128,7 +131,7 @@ def test_a_law_is_confirmed_by_what_the_training_part_knows_of_it(make):
     for seed in range(6):
         rng = np.random.default_rng(seed)
         found = confirmed(make, elsewhere(make, rng, lambda m: PLACES.columns(m) @ law), PLACES)
-        assert found.is_confirmed and found.stderr < 0.3
+        assert found.is_confirmed and found.stderr < 0.4
         assert_allclose(found.share, 1.0, atol=4 * found.stderr)
 
 
@@ -141,28 +144,29 @@ def test_p_is_uniform_for_a_law_of_many_amplitudes(make):
     assert stats.kstest(p, "uniform").pvalue > 0.01
 
 
-def test_a_misfit_that_changes_from_block_to_block_is_no_confirmation(make):
+@pytest.mark.parametrize("n", [16000, 3000])
+def test_a_misfit_that_changes_from_block_to_block_is_no_confirmation(make, n):
     """The force lacks another multiple of the speed in every 2 s, none in the mean: blocks scatter, and that is counted.
 
-    The noise model's word weighs ten blocks, here beside 32: the level of 2 % may grow to 3.6 %; uncounted it is a third.
+    The level of 2 % holds with 32 confirming blocks and with 6; uncounted it is a third.
     """
     found = []
-    for seed in range(80):
+    for seed in range(100):
         rng = np.random.default_rng(seed)
-        lacks = np.repeat(rng.normal(0, 8, 160), 100)[:, None]
-        found.append(confirmed(make, make.bench(rng, lambda m, x=lacks: x * np.abs(m.v), n=16000)).is_confirmed)
-    assert np.mean(found) < 0.036 + 2.5 * np.sqrt(0.036 * 0.964 / 80)
+        lacks = np.repeat(rng.normal(0, 8, n // 100), 100)[:, None]
+        found.append(confirmed(make, make.bench(rng, lambda m, x=lacks: x * np.abs(m.v), n=n)).is_confirmed)
+    assert np.mean(found) < 0.02 + 2.5 * np.sqrt(0.02 * 0.98 / 100)
 
 
 def test_few_blocks_have_the_tails_of_students_law(make):
-    """Ten seconds of confirming data are a few blocks: their tails are those of Student's law and no normal ones."""
+    """Ten seconds of confirming data are a few blocks: Student's law with 2 to 12 degrees of freedom, no normal one."""
     seen = 0
-    for seed in range(12):
+    for seed in range(20):
         found = confirmed(make, make.bench(np.random.default_rng(seed), lambda m: 2.5 * np.abs(m.v), n=2500))
         z, blocks = found.share / found.stderr, 6
         if z > 1:
             seen += 1
-            assert stats.t.sf(z, 4 * blocks) < found.p_value < stats.t.sf(z, blocks - 2)
+            assert stats.t.sf(z, 2 * blocks) <= found.p_value <= stats.t.sf(z, 2)
     assert seen > 3
 
 

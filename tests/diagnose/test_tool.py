@@ -98,7 +98,7 @@ def test_clean_poses_stay_clean(rng) -> None:
     turned = tool_at(q + [1e-3, -2e-3, 5e-4]) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T + [1, 2, 3]
     found = diagnose_tool(model, [recorded(t, q, turned, rng)])
     assert found.verdict == "nothing_found" and found.exit_status == 0
-    assert_allclose(found.baseline.rms, NOISE, rtol=0.3)
+    assert_allclose(found.baseline.rms, NOISE, rtol=0.2)
     assert found.channel == "tool" and found.outputs == ("x_tool", "y_tool", "z_tool")
     assert not found.extended_model.effects
 

@@ -7,7 +7,8 @@ With `C gamma` the effect fitted on the training part and `B` everything else, t
 what the baseline's training refit leaves of it. The held-out residual of the baseline's training fit is regressed on `x`, with
 `B` free to move as far as the training fit was uncertain (its information as prior rows), and freely back by what the effect
 shifted it: were the effect in the training part alone, that shift would stand in the residual and look like some of `x`. The
-coefficient is 1 if all of the effect is there and 0 if none; a one-sided t-test with one degree of freedom.
+coefficient is 1 if all of the effect is there and 0 if none; a one-sided t-test. Its variance counts how blocks scatter, in the
+held-out part and, with the weight of at most ten blocks, in the training part: a misfit that changes along the way is no noise.
 
 A law of many amplitudes may be known badly just where the held-out part goes: its `x` would be mostly error. With information
 `G` on `gamma` in the training part and `H` in the held-out one, the two estimates of a direction agree as far as both know it,
@@ -34,7 +35,6 @@ from tau_dyn.diagnose.null_model import (
     MIN_UNABSORBED_SHARE,
     PRIOR_WEIGHT_BLOCKS,
     NullModel,
-    compute_overdispersion,
     compute_score_test,
 )
 from tau_dyn.diagnose.result import Unexplained
@@ -97,10 +97,12 @@ def confirm(
     theta = inverse @ np.concatenate([y_t, prior_y])
     left = B_c, np.asarray(np.linalg.qr(B_all, mode="r"))
     H = _information(C_c, B_c @ moved, *left)
-    whole, shrunk = _amplitudes(C_t - B_t @ moved, y_t - B_t @ theta, np.linalg.norm(C_t, axis=0), H)
+    alone, r_t = C_t - B_t @ moved, y_t - B_t @ theta
+    whole, shrunk = _amplitudes(alone, r_t, np.linalg.norm(C_t, axis=0), H)
+    scatter = _Scatter.of(train.block, alone @ shrunk, r_t - alone @ whole)
     shift = moved @ shrunk
     x, predicted = C_c @ shrunk - B_c @ shift, C_c @ whole - B_c @ (moved @ whole)
-    return _regress(np.column_stack([x, B_c @ shift]), predicted, y_c - B_c @ theta, *left, held)
+    return _regress(np.column_stack([x, B_c @ shift]), predicted, y_c - B_c @ theta, *left, held.block, scatter)
 
 
 def _information(C: np.ndarray, shifts: np.ndarray, B: np.ndarray, R: np.ndarray) -> np.ndarray:
@@ -125,8 +127,39 @@ def _amplitudes(left: np.ndarray, r: np.ndarray, own: np.ndarray, H: np.ndarray)
     return vectors @ (s / values) / scale, vectors @ np.linalg.solve(both, s) / scale
 
 
+@dataclass(frozen=True)
+class _Scatter:
+    """Variance of blocks' scores over what white rows of the same variance give, and how many blocks that is worth."""
+
+    ratio: float
+    count: float
+
+    @classmethod
+    def of(cls, block: np.ndarray, x: np.ndarray, rest: np.ndarray) -> _Scatter:
+        """Measure it along a direction (R,) whose coefficient the residual `rest` (R,) was fitted with; `block` (R,) numbers rows.
+
+        The fit takes each block's leverage from its score (Bell and McCaffrey, 2002). A misfit along the direction that changes
+        from block to block makes scores in proportion to the blocks' squares; the count is that of Satterthwaite (1946) for them.
+        """
+        _, block = np.unique(block, return_inverse=True)
+        square = np.bincount(block, x**2)
+        left = 1 - square / max(float(x @ x), 1e-300)
+        square, left, scores = (z[left > _LEFT] for z in (square, left, np.bincount(block, x * rest)))
+        variance = float(rest @ rest) / max(1, len(rest) - 1)
+        expected = variance * float(np.sum(square))
+        if expected <= 0:
+            return cls(1.0, 0.0)
+        return cls(float(np.sum(scores**2 / left)) / expected, float(np.sum(square**2) ** 2 / np.sum(square**4)))
+
+
 def _regress(
-    free: np.ndarray, predicted: np.ndarray, r: np.ndarray, B: np.ndarray, R: np.ndarray, held: Whitener
+    free: np.ndarray,
+    predicted: np.ndarray,
+    r: np.ndarray,
+    B: np.ndarray,
+    R: np.ndarray,
+    block: np.ndarray,
+    trained: _Scatter,
 ) -> Confirmation:
     """Regress `r` (n,) on free columns (n, 2), the first an instrument for `predicted` (n,), and on `B` (n, k) with prior `R`."""
     rows = np.concatenate([np.column_stack([free, B]), np.column_stack([np.zeros((len(R), 2)), R])])
@@ -140,10 +173,11 @@ def _regress(
     if square <= 0 or seen <= 0:
         return Confirmation(0.0, np.inf, 1.0)
     variance = max(float(rest @ rest) / max(1, len(r) - 1), 1e-300)
-    count = len(np.unique(held.block))
-    inflation = compute_overdispersion(held.block, along[: len(r)] * rest, variance * square)
+    scatter = _Scatter.of(block, along[: len(r)], rest)
+    weight = min(trained.count, PRIOR_WEIGHT_BLOCKS)
+    inflation = max(1.0, (scatter.count * scatter.ratio + weight * trained.ratio) / (scatter.count + weight))
     share, stderr = float(solution[0]) * square / seen, float(np.sqrt(inflation * variance * square)) / seen
-    dof = max(2.0, count + PRIOR_WEIGHT_BLOCKS - 1)
+    dof = max(2.0, scatter.count + weight - 1)
     return Confirmation(share, stderr, float(stats.t.sf(share / stderr, dof)))
 
 

@@ -119,7 +119,8 @@ LONG = 8.0
 Term = tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]
 """A factor of each sample (n,), and its complex size (g,) at angular frequencies w (g,) over the position."""
 PRIOR_WEIGHT_BLOCKS = 10.0
-"""Weight of 'the noise model is right' against the scatter of blocks, in blocks."""
+"""Weight against the scatter of blocks, in blocks: of 'the noise model is right' on the training part, and of the training
+part's own scatter on the held-out one."""
 MIN_UNABSORBED_SHARE = 1e-4
 """Part of a column's square that the baseline leaves, below which the baseline's refit absorbs it. It is not smaller
 because encoder noise sits in the baseline's columns: a smooth copy of one of them would be left with that noise, and find it."""
