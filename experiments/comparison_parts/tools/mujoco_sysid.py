@@ -14,7 +14,7 @@ from mujoco import sysid
 
 RATE_HZ, WINDOWS, ITERATIONS, MOVING = 500.0, 20, 8, 0.05
 WINDOW_S = {"force": 0.25, "servo": 1.0}
-LEAST_KG = 1e-3  # a lighter body starts from the guess
+LEAST_KG, LEAST_KGM2 = 1e-3, 1e-4  # a lighter body starts from the guess
 GUESS = """<inertial><mass value="10"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>"""
 
 
@@ -27,6 +27,10 @@ def build_spec(case, dt, name):
             for given in link.findall("inertial"):
                 link.remove(given)
             link.append(ElementTree.fromstring(GUESS))
+        for inertia in link.findall("inertial/inertia"):  # a point mass does not compile
+            inertia.attrib |= {
+                k: x if float(x) > LEAST_KGM2 else str(LEAST_KGM2) for k, x in inertia.items() if k[1] == k[2]
+            }
     spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
     spec.compile()
     spec = mujoco.MjSpec.from_string(spec.to_xml())
