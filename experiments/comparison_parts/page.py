@@ -153,7 +153,7 @@ def build_page(table: pd.DataFrame) -> str:
         ),
         known=format_table(["set", *tools], [[name, *row] for name, row in spread(known, deviations, tools).items()]),
         cost=format_table(
-            ["tool", "version", "lines", "CPU, median [s]", "memory [MB]"],
+            ["tool", "version", "adapter, lines", "CPU, median [s]", "memory [MB]"],
             [
                 [
                     t,
@@ -251,8 +251,6 @@ Deviation, rms; in brackets true values within 95 % intervals.
 {known}
 
 ## Cost
-
-Lines are those of the adapter that a user writes.
 
 {cost}
 
