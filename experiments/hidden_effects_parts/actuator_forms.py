@@ -164,5 +164,12 @@ class SaggingSupply(Added):
         return run.column(j, tau * (tau / np.abs(tau).max()) ** 2)
 
 
-ACTUATOR_FORMS: tuple[type[Form], ...] = (LossyGear, SoftBristle, Compensated, MotorCogging, WarmWindings, SaggingSupply)
+ACTUATOR_FORMS: tuple[type[Form], ...] = (
+    LossyGear,
+    SoftBristle,
+    Compensated,
+    MotorCogging,
+    WarmWindings,
+    SaggingSupply,
+)
 """Forms of this file."""
