@@ -90,7 +90,7 @@ static void drive(joint_t *x, int64_t N, int64_t often, int64_t k, int64_t i, in
   if (x->profiled && told == POSITION) goal = follow(&x->g, goal, p[acceleration_limit], p[speed_limit], h);
   int motor = on_motor && x->elastic;
   double seen = motor ? x->m : x->q, seen_speed = motor ? x->w : x->v, turning = x->elastic ? x->w : x->v;
-  double middle = x->q + half * x->v, e = goal, u = goal, slow = p[derivative_gain], gain = p[integral_gain];
+  double middle = x->q + half * x->v, e = goal, u = goal, slow = 0.0, gain = p[integral_gain];
   if (told == POSITION) {
     e = goal - (seen + half * seen_speed);
     if (p[dead_band] > 0) e = (e > 0 ? 1.0 : e < 0 ? -1.0 : 0.0) * most_of(fabs(e) - p[dead_band], 0.0);
@@ -106,8 +106,8 @@ static void drive(joint_t *x, int64_t N, int64_t often, int64_t k, int64_t i, in
     u += clip(x->integral + half * gain * e, -p[limit], p[limit]);
     x->integral = clip(x->integral + gain * h * e, -p[limit], p[limit]);
   }
-  /* what the motor's torque loses per unit of its speed; the law's part where it acts at once and is not at its limit */
-  double loses = p[back_emf] + (told != OUTPUT && !x->past && fabs(u) < p[limit] && (motor || !x->elastic) ? supply * slow : 0.0);
+  /* what torque is lost per unit of speed; a loop of speed's part where it acts at once and is not at its limit */
+  double loses = p[back_emf] + (told != OUTPUT && !x->past && fabs(u) < p[limit] ? supply * slow : 0.0);
   u = clip(u, -p[limit], p[limit]);
   u = u * (1.0 - p[supply_sag] * fabs(u));
   if (x->past) {

@@ -137,7 +137,7 @@ class _Loops:
         has_band, has_sag = bool(np.any(p["dead_band"])), bool(np.any(p["supply_sag"]))
         carries = bool(np.any(p["carried_friction"]))
         told, closed = waves.told, waves.told in ("position", "speed")
-        at_once = (p["torque_delay"] == 0) & (True if joint is None or waves.encoder_on_motor else ~joint.there)
+        at_once = p["torque_delay"] == 0
         bends, one_way = bool(np.any(p["drive_exponent"] != 1.0)), bool(np.any(p["braking"] != 1.0))
         power = p["drive_exponent"]
         switched, finite = not np.all(waves.enabled), bool(np.any(np.isfinite(p["limit"])))
@@ -154,7 +154,7 @@ class _Loops:
                 middle = q + half * v
                 seen, speed = (m, w) if waves.encoder_on_motor else (q, v)
                 e = u = goal.at(k * often + i)
-                slow, gain = p["derivative_gain"], p["integral_gain"]
+                slow, gain = 0.0, p["integral_gain"]
                 if told == "position":
                     e = e - (seen + half * speed)
                     if has_band:

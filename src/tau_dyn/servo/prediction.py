@@ -24,7 +24,7 @@ from tau_dyn.servo.records import (
     refine,
     refine_record,
 )
-from tau_dyn.servo.waves import Coupling, LoadRows, Trials
+from tau_dyn.servo.waves import JointCoupling, LoadRows, Trials
 from tau_dyn.simulate import ServoLaw
 
 WINDOW_S = 0.5
@@ -87,7 +87,7 @@ def simulate_coupled(
     window = every * max(1, round(WINDOW_S / (every * max(r.dt for r in fine))))
     empty = [_build_empty_loads(r.q) for r in fine]
     waves = replace(
-        build_waves(fine, empty, law), step=step, held=True, coupling=Coupling(every, window, relaxation.settle)
+        build_waves(fine, empty, law), step=step, held=True, coupling=JointCoupling(every, window, relaxation.settle)
     )
     trial = Trials({key: value[:, None] for key, value in values.items()}, np.zeros((0, 1)))
     out = simulate_motion(waves, trial)

@@ -37,7 +37,7 @@ class LoadRows(NamedTuple):
     motion: np.ndarray
 
 
-class Coupling(NamedTuple):
+class JointCoupling(NamedTuple):
     """How all joints are stepped at once: window by window, with loads along the motion that the window ends with.
 
     Attributes:
@@ -94,7 +94,7 @@ class Waves:
     measured_on_motor: bool = False
     step: float = MAX_STEP_S
     held: bool = False
-    coupling: Coupling | None = None
+    coupling: JointCoupling | None = None
     told: str = "position"
 
 
