@@ -174,8 +174,17 @@ def build_page(table: pd.DataFrame) -> str:
         also=list_channels_behind(ran),
         blocks="{1} has {0:.0f}".format(*min(zip(ran["blocks"], ran["set"], strict=True))),
         skipped="\n".join(
-            f"- {tool}, {'all sets' if reason.startswith('not installed') else ', '.join(names)}: {reason}"
-            for (tool, reason), names in reasons.items()
+            [
+                *(
+                    f"- {tool}, {'all sets' if reason.startswith('not installed') else ', '.join(names)}: {reason}"
+                    for (tool, reason), names in reasons.items()
+                ),
+                *(
+                    f"- {OURS}, {x['set']}: {x['note'].split(':')[0]}"
+                    for _, x in ours.iterrows()
+                    if x["note"].startswith("diagnos")
+                ),
+            ]
         )
         or "- None.",
     )
