@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -176,7 +177,7 @@ def build_page(table: pd.DataFrame) -> str:
         skipped="\n".join(
             [
                 *(
-                    f"- {tool}, {'all sets' if reason.startswith('not installed') else ', '.join(names)}: {reason}"
+                    f"- {tool}, {'all sets' if reason.startswith('not installed') else ', '.join(names)}: {shorten(reason, 70)}"
                     for (tool, reason), names in reasons.items()
                 ),
                 *(
