@@ -1,4 +1,4 @@
-"""What hides in actuators: lossy gears, bristles, compensated friction, cogging.
+"""What hides in actuators: lossy gears, bristles, compensated friction, cogging, voltages in the forces' place.
 
 Each is written here in another form than the library's: a gear by its power, a bristle by LuGre's equation with
 micro-damping, and compensation by a logistic switch.
@@ -6,13 +6,16 @@ micro-damping, and compensation by a logistic switch.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
 
+from hidden_effects_parts.drive_forms import Ripple
 from hidden_effects_parts.forms import Added, Form, Places, log_uniform, one
-from hidden_effects_parts.recording import RATE_HZ, Recording
+from hidden_effects_parts.recording import Recording
 from hidden_effects_parts.robots import Rig
+from hidden_effects_parts.slip_forms import bend_bristle
 
 ORDERS = (1, 2, 4, 6, 12)
 """Periods of a motor's cogging in a turn: eccentricity, pole pairs, poles, slots."""
@@ -59,11 +62,8 @@ class SoftBristle(Added):
     def unit(self, run: Recording) -> np.ndarray:
         """Return the bristle's force less that of Coulomb friction."""
         (j,), way = self.joints, self.inner["way"]
-        v, z = run.motion.v[:, j], np.zeros(len(run.motion.t))
-        speed = (v[1:] + v[:-1]) / 2 / way
-        keep = np.exp(-np.abs(speed) / RATE_HZ)
-        for k, (s, e) in enumerate(zip(np.sign(speed).tolist(), keep.tolist(), strict=True)):
-            z[k + 1] = s + (z[k] - s) * e
+        v = run.motion.v[:, j]
+        z = bend_bristle(v, np.full(len(v), way)) / way
         rate = v / way - np.abs(v) / way * z
         return run.column(j, (z + self.inner["damping_s"] * rate - np.sign(v))[:: run.step])
 
@@ -91,8 +91,8 @@ class Compensated(Added):
         return {"static_friction": amplitude}
 
 
-class MotorCogging(Added):
-    """A force that repeats some whole number of times in each motor turn, with a second harmonic."""
+class MotorCogging(Ripple):
+    """A ripple that repeats some whole number of times in each motor turn, with a second harmonic."""
 
     names = ("cogging",)
     robots = "hinges"
@@ -108,16 +108,68 @@ class MotorCogging(Added):
         inner |= {"phase": float(rng.uniform(0, 6)), "other": float(rng.uniform(0, 6))}
         return cls((j,), inner, 0.3 * rig.friction.coulomb[j])
 
-    def unit(self, run: Recording) -> np.ndarray:
-        """Return both harmonics."""
-        (j,), i = self.joints, self.inner
-        turn = 2 * np.pi * run.q[:, j] / i["period"]
-        return run.column(j, np.cos(turn + i["phase"]) + i["second"] * np.cos(2 * turn + i["other"]))
-
     def truth(self, amplitude: float) -> dict[str, float]:
         """Return the first harmonic's size and the period."""
         return {"cogging": amplitude, "period": self.inner["period"]}
 
 
-ACTUATOR_FORMS: tuple[type[Form], ...] = (LossyGear, SoftBristle, Compensated, MotorCogging)
+class WarmWindings(Added):
+    """Voltages are logged as forces, with back-EMF, and the resistance rises by A where the mean power heats for long."""
+
+    names = ("winding_heat",)
+    robots = "small"
+
+    @classmethod
+    def draw(cls, rig: Rig, places: Places, rng: np.random.Generator) -> Self:
+        """Draw a joint, the windings' time constant and a back-EMF of up to twice the viscous friction."""
+        j = one(rig, rng)
+        back_emf = float(rng.uniform(0, 2)) * float(rig.friction.viscous[j])
+        return cls((j,), {"lag": log_uniform(rng, 8, 30), "back_emf": back_emf}, 1.0)
+
+    def act(self, run: Recording, amplitude: float) -> Recording:
+        """Return the run with voltages."""
+        (j,) = self.joints
+        run = replace(run, drive="voltage").plus(run.column(j, self.inner["back_emf"] * run.v[:, j]))
+        return super().act(run, amplitude)
+
+    def unit(self, run: Recording) -> np.ndarray:
+        """Return what a warm motor needs beyond a cold one."""
+        (j,) = self.joints
+        tau = run.rig.force(run.q, run.v, run.a)[:, j]
+        power, dt = tau**2 / np.mean(tau**2), float(run.t[1] - run.t[0])
+        keep, h = np.exp(-dt / self.inner["lag"]), 0.0
+        warm = np.array([h := keep * h + (1 - keep) * p for p in power.tolist()])
+        return run.column(j, warm * tau)
+
+
+class SaggingSupply(Added):
+    """Pulse widths are logged as forces, and the supply of one joint loses the share A of its voltage at the largest one."""
+
+    names = ("supply_sag",)
+    robots = "small"
+
+    @classmethod
+    def draw(cls, rig: Rig, places: Places, rng: np.random.Generator) -> Self:
+        """Draw a joint."""
+        return cls((one(rig, rng),), {}, 0.4)
+
+    def act(self, run: Recording, amplitude: float) -> Recording:
+        """Return the run with pulse widths."""
+        return super().act(replace(run, drive="pwm"), amplitude)
+
+    def unit(self, run: Recording) -> np.ndarray:
+        """Return what is lost of the force, by the square of the pulse width."""
+        (j,) = self.joints
+        tau = run.rig.force(run.q, run.v, run.a)[:, j]
+        return run.column(j, tau * (tau / np.abs(tau).max()) ** 2)
+
+
+ACTUATOR_FORMS: tuple[type[Form], ...] = (
+    LossyGear,
+    SoftBristle,
+    Compensated,
+    MotorCogging,
+    WarmWindings,
+    SaggingSupply,
+)
 """Forms of this file."""

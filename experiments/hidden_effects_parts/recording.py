@@ -71,6 +71,7 @@ class Recording:
         tau: Forces that sensors without noise show (N, na) [N or N m].
         number: Which run of the set it is, from zero.
         extra: Further columns of the log, such as temperatures (N,).
+        drive: Signal that the forces are made of, `voltage` or `pwm`; empty for none.
     """
 
     rig: Rig
@@ -82,6 +83,7 @@ class Recording:
     tau: np.ndarray
     number: int = 0
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
+    drive: str = ""
 
     @classmethod
     def of(cls, rig: Rig, motion: Trajectory, rate_hz: float, number: int = 0) -> Recording:
@@ -111,6 +113,7 @@ class Recording:
             "q": sensing.positions(self.q, rng),
             "tau": self.tau + sensing.force_noise(self.tau.shape, rng),
         }
+        signals |= {self.drive: signals["tau"]} if self.drive else {}
         channels = {f"{key}_{j}": x[:, k] for key, x in signals.items() for k, j in enumerate(self.rig.joints)}
         return Log(self.t, channels | dict(self.extra), name)
 

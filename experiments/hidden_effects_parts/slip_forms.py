@@ -37,7 +37,7 @@ class Lugre(Form):
         coulomb = np.where(v > 0, friction.coulomb_pos[j], friction.coulomb_neg[j])
         g = coulomb + amplitude * np.exp(-((v / self.inner["speed"]) ** 2))
         stiffness = friction.coulomb[j] / self.inner["bend"]
-        force = stiffness * _bristle(v, g / stiffness)
+        force = stiffness * bend_bristle(v, g / stiffness)
         hidden = force - coulomb * np.sign(v)
         return run.plus(run.column(j, hidden[:: run.step]))
 
@@ -62,7 +62,7 @@ class MaxwellSlip(Added):
         return run.column(j, (force - np.sign(v))[:: run.step])
 
 
-def _bristle(v: np.ndarray, reach: np.ndarray) -> np.ndarray:
+def bend_bristle(v: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """Return a bristle's deflection (N,): it runs to where it slips, at the mean speed of each millisecond."""
     middle = (np.abs(v[1:]) + np.abs(v[:-1])) / 2
     decay = np.exp(-middle / reach[1:] / RATE_HZ).tolist()

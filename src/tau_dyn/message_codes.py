@@ -152,6 +152,10 @@ WARNING_CODES: dict[str, MessageCode] = {
     "force_late": MessageCode(
         "the force is late or early by more than 0.7 samples", "shift `tau` by the stated time; one clock for all"
     ),
+    "force_is_voltage": MessageCode(
+        "forces are a constant times `voltage_J` or `pwm_J`",
+        "log the current as well; `back_emf` in [causes](causes.md)",
+    ),
     "force_lowpassed": MessageCode(
         "a first-order lag explains the force better than a delay", "log the force before the filter"
     ),

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.effects import EFFECTS, Motion, build_friction_model
+from tau_dyn.effects import EFFECTS, LazySignals, Motion, build_friction_model
 
 JOINTS, UNITS = ("j1", "j2", "j3"), ("N", "N m", "N m")
 
@@ -146,3 +146,22 @@ def test_what_cannot_be_is_refused(motion) -> None:
     with raises_code("invalid_value", "3"):
         effect("reducer_coupling")
     assert build_friction_model("rigid", JOINTS, UNITS) == ()
+
+
+def test_signals_that_no_effect_feels_are_never_computed(motion) -> None:
+    """Load friction feels the load of its own joint; the mass matrix beside it costs nothing, though its name is known."""
+    asked = []
+
+    def make(name: str, x: np.ndarray) -> np.ndarray:
+        asked.append(name)
+        return x
+
+    load = np.full((40, 3), 2.0)
+    signals = LazySignals(
+        {"load": lambda: make("load", load), "inertia": lambda: make("inertia", np.zeros((40, 3, 3)))}
+    )
+    lazy = Motion.of(JOINTS, motion.q, motion.v, motion.a, signals=signals)
+    assert "inertia" in lazy.signals and not asked
+    columns = effect("load_friction", ("j2",)).columns(lazy)
+    assert_allclose(columns[:, 1, 0], 2.0 * np.sign(motion.v[:, 1]))
+    assert set(asked) == {"load"} and len(asked) == 1

@@ -5,9 +5,10 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "experiments"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
 from mutation_parts.physical import read_faults
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_each_fault_changes_one_place_of_the_code() -> None:

@@ -5,7 +5,15 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from raising import raises_code
 
-from tau_dyn.log import compute_attenuation, compute_edge_samples, decimate, differentiate, find_reversals, lowpass
+from tau_dyn.log import (
+    compute_attenuation,
+    compute_edge_samples,
+    decimate,
+    differentiate,
+    find_reversals,
+    lowpass,
+    lowpass_and_decimate,
+)
 
 RATE = 1000.0
 T = np.arange(4000) / RATE
@@ -104,3 +112,14 @@ def test_reversals_ignore_noise_below_the_threshold(rng):
     """One stroke back and forth has one reversal, whatever trembles at rest."""
     v = np.concatenate([np.ones(100), 0.01 * rng.standard_normal(50), -np.ones(100)])
     assert_array_equal(find_reversals(v, 0.1), [150])
+
+
+@pytest.mark.parametrize(
+    ("rate", "cutoff", "factor", "n"), [(1000.0, 30.0, 13, 20_003), (250.0, 32.0, 3, 4000), (250.0, 32.0, 3, 90)]
+)
+def test_samples_kept_of_a_product_are_those_of_the_recursive_filter(rate, cutoff, factor, n):
+    """Convolution and recursion are one filter: 1e-10 of the largest sample apart, at both ends too, and of short logs."""
+    x = 100 + np.random.default_rng(1).normal(size=(n, 2)).cumsum(axis=0)
+    kept = lowpass_and_decimate(x, cutoff, rate, factor)
+    assert_allclose(kept, decimate(lowpass(x, cutoff, rate), factor), rtol=0, atol=1e-10 * np.abs(x).max())
+    assert_array_equal(kept[:, 1], lowpass_and_decimate(x[:, 1], cutoff, rate, factor))

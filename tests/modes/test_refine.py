@@ -8,7 +8,7 @@ from raising import raises_code
 from scipy.signal import lfilter
 
 from tau_dyn.modes import Record, StateSpace, refine
-from tau_dyn.modes.fit_point import build_columns, compute_derivative_maps
+from tau_dyn.modes.fit_point import build_columns, compute_derivative_maps, evaluate
 from tau_dyn.modes.hankel import compute_spectrum, fit_autoregression
 from tau_dyn.modes.modal import compute_frequency_and_damping, find_resonances
 from tau_dyn.modes.modal_descent import balance_model
@@ -200,3 +200,17 @@ def test_unknown_kind_is_refused():
     """There are two refinements, and a misspelt one says so."""
     with raises_code("invalid_value", "prediction_error"):
         refine(plant(), [record_of(plant(), 200, 9, 0.1)], kind="other")
+
+
+def test_records_side_by_side_are_those_one_by_one():
+    """Records of like length are walked through together; each one's products and the loss are those of it alone."""
+    form = build_modal_form(plant())
+    records = [record_of(plant(), n, n, 0.1) for n in (300, 290, 40, 260)]
+    rng = np.random.default_rng(4)
+    x0 = rng.normal(size=(4, len(form.poles))) * [1.0, 1j, 1.0][: len(form.poles)]
+    together = evaluate(form, x0, records)
+    alone = [evaluate(form, x0[r : r + 1], [record]) for r, record in enumerate(records)]
+    assert np.allclose(together.squares, sum(point.squares for point in alone), rtol=1e-10)
+    for r, point in enumerate(alone):
+        assert np.allclose(together.grams[r], point.grams[0], rtol=1e-9, atol=1e-9 * np.abs(point.grams[0]).max())
+        assert np.allclose(together.cross[r], point.cross[0], rtol=1e-9, atol=1e-9 * np.abs(point.cross[0]).max())

@@ -47,6 +47,8 @@ def build_law(robot, gain: float = 2.65, **entries) -> ServoLaw:
         "command_delay": 0.012,
         "load_friction": 0.2,
     }
+    if entries.get("command", "position") != "position":
+        del known["position_gain"]
     return ServoLaw.of(robot.actuated, **(known | {"stiction": 0.01} | entries))
 
 

@@ -14,8 +14,9 @@ import numpy as np
 GRAVITY = 9.81
 STEP_S = 5e-4
 """Step [s]: a fortieth of a sample of the logs."""
-SWEEPS = 12
-"""Sweeps of the friction problem; three joints settle to 1e-9 in eight."""
+SWEEPS = 100
+"""Sweeps of the friction problem, at most; three joints settle to 1e-9 in eight."""
+SETTLED_SPEED = 1e-8  # rad/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +109,10 @@ class PlanarArms:
 def _step(A: np.ndarray, wanted: np.ndarray, damping: np.ndarray, most: np.ndarray, v: np.ndarray) -> np.ndarray:
     v = v.copy()
     for _ in range(SWEEPS):
+        before = v.copy()
         for j in range(len(v)):
             rest = wanted[j] - np.einsum("is,is->s", A[j], v) + A[j, j] * v[j]
             v[j] = (rest - np.clip(rest, -most[j], most[j])) / (A[j, j] + damping[j])
+        if np.abs(v - before).max() < SETTLED_SPEED:
+            break
     return v

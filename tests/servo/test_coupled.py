@@ -14,16 +14,17 @@ from tau_dyn.servo.waves import Trials
 from tau_dyn.simulate import ServoLaw
 
 
-def test_coupled_joints_move_as_one_system():
-    """Three joints, each with the others' accelerations as a load, move as the solution of all equations at once."""
-    arm, one = build_arm(3), np.ones((3, 1))
-    motion = build_commands(arm, 0, 4.0)
+@pytest.mark.parametrize(("joints", "mass", "seconds"), [(3, 0.15, 4.0), (6, 0.05, 1.0)])
+def test_coupled_joints_move_as_one_system(joints, mass, seconds):
+    """Joints whose loads are taken along the motion that they simulate move as the solution of all equations at once."""
+    arm, one = build_arm(joints, mass), np.ones((joints, 1))
+    motion = build_commands(arm, 0, seconds)
     together = PlanarArms(
-        0.12, 0.15 * one, 0.07 * one, 2e-4 * one, 0.012 * one, 0.06 * one, 0.02 * one, 0.2 * one, 0.01 * one, 0.05,
+        0.12, mass * one, 0.07 * one, 2e-4 * one, 0.012 * one, 0.06 * one, 0.02 * one, 0.2 * one, 0.01 * one, 0.05,
         2.65 * one, 2.9, 0.17, 0.012 * one,
     )  # fmt: skip
     q = together.simulate(motion.q[:, :, None], 0.02)[:, :, 0]
-    log = record(arm, build_truth(arm), build_law(arm), 0, 4.0, clean=True)
+    log = record(arm, build_truth(arm), build_law(arm), 0, seconds, clean=True)
     np.testing.assert_allclose(log.joint("q", arm.actuated), q[: log.n_samples], atol=3e-4)
 
 
@@ -35,10 +36,10 @@ def test_a_stop_within_a_step_is_where_friction_brings_it(step):
     truth = build_truth(robot).with_values({"j1.viscous": 0.0, "j1.coulomb": 0.06, "j1.armature": 0.0})
     records = build_records(truth, law, [record(robot, truth, law, 0, 2.0)])
     space = InertialSpace.of(truth)
-    waves = build_waves(space, records, [compute_load_waves(space, *r.motion, r.dt) for r in records], law)
+    waves = build_waves(records, [compute_load_waves(space, *r.motion, r.dt) for r in records], law)
     waves = type(waves)(**(vars(waves) | {"speed": np.array([[1.0]]), "step": step}))
     trials = Trials({key: x[:, None] for key, x in read_values(truth, law).items()}, np.zeros((0, 1)))
-    q, v = simulate_motion(waves, trials)[:, :, 0, 0, 0]
+    _, q, v = simulate_motion(waves, trials)[:, :, 0, 0, 0]
     assert q[-1] - q[0] == pytest.approx(0.02 / (2 * 0.06), rel=1e-6)
     assert v[-1] == 0
 

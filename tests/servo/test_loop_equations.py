@@ -6,16 +6,19 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
+from tests.servo.arms import build_commands, build_link
 
 from tau_dyn.effects import build_friction_model
+from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot_from_urdf
 from tau_dyn.servo import simulate_loop_log
-from tau_dyn.servo.fit import count_worth, delay_command
-from tau_dyn.servo.records import InertialSpace, compute_load_columns
+from tau_dyn.servo.equation_error import delay_command
+from tau_dyn.servo.fit import count_worth
+from tau_dyn.servo.records import InertialSpace, compute_load_waves
 from tau_dyn.servo.result import LoopParameter
 from tau_dyn.servo.simulation import read_values
-from tau_dyn.simulate import ServoLaw, Trajectory
+from tau_dyn.simulate import ServoLaw, Trajectory, build_servo_law
 
 RATE_HZ = 500.0
 INERTIA, MASS, ARM, GRAVITY = 0.05, 2.0, 0.1, 9.81
@@ -157,16 +160,61 @@ def test_correlated_residuals_are_worth_fewer(rng):
     assert count_worth(rng.standard_normal((20_000, 1)), used[:20_000]) < 1.3
 
 
+@pytest.mark.parametrize(
+    "entries",
+    [
+        {"command": "position", "position_gain": 8.0, "speed_gain": 0.3, "speed_integral_gain": 3.0},
+        {"command": "speed", "speed_gain": 0.3, "speed_integral_gain": 3.0},
+        {"command": "pwm", "back_emf": 0.2},
+        {"command": "current"},
+    ],
+)
+def test_a_joint_follows_its_commands_as_its_differential_equation_says(entries):
+    """I q'' + b q' = F (u - back_emf q'), u = kv (w - q') + ki int (w - q'), w = kp (command - q) or told; or u is told."""
+    robot, inertia, viscous, force = build_link(0.05), 0.05, 0.3, 4.0
+    model = Model.of(robot, build_friction_model("symmetric", robot.actuated, robot.force_units))
+    model = model.with_values({"j1.viscous": viscous, "j1.coulomb": 0.0, "j1.armature": 0.0})
+    law = ServoLaw.of(robot.actuated, force_per_unit=force, **entries)
+    log = simulate_loop_log(model, law, build_commands(robot, 3, 3.0))
+    p = {"speed_gain": 0.0, "speed_integral_gain": 0.0, "position_gain": 0.0, "back_emf": 0.0} | entries
+
+    def move(command: float, x: np.ndarray) -> np.ndarray:
+        w = p["position_gain"] * (command - x[0]) if p["command"] == "position" else command
+        u = p["speed_gain"] * (w - x[1]) + x[2] if p["speed_gain"] else command
+        most = np.inf if p["command"] == "current" else 1.0
+        torque = force * (np.clip(u, -most, most) - p["back_emf"] * x[1])
+        return np.array([x[1], (torque - viscous * x[1]) / inertia, p["speed_integral_gain"] * (w - x[1])])
+
+    x, cmd, q = np.array([log.channels["q_j1"][0], 0.0, 0.0]), log.channels["cmd_j1"], []
+    for command in cmd:
+        q.append(x[0])
+        x = solve_ivp(lambda t, x, c=command: move(c, x), (0, 0.02), x, rtol=1e-9, atol=1e-9).y[:, -1]
+    assert np.ptp(q) > 0.05
+    assert_allclose(log.channels["q_j1"], q, atol=2e-5)
+    again = build_servo_law(law.to_dict(), robot, "law.yaml")
+    assert again.command == entries["command"]
+    assert all(np.array_equal(again.values[key], x) for key, x in law.values.items())
+
+
+@pytest.mark.parametrize(
+    "content", [{"command": "torque"}, {"command": "pwm", "position_gain": 1.0}, {"command": "speed"}]
+)
+def test_a_law_that_contradicts_its_commands_is_refused(content):
+    """A command of no kind that is known, a gain on a position error that nobody forms, and a loop of speed without gain."""
+    with pytest.raises(InputError, match="command|position_gain|speed_gain"):
+        build_servo_law({"law": "servo", "force_per_unit": 1.0, **content}, build_link(0.05), "law.yaml")
+
+
 def test_loads_along_a_motion_are_the_robots(rng):
     """Inertia, load and its growth with the position of a swinging arm are those of its equation `I a + m g r cos q`."""
     robot = build_joint("0 -1 0")
     t = np.arange(0, 4, 0.02)
     q, v, a = (x[:, None] for x in (np.sin(t), np.cos(t), -np.sin(t)))
     space = InertialSpace.of(build_model(robot))
-    waves = compute_load_columns(space, q, v, a, 0.02)
+    waves = compute_load_waves(space, q, v, a, 0.02)
     weight = MASS * GRAVITY * ARM
-    assert_allclose(waves.inertia[:, 0] @ space.nominal, INERTIA, rtol=1e-9)
-    assert_allclose(waves.load[:, 0] @ space.nominal, weight * np.cos(q[:, 0]), rtol=1e-6)
+    assert_allclose(waves.inertia[:, 0, 0], INERTIA, rtol=1e-9)
+    assert_allclose(waves.load[:, 0, 0], weight * np.cos(q[:, 0]), rtol=1e-6)
     assert_allclose(waves.stiffness[:, 0], -weight * np.sin(q[:, 0]), atol=0.02 * weight)
 
 

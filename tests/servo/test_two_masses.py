@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.servo.loop import _simulate_in_numpy, simulate_loops, simulate_motion, solve_spring
+from tau_dyn.servo.prediction import simulate_coupled
 from tau_dyn.servo.records import InertialSpace, build_records, build_waves, compute_load_waves
 from tau_dyn.servo.simulation import read_values
 from tau_dyn.servo.waves import Trials, Waves
@@ -129,6 +130,9 @@ def test_a_sampled_spring_keeps_both_poles():
         {"backlash": 0.02, "torque_delay": np.array([0.0, 0.004]), "integral_gain": 2.0, "derivative_gain": 0.02},
         {"drive_exponent": 0.8, "braking": 0.3, "supply_sag": 0.2, "dead_band": 0.004, "command_step": 0.002},
         {"speed_limit": 3.0, "acceleration_limit": 20.0},
+        {"position_gain": 9.0, "speed_gain": 0.3, "speed_integral_gain": 2.0, "supply_sag": 0.2},
+        {"command": "speed", "speed_gain": np.array([0.3, 0.6]), "speed_integral_gain": 2.0, "speed_limit": 0.5},
+        {"command": "pwm", "torque_delay": 0.013},
     ],
 )
 def test_compiled_and_array_loops_agree(entries, side):
@@ -139,7 +143,7 @@ def test_compiled_and_array_loops_agree(entries, side):
     space = InertialSpace.of(truth)
     wide = replace(space, directions=0.3 * rng.standard_normal((len(space.nominal), 3)) * space.prior[:, None])
     loads = [compute_load_waves(wide, *r.motion, r.dt) for r in records]
-    waves = build_waves(wide, records, loads, law)
+    waves = build_waves(records, loads, law)
     factors = np.array([1.0, 1.1, 0.9])
     trials = Trials(
         {key: value[:, None] * factors for key, value in read_values(truth, law).items()},
@@ -147,6 +151,22 @@ def test_compiled_and_array_loops_agree(entries, side):
     )
     often = int(np.ceil(waves.dt[0] / waves.step))
     np.testing.assert_allclose(simulate_motion(waves, trials), _simulate_in_numpy(waves, trials, often), atol=1e-9)
+
+
+@pytest.mark.parametrize("entries", [{}, {"joint_compliance": np.array([0.02, 0.0, 0.01]), "torque_delay": 0.013}])
+def test_compiled_and_array_steps_of_coupled_joints_agree(entries, monkeypatch):
+    """All joints of two logs stepped at once, with a spring and a delay or without, move alike in compiled code and in numpy."""
+    arm = build_arm(3)
+    truth, law = build_truth(arm), build_law(arm, **entries)
+    records = build_records(truth, law, [record(arm, truth, law, seed, 0.6 + 0.2 * seed) for seed in range(2)])
+    space, values = InertialSpace.of(truth), read_values(truth, law)
+    both = []
+    for allowed in ("1", "0"):
+        monkeypatch.setenv("TAU_DYN_COMPILE", allowed)
+        both.append(simulate_coupled(space, np.zeros(0), values, law, records, 1e-2))
+    for one, other in zip(*both, strict=True):
+        np.testing.assert_allclose(one.q, other.q, atol=1e-7)
+        np.testing.assert_allclose(one.v, other.v, atol=1e-5)
 
 
 def test_a_law_file_says_where_the_encoder_sits():

@@ -46,6 +46,7 @@ IN_THE_ROBOT = {
 IN_THE_LOG = {
     "delay", "backlash", "transmission_error", "pinion_scale", "joint_compliance", "structural_compliance",
     "guideway_compliance", "guideway_nonparallel", "cart_tilt", "drive_lag",
+    "back_emf", "inductance", "winding_heat", "supply_sag",
 }  # fmt: skip
 SETTINGS = {
     "stribeck": {"speed": 0.1},
@@ -130,6 +131,37 @@ def test_a_change_between_campaigns_needs_a_campaign(make, tmp_path) -> None:
     state = np.zeros(1), np.array([0.5])
     other, changed = (SampledForces(model, EffectSurroundings(campaign=k)).bounds(*state)[1] for k in (0.0, 1.0))
     assert_allclose(changed - other, 7)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "settings"),
+    [
+        ("back_emf", {"back_emf": 30}, {}),
+        ("inductance", {"time_constant": 0.005}, {}),
+        ("winding_heat", {"resistance_rise": 0.5}, {"lag": 0.3, "rated": 100.0}),
+        ("supply_sag", {"supply_sag": 0.2}, {"peak": 500.0}),
+    ],
+)
+def test_a_motors_circuit_is_logged_and_moves_nothing(name: str, values: dict, settings: dict, make, tmp_path) -> None:
+    """The log holds what the law makes of the true force, beside the voltage or pulse width; the robot moves as without."""
+    model = hidden(make, tmp_path, name, values, **settings)
+    run = simulate_drive(model, there_and_back(model), None, Sensors(), np.random.default_rng(0), feedback="ideal")
+    log = measure(run, Sensors(), np.random.default_rng(0))
+    without = simulate_drive(
+        model.only(model.effects[:1]),
+        there_and_back(model),
+        None,
+        Sensors(),
+        np.random.default_rng(0),
+        feedback="ideal",
+    )
+    assert_allclose(run.tau, without.tau)
+    motion = Motion.of(model.robot.actuated, run.q, run.v, run.a, t=run.t, signals={"force": run.tau})
+    (joint,) = model.robot.actuated
+    made = run.tau + model.effects[1].force(motion, model.effect_parameters)
+    assert np.abs(made - run.tau).max() > 0.01 * np.abs(run.tau).max()
+    assert_allclose(log[f"tau_{joint}"], made[:, 0])
+    assert_allclose(log[f"{'pwm' if name == 'supply_sag' else 'voltage'}_{joint}"], log[f"tau_{joint}"])
 
 
 def test_forces_are_logged_behind_a_low_pass(make, tmp_path) -> None:

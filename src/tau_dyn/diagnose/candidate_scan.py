@@ -311,9 +311,10 @@ def compute_explained(effects: Sequence[Effect], ground: NullModel, both: np.nda
     for start in range(0, len(left), _CHUNK):
         part = [effects[k] for k in left[start : start + _CHUNK]]
         quick = [channel.quick_columns(effect) for effect in part]
-        made = [c or ground.library.columns(effect) for c, effect in zip(quick, part, strict=True)]
-        rows = np.stack([ground.whiten_columns(c) for c in made], axis=1)
-        found[left[start : start + _CHUNK]] = ground.explained(rows, both, find_nonnegative(effects[0]))
+        exact = [effect for c, effect in zip(quick, part, strict=True) if c is None]
+        exactly = iter(ground.library.make_together(exact, ground.whiten.runs))
+        made = [next(exactly) if c is None else c for c in quick]
+        found[left[start : start + _CHUNK]] = ground.explained(made, both, find_nonnegative(effects[0]))
     return found
 
 

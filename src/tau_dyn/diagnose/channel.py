@@ -20,7 +20,7 @@ from typing import ClassVar
 import numpy as np
 
 from tau_dyn.effects import Effect, Motion, Scene
-from tau_dyn.estimate import RegressionRun, Whitener, build_prior_rows
+from tau_dyn.estimate import Autoregression, RegressionRun, Whitener, build_prior_rows
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
 
@@ -136,6 +136,10 @@ class Channel(ABC):
     @abstractmethod
     def run_columns(self, effect: Effect, run: int) -> np.ndarray:
         """Return an effect's columns (n, m, k) of one run, filtered and masked as the measurements are."""
+
+    def run_columns_together(self, effects: Sequence[Effect], run: int) -> list[np.ndarray]:
+        """Return the columns (n, m, k) of several effects of one run; see `Channel.run_columns`."""
+        return [self.run_columns(effect, run) for effect in effects]
 
     def columns(self, effect: Effect) -> list[np.ndarray]:
         """Return an effect's columns (n, m, k) of each run."""
@@ -276,8 +280,8 @@ class EffectColumns(Sequence[np.ndarray]):
 
     def __init__(self, channel: Channel, effect: Effect) -> None:
         """Make nothing yet."""
-        self._channel, self._effect = channel, effect
-        self._made: dict[int, np.ndarray] = {}
+        self._channel, self.effect = channel, effect
+        self.made: dict[int, np.ndarray] = {}
 
     def __len__(self) -> int:
         """Return the number of runs."""
@@ -287,9 +291,9 @@ class EffectColumns(Sequence[np.ndarray]):
         """Return the columns of one run."""
         if run >= len(self):
             raise IndexError(run)
-        if run not in self._made:
-            self._made[run] = self._channel.run_columns(self._effect, run)
-        return self._made[run]
+        if run not in self.made:
+            self.made[run] = self._channel.run_columns(self.effect, run)
+        return self.made[run]
 
 
 class ColumnCache:
@@ -299,8 +303,31 @@ class ColumnCache:
         """Start empty."""
         self.channel = channel
         self._made: dict[tuple, EffectColumns] = {}
+        self._white: dict[tuple, tuple[Whitener, np.ndarray, np.ndarray]] = {}
 
     def columns(self, effect: Effect) -> EffectColumns:
         """Return an effect's exact columns."""
         key = (effect.name, effect.joints, tuple(sorted(effect.settings.items())), effect.label)
         return self._made.setdefault(key, EffectColumns(self.channel, effect))
+
+    def make_together(self, effects: Sequence[Effect], runs: Sequence[int]) -> list[EffectColumns]:
+        """Return the exact columns of several effects, those of the runs given made, together."""
+        found = [self.columns(effect) for effect in effects]
+        for run in runs:
+            new = [one for one in dict.fromkeys(found) if run not in one.made]
+            together = self.channel.run_columns_together([one.effect for one in new], run) if new else []
+            for one, columns in zip(new, together, strict=True):
+                one.made[run] = columns
+        return found
+
+    def whiten_baseline(
+        self, parts: tuple[int, ...], noise: tuple[Autoregression, ...]
+    ) -> tuple[Whitener, np.ndarray, np.ndarray]:
+        """Return what whitens these parts under a noise model of each output, the baseline's white columns and measurements.
+
+        The last ones asked for are kept: many effects are tried beside the same baseline.
+        """
+        if (parts, noise) not in self._white:
+            whiten = Whitener.of(self.channel.runs, self.channel.masks(*parts), noise)
+            self._white = {(parts, noise): (whiten, whiten(self.channel.free_columns), whiten(self.channel.target))}
+        return self._white[parts, noise]

@@ -136,7 +136,7 @@ class _Scatter:
 
     @classmethod
     def of(cls, block: np.ndarray, x: np.ndarray, rest: np.ndarray) -> _Scatter:
-        """Measure it along a direction (R,) whose coefficient the residual `rest` (R,) was fitted with; `block` (R,) numbers rows.
+        """Measure it along a direction (R,) whose coefficient the residual `rest` (R,) was fitted with, in blocks of rows (R,).
 
         The fit takes each block's leverage from its score (Bell and McCaffrey, 2002). A misfit along the direction that changes
         from block to block makes scores in proportion to the blocks' squares; the count is that of Satterthwaite (1946) for them.

@@ -14,7 +14,7 @@ from tau_dyn.diagnose.extended_fit import fit_extended_model
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.diagnose.result import Finding, Gain, OutputErrors, Signature, Unexplained, Verdict
 from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, build_effects
-from tau_dyn.effects import Effect, format_quantity, spell_unit
+from tau_dyn.effects import EFFECTS, VOLTAGE, Effect, format_quantity, spell_unit
 from tau_dyn.estimate import scale_columns
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -24,7 +24,9 @@ _DEPENDENT = 1e-8
 """Part of the largest eigenvalue below which columns count as dependent."""
 _BLIND = 0.01
 """Share of an amplitude that may lie in what dependent columns leave open."""
-_WITHIN = " The held-out logs hardly excite it; validation blocks of the training logs confirmed it."
+_WITHIN = (
+    " The held-out logs hardly excite it; blocks set aside of the training logs confirmed it and measured its gain."
+)
 _TWIN_EXPERIMENT = "record {reveals}; that separates it from {twins}"
 _EQUIVALENT = "no log of this kind separates it from {twins}; the force is the same"
 
@@ -51,10 +53,12 @@ def _build_finding(
     inflation = max(group.overdispersion for group in one.candidate.fits)
     parameters = estimate_uncertainty(ground, effects, values, inflation)
     first = effects[0]
-    rivals = [twin for twin in one.rivals if twin not in first.equivalent]
+    known = channel.scene.signals  # a law of a voltage is no twin where none is logged
+    alike = [t for e in effects for t in e.equivalent if t not in EFFECTS or VOLTAGE not in {*EFFECTS[t].needs} - known]
+    rivals = [twin for twin in one.rivals if twin not in alike]
     experiments = [
         text.format(reveals=first.reveals, twins=", ".join(twins).replace("_", " "))
-        for text, twins in ((_TWIN_EXPERIMENT, rivals), (_EQUIVALENT, first.equivalent))
+        for text, twins in ((_TWIN_EXPERIMENT, rivals), (_EQUIVALENT, dict.fromkeys(alike)))
         if twins
     ]
     return Finding(
@@ -65,7 +69,7 @@ def _build_finding(
         p_value=one.p_value,
         parameters=tuple(parameters),
         gain=gain,
-        indistinguishable_from=tuple(dict.fromkeys([*(t for e in effects for t in e.equivalent), *one.rivals])),
+        indistinguishable_from=tuple(dict.fromkeys([*alike, *one.rivals])),
         equation=first.equation,
         sentence=format_sentence(effects, parameters, gain) + (_WITHIN if test.within and not why_not else ""),
         experiment="; ".join(experiments),

@@ -22,6 +22,7 @@ from tau_dyn.diagnose.force_channel import (
     build_force_regression,
     compute_determined_rank,
     prepare_segments,
+    replace_measurements,
 )
 from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyLog
 from tau_dyn.diagnose.null_model import build_force_terms, compute_period_statistics
@@ -99,10 +100,7 @@ class FittedBaseline:
         logs = [log.draw(rng) for log in self._noise_only_logs]
         prepared = prepare_segments(self.nominal, logs, self.preparation, self.smooth_hz)
         regression = build_force_regression(self.nominal, prepared, self.preparation)
-        return replace(
-            build_force_channel(self.model, prepared, self.held, self.preparation, regression, self.clear_hz),
-            parameters=self.nominal.parameters,
-        )
+        return replace_measurements(self.channel, self.model, prepared, self.held, regression, self.clear_hz)
 
 
 def fit_baseline(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -26,7 +26,7 @@ from tau_dyn.diagnose.null_model import (
 )
 from tau_dyn.diagnose.plausibility import measure_scales
 from tau_dyn.diagnose.preparation import ForceTiming, compute_border_gap_s, find_timing
-from tau_dyn.effects import EFFECTS, GRAVITY_TURN, DisplacementEffect, Effect, Motion, Scene
+from tau_dyn.effects import EFFECTS, GRAVITY_TURN, DisplacementEffect, Effect, LazySignals, Motion, Scene
 from tau_dyn.estimate import Regression, RegressionRun, Whitener
 from tau_dyn.identify import Preparation, PreparedSegment, prepare_segment
 from tau_dyn.log import Log, decimate, lowpass
@@ -66,8 +66,11 @@ class ForceChannel(Channel):
 
     def run_columns(self, effect: Effect, run: int) -> np.ndarray:
         """Return an effect's columns (n, m, k) of one run; see `Channel.run_columns`."""
-        piece = self.prepared[run]
-        return piece.columns(effect.columns(piece.motion))
+        return self.prepared[run].columns_of([effect])[0]
+
+    def run_columns_together(self, effects: Sequence[Effect], run: int) -> list[np.ndarray]:
+        """Return the columns (n, m, k) of several effects of one run."""
+        return self.prepared[run].columns_of(effects)
 
     def whole_columns(self, effect: Effect) -> list[np.ndarray]:
         """Return the columns without any sample left out, for drawing."""
@@ -146,11 +149,7 @@ def build_force_channel(
     Raises:
         CannotAnswer: Too little is left of the data for three parts.
     """
-    prepared, regression, timing = _with_timing(model, prepared, held, regression)
-    turns = _gravity_turns(model, regression.parameters.values, prepared, regression.runs, [not out for out in held])
-    prepared = [
-        _with_signals(piece, model, turn, clear_hz, timing) for piece, turn in zip(prepared, turns, strict=True)
-    ]
+    prepared, regression, timing = _complete(model, prepared, held, regression, clear_hz)
     gap_s = compute_border_gap_s(preparation.force_cutoff_hz, prepared[0].log.rate_hz)
     parts = split_by_blocks(regression.runs, held, gap_s)
     campaigns = len({piece.log.name for piece, out in zip(prepared, held, strict=True) if not out})
@@ -182,6 +181,42 @@ def build_force_channel(
         "record a minute or more of motion in both directions, over several speeds",
     )
     return channel
+
+
+def replace_measurements(
+    channel: ForceChannel,
+    model: Model,
+    prepared: Sequence[PreparedSegment],
+    held: Sequence[bool],
+    regression: Regression,
+    clear_hz: float,
+) -> ForceChannel:
+    """Return a channel, its parts and its scene, with other measurements at the same times; see `build_force_channel`."""
+    prepared, regression, _ = _complete(model, prepared, held, regression, clear_hz)
+    thinned = tuple(_thinned(piece) for piece in prepared)
+    return replace(channel, runs=regression.runs, prepared=tuple(prepared), thinned=thinned)
+
+
+def _complete(
+    model: Model,
+    prepared: Sequence[PreparedSegment],
+    held: Sequence[bool],
+    regression: Regression,
+    clear_hz: float,
+) -> tuple[Sequence[PreparedSegment], Regression, ForceTiming | None]:
+    """Return the pieces with what a fitted model says of their motion, their regression, and the forces' timing."""
+    prepared, regression, timing = _with_timing(model, prepared, held, regression)
+    values, runs, trained = regression.parameters.values, regression.runs, [not out for out in held]
+
+    @cache
+    def find_turns() -> list[np.ndarray]:
+        return _gravity_turns(model, values, prepared, runs, trained)
+
+    found = [
+        _with_signals(piece, model, partial(lambda k: find_turns()[k], k), clear_hz, timing)
+        for k, piece in enumerate(prepared)
+    ]
+    return found, regression, timing
 
 
 def _with_timing(
@@ -218,34 +253,50 @@ def _interpolate(piece: PreparedSegment, compute: Callable[..., np.ndarray]) -> 
 
 
 def _with_signals(
-    piece: PreparedSegment, model: Model, turn: np.ndarray, clear_hz: float, timing: ForceTiming | None
+    piece: PreparedSegment,
+    model: Model,
+    find_turn: Callable[[], np.ndarray],
+    clear_hz: float,
+    timing: ForceTiming | None,
 ) -> PreparedSegment:
     """Return a piece whose motion has what a fitted model says of it: loads, inertia, turn of gravity, predicted forces.
 
     `force` is that of the values with the recording's timing taken out; see `preparation.py`.
     """
     m, t, mechanism = piece.motion, piece.log.t, model.mechanism
-    needs = [s for s in _SIGNALS if s != "passive" or model.robot.loops]
-    smooth = {name: _interpolate(piece, partial(COMPUTED[name], mechanism)) for name in needs}
-    found = {**m.signals, GRAVITY_TURN: turn, **smooth}
-    whole = model.motion(m.q, m.v, m.a, m.sign, t=t, signals=found)
-    Y = mechanism.regressor(m.q, m.v, m.a)
-    rigid = Y @ model.robot.parameters.values  # holds with a mass of zero
-    force = rigid + model.effect_force(whole)
-    if timing is not None:
-        force = (
-            force + np.concatenate([Y, *(effect.columns(whole) for effect in model.effects)], axis=2) @ timing.change
-        )
-    signals = {
-        **found,
-        "force": force,
-        "rigid_force": lowpass(rigid, min(clear_hz, 0.4 * piece.log.rate_hz), piece.log.rate_hz),
-        "damping": model.damping(whole),
-        "wide_force": rigid,
-        "clear_hz": np.full(len(t), clear_hz),  # a mode in the clear band passes no noise on
-    }
+    names = [s for s in _SIGNALS if s != "passive" or model.robot.loops]
+    smooth = {name: partial(_interpolate, piece, partial(COMPUTED[name], mechanism)) for name in names}
+    known = {**{name: partial(m.signals.__getitem__, name) for name in m.signals}, GRAVITY_TURN: find_turn, **smooth}
+    found = LazySignals(known)
+
+    @cache
+    def find_whole() -> Motion:
+        felt = {name for effect in model.effects for name in effect.needs}
+        return model.motion(m.q, m.v, m.a, m.sign, t=t, signals={name: found[name] for name in found if name in felt})
+
+    def predict() -> np.ndarray:
+        force = signals["wide_force"] + model.effect_force(find_whole())
+        if timing is None:
+            return force
+        parts = (mechanism.regressor(m.q, m.v, m.a), *(effect.columns(find_whole()) for effect in model.effects))
+        return force + np.concatenate(parts, axis=2) @ timing.change
+
+    signals = LazySignals(
+        {
+            **{name: partial(found.__getitem__, name) for name in found},
+            "wide_force": lambda: (
+                mechanism.regressor(m.q, m.v, m.a) @ model.robot.parameters.values
+            ),  # also without mass
+            "rigid_force": lambda: lowpass(
+                signals["wide_force"], min(clear_hz, 0.4 * piece.log.rate_hz), piece.log.rate_hz
+            ),
+            "force": predict,
+            "damping": lambda: model.damping(find_whole()),
+            "clear_hz": lambda: np.full(len(t), clear_hz),  # a mode in the clear band passes no noise on
+        }
+    )
     arrays = {key: _lay_samples_last(getattr(m, key)) for key in ("q", "v", "a", "sign")}
-    return replace(piece, motion=replace(m, **arrays, signals={k: _lay_samples_last(x) for k, x in signals.items()}))
+    return replace(piece, motion=replace(m, **arrays, signals=LazySignals.changed(signals, _lay_samples_last)))
 
 
 def _lay_samples_last(x: np.ndarray) -> np.ndarray:
@@ -289,7 +340,7 @@ def _thinned(piece: PreparedSegment) -> Motion:
     """Return a stretch's motion through the regression's low-pass, at its rate."""
     motion, factor = piece.motion, piece.factor
     arrays = [piece.passed(x) for x in (motion.q, motion.v, motion.a)]
-    signals = {key: decimate(x, factor) for key, x in motion.signals.items()}
+    signals = LazySignals.changed(motion.signals, partial(decimate, factor=factor))
     return Motion.of(motion.joints, *arrays, t=decimate(piece.log.t, factor), signals=signals)
 
 

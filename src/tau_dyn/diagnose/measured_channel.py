@@ -15,7 +15,7 @@ from tau_dyn.diagnose.channel import Channel, build_scene, find_shared_signals, 
 from tau_dyn.diagnose.preparation import compute_border_gap_s
 from tau_dyn.effects import Effect, Motion, Scene
 from tau_dyn.estimate import RegressionRun
-from tau_dyn.log import Log, compute_edge_samples, decimate, lowpass
+from tau_dyn.log import Log, compute_edge_samples, decimate, lowpass_and_decimate
 from tau_dyn.parameters import Parameters
 
 POSE_S = 1.0
@@ -48,7 +48,7 @@ class MeasuredSegment:
         """Return an array (N, ...) as the fit sees it (n, ...): low-passed and decimated."""
         if self.cutoff_hz is None:
             return x
-        return decimate(lowpass(x, self.cutoff_hz, self.log.rate_hz), self.factor)
+        return lowpass_and_decimate(x, self.cutoff_hz, self.log.rate_hz, self.factor)
 
     @property
     def t(self) -> np.ndarray:

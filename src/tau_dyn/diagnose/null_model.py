@@ -154,12 +154,12 @@ class NullModel:
     ) -> NullModel:
         """Project out the baseline's free columns and those of effects."""
         channel = library.channel
-        whiten = Whitener.of(channel.runs, channel.masks(*parts), noise)
+        whiten, free, target = library.whiten_baseline(tuple(parts), tuple(noise))
         prior_rows, prior_y = channel.prior
-        B = [whiten(channel.free_columns), *(whiten(library.columns(effect)) for effect in effects)]
+        B = [free, *(whiten(library.columns(effect)) for effect in effects)]
         blank = np.zeros((len(prior_y), sum(c.shape[1] for c in B[1:])))
         stacked = np.concatenate([np.concatenate(B, axis=1), np.concatenate([prior_rows, blank], axis=1)])
-        y = np.concatenate([whiten(channel.target), prior_y])
+        y = np.concatenate([target, prior_y])
         Q = orthonormalise(stacked)
         e = y - Q @ (Q.T @ y)
         n = whiten.n_rows
@@ -208,9 +208,30 @@ class NullModel:
         """Return white rows (R, k) with everything accounted for projected out."""
         return C - self.Q @ (self.Q.T @ C)
 
-    def explained(self, C: np.ndarray, both: np.ndarray, nonnegative: np.ndarray) -> np.ndarray:
-        """Return score statistics (g, d) of white rows (R, g, k), g settings at once, for residuals (R, d)."""
-        return compute_statistics_of_rows(C, both, self.Q, nonnegative)
+    def explained(
+        self, settings: Sequence[Sequence[np.ndarray]], both: np.ndarray, nonnegative: np.ndarray
+    ) -> np.ndarray:
+        """Return score statistics (g, d) of g settings' columns, each over the runs (n, m, k), for residuals (R, d).
+
+        Rows of outputs at which all of them are zero say nothing and are left out: most effects act on one joint.
+        """
+        whiten, k = self.whiten, len(nonnegative)
+        parts, rows, first = [], [], 0
+        for number, L in enumerate(whiten.rows):
+            run, output = divmod(number, whiten.n_outputs)
+            last = first + len(L.indptr) - 1
+            if L.nnz:
+                columns = np.concatenate([made[run][:, output] for made in settings], axis=1)
+                if columns.any():
+                    parts.append(L @ columns)
+                    rows.append(np.arange(first, last))
+            first = last
+        if not parts:
+            return np.zeros((len(settings), both.shape[1]))
+        C, index = np.concatenate(parts) / self.scale, np.concatenate(rows)
+        all_of_them = len(index) == self.n_rows
+        both, Q = (both, self.Q) if all_of_them else (both[index], self.Q[index])
+        return compute_statistics_of_rows(C.reshape(len(C), len(settings), k), both, Q, nonnegative)
 
 
 def orthonormalise(B: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:
@@ -219,9 +240,10 @@ def orthonormalise(B: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:
     B = B[:, norm > 0] / norm[norm > 0]
     if B.size == 0:
         return np.zeros((len(B), 0))
-    Q, R, _ = cast(Any, linalg.qr(B, mode="economic", pivoting=True))
+    tall, triangle = np.linalg.qr(B)  # pivots are looked for in the triangle: exchanging long columns is slow
+    Q, R, _ = cast(Any, linalg.qr(triangle, mode="economic", pivoting=True))
     diagonal = np.abs(np.diag(R))
-    return Q[:, : int(np.sum(diagonal > tolerance * diagonal[0]))]
+    return tall @ Q[:, : int(np.sum(diagonal > tolerance * diagonal[0]))]
 
 
 def compute_overdispersion(block: np.ndarray, scores: np.ndarray, square: float) -> float:
@@ -345,18 +367,26 @@ def compute_period_statistics(
     speed = np.abs(v)
     edges = np.quantile(speed[mask], np.linspace(0, 1, _CLASSES + 1)[1:-1])
     number = np.searchsorted(edges, speed)
-    S = np.zeros((len(lines), u.shape[1]), complex)
+    S = np.zeros((u.shape[1], len(lines)), complex)
     for c in range(_CLASSES):
         mine = np.flatnonzero((number == c) & mask)
         if mine.size:
-            place = sparse.csr_matrix((np.ones(len(mine)), (bins[mine], np.arange(len(mine)))), shape=(size, len(mine)))
             passed = 1 / compute_attenuation(float(np.median(speed[mine])) * lines, cutoff_hz)
             for factor, size_of in terms:
-                spectrum = np.asarray(fft.rfft(place @ (factor[mine, None] * u[mine]), axis=0))
-                S += (passed * size_of(2 * np.pi * lines))[:, None] * np.conj(spectrum[index])
-    power = np.abs(S.T) ** 2
+                spectrum = np.asarray(fft.rfft(_sum_into_bins(bins[mine], factor[mine, None] * u[mine], size)))
+                S += passed * size_of(2 * np.pi * lines) * np.conj(spectrum[:, index])
+    power = np.abs(S) ** 2
     noise = ndimage.uniform_filter1d(power[1:].mean(axis=0), min(_SMOOTHED, len(lines)), mode="nearest") / 2
     return np.divide(power, noise, out=np.zeros_like(power), where=noise > 1e-9 * noise.max(initial=1e-300)).T
+
+
+def _sum_into_bins(bins: np.ndarray, values: np.ndarray, size: int) -> np.ndarray:
+    """Return the sums (d, size) of samples' values (n, d) in each bin; a transform along the last axis is the quickest."""
+    order = np.argsort(bins, kind="stable")
+    place, first = np.unique(bins[order], return_index=True)
+    sums = np.zeros((values.shape[1], size))
+    sums[:, place] = np.add.reduceat(values[order], first, axis=0).T
+    return sums
 
 
 def build_force_terms(q: np.ndarray) -> list[Term]:

@@ -25,6 +25,7 @@ from tau_dyn.identify import (
     CODE,
     NOISE_FACTOR,
     RATE_FACTOR,
+    RECORDED,
     Kept,
     Preparation,
     TooShort,
@@ -43,6 +44,7 @@ from tau_dyn.log import (
     estimate_encoder_noise,
     find_motion_band,
     lowpass,
+    lowpass_and_decimate,
 )
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
@@ -130,8 +132,9 @@ def decimate_log(log: Log, cutoff_hz: float) -> Log:
     if factor < 2:
         return log
     safe = 0.4 * log.rate_hz / factor
+    smooth = ("q_", "tau_", *(f"{name}_" for name in RECORDED))
     channels = {
-        key: decimate(lowpass(x, safe, log.rate_hz) if key.startswith(("q_", "tau_")) else x, factor)
+        key: lowpass_and_decimate(x, safe, log.rate_hz, factor) if key.startswith(smooth) else decimate(x, factor)
         for key, x in log.channels.items()
     }
     return replace(log, t=decimate(log.t, factor), channels=channels)

@@ -30,11 +30,12 @@ from tau_dyn.modes import (
     Mode,
     Record,
     RefinedModel,
+    RefinementPath,
     compress_subspace_data,
     compute_aic_bic,
     compute_log_det_loss,
     count_free_parameters,
-    refine,
+    descend_to_fit,
     stabilise_poles,
 )
 from tau_dyn.parameters import Parameter
@@ -147,24 +148,27 @@ def _most_likely(records: Sequence[Record]) -> RefinedModel | None:
     least = compute_aic_bic(
         compute_log_det_loss(_at_once(records)), n, count_free_parameters(0, p, m, direct=True, predicts=False)
     )[1]
-    best: RefinedModel | None = None
+    better: list[tuple[float, RefinementPath]] = []
     try:
         factors = compress_subspace_data(records)
     except (TauDynError, np.linalg.LinAlgError):
         return None
     for order in (o for o in ORDERS if o <= factors.largest_order):
         try:
-            found = refine(
-                stabilise_poles(factors.model(order, direct=True)), records, direct=True, maximum_rounds=_MAX_ITERATIONS
-            )
+            start = stabilise_poles(factors.model(order, direct=True))
+            found = descend_to_fit(start, records, direct=True, maximum_rounds=_MAX_ITERATIONS)
         except (TauDynError, np.linalg.LinAlgError):
             continue
-        bic = compute_aic_bic(
-            found.loss, found.n_samples, count_free_parameters(order, p, m, direct=True, predicts=False)
-        )[1]
+        freedom = count_free_parameters(order, p, m, direct=True, predicts=False)
+        bic = compute_aic_bic(found.loss, found.path.state.n_samples, freedom)[1]
         if np.isfinite(bic) and bic < least:
-            best, least = found, bic
-    return best
+            better.append((bic, found))
+    for _, found in sorted(better, key=lambda pair: pair[0]):
+        try:
+            return found.finish()  # uncertainties of the best alone
+        except (TauDynError, np.linalg.LinAlgError):
+            continue
+    return None
 
 
 def _at_once(records: Sequence[Record]) -> list[np.ndarray]:

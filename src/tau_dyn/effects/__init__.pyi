@@ -51,7 +51,22 @@ from .jointwise import (
     JointwiseEffect as JointwiseEffect,
 )
 from .lost_motion import Backlash as Backlash, JointCompliance as JointCompliance
-from .motion import JointMotion as JointMotion, JointScales as JointScales, Motion as Motion, Scene as Scene
+from .motion import (
+    JointMotion as JointMotion,
+    JointScales as JointScales,
+    LazySignals as LazySignals,
+    Motion as Motion,
+    Scene as Scene,
+)
+from .motor_electrics import (
+    PULSE_WIDTH as PULSE_WIDTH,
+    VOLTAGE as VOLTAGE,
+    BackEmf as BackEmf,
+    CircuitEffect as CircuitEffect,
+    Inductance as Inductance,
+    SupplySag as SupplySag,
+    WindingHeat as WindingHeat,
+)
 from .periodic import CyclicRipple as CyclicRipple, TransmissionError as TransmissionError
 from .presliding import (
     STATE as STATE,

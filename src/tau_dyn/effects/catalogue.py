@@ -30,6 +30,7 @@ from tau_dyn.effects.gear_losses import DirectionalEfficiency, LoadFriction
 from tau_dyn.effects.guideways import CartTilt, GuidewayCompliance, GuidewayNonparallel
 from tau_dyn.effects.jointwise import DisplacementEffect, JointwiseEffect
 from tau_dyn.effects.lost_motion import Backlash, JointCompliance
+from tau_dyn.effects.motor_electrics import BackEmf, Inductance, SupplySag, WindingHeat
 from tau_dyn.effects.periodic import CyclicRipple, TransmissionError
 from tau_dyn.effects.presliding import Hysteresis, Lugre
 from tau_dyn.effects.robot_file import Armature, DriveGain, GravityDirection, PinionScale, ReducerCoupling
@@ -101,6 +102,7 @@ _IN_ORDER: tuple[type[Effect], ...] = (
     TransmissionError, ReducerCoupling, PinionScale, GravityDirection, Armature, StructuralCompliance, JointCompliance,
     GuidewayNonparallel, GuidewayCompliance, CartTilt, FrictionChange,
     DirectionalEfficiency, Lugre, StaticFriction, TorqueSpeedLimit, Cogging,
+    BackEmf, Inductance, WindingHeat, SupplySag,
 )  # fmt: skip
 
 for _effect in _IN_ORDER:

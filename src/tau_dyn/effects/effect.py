@@ -240,14 +240,16 @@ class Effect(ABC):
         """Return what is wrong with a setting; empty where nothing is."""
         if key not in self.defaults:
             return f"effect {self.name} has no setting '{key}'; it has {', '.join(self.defaults) or 'none'}"
-        what = f"setting {key} of effect {self.name}"
-        if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-            return f"{what} must be a finite number, not {value!r}"
-        if key in self.whole and (value < 1 or value != int(value)):
-            return f"{what} must be a whole number from 1 up, not {value!r}"
-        if key in self.whole and value > MAX_TERMS:
-            return f"{what} is {value!r}; it may be {MAX_TERMS} at most"
-        return f"{what} must be above zero, not {value!r}" if key in self.positive and value <= 0 else ""
+        fault = ""
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
+            fault = f"must be a finite number, not {value!r}"
+        elif key in self.whole and (value < 1 or value != int(value)):
+            fault = f"must be a whole number from 1 up, not {value!r}"
+        elif key in self.whole and value > MAX_TERMS:
+            fault = f"is {value!r}; it may be {MAX_TERMS} at most"
+        elif key in self.positive and value <= 0:
+            fault = f"must be above zero, not {value!r}"
+        return fault and f"setting {key} of effect {self.name} {fault}"
 
     def with_settings(self, **settings: float) -> Self:
         """Return the same effect with other settings."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -11,6 +12,38 @@ from tau_dyn.exceptions import InputError
 
 JointScales = Mapping[str, Mapping[str, float]]
 """Joint -> what plausible amplitudes are shares of -> its value in SI units; what is missing is not known, and bounds nothing."""
+
+
+class LazySignals(Mapping[str, np.ndarray]):
+    """Signals of which each is computed when first asked for: an effect feels few of them."""
+
+    def __init__(self, make: Mapping[str, Callable[[], np.ndarray]]) -> None:
+        """Compute nothing yet; `make` holds what does, by the signals' names."""
+        self._make = dict(make)
+        self._made: dict[str, np.ndarray] = {}
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return a signal."""
+        if name not in self._made:
+            self._made[name] = self._make[name]()
+        return self._made[name]
+
+    def __contains__(self, name: object) -> bool:
+        """Tell whether there is such a signal, without computing it."""
+        return name in self._make
+
+    def __iter__(self) -> Iterator[str]:
+        """Go through the names."""
+        return iter(self._make)
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self._make)
+
+    @classmethod
+    def changed(cls, signals: Mapping[str, np.ndarray], change: Callable[[np.ndarray], np.ndarray]) -> LazySignals:
+        """Return signals each of which is changed when first asked for."""
+        return cls({name: partial(lambda key: change(signals[key]), name) for name in signals})
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +88,38 @@ class Motion:
         signals: Mapping[str, np.ndarray] | None = None,
     ) -> Motion:
         """Build a motion; the sign defaults to that of the velocity."""
-        return cls(joints, q, v, a, np.sign(v) if sign is None else sign, t, dict(signals or {}))
+        given = signals if isinstance(signals, LazySignals) else dict(signals or {})
+        return cls(joints, q, v, a, np.sign(v) if sign is None else sign, t, given)
 
     def signal(self, name: str) -> np.ndarray:
         """Return a signal, or say that it is missing."""
         return _signal(self.signals, name)
+
+    def with_signals(self, **more: np.ndarray) -> Motion:
+        """Return the motion with further signals, or others in place of its own."""
+        kept = {name: partial(self.signals.__getitem__, name) for name in self.signals}
+        return replace(
+            self, signals=LazySignals({**kept, **{name: partial(np.asarray, x) for name, x in more.items()}})
+        )
+
+
+class _JointSignals(Mapping[str, np.ndarray]):
+    """One joint's part of signals."""
+
+    def __init__(self, signals: Mapping[str, np.ndarray], index: int) -> None:
+        self._signals, self._index = signals, index
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        x = self._signals[name]
+        if x.ndim > 2:
+            raise KeyError(name)  # of several joints together
+        return x[:, self._index] if x.ndim == 2 else x
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for name in self._signals if self._signals[name].ndim < 3)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +136,8 @@ class JointMotion:
     @classmethod
     def of(cls, motion: Motion, index: int) -> JointMotion:
         """Look at the joint of this index; signals (N,) that belong to no joint stay as they are."""
-        signals = {key: x[:, index] if x.ndim == 2 else x for key, x in motion.signals.items() if x.ndim < 3}
         q, v, a, sign = (x[:, index] for x in (motion.q, motion.v, motion.a, motion.sign))
-        return cls(q, v, a, sign, motion.t, signals)
+        return cls(q, v, a, sign, motion.t, _JointSignals(motion.signals, index))
 
     def signal(self, name: str) -> np.ndarray:
         """Return a signal, or say that it is missing."""

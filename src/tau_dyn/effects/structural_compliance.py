@@ -14,7 +14,6 @@ damping are settings; `modes` says how many of the three count. References: Spon
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -125,8 +124,7 @@ class StructuralCompliance(JointwiseDisplacement):
         """Return force per unit parameter (N, na, p); a structure's friction is in its guideways, before what yields."""
         if not self._coupled:
             return super().columns(motion)
-        free = {"damping": np.zeros_like(motion.v)}
-        return super().columns(replace(motion, signals={**motion.signals, **free}))
+        return super().columns(motion.with_signals(damping=np.zeros_like(motion.v)))
 
     def displacement(self, motion: Motion) -> np.ndarray:
         """Return encoder minus load per unit parameter (N, na, p) [m or rad]."""

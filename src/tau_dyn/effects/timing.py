@@ -87,6 +87,8 @@ MAX_ODD_S = 1e-3
 """Delay up to which only the odd part counts; of a motion at 5 Hz the even part is 2 % of it there."""
 MAX_TWIN_S = 5e-3
 """Delay up to which a low-pass of the same length is its twin; of a motion at 2 Hz they differ by 3 % of themselves."""
+_MAX_LEAD_S = 1e-2
+"""Lead up to which a voltage's inductance is its twin; of a motion at 2 Hz they differ by 1 % of the force there."""
 _MAX_SHARE = 0.01
 """Share of the recording that a delay may take: so much of its ends is not known."""
 
@@ -119,6 +121,8 @@ class Delay(TimingEffect):
             raise InputError("invalid_value", "setting about of effect delay must not be zero; its sign is the delay's")
         if abs(self.settings["about"]) <= MAX_TWIN_S:
             self.equivalent = (*type(self).equivalent, "drive_lag")
+        if -_MAX_LEAD_S <= self.settings["about"] < 0:
+            self.equivalent = (*self.equivalent, "inductance")
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:

@@ -252,6 +252,11 @@ class Whitener:
         """Number of rows R."""
         return len(self.index)
 
+    @property
+    def runs(self) -> list[int]:
+        """The runs that have rows."""
+        return sorted({k // self.n_outputs for k, L in enumerate(self.rows) if L.nnz})
+
     def __call__(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
         """Return white rows (R, ...) of arrays over the runs (n, m, ...); runs without any row are not looked at."""
         m = self.n_outputs

@@ -26,6 +26,7 @@ from .log_integrity import (
     check_integrity as check_integrity,
     is_diagnosis_invalid as is_diagnosis_invalid,
 )
+from .motor_electrics import RECORDED as RECORDED
 from .per_log import (
     LogValue as LogValue,
     PerLogParameter as PerLogParameter,
@@ -34,8 +35,6 @@ from .per_log import (
 )
 from .posterior import (
     Samples as Samples,
-    Widening as Widening,
-    compute_data_covariance as compute_data_covariance,
     draw_samples as draw_samples,
 )
 from .preparation import (
@@ -69,3 +68,4 @@ from .result import (
     build_force_errors as build_force_errors,
 )
 from .streaming import BlockExecutor as BlockExecutor
+from .widening import Widening as Widening, compute_data_covariance as compute_data_covariance

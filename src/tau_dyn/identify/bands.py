@@ -17,7 +17,7 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.estimate import Estimate, Regression
-from tau_dyn.identify.posterior import compute_data_covariance, measure_logs
+from tau_dyn.identify.widening import compute_data_covariance, measure_logs
 from tau_dyn.results import Brief
 
 BAND_LEVEL = 0.90

@@ -18,6 +18,7 @@ from tau_dyn.estimate import ROUNDING, Preparation, Regression
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.fitted_model import scale_outputs
 from tau_dyn.identify.log_integrity import check_integrity
+from tau_dyn.identify.motor_electrics import RECORDED
 from tau_dyn.identify.per_log import split_by_log
 from tau_dyn.identify.preparation import SATURATION_RATIO, list_crumbs, refuse_short
 from tau_dyn.identify.regression import build_regression_of_pieces
@@ -286,7 +287,7 @@ class BuiltData(NamedTuple):
 
 
 def shift_forces(log: Log, joints: Sequence[str], seconds: float) -> Log:
-    """Return a log whose forces are read `seconds` later, by cubic interpolation; its ends keep their last value."""
+    """Return a log whose forces and voltages are read `seconds` later, by cubic interpolation; its ends keep their last value."""
     t = np.clip(log.t + seconds, log.t[0], log.t[-1])
-    names = [f"tau_{joint}" for joint in joints]
+    names = [n for joint in joints for s in ("tau", *RECORDED) if (n := f"{s}_{joint}") in log.channels]
     return replace(log, channels={**log.channels, **{n: CubicSpline(log.t, log.channels[n])(t) for n in names}})

@@ -31,6 +31,7 @@ from tau_dyn.identify.estimate_warnings import (
 )
 from tau_dyn.identify.estimators import Estimator, Settled, iterate_to_fixed_point
 from tau_dyn.identify.fitted_model import Choices, build_model, build_physical_constraints, find_structural_base
+from tau_dyn.identify.motor_electrics import estimate_motor_electrics, list_voltage_warnings
 from tau_dyn.identify.per_log import (
     average_over_logs,
     choose_per_log,
@@ -142,6 +143,7 @@ def identify(
     warnings += list_comparison_warnings(compared)
     warnings += list_unjudged_joint_warnings(trained, errors.errors)
     warnings += list_held_out_warnings(trained, errors.errors if held else None)
+    warnings += list_voltage_warnings(train, fitted.robot.actuated)
     warnings += [*list_estimate_warnings(estimate), *list_inertia_scale_warnings(estimate, nominal)]
     return Identification(
         model=replace(_place(fitted, estimate), provenance=_list_provenance(train, held, seed)),
@@ -159,6 +161,7 @@ def identify(
         force_offset=offset,
         per_log=compared,
         bands=errors.bands,
+        motors=estimate_motor_electrics(estimate),
     )
 
 

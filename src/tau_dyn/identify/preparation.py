@@ -32,9 +32,10 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from scipy.ndimage import convolve1d, minimum_filter1d
 
-from tau_dyn.effects import Effect, Motion
+from tau_dyn.effects import PULSE_WIDTH, VOLTAGE, Effect, Motion
 from tau_dyn.estimate import ROUNDING, Preparation, Regression
 from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.identify.motor_electrics import makes_force
 from tau_dyn.log import (
     MIN_SEGMENT_SAMPLES,
     ROOM_TEMPERATURE,
@@ -253,10 +254,11 @@ def list_information_warnings(regression: Regression, rank: int, band_hz: float 
 def get_measured_signals(
     log: Log, joints: tuple[str, ...], q: np.ndarray, v: np.ndarray, threshold: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return what a log says beyond positions and forces: temperatures, and travel since each joint's last reversal."""
+    """Return what a log says beyond positions and forces: temperatures, travel since a reversal, voltages that forces are."""
     found = {"reversal": np.column_stack([compute_travel(q[:, k], v[:, k], threshold[k]) for k in range(q.shape[1])])}
     warmth = log.temperatures(joints)
-    return found if warmth is None else {**found, "temperature": warmth}
+    found |= {} if warmth is None else {"temperature": warmth}
+    return found | {name: log.joint(name, joints) for name in (VOLTAGE, PULSE_WIDTH) if makes_force(log, joints, name)}
 
 
 def compute_travel(q: np.ndarray, v: np.ndarray, threshold: float) -> np.ndarray:

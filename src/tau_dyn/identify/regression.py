@@ -13,14 +13,16 @@ itself stands in `preparation.py`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeGuard
 
 import numpy as np
 
 from tau_dyn.effects import REPORTED, Effect, JointMotion, JointwiseEffect, Motion, name_effect_in_errors
 from tau_dyn.estimate import Preparation, Regression, RegressionRun
 from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.identify.motor_electrics import RECORDED, SPEED
 from tau_dyn.identify.preparation import (
     Kept,
     choose_preparation,
@@ -42,12 +44,14 @@ from tau_dyn.log import (
     decimate,
     differentiate,
     lowpass,
+    lowpass_and_decimate,
     resample_segments,
 )
 from tau_dyn.model import Model
 
 MIN_SHARE = 0.5
 """Share of the filter's weight that must lie on usable samples."""
+_MAX_VALUES = 2_000_000  # filtered in one call: 16 MB
 
 
 def build_regression(
@@ -162,13 +166,13 @@ class PreparedSegment:
         """
         samples = np.round(late * self.rate_hz).astype(int)
         gate = np.column_stack([hold_closed(x, int(n)) for x, n in zip(self.gate.T, samples, strict=True)])
-        share = decimate(lowpass(gate, self.preparation.force_cutoff_hz, self.rate_hz), self.factor)
+        share = self.passed(gate)
         usable = self.usable & (share > MIN_SHARE)
         return replace(self, gate=gate, usable=usable, weight=np.where(usable, share, 1.0))
 
     def passed(self, x: np.ndarray) -> np.ndarray:
         """Return an array (N, ...) through the low-pass that both sides share, decimated (n, ...)."""
-        return decimate(lowpass(x, self.preparation.force_cutoff_hz, self.rate_hz), self.factor)
+        return lowpass_and_decimate(x, self.preparation.force_cutoff_hz, self.rate_hz, self.factor)
 
     def columns(self, Y: np.ndarray, *, gated: bool = True) -> np.ndarray:
         """Return columns (N, na, p) as the fit sees them (n, na, p), joint by joint; many do not touch a joint.
@@ -176,22 +180,51 @@ class PreparedSegment:
         Samples are laid out last, as filters like them.
         """
         N, na, p = Y.shape
+        rows = np.ascontiguousarray(Y.transpose(1, 2, 0))
+        k, column = np.nonzero((rows.max(axis=2, initial=0) != 0) | (rows.min(axis=2, initial=0) != 0))
         out = np.zeros((na, p, -(-N // self.factor)))
-        for k in range(na):
-            rows = np.ascontiguousarray(Y[:, k].T)
-            touching = np.flatnonzero((rows.max(axis=1, initial=0) != 0) | (rows.min(axis=1, initial=0) != 0))
-            if touching.size:
-                x = rows[touching]
-                out[k, touching] = self.passed((self.gate[:, k] * x if gated else x).T).T
+        if k.size:
+            touching = rows[k, column]
+            if gated:
+                touching *= np.ascontiguousarray(self.gate.T)[k]
+            out[k, column] = self.passed(touching.T).T
         if gated:
             out /= self.weight.T[:, None]
         return out.transpose(2, 0, 1)
+
+    def columns_of(self, effects: Sequence[Effect]) -> list[np.ndarray]:
+        """Return the gated columns (n, na, p) of several effects, filtered together; zeros are not filtered."""
+        gate, N = np.ascontiguousarray(self.gate.T), len(self.gate)
+        out, rows, places = [], [], []
+
+        def finish() -> None:
+            if rows:
+                for (made, k, column), x in zip(places, self.passed(np.stack(rows).T).T, strict=True):
+                    made[k, column] = x / self.weight[:, k]
+            rows.clear()
+            places.clear()
+
+        for effect in effects:
+            size, touching = _list_touching(effect, self.motion)
+            out.append(np.zeros((gate.shape[0], size, -(-N // self.factor))))
+            for k, column, x in touching:
+                rows.append(gate[k] * x)
+                places.append((out[-1], k, column))
+                if len(rows) * N > _MAX_VALUES:
+                    finish()
+        finish()
+        return [made.transpose(2, 0, 1) for made in out]
 
     def run(self, model: Model) -> RegressionRun:
         """Return the regression of a model on this stretch."""
         Y = compute_columns(model, self.motion)
         y = self.passed(self.gate * self.force) / self.weight
         signals = {key: decimate(getattr(self.motion, key), self.factor) for key in ("q", "v", "a")}
+        joints = model.robot.actuated
+        for name in RECORDED:
+            if self.log.has(name, joints):  # through both filters, as forces are
+                smooth = lowpass(self.log.joint(name, joints), self.preparation.position_cutoff_hz, self.rate_hz)
+                signals |= {name: self.passed(smooth), SPEED: self.passed(self.motion.v)}
         return RegressionRun(
             self.log.name,
             decimate(self.log.t, self.factor),
@@ -220,14 +253,33 @@ def compute_columns(model: Model, motion: Motion) -> np.ndarray:
 
 def _fill(out: np.ndarray, effect: Effect, motion: Motion) -> None:
     """Write an effect's columns (na, p, N); those of each joint alone without the zeros between them."""
-    if not isinstance(effect, JointwiseEffect) or type(effect).columns is not JointwiseEffect.columns:
+    if not _acts_by_joint(effect):
         out[:] = effect.columns(motion).transpose(1, 2, 0)
         return
-    n = len(effect.terms)
-    for k, joint in enumerate(effect.joints):
-        index = motion.joints.index(joint)
-        for m, column in enumerate(effect.per_joint(JointMotion.of(motion, index))):
-            out[index, n * k + m] = column
+    for k, column, x in _list_touching(effect, motion)[1]:
+        out[k, column] = x
+
+
+def _acts_by_joint(effect: Effect) -> TypeGuard[JointwiseEffect]:
+    return isinstance(effect, JointwiseEffect) and type(effect).columns is JointwiseEffect.columns
+
+
+def _list_touching(effect: Effect, motion: Motion) -> tuple[int, Iterator[tuple[int, int, np.ndarray]]]:
+    """Return how many columns an effect has, and joint, column and values (N,) of those that are not zero."""
+    if _acts_by_joint(effect):
+        n, every = len(effect.terms), enumerate(effect.joints)
+        size, made = (
+            n * len(effect.joints),
+            (
+                (k, n * place + m, x)
+                for place, k in ((place, motion.joints.index(joint)) for place, joint in every)
+                for m, x in enumerate(effect.per_joint(JointMotion.of(motion, k)))
+            ),
+        )
+    else:
+        rows = effect.columns(motion).transpose(1, 2, 0)
+        size, made = rows.shape[1], ((k, c, rows[k, c]) for k in range(len(rows)) for c in range(rows.shape[1]))
+    return size, (row for row in made if row[2].max(initial=0) != 0 or row[2].min(initial=0) != 0)
 
 
 def prepare_segment(
@@ -273,7 +325,7 @@ def prepare_segment(
         a = differentiate(v, dt, accuracy=4)
     motion = model.motion(q, v, a, sign, t=log.t, signals=measured, needs=needs)
     factor = preparation.factor(rate)
-    share = decimate(lowpass(gate, preparation.force_cutoff_hz, rate), factor)
+    share = lowpass_and_decimate(gate, preparation.force_cutoff_hz, rate, factor)
     usable = share > MIN_SHARE
     edge = compute_edge_samples(preparation.force_cutoff_hz, rate)
     if smooth_hz is not None:

@@ -108,6 +108,7 @@ class Identification(Shown):
         logs: The training logs, for going on with them.
         force_offset: How late forces were logged; None where it was not looked at.
         per_log: Parameters that have a value per log; `model` holds their mean.
+        motors: Each motor's circuit, where its voltage is logged beside current or force.
         bands: Bands that should hold 90 % of the held-out samples; None where there are none or rows are on disk.
     """
 
@@ -126,6 +127,7 @@ class Identification(Shown):
     force_offset: ForceOffset | None = None
     per_log: tuple[PerLogParameter, ...] = ()
     bands: PredictiveBands | None = None
+    motors: Parameters = Parameters(())
 
     @property
     def parameters(self) -> Parameters:
@@ -193,6 +195,7 @@ class Identification(Shown):
             "fixed_parameters": [{"name": p.name, "value": p.value, "unit": p.unit, "origin": p.origin} for p in fixed],
             "base_parameters": self.base_rows(),
             **({"per_log": [one.to_dict() for one in self.per_log]} if self.per_log else {}),
+            **({"motors": [_build_motor_row(p) for p in self.motors]} if len(self.motors) else {}),
             "correlation": self.estimate.correlation.tolist(),
             "equivalent_descriptions": list(self.equivalent),
             "train": self.train.to_dict(),
@@ -230,6 +233,10 @@ class Identification(Shown):
 
     def _is_friction(self, name: str) -> bool:
         return name.partition("@")[0] in self.model.effect_parameters
+
+
+def _build_motor_row(p: Parameter) -> dict[str, Any]:
+    return {"name": p.name, "value": p.value, "unit": p.unit} | _uncertainty(p.value, p.stderr, p)
 
 
 def _uncertainty(value: float, stderr: float | None, p: Parameter | None) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tau_dyn.effects import Bristle
+from tau_dyn.effects import Bristle, WindingHeat
 from tau_dyn.estimate import (
     ROUNDING,
     Preparation,
@@ -181,7 +181,7 @@ def list_channels(model: Model, exclude: Sequence[str]) -> tuple[str, ...]:
 def refuse_memory(model: Model) -> None:
     """Refuse effects whose force depends on what happened longer ago than any filter remembers."""
     for effect in model.effects:
-        if isinstance(effect, Bristle) or {"reversal", "temperature"} & set(effect.needs):
+        if isinstance(effect, Bristle | WindingHeat) or {"reversal", "temperature"} & set(effect.needs):
             raise InputError(
                 "unsupported",
                 f"effect {effect.name} remembers more than a block of a recording holds; give logs that fit in memory "

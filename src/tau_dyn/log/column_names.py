@@ -10,9 +10,10 @@ import json
 import re
 from collections.abc import Iterable, Sequence
 
-SIGNALS = ("q_ref", "q_link", "temp", "tau", "cmd", "q", "v", "a")
+SIGNALS = ("q_ref", "q_link", "voltage", "current", "temp", "tau", "cmd", "pwm", "q", "v", "a")
 """Signals a joint may have; `q_ref` stands before `q`, so that `q_ref_J` is not read as `q` of `ref_J`, and so does `q_link`,
-the position read behind the drive, on the load side; `cmd` is what a servo was told."""
+the position read behind the drive, on the load side; `cmd` is what a servo was told; `voltage` [V]
+and `current` [A] are a motor's, `pwm` its share of the supply."""
 
 TOOL_COLUMNS = (
     "x_tool", "y_tool", "z_tool",
@@ -42,7 +43,7 @@ def is_contract_name(column: str) -> bool:
 def list_used_columns(columns: Iterable[str]) -> tuple[str, ...]:
     """Return the columns that the library uses, and whose every cell therefore has to be a number.
 
-    `v_`, `a_`, `cmd_`, `q_link_` and `temp_` count only beside a `q_` column of the same joint: a foreign log's
+    All but `q_`, `q_ref_` and `tau_` count only beside a `q_` column of the same joint: a foreign log's
     `a_comment` is nobody's acceleration.
     """
     columns = tuple(columns)

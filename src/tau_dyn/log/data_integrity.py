@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,6 +158,17 @@ def find_lost_samples(log: Log, joints: Sequence[str] = ()) -> LostSamples:
         joints: The joints to look at; by default all that have a `q`.
     """
     names = tuple(joints) or log.joints("q")
+    looked_at = _LOOKED_AT.setdefault(log, {})
+    if names not in looked_at:
+        looked_at[names] = _find_lost_samples(log, names)
+    return looked_at[names]
+
+
+_LOOKED_AT: WeakKeyDictionary[Log, dict[tuple[str, ...], LostSamples]] = WeakKeyDictionary()
+"""What logs in use were found to have lost: a log is judged, and mended, one after the other."""
+
+
+def _find_lost_samples(log: Log, names: tuple[str, ...]) -> LostSamples:
     clock = examine_clock(log)
     if not names or log.n_samples < 50 or not (clock.even or clock.rounded):
         return _NONE

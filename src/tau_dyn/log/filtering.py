@@ -76,15 +76,34 @@ def lowpass(x: ArrayLike, cutoff_hz: float, rate_hz: float, order: int = 4) -> N
             "invalid_value",
             f"{len(x)} samples at {rate_hz:g} Hz are too few for a low-pass of {cutoff_hz:g} Hz; give more than {pad}.",
         )
-    sections = _sections(order, cutoff_hz, rate_hz)
-    floor = _FLOOR * float(np.max(np.abs(x), initial=0.0))
-    return np.asarray(signal.sosfiltfilt(sections, x + floor, axis=0, padlen=min(2 * pad, len(x) - 1))) - floor
+    rows = _filter_both_ways(np.moveaxis(x, 0, -1), min(2 * pad, len(x) - 1), _design(order, cutoff_hz, rate_hz))
+    return np.moveaxis(rows, -1, 0)
+
+
+Design = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""A filter's second-order sections, and their states after a long step."""
 
 
 @lru_cache(maxsize=64)
-def _sections(order: int, cutoff_hz: float, rate_hz: float) -> NDArray[np.float64]:
-    """Return the filter's second-order sections; designing them takes as long as filtering a short log."""
-    return np.asarray(signal.butter(order, cutoff_hz, fs=rate_hz, output="sos"))
+def _design(order: int, cutoff_hz: float, rate_hz: float) -> Design:
+    """Return the low-pass; designing it takes as long as filtering a short log."""
+    sections = np.asarray(signal.butter(order, cutoff_hz, fs=rate_hz, output="sos"))
+    return sections, np.asarray(signal.sosfilt_zi(sections))
+
+
+def _filter_both_ways(x: NDArray[np.float64], pad: int, design: Design) -> NDArray[np.float64]:
+    """Return rows (..., N) filtered as `scipy.signal.sosfiltfilt` does, continued by `pad` samples."""
+    sections, steady = design
+    N, floor = x.shape[-1], _FLOOR * float(max(np.max(x, initial=0.0), -np.min(x, initial=0.0)))
+    long = np.empty((*x.shape[:-1], N + 2 * pad))
+    np.add(x, floor, out=long[..., pad : pad + N])
+    ends = long[..., pad : pad + 1], long[..., pad + N - 1 : pad + N]
+    np.subtract(2 * ends[0], long[..., 2 * pad : pad : -1], out=long[..., :pad])
+    np.subtract(2 * ends[1], long[..., pad + N - 2 : N - 2 : -1], out=long[..., pad + N :])
+    steady = steady.reshape(len(sections), *[1] * (x.ndim - 1), 2)
+    for _ in range(2):
+        long = signal.sosfilt(sections, long, axis=-1, zi=steady * long[..., :1])[0][..., ::-1]
+    return long[..., pad : pad + N] - floor
 
 
 def compute_attenuation(f: NDArray[np.float64], cutoff_hz: float, order: int = 4) -> NDArray[np.float64]:

@@ -310,12 +310,13 @@ class Mechanism(ABC):
     def weight_gradient(self, q: np.ndarray) -> np.ndarray:
         """Return how the forces at rest (N, na, na) change with the actuated positions (N, na), by central differences."""
         (q,) = self._checked(q)
-        rest = np.zeros_like(q)
-        columns = [
-            self.inverse_dynamics(q + step, rest, rest) - self.inverse_dynamics(q - step, rest, rest)
-            for step in _STEP * np.eye(self.robot.na)
-        ]
-        return np.stack(columns, axis=2) / (2 * _STEP)
+        steps = _STEP * np.concatenate([np.eye(self.robot.na), -np.eye(self.robot.na)])
+        moved = (q[:, None] + steps).reshape(-1, self.robot.na)
+        rest = np.zeros_like(moved)
+        ahead, behind = np.moveaxis(
+            self.inverse_dynamics(moved, rest, rest).reshape(len(q), 2, self.robot.na, -1), 1, 0
+        )
+        return (ahead - behind).swapaxes(1, 2) / (2 * _STEP)
 
     def gravity_turn(self, q: np.ndarray) -> np.ndarray:
         """Return how the forces at rest (N, na, 2) change per turn [rad] of gravity about each of two axes across it.

@@ -6,6 +6,7 @@ from functools import wraps
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from tau_dyn.mechanism.batched import BatchedTree, Partial, compute_body_wrench, iterate_blocks
 from tau_dyn.mechanism.frames import (
@@ -163,6 +164,9 @@ def _by_number(name: str) -> Any:
     return method
 
 
+_inverse_dynamics = _by_number("inverse_dynamics")
+
+
 class TreeMechanism(SamplewiseTree):
     """Dynamics of a tree with loops.
 
@@ -172,7 +176,6 @@ class TreeMechanism(SamplewiseTree):
     """
 
     regressor = _by_number("regressor")
-    inverse_dynamics = _by_number("inverse_dynamics")
     inertia = _by_number("inertia")
     guide_force = _by_number("guide_force")
     passive_rates = _by_number("passive_rates")
@@ -185,6 +188,17 @@ class TreeMechanism(SamplewiseTree):
         super().__init__(robot)
         joints = list_joints(self.model)
         self.batched = None if joints is None else LoadedTree(robot, self.solver, joints)
+        free = not (robot.loops or self._gravity_only or self._unplaced)
+        self._plain = free and self.model.nq == self.model.nv and hasattr(pin, "rneaInParallel")
+
+    def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return actuated forces (N, na); Pinocchio takes many samples of a tree without loops in one call."""
+        if not self._plain or np.ndim(q) != 2 or len(q) <= MAX_ONE_BY_ONE:
+            return _inverse_dynamics(self, q, v, a)
+        share, offset = self.robot.coupling
+        x, *rates = (np.asfortranarray(share @ one.T) for one in self._checked(q, v, a))
+        tree = pin.rneaInParallel(1, pin.ModelPool(self.model, 1), x + offset[:, None], *rates)
+        return np.ascontiguousarray((share.T @ tree.reshape(x.shape)).T)
 
 
 def build_mechanism(robot: Robot) -> Mechanism:

@@ -13,7 +13,12 @@ from .on_robot import (
 )
 from .operational import find_operational_modes as find_operational_modes
 from .record import Record as Record, build_records as build_records
-from .refinement import RefinedModel as RefinedModel, refine as refine
+from .refinement import (
+    RefinedModel as RefinedModel,
+    RefinementPath as RefinementPath,
+    descend_to_fit as descend_to_fit,
+    refine as refine,
+)
 from .residuals import (
     CorrelationTest as CorrelationTest,
     compute_aic_bic as compute_aic_bic,

@@ -22,6 +22,7 @@ from tau_dyn.modes.record import Record
 from tau_dyn.modes.state_space import StateSpace
 
 CHUNK = 8192  # samples at a time; arrays stay in the processor's cache
+MIN_LENGTH_SHARE = 0.7  # of the longest of the records that are walked through side by side: the rest is zeros
 DUST = 1e-60  # of a free response below this nothing is kept: products of such numbers make processors crawl
 
 
@@ -179,21 +180,65 @@ class FitPoint:
 
 def evaluate(form: ModalForm, x0: np.ndarray, records: Sequence[Record]) -> FitPoint:
     """Return the point of a model over records that are aligned and scaled."""
-    p = form.D.shape[0]
-    squares, power, grams, cross = np.zeros((p, p)), np.zeros(p), [], []
-    for record, start in zip(records, x0, strict=True):
-        gram, gradient = 0.0, 0.0
-        for columns in build_columns(form, start, record):
-            y = record.y[columns.part]
-            error = y - columns.predicted
-            squares += error.T @ error
-            power += (y**2).sum(axis=0)
-            gram = gram + columns.real.T @ columns.real
-            gradient = gradient + columns.real.T @ error
-        grams.append(np.asarray(gram))
-        cross.append(np.asarray(gradient))
+    p, q = form.D.shape[0], 2 * len(form.poles) * (form.D.shape[1] + 2) + form.D.shape[1]
+    squares, power = np.zeros((p, p)), np.zeros(p)
+    grams, cross = np.zeros((len(records), q, q)), np.zeros((len(records), q, p))
+    for together in _group_by_length(records):
+        some = [records[r] for r in together]
+        parts = _walk_together(form, x0[together], some) if len(some) > 1 else _walk(form, x0[together[0]], some[0])
+        for real, predicted, y in parts:
+            error = y - predicted
+            for e, own in zip(error, y, strict=True):
+                squares += e.T @ e
+                power += (own**2).sum(axis=0)
+            turned = real.transpose(0, 2, 1)
+            grams[together] += turned @ real
+            cross[together] += turned @ error
     n = sum(record.n_samples for record in records)
     return FitPoint(form, x0, squares, n, tuple(grams), tuple(cross), power / n)
+
+
+Walk = Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]
+"""Columns (R, L, q), outputs of the model (R, L, p) and measured ones (R, L, p) of some samples of some records."""
+
+
+def _group_by_length(records: Sequence[Record]) -> list[list[int]]:
+    """Return records that are walked through together: of like length, and not too many for the processor's cache."""
+    order = sorted(range(len(records)), key=lambda r: -records[r].n_samples)
+    groups: list[list[int]] = []
+    for r in order:
+        longest = records[groups[-1][0]].n_samples if groups else 0
+        alike = records[r].n_samples > MIN_LENGTH_SHARE * longest
+        if groups and alike and longest * (len(groups[-1]) + 1) <= CHUNK:
+            groups[-1].append(r)
+        else:
+            groups.append([r])
+    return groups
+
+
+def _walk(form: ModalForm, x0: np.ndarray, record: Record) -> Walk:
+    for columns in build_columns(form, x0, record):
+        yield columns.real[None], columns.predicted[None], record.y[None, columns.part]
+
+
+def _walk_together(form: ModalForm, x0: np.ndarray, records: Sequence[Record]) -> Walk:
+    """Walk through several records side by side, zeros after the end of the shorter ones; see `build_columns`."""
+    k, (p, m), R, n = len(form.poles), form.D.shape, len(records), max(record.n_samples for record in records)
+    u, y, ended = np.zeros((n, R, m)), np.zeros((n, R, p)), np.ones((n, R), bool)
+    for r, record in enumerate(records):
+        u[: record.n_samples, r], y[: record.n_samples, r], ended[: record.n_samples, r] = record.u, record.y, False
+    X = np.zeros((n, R, k, m + 2), dtype=complex)
+    for i, pole in enumerate(form.poles):
+        X[:, :, i, :m] = _states(pole, u.reshape(n, -1), np.zeros(R * m, dtype=complex))[0].reshape(n, R, m)
+        X[:, :, i, m] = _without_dust(_states(pole, np.zeros((n, 1)), np.ones(1, dtype=complex))[0])
+        xi = X[:, :, i, :m] @ form.b[i] + x0[:, i] * X[:, :, i, m]
+        X[:, :, i, m + 1] = _without_dust(_states(pole, xi, np.zeros(R, dtype=complex))[0])
+    X[ended] = 0.0
+    xi = np.einsum("trkm,km->trk", X[:, :, :, :m], form.b) + X[:, :, :, m] * x0
+    predicted = xi.real @ form.c.T.real - xi.imag @ form.c.T.imag + u @ form.D.T
+    flat = X.reshape(n, R, -1).transpose(1, 0, 2)
+    real = np.concatenate([flat.real, flat.imag, u.transpose(1, 0, 2)], axis=2)
+    yield real, predicted.transpose(1, 0, 2), y.transpose(1, 0, 2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import qr
 
+from tau_dyn.estimate import Descent
 from tau_dyn.exceptions import InputError
 from tau_dyn.modes.fit_point import (
     DerivativeMaps,
@@ -280,6 +281,81 @@ def refine(
     Raises:
         InputError: The kind is unknown or the records do not fit the model.
     """
+    return descend_to_fit(model, records, kind=kind, direct=direct, maximum_rounds=maximum_rounds).finish(covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class RefinementPath:
+    """Where the descent of a model to a set of records ended, before uncertainties are worked out.
+
+    Attributes:
+        model: Where it started.
+        kind: As of `refine`.
+        scales: Units of the descent.
+        records: The records that were walked through, in these units.
+        free: Which entries of D were free.
+        as_model: The model of a form, in these units.
+        path: The descent.
+    """
+
+    model: StateSpace
+    kind: str
+    scales: Scales
+    records: list[Record]
+    free: np.ndarray
+    as_model: Callable[[ModalForm], StateSpace]
+    path: Descent[FitPoint]
+
+    @property
+    def loss(self) -> float:
+        """Log det of the errors' covariance."""
+        return self.path.state.loss + 2 * float(np.log(self.scales.y).sum())
+
+    def finish(self, covariance: bool = True) -> RefinedModel:
+        """Return the model, with uncertainties or without."""
+        model, scales, free = self.model, self.scales, self.free
+        point = normalise_shapes(self.path.state)
+        numbers = free_numbers(point.form, free)
+        if covariance:
+            found, errors = estimate_error_covariance(point, self.records, numbers)
+        else:
+            found, errors = np.full((numbers.sum(), numbers.sum()), np.nan), compute_errors(point, self.records)
+        estimated = np.zeros((len(numbers), len(numbers)))
+        estimated[np.ix_(numbers, numbers)] = found
+
+        def in_own_units(form: ModalForm) -> StateSpace:
+            return replace(self.as_model(form), delay=model.delay, noise=point.covariance).unscaled(scales)
+
+        refined = in_own_units(point.form)
+        size = build_layout(build_modal_form(refined)).size
+        spread = (
+            propagate_covariance(point.form, found, free, in_own_units) if covariance else np.full((size, size), np.nan)
+        )
+        return RefinedModel(
+            refined,
+            spread,
+            find_resonances(refined, spread),
+            self.loss,
+            tuple(part * scales.y for part in errors),
+            point.n_samples,
+            self.path.steps,
+            self.path.converged,
+            self.kind,
+            ResponseEstimate(
+                replace(point.form, delay=model.delay), estimated, scales, self.kind == "prediction_error"
+            ),
+        )
+
+
+def descend_to_fit(
+    model: StateSpace,
+    records: Sequence[Record],
+    *,
+    kind: str = "output_error",
+    direct: bool | None = None,
+    maximum_rounds: int = 40,
+) -> RefinementPath:
+    """Walk from a model down to the one that fits records best; see `refine`."""
     if kind not in KINDS:
         raise InputError("invalid_value", f"there is no refinement '{kind}'; there are {' and '.join(KINDS)}")
     scales = Scales.of(records)
@@ -287,39 +363,10 @@ def refine(
         raise InputError("mismatch", "the records' inputs or outputs are not those of the model")
     ready = [record.aligned(model.delay).scaled(scales) for record in records]
     direct = bool(np.any(model.D)) if direct is None else direct
-    start = replace(model.scaled(scales), delay=0)
     problem = _output_errors if kind == SIMULATED else _prediction_errors
-    point, wide, free, as_model, allowed = problem(start, ready, direct)
+    point, wide, free, as_model, allowed = problem(replace(model.scaled(scales), delay=0), ready, direct)
     path = minimise(point, wide, free, maximum_rounds, allowed)
-    point = normalise_shapes(path.state)
-    numbers = free_numbers(point.form, free)
-    if covariance:
-        found, errors = estimate_error_covariance(point, wide, numbers)
-    else:
-        found, errors = np.full((numbers.sum(), numbers.sum()), np.nan), compute_errors(point, wide)
-    estimated = np.zeros((len(numbers), len(numbers)))
-    estimated[np.ix_(numbers, numbers)] = found
-
-    def in_own_units(form: ModalForm) -> StateSpace:
-        return replace(as_model(form), delay=model.delay, noise=point.covariance).unscaled(scales)
-
-    refined = in_own_units(point.form)
-    size = build_layout(build_modal_form(refined)).size
-    spread = (
-        propagate_covariance(point.form, found, free, in_own_units) if covariance else np.full((size, size), np.nan)
-    )
-    return RefinedModel(
-        refined,
-        spread,
-        find_resonances(refined, spread),
-        point.loss + 2 * float(np.log(scales.y).sum()),
-        tuple(part * scales.y for part in errors),
-        point.n_samples,
-        path.steps,
-        path.converged,
-        kind,
-        ResponseEstimate(replace(point.form, delay=model.delay), estimated, scales, kind == "prediction_error"),
-    )
+    return RefinementPath(model, kind, scales, wide, free, as_model, path)
 
 
 Problem = tuple[FitPoint, list[Record], np.ndarray, Callable[[ModalForm], StateSpace], Callable[[ModalForm], bool]]

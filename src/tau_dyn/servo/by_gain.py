@@ -15,12 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tau_dyn.message_codes import CodedWarning
-from tau_dyn.servo.fit import LoopFit, LoopProblem, LoopUnknowns, build_unknowns, fit_loop
+from tau_dyn.servo.fit import LoopFit, LoopProblem, fit_loop
+from tau_dyn.servo.unknowns import LoopUnknowns, build_unknowns
 
 if TYPE_CHECKING:
     from tau_dyn.servo.data import LoopData
 
-MISSING = {"drive_exponent": "a drive law that bends", "supply_sag": "a supply that sags", "dead_band": "a dead band"}
+MISSING = {"drive_exponent": "a drive law that bends", "supply_sag": "a supply that sags", "dead_band": "a dead band",
+           "carried_friction": "a friction that grows with the load"}  # fmt: skip
 """Entries that a law may lack, tried where fits disagree."""
 DISAGREES = 3.3
 """Difference over its standard error from which two fits disagree: one pair in a thousand by chance."""

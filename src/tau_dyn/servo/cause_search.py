@@ -17,7 +17,8 @@ import numpy as np
 from tau_dyn.effects import LOOP_CAUSES
 from tau_dyn.servo.by_gain import extend_unknowns, read_kind
 from tau_dyn.servo.data import LoopData, fit_precisely, refit_again
-from tau_dyn.servo.fit import LoopFit, LoopUnknowns, count_worth, fit_loop
+from tau_dyn.servo.fit import LoopFit, count_worth, fit_loop
+from tau_dyn.servo.unknowns import LoopUnknowns, compute_stiffness
 
 MIN_SCORE = 5.0
 """Score from which a cause is taken in: one false one in 1,000 candidates where some 60 blocks count."""
@@ -258,7 +259,7 @@ def list_starts(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> li
     if cause == "backlash":
         return [{entry: np.full(na, play)} for play in _PLAYS]
     if cause == "stiction":
-        return [{entry: values[entry] + _FIRST_STICTION * values["position_gain"] * values["force_per_unit"]}]
+        return [{entry: values[entry] + _FIRST_STICTION * compute_stiffness(values)}]
     return [{entry: np.array(data.law.values[entry]) + _FIRST.get(entry, 0.0)}]
 
 
@@ -336,7 +337,7 @@ def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:
     for j, (S, mine) in enumerate(zip(sensitivities, owners, strict=True)):
         at = int(where[wide.kinds.index(entry), j])
         column = int(np.flatnonzero(mine == at)[0])
-        rest, own = np.delete(S, column, axis=1), S[:, column]
+        rest, own = np.delete(S, column, axis=0).T, S[column]
         rest = rest[:, np.linalg.norm(rest, axis=0) > 0]
         rest = rest / np.linalg.norm(rest, axis=0)
         size = float(np.linalg.norm(own - rest @ np.linalg.lstsq(rest, own, rcond=1e-8)[0]))

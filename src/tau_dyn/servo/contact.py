@@ -61,7 +61,7 @@ def find_contacts(model: Model, records: Sequence[LoopRecord]) -> tuple[list[Con
 
     What one log shows to be there is looked for in the others, where the tip rests on it too shortly to show it by itself.
     """
-    if not model.robot.tool:
+    if not model.robot.tool or any(r.told != "position" for r in records):
         return [], list(records)
     usual = float(np.median([_measure_usual_gap(model, record) for record in records]))
     found = [_find_contact(model, record, usual, np.inf) for record in records]

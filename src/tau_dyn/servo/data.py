@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.model import Model
-from tau_dyn.servo.fit import LoopFit, LoopProblem, LoopUnknowns, fit_loop
+from tau_dyn.servo.fit import LoopFit, LoopProblem, fit_loop
 from tau_dyn.servo.prediction import SimulatedMotion, simulate_coupled
 from tau_dyn.servo.records import InertialSpace, LoadWaves, LoopRecord, build_waves, compute_load_waves, split_pieces
+from tau_dyn.servo.unknowns import LoopUnknowns
 from tau_dyn.servo.waves import MAX_STEP_S, Trials
 from tau_dyn.simulate import ServoLaw
 
@@ -55,7 +56,7 @@ class LoopData:
         unknowns: What may change.
         settled: Exact motions at one solution, by which a problem is corrected; None before a first fit.
         whole: Whether logs are simulated from start to end rather than in pieces: behind a spring no measured position
-            tells the state that a piece would begin with.
+            tells the state that a piece would begin with, and a loop without a position's error never forgets it.
         step: Longest step of the simulated loops [s].
     """
 
@@ -75,7 +76,7 @@ class LoopData:
         """Return the fit's problem, with other unknowns or other masks where they are given."""
         records = records or self.records
         pieces, loads = (records, self.loads) if self.whole else split_pieces(records, self.loads)
-        problem = LoopProblem(unknowns or self.unknowns, build_waves(self.space, pieces, loads, self.law), pieces)
+        problem = LoopProblem(unknowns or self.unknowns, build_waves(pieces, loads, self.law), pieces)
         problem = problem.with_step(self.step)
         if self.settled is None:
             return problem

@@ -24,11 +24,12 @@ from tau_dyn.servo.cause_search import LoopSearch, check_steps, compute_limits, 
 from tau_dyn.servo.data import BASELINE, LoopData, fit_coupled, fit_precisely, keep_kinds
 from tau_dyn.servo.diagnosis_result import LoopDiagnosis, LoopFinding, LoopLimit
 from tau_dyn.servo.doubts import list_loop_warnings
-from tau_dyn.servo.fit import HIGHEST, LoopFit, LoopUnknowns, get_unit
+from tau_dyn.servo.fit import LoopFit
 from tau_dyn.servo.identification import fill_model
 from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
 from tau_dyn.servo.records import LoopRecord
 from tau_dyn.servo.residual_structure import compute_noise_floor, find_structure
+from tau_dyn.servo.unknowns import HIGHEST, LoopUnknowns, get_unit
 from tau_dyn.servo.waves import SPRING_STEP_S
 from tau_dyn.simulate import SERVO_ENTRIES
 
@@ -80,7 +81,7 @@ def diagnose_loop(
     given = read_loop_logs(robot, logs, options)
     law, progress, seed = given.law, given.progress, given.seed
     parts = _split(given.kept, given.others)
-    data = prepare_loop(given.model, law, parts.train, given.own, given.friction, progress)
+    data = prepare_loop(given, parts.train)
     unknowns = keep_kinds(data, (*BASELINE, *law.estimated))
     data = replace(data, unknowns=unknowns, whole=True, step=SPRING_STEP_S)
     progress("baseline")

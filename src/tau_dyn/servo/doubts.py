@@ -88,7 +88,7 @@ def _describe_accelerations(
 
 def _describe_droop(joints: Sequence[str], records: Sequence[LoopRecord]) -> list[str]:
     said = []
-    for j, joint in enumerate(joints):
+    for j, joint in enumerate(joints if records[0].told == "position" else ()):
         still = [r.used & _find_rest(r.motion[1][:, j], r.dt) for r in records]
         gaps = np.concatenate([(r.q - r.command)[s, j] for r, s in zip(records, still, strict=True)])
         if len(gaps) > 20 and (most := float(np.percentile(np.abs(gaps), 99))) > MIN_DROOP_RAD:

@@ -1,4 +1,4 @@
-"""Parameters through the closed loop: equation error as a screen and a start, output error by Gauss-Newton.
+"""Parameters through the closed loop: output error by Gauss-Newton, from the start that equation error gives.
 
     minimise  sum_j sum_s sum_k (q_jsk - qhat_jsk(x))^2 / (sigma_js^2 n_j) + |z|^2 + sum ((x - prior) / sigma_x)^2
 
@@ -7,115 +7,48 @@ that one shot over a log is as well conditioned as many. All sensitivities are s
 because friction that holds has no useful derivative equations. `n_j` is how many samples of joint j one independent sample
 is worth. Standard errors come from the scatter of the gradient over blocks of time, which coloured residuals do not make
 too small.
-
-The equation error compares the torque that the law makes of command and position with the robot's along the measured
-motion. Where the servo saturates or its law is incomplete it is biased, so it serves as a start and as a screen only.
 Reference: Ljung 1999, 7.2 and 9; Levenberg 1944, Marquardt 1963; White 1980, Liang & Zeger 1986 (blocks).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.log import lowpass
 from tau_dyn.servo.loop import simulate_loops
-from tau_dyn.servo.records import MOTION_HZ, InertialSpace, LoadWaves, LoopRecord
+from tau_dyn.servo.records import LoopRecord
+from tau_dyn.servo.unknowns import LoopUnknowns, compute_stiffness
 from tau_dyn.servo.waves import Trials, Waves
-from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
 
-JOINT_UNITS = {"armature": "kg m^2", "coulomb": "N m", "viscous": "N m s/rad", "offset": "N m"}
-"""What a joint has beside its servo's law, and the units."""
-FRICTION = ("coulomb", "viscous", "offset", "load_friction", "stiction")
-"""What is estimated of a joint's friction unless the model is rigid."""
-DELAYS_S = np.arange(0.0, 0.0601, 0.0025)
-"""Command delays that the screen tries [s]: none to three periods of a 50 Hz bus."""
-MOVING = 0.03
-"""Speed from which a joint's friction has a direction [rad/s]: twice what a step of a 12 bit encoder makes at 20 ms."""
-MAX_DIRECTIONS = 40
-"""Directions of the inertial numbers that are estimated at most; an arm of six joints has some 36."""
-MIN_INFORMATION = 1e-5
-"""Information of a direction, with prior knowledge as 1, from which it is estimated. It is small: what a log hardly
-shows may stand for something else, as gravity at a joint that barely turns for a constant torque."""
 MAX_ITERATIONS = 15  # of Gauss-Newton: fits settle in 4 to 10
+
 FINE_DIFFERENCES = 0.05
 """Steps of differences near a solution, over those that friction cannot hide far from one: large ones end a search too soon
 where gains are high and encoders fine."""
+
 _LAMBDAS = (1e-2, 3e-1, 1e1)  # damping factors that are tried side by side
+
 MAX_CONTRAST = 2.0
 """Factor within which a log's residual may be weighed other than its joint's usual one: what no model explains in one log
 (a contact, a shaken joint) must not decide about the others."""
+
 BLOCK_S = (1.0, 5.0)
 """Shortest and longest blocks over which the gradient's scatter is taken [s]: an encoder's rounding lasts as long as a joint
 rests, a second where steps are commanded, and what a model misses is forgotten within the longest."""
+
 BLOCKS = 100
 """Blocks that are wanted: several for each unknown of a joint, or the scatter among them comes out too small."""
+
 _SMALL_GAIN = 1e-3  # relative fall of the loss below which a first search ends, twice in turn
+
 CONVERGED = 0.01
 """Squared distance to the minimum, in standard errors, from which a search near a solution ends (Newton decrement)."""
+
 MAX_ELEMENTS = 6_000_000
 """Positions that are simulated at once, 48 MB of them."""
-
-
-@dataclass(frozen=True, eq=False)
-class LoopUnknowns:
-    """What a fit may change, kind by kind and joint by joint, and the inertial directions.
-
-    Attributes:
-        values: Value of every kind and law entry (na,), those that are held included.
-        kinds: Kinds that are free for at least one joint.
-        free: Which joints of each kind (nk, na).
-        lower: Bounds (nk, na).
-        upper: Bounds (nk, na).
-        prior: Standard deviations of prior knowledge about the start values (nk, na); infinite for none.
-        space: Inertial numbers.
-    """
-
-    values: Mapping[str, np.ndarray]
-    kinds: tuple[str, ...]
-    free: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    prior: np.ndarray
-    space: InertialSpace
-
-    @property
-    def n(self) -> int:
-        """Number of unknowns."""
-        return int(self.free.sum()) + self.space.n_unknowns
-
-    @property
-    def joint_of(self) -> np.ndarray:
-        """Joint of each unknown (n,); -1 for the inertial ones."""
-        return np.append(np.nonzero(self.free)[1], np.full(self.space.n_unknowns, -1))
-
-    def pack(self) -> np.ndarray:
-        """Return the start (n,)."""
-        first = np.array([self.values[kind] for kind in self.kinds]).reshape(self.free.shape)[self.free]
-        return np.append(first, np.zeros(self.space.n_unknowns))
-
-    def unpack(self, x: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Return values by kind (na, C) and inertial unknowns (K, C) of vectors (n, C)."""
-        m, c = int(self.free.sum()), x.shape[1]
-        table = np.repeat(
-            np.array([self.values[k] for k in self.kinds]).reshape(self.free.shape)[:, :, None], c, axis=2
-        )
-        table[self.free] = x[:m]
-        values = {key: np.repeat(value[:, None], c, axis=1) for key, value in self.values.items()}
-        return values | dict(zip(self.kinds, table, strict=True)), x[m:]
-
-    def clip(self, x: np.ndarray) -> np.ndarray:
-        """Return a vector (n,) within the bounds."""
-        m = int(self.free.sum())
-        inside = np.clip(x[:m], self.lower[self.free], self.upper[self.free])
-        return np.append(inside, np.clip(x[m:], -5.0, 5.0))
-
-    def with_values(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        """Return every value by kind (na,) at a vector (n,)."""
-        return {key: value[:, 0] for key, value in self.unpack(x[:, None])[0].items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,133 +70,6 @@ class LoopFit:
     loss: float
     iterations: int
     step: float
-
-
-@dataclass(frozen=True, eq=False)
-class EquationError:
-    """The screen: what the rebuilt torque says.
-
-    Attributes:
-        values: Start values of kinds (na,).
-        residual: Torque that remains, record by record (N, na) [N m]; NaN where a joint rests.
-        sigma: Its rms (na,) [N m].
-    """
-
-    values: Mapping[str, np.ndarray]
-    residual: Sequence[np.ndarray]
-    sigma: np.ndarray
-
-
-def delay_command(command: np.ndarray, dt: float, delay: float) -> np.ndarray:
-    """Return held commands (N, na) as a delay [s] later shows them at the samples, averaged over the sample before."""
-    n = len(command)
-    total = np.concatenate([np.zeros((1, command.shape[1])), np.cumsum(command, axis=0)])
-    at = np.clip(np.arange(n + 1) - 0.5 - delay / dt, 0, n)
-    summed = np.stack([np.interp(at, np.arange(n + 1), column) for column in total.T], axis=1)
-    shown = np.diff(summed, axis=0)
-    early = np.diff(at) < 1
-    shown[early] = command[0]
-    return shown
-
-
-def screen_equation_error(
-    law: ServoLaw, space: InertialSpace, records: Sequence[LoopRecord], loads: Sequence[LoadWaves], estimate_gain: bool
-) -> EquationError:
-    """Return the best delay, friction and drive inertia of each joint by the rebuilt torque, bodies as the file has them."""
-    na = len(law.joints)
-    values = {key: np.array(law.values[key]) for key in ("position_gain", "command_delay")}
-    values |= {key: np.zeros(na) for key in JOINT_UNITS}
-    residual, sigma = [np.full(r.q.shape, np.nan) for r in records], np.zeros(na)
-    for j in range(na):
-        best = None
-        for delay in [float(law.values["command_delay"][j])] if law.values["command_delay"][j] > 0 else DELAYS_S:
-            rows = [
-                _build_rows(law, space, r, w, j, float(delay), estimate_gain)
-                for r, w in zip(records, loads, strict=True)
-            ]
-            y, X = np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
-            if len(y) < 10 * X.shape[1]:
-                continue
-            norm = np.linalg.norm(X, axis=0) + 1e-12
-            beta = np.linalg.lstsq(X / norm, y, rcond=None)[0] / norm
-            rms = float(np.std(y - X @ beta))
-            if best is None or rms < best[0]:
-                best = (rms, delay, beta, rows)
-        stiff = float(law.values["position_gain"][j] * law.values["force_per_unit"][j])
-        if best is None:
-            values["coulomb"][j] = 0.01 * stiff
-            sigma[j] = 0.01 * stiff
-            continue
-        rms, delay, beta, rows = best
-        values["command_delay"][j] = delay
-        scale = 1.0
-        if estimate_gain:  # the rows are of positions: 1 / gain times torque
-            share = beta[4] if beta[4] > 0 else np.nan
-            scale = 1.0 / share
-            values["position_gain"][j] = scale / law.values["force_per_unit"][j]
-        values["coulomb"][j], values["viscous"][j] = (max(0.0, scale * b) for b in beta[:2])
-        values["offset"][j], values["armature"][j] = scale * beta[2], max(1e-4, scale * beta[3])
-        sigma[j] = rms * (scale if np.isfinite(scale) else 1.0)
-        for k, (y, X, where) in enumerate(rows):
-            residual[k][where, j] = (y - X @ beta) * (scale if np.isfinite(scale) else 1.0)
-    if estimate_gain:
-        values = _fill_gains(values, law)
-    return EquationError(values, residual, np.where(np.isfinite(sigma) & (sigma > 0), sigma, 1.0))
-
-
-def _fill_gains(values: dict[str, np.ndarray], law: ServoLaw) -> dict[str, np.ndarray]:
-    """Return the values with gains that no gravity showed taken from the other joints, and friction with them."""
-    gain = values["position_gain"]
-    known = np.isfinite(gain) & (gain > 0.05) & (gain < 1e4)
-    usual = float(np.median(gain[known])) if known.any() else 5.0
-    for j in np.flatnonzero(~known | (gain > 5 * usual) | (gain < usual / 5)):
-        gain[j] = usual
-        stiff = usual * law.values["force_per_unit"][j]
-        values["coulomb"][j], values["viscous"][j] = 0.01 * stiff, 0.07 * stiff
-        values["offset"][j], values["armature"][j] = 0.0, 1e-3 * stiff
-    return values
-
-
-def _build_rows(
-    law: ServoLaw, space: InertialSpace, r: LoopRecord, w: LoadWaves, j: int, delay: float, estimate_gain: bool
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return torque, columns (sign, speed, one, acceleration) and mask of one joint where it moves and its motor is on."""
-    rate, (q, v, a) = 1 / r.dt, r.motion
-    goal = delay_command(r.command[:, j : j + 1], r.dt, delay)[:, 0]
-    goal = lowpass(goal, MOTION_HZ, rate) if rate > 2.5 * MOTION_HZ else goal
-    error = goal - q[:, j]
-    moved = (w.load[:, j] + w.inertia[:, j] * a[:, j : j + 1]) @ space.nominal
-    where = r.used & (np.abs(v[:, j]) > MOVING) & (r.enabled > 0)
-    edge = round(0.3 * rate)
-    where[:edge], where[-edge:] = False, False
-    columns = [np.sign(v[:, j]), v[:, j], np.ones(len(v)), a[:, j]]
-    if estimate_gain:
-        return error[where], np.stack([*columns, moved], axis=1)[where], where
-    entries = r.entries
-    u = np.clip(entries["position_gain"][j] * error, -entries["limit"][j], entries["limit"][j])
-    tau = entries["force_per_unit"][j] * (u * r.supply - entries["back_emf"][j] * v[:, j])
-    return (tau - moved)[where], np.stack(columns, axis=1)[where], where
-
-
-def choose_directions(
-    space: InertialSpace, records: Sequence[LoopRecord], loads: Sequence[LoadWaves], screen: EquationError
-) -> InertialSpace:
-    """Return the space with the directions of which the logs know more than the robot file."""
-    p = len(space.nominal)
-    information = np.zeros((p, p))
-    for r, w in zip(records, loads, strict=True):
-        a = r.motion[2]
-        for j in range(r.q.shape[1]):
-            where = r.used & (r.enabled > 0)
-            X = ((w.load[:, j] + w.inertia[:, j] * a[:, j : j + 1]) * space.prior)[where]
-            if len(X) < 10:
-                continue
-            worth = max(1.0, 0.5 / r.dt)  # samples that one independent residual is worth, at half a second
-            information += X.T @ X / (screen.sigma[j] ** 2 * worth)
-    values, vectors = np.linalg.eigh(information)
-    order = np.argsort(values)[::-1][:MAX_DIRECTIONS]
-    kept = [k for k in order if values[k] > MIN_INFORMATION]
-    return replace(space, directions=space.prior[:, None] * vectors[:, kept])
 
 
 class LoopProblem:
@@ -310,17 +116,18 @@ class LoopProblem:
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Return measured minus simulated positions (N, na, C, S) at vectors (n, C), zero where samples do not count."""
-        y = self.simulate(x)
-        return np.where(self.used[:, None, None, :], self.measured[:, :, None, :] - y, 0.0)
+        r = self.measured[:, :, None, :] - self.simulate(x)
+        np.copyto(r, 0.0, where=~self.used[:, None, None, :])
+        return r
 
     def list_steps(self, x: np.ndarray) -> np.ndarray:
         """Return steps (n,) for differences, above what friction that holds would hide."""
         values = self.unknowns.with_values(x)
-        stiff = values["position_gain"] * values["force_per_unit"]
+        stiff = compute_stiffness(values)
         small = {
             "armature": 2e-5 * stiff, "coulomb": 1e-3 * stiff, "viscous": 1e-3 * stiff, "offset": 1e-3 * stiff,
-            "load_friction": 0.02, "stiction": 1e-3 * stiff, "command_delay": 1e-3, "dead_band": 5e-4,
-            "supply_sag": 0.02, "braking": 0.05,
+            "load_friction": 0.02, "carried_friction": 0.02, "stiction": 1e-3 * stiff, "command_delay": 1e-3, "dead_band": 5e-4,
+            "supply_sag": 0.02, "braking": 0.05, "speed_gain": 1e-3, "speed_integral_gain": 1e-3,
             "back_emf": 1e-3 * values["position_gain"], "stiction_speed": 5e-3, "torque_delay": 1e-3, "backlash": 1e-3,
             "joint_compliance": 1e-3 / stiff, "joint_damping": 1e-4 * stiff,
         }  # fmt: skip
@@ -332,7 +139,7 @@ class LoopProblem:
         return np.append(np.maximum(steps, 1e-9), np.full(self.unknowns.space.n_unknowns, 0.15))
 
     def differentiate(self, x: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
-        """Return the residual (N, na, S), and joint by joint the sensitivities (N S, n_j) and which unknowns they belong to."""
+        """Return the residual (N, na, S), and joint by joint the sensitivities (n_j, S N) and which unknowns they belong to."""
         u, steps, joint_of = self.unknowns, self.list_steps(x), self.unknowns.joint_of
         kind_of = np.append(np.nonzero(u.free)[0], len(u.kinds) + np.arange(u.space.n_unknowns))
         names = np.unique(kind_of)
@@ -344,8 +151,8 @@ class LoopProblem:
         for j in range(r.shape[1]):
             mine = np.flatnonzero((joint_of == j) | (joint_of < 0))
             at = [1 + int(np.searchsorted(names, kind_of[k])) for k in mine]
-            change = (r[:, j][:, at] - base[:, j][:, None]) / steps[mine][None, :, None]
-            sensitivities.append(change.transpose(0, 2, 1).reshape(-1, len(mine)))
+            rows = r[:, j].transpose(1, 2, 0)
+            sensitivities.append(((rows[at] - rows[:1]) / steps[mine][:, None, None]).reshape(len(mine), -1))
             owners.append(mine)
         return base, sensitivities, owners
 
@@ -450,16 +257,16 @@ def _accumulate(problem, r, sensitivities, owners, weight):  # noqa: ANN001, ANN
     """Return normal matrix (n, n), right side (n,) and the gradient's scatter over blocks (n, n)."""
     n = problem.unknowns.n
     H, g = np.zeros((n, n)), np.zeros(n)
-    blocks = problem.blocks.reshape(-1)
+    blocks = problem.blocks.T.reshape(-1)
     sums = np.zeros((blocks.max() + 1, n))
     for j, (S, mine) in enumerate(zip(sensitivities, owners, strict=True)):
-        flat = r[:, j].reshape(-1)
-        weights = np.broadcast_to(weight[j], r[:, j].shape).reshape(-1, 1)
-        H[np.ix_(mine, mine)] += S.T @ (S * weights)
-        rows = -S * flat[:, None] * weights  # the residual's derivative is minus the position's
-        g[mine] += rows.sum(axis=0)
-        for column, k in enumerate(mine):
-            sums[:, k] += np.bincount(blocks, weights=rows[:, column], minlength=len(sums))
+        weights = np.broadcast_to(weight[j][:, None], r[:, j].T.shape).reshape(-1)
+        weighed = S * weights
+        H[np.ix_(mine, mine)] += S @ weighed.T
+        weighed *= -r[:, j].T.reshape(-1)  # the residual's derivative is minus the position's
+        g[mine] += weighed.sum(axis=1)
+        for row, k in zip(weighed, mine, strict=True):
+            sums[:, k] += np.bincount(blocks, weights=row, minlength=len(sums))
     blocks_used = max(2, int(np.count_nonzero(np.abs(sums).sum(axis=1))))
     most = max(len(mine) for mine in owners)
     return H, g, sums.T @ sums * blocks_used / max(blocks_used - most, 0.2 * blocks_used)
@@ -498,50 +305,3 @@ def _compute_covariance(H: np.ndarray, scatter: np.ndarray, held: np.ndarray) ->
     inverse = np.linalg.pinv(A / scale[:, None] / scale[None, :], rcond=1e-10) / scale[:, None] / scale[None, :]
     out[np.ix_(loose, loose)] = inverse @ scatter[np.ix_(loose, loose)] @ inverse
     return out
-
-
-def build_unknowns(
-    law: ServoLaw,
-    space: InertialSpace,
-    start: Mapping[str, np.ndarray],
-    kinds: Sequence[str],
-    held: Mapping[str, np.ndarray] | None = None,
-) -> LoopUnknowns:
-    """Return unknowns of some kinds for all joints, at start values.
-
-    Args:
-        law: Values of its entries.
-        space: Inertial numbers.
-        start: Values by kind (na,) that replace the law's and the zeros of the rest.
-        kinds: What is free.
-        held: Kinds -> joints (na,) where it is not free after all.
-    """
-    na = len(law.joints)
-    values = {**law.values, **{key: np.zeros(na) for key in JOINT_UNITS}, **start}
-    values = {key: np.array(value, float) for key, value in values.items()}
-    shape = (len(kinds), na)
-    lower = np.array([np.full(na, _LOWEST.get(k, 0.0)) for k in kinds]).reshape(shape)
-    upper = np.array([np.full(na, HIGHEST.get(k, np.inf)) for k in kinds]).reshape(shape)
-    free = np.array([~np.asarray((held or {}).get(k, np.zeros(na, bool)), bool) for k in kinds]).reshape(shape)
-    return LoopUnknowns(values, tuple(kinds), free, lower, upper, np.full(shape, np.inf), space)
-
-
-_LOWEST = {"offset": -np.inf, "position_gain": 1e-3, "force_per_unit": 1e-4, "stiction_speed": 1e-3, "armature": 1e-7,
-           "command_delay": -0.02, "drive_exponent": 0.2}  # fmt: skip
-"""Lower bounds of kinds; zero for the others. A delay below zero is a position that is read after its time stamp."""
-HIGHEST = {
-    "load_friction": 0.95,
-    "command_delay": 0.2,
-    "supply_sag": 0.95,
-    "dead_band": 0.2,
-    "drive_exponent": 2.0,
-    "braking": 1.0,
-    "torque_delay": 0.1,
-    "backlash": 0.2,
-}
-"""Upper bounds of kinds [1, s, rad]: a friction that grows as the torque would hold every motion."""
-
-
-def get_unit(kind: str) -> str:
-    """Return the unit of a kind."""
-    return JOINT_UNITS[kind] if kind in JOINT_UNITS else SERVO_ENTRIES[kind].unit

@@ -22,12 +22,13 @@ from tau_dyn.robot import NOMINAL_MASS_STDERR, Robot
 from tau_dyn.servo.by_gain import compare_gains
 from tau_dyn.servo.data import LoopData, fit_coupled
 from tau_dyn.servo.doubts import list_loop_warnings
-from tau_dyn.servo.fit import JOINT_UNITS, LoopFit, get_unit
+from tau_dyn.servo.fit import LoopFit, fit_loop
 from tau_dyn.servo.prediction import predict_positions
 from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
 from tau_dyn.servo.records import LoopRecord, mask_unused
 from tau_dyn.servo.result import LoopIdentification, LoopParameter, build_position_errors
 from tau_dyn.servo.spring_start import start_springs
+from tau_dyn.servo.unknowns import JOINT_UNITS, get_unit
 from tau_dyn.simulate import SERVO_ENTRIES
 
 TRAIN_SHARE = 0.7
@@ -50,7 +51,7 @@ def identify_loop(
     """
     given = read_loop_logs(robot, logs, options)
     progress, kept, others, law = given.progress, given.kept, given.others, given.law
-    data = start_springs(prepare_loop(given.model, law, kept, given.own, given.friction, progress), progress)
+    data = start_springs(prepare_loop(given, kept), progress)
     if others:
         data, fit = fit_coupled(data, progress)
         progress("held-out errors")
@@ -91,10 +92,11 @@ def _judge_last_part(data: LoopData, progress: Callable[[str], None]):  # noqa: 
         early = np.arange(len(r.t)) < TRAIN_SHARE * len(r.t)
         first.append(mask_unused(r, ~early))
         last.append(mask_unused(r, early))
-    part = fit_coupled(replace(data, records=first), progress)[1]
+    near, part = fit_coupled(replace(data, records=first), progress)
     predicted = predict(data, part, last)
     errors = build_position_errors(data.law.joints, last, predicted)
-    data, fit = fit_coupled(data, progress)
+    data = replace(near, records=data.records)  # with exact motions, which masks do not change
+    data, fit = fit_coupled(data, progress, fit_loop(data.build_problem(), progress, first=part.x))
     return data, fit, errors, [(r, p, True) for r, p in zip(last, predicted, strict=True)]
 
 

@@ -3,8 +3,9 @@
     (I(t) + armature) v' + load(t) + G(t) (q - q_along) + friction = tau(law, command, q, v)
 
 What the rest of the robot does to a joint (gravity, Coriolis and the other joints' accelerations) is a load taken along a
-motion close to the simulated one; its own gravity is linearised about that motion. Taken along the simulated motion itself,
-in turn until nothing changes (waveform relaxation), this is the exact simulation of the coupled robot.
+motion close to the simulated one; its own gravity is linearised about that motion. The exact simulation of the coupled robot
+takes them along the simulated motion itself, window by window in turn until nothing changes (waveform relaxation). A step then
+holds all joints (projected Gauss-Seidel): a change of any speed or position pushes the others, by mass matrix and gravity slopes.
 
 One step of h by the trapezoidal rule, linearly implicit in the motor's damping d and the viscous one b, with torque and
 load at the middle of the step and friction f that holds exactly (a box complementarity problem of one unknown):
@@ -19,17 +20,22 @@ the step (`solve_spring`) and its centre of mass by the rule above; friction the
 the spring; without compliance its stops are springs that the step resolves, critically damped.
 
 A command holds until the next; a delay moves it by parts of a step, so that the answer has a derivative by it.
-Reference: Lelarasmee, Ruehli & Sangiovanni-Vincentelli 1982 (waveform relaxation); Moreau 1988 (dry friction); Spong 1987.
+Reference: Lelarasmee, Ruehli & Sangiovanni-Vincentelli 1982 (waveform relaxation); Moreau 1988 (dry friction);
+Jourdan, Alart & Jean 1998 (Gauss-Seidel); Spong 1987.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from tau_dyn.servo.compiled_loop import run_compiled
-from tau_dyn.servo.waves import Trials, Waves
+from tau_dyn.servo.waves import LoadRows, Trials, Waves
 
 FINE_STEP_S = 0.0026
 """Longest step where the residual is so small that the longer one would show [s]; it moves positions by less than 0.05 mrad."""
@@ -38,6 +44,10 @@ MIN_INERTIA = 1e-6
 
 BEND = 0.02
 """Share of the supply below which a bent drive law is straight, so that its slope stays finite."""
+SETTLED_SPEED = 1e-9
+"""Change of speeds from which a step of coupled joints has settled [rad/s]: a hundred thousandth of what an encoder shows."""
+MAX_STEP_SWEEPS = 200
+"""Sweeps over the joints of such a step (projected Gauss-Seidel), at most."""
 CONTACT_TURN = 3.0
 """Turn of a stop's own oscillation in a step [rad], critically damped: it settles within two steps."""
 
@@ -48,96 +58,199 @@ def simulate_loops(waves: Waves, trials: Trials) -> np.ndarray:
 
 
 def simulate_motion(waves: Waves, trials: Trials) -> np.ndarray:
-    """Return positions [rad] and speeds [rad/s] (2, N, na, C, S) of C trials in S logs."""
+    """Return measured positions, and the links' positions and speeds (3, N, na, C, S) [rad, rad/s] of C trials in S logs."""
     return _simulate(waves, trials, True)
 
 
-def _simulate(waves: Waves, trials: Trials, speeds: bool) -> np.ndarray:
+def _simulate(waves: Waves, trials: Trials, motion: bool) -> np.ndarray:
     often = max(1, int(np.ceil(waves.dt.max() / waves.step - 1e-9)))
-    found = run_compiled(waves, trials, often, (MIN_INERTIA, BEND, CONTACT_TURN), speeds)
+    found = run_compiled(
+        waves, trials, often, (MIN_INERTIA, BEND, CONTACT_TURN, SETTLED_SPEED), MAX_STEP_SWEEPS, motion
+    )
     return _simulate_in_numpy(waves, trials, often) if found is None else found
 
 
 def _simulate_in_numpy(waves: Waves, trials: Trials, often: int) -> np.ndarray:
-    n, na, _ = waves.command.shape
-    c, s = trials.inertial.shape[1], len(waves.dt)
-    p = {key: value[:, :, None] for key, value in trials.values.items()}
-    p |= {key: value[:, None, :] for key, value in waves.by_log.items()}
-    h = (waves.dt / often)[None, None, :]
-    shape = (na, c, s)
-    load, inertia = _combine(waves.load, waves.load_by, trials), _combine(waves.inertia, waves.inertia_by, trials)
-    half = 0.5 * h
-    goal, delayed = _Goal(waves, p, often, h, shape), _Delay(p["torque_delay"] / h, shape)
-    q = np.broadcast_to(waves.start[:, None, :], shape).copy()
-    v = np.broadcast_to(waves.speed[:, None, :], shape).copy()
-    integral, out = np.zeros(shape), np.empty((2, n, *shape))
-    joint = _Twist(p, h, load[0] + p["offset"]) if np.any(p["joint_compliance"]) or np.any(p["backlash"]) else None
-    m, w = q, v
-    if joint is not None:
-        m, q = (q, q - joint.start) if waves.measured_on_motor else (q + joint.start, q)
-        w = v.copy()
-    has_integral, has_stiction = bool(np.any(p["integral_gain"])), bool(np.any(p["stiction"]))
-    has_band, has_sag = bool(np.any(p["dead_band"])), bool(np.any(p["supply_sag"]))
-    has_derivative, pushes = bool(np.any(p["derivative_gain"])), bool(np.any(p["load_friction"]))
-    bends, one_way = bool(np.any(p["drive_exponent"] != 1.0)), bool(np.any(p["braking"] != 1.0))
-    power = p["drive_exponent"]
-    switched, finite = not np.all(waves.enabled), bool(np.any(np.isfinite(p["limit"])))
-    for k in range(n - 1):
-        out[:, k] = (m, w) if waves.measured_on_motor else (q, v)
-        mass_h = np.maximum(inertia[k] + p["armature"], MIN_INERTIA) / h
-        if joint is not None:
-            joint.set_inertia(inertia[k])
-        supply, on = waves.supply[k], waves.enabled[k]
-        full = p["force_per_unit"] * on if switched else p["force_per_unit"]
-        slope, now = 0.0 if waves.held else (load[k + 1] - load[k]) / often, load[k] + p["offset"]
-        G, along = waves.stiffness[k][:, None, :], waves.along[k][:, None, :]
-        turn = (waves.along[k + 1] - waves.along[k])[:, None, :] / often
-        for i in range(often):
-            middle = q + half * v
-            seen, speed = (m, w) if waves.encoder_on_motor else (q, v)
-            e = goal.at(k * often + i) - (seen + half * speed)
-            if has_band:
-                e = np.sign(e) * np.maximum(np.abs(e) - p["dead_band"], 0.0)
-            u = p["position_gain"] * e
-            if has_derivative:
-                u = u - p["derivative_gain"] * speed
-            if has_integral:
-                integral = np.clip(integral + p["integral_gain"] * h * e, -p["limit"], p["limit"])
-                u = u + integral
-            if finite:
-                u = np.minimum(np.maximum(u, -p["limit"]), p["limit"])
-            if has_sag:
-                u = u * (1.0 - p["supply_sag"] * np.abs(u))
-            u = delayed.pass_on(u)
-            x = u * supply - p["back_emf"] * w
-            if bends:
-                size = np.maximum(np.abs(x), BEND)
-                grown = full * size ** (power - 1.0)
-                push, lever = grown * x, grown * np.where(np.abs(x) > BEND, power, 1.0) * p["back_emf"]
-            else:
-                push, lever = full * x, full * p["back_emf"]
-            if one_way:
-                share = np.where(x * u < 0, p["braking"], 1.0)
-                push, lever = push * share, lever * share
-            rest = now + (i + 0.5) * slope + G * (middle - along - (i + 0.5) * turn)
-            damping = 0.5 * (lever + p["viscous"])
-            friction = p["coulomb"]
-            if pushes:
-                friction = friction + p["load_friction"] * np.abs(push)
-            if has_stiction:
-                friction = friction + p["stiction"] * np.exp(-np.abs(w) / p["stiction_speed"])
-            push = push + (damping - p["viscous"]) * w
-            steps = (m, w, q, v), push, rest, damping, friction
-            rigid_q, rigid_v = _step_rigid(p, (q, v), steps[1:], mass_h, half)
-            if joint is None:
-                m = q = rigid_q
-                w = v = rigid_v
-            else:
-                w_after, v_after = joint.step(*steps)
-                m, q = (np.where(joint.there, x, rigid_q) for x in (m + half * (w + w_after), q + half * (v + v_after)))
-                w, v = (np.where(joint.there, x, rigid_v) for x in (w_after, v_after))
-    out[:, n - 1] = (m, w) if waves.measured_on_motor else (q, v)
+    """Return what compiled code returns, all joints, trials and logs stepped at once."""
+    n, na, s = waves.command.shape
+    coupling, shape = waves.coupling, (na, trials.inertial.shape[1], s)
+    out = np.empty((3, n, *shape))
+    if coupling is None:
+        loops = _Loops(waves, trials, often, out)
+        loops.run(0, n - 1)
+        return out
+    shown = (np.array(x) for x in (waves.along, waves.load, waves.inertia, waves.stiffness))
+    rows = LoadRows(*shown, *np.zeros((2, s, -(-n // coupling.every) + 1, na, na)), out[1:, :, :, 0])
+    waves = replace(waves, along=rows.along, load=rows.load, inertia=rows.inertia, stiffness=rows.stiffness)
+    loops = _Loops(waves, trials, often, out, rows)
+    for begin in range(0, n - 1, coupling.window):
+        stop, turn, kept = min(begin + coupling.window, n - 1), 0, loops.copy_state()
+        while any([not coupling.settle(rows, log, begin, stop, turn) for log in range(s)]) or not turn:
+            loops.take_state(kept)
+            loops.run(begin, stop)
+            turn += 1
     return out
+
+
+class _Loops:
+    """Servo loops and their state."""
+
+    def __init__(self, waves: Waves, trials: Trials, often: int, out: np.ndarray, rows: LoadRows | None = None) -> None:
+        """Start at the first sample; what is stepped goes to `out` (3, N, na, C, S)."""
+        self._waves, self._often, self._out, self._rows = waves, often, out, rows
+        shape, p = out.shape[2:], {key: value[:, :, None] for key, value in trials.values.items()}
+        self._p = p = p | {key: value[:, None, :] for key, value in waves.by_log.items()}
+        self._h = h = (waves.dt / often)[None, None, :]
+        self._load, self._inertia = (
+            _combine(first, by, trials)
+            for first, by in ((waves.load, waves.load_by), (waves.inertia, waves.inertia_by))
+        )
+        goal, delayed = _Goal(waves, p, often, h, shape), _Delay(p["torque_delay"] / h, shape)
+        q, v = (np.broadcast_to(x[:, None, :], shape).copy() for x in (waves.start, waves.speed))
+        springs = np.any(p["joint_compliance"]) or np.any(p["backlash"])
+        self._joint = _Twist(p, h, self._load[0] + p["offset"]) if springs else None
+        m, w = q, v
+        if self._joint is not None:
+            m, q = (q, q - self._joint.start) if waves.measured_on_motor else (q + self._joint.start, q)
+            w = v.copy()
+        self._state = [m, w, q, v, v, np.zeros(shape), np.zeros(shape), goal, delayed]
+        self._show(0)
+
+    def copy_state(self) -> list[Any]:
+        """Return the state, which later steps leave as it is."""
+        return [copy(x) for x in self._state]
+
+    def take_state(self, state: list[Any]) -> None:
+        """Go back to a state."""
+        self._state = [copy(x) for x in state]
+
+    def _show(self, k: int) -> None:
+        m, _, q, v = self._state[:4]
+        self._out[:, k] = m if self._waves.measured_on_motor else q, q, v
+
+    def run(self, begin: int, stop: int) -> None:
+        """Step from one sample to another."""
+        waves, p, h, often, rows = self._waves, self._p, self._h, self._often, self._rows
+        m, w, q, v, before, integral, gained, goal, delayed = self._state
+        half, joint, load = 0.5 * h, self._joint, self._load
+        has_stiction, pushes = bool(np.any(p["stiction"])), bool(np.any(p["load_friction"]))
+        has_band, has_sag = bool(np.any(p["dead_band"])), bool(np.any(p["supply_sag"]))
+        carries = bool(np.any(p["carried_friction"]))
+        told, closed = waves.told, waves.told in ("position", "speed")
+        at_once = (p["torque_delay"] == 0) & (True if joint is None or waves.encoder_on_motor else ~joint.there)
+        bends, one_way = bool(np.any(p["drive_exponent"] != 1.0)), bool(np.any(p["braking"] != 1.0))
+        power = p["drive_exponent"]
+        switched, finite = not np.all(waves.enabled), bool(np.any(np.isfinite(p["limit"])))
+        for k in range(begin, stop):
+            mass_h = np.maximum(self._inertia[k] + p["armature"], MIN_INERTIA) / h
+            if joint is not None:
+                joint.set_inertia(self._inertia[k])
+            supply, on = waves.supply[k], waves.enabled[k]
+            full = p["force_per_unit"] * on if switched else p["force_per_unit"]
+            slope, now = 0.0 if waves.held else (load[k + 1] - load[k]) / often, load[k] + p["offset"]
+            G, along = waves.stiffness[k][:, None, :], waves.along[k][:, None, :]
+            turn = (waves.along[k + 1] - waves.along[k])[:, None, :] / often
+            for i in range(often):
+                middle = q + half * v
+                seen, speed = (m, w) if waves.encoder_on_motor else (q, v)
+                e = u = goal.at(k * often + i)
+                slow, gain = p["derivative_gain"], p["integral_gain"]
+                if told == "position":
+                    e = e - (seen + half * speed)
+                    if has_band:
+                        e = np.sign(e) * np.maximum(np.abs(e) - p["dead_band"], 0.0)
+                    u = p["position_gain"] * e - p["derivative_gain"] * speed
+                inner = p["speed_gain"] > 0
+                if closed and np.any(inner):  # a loop of speed, alone or inside that of position
+                    lag = np.clip(u, -p["speed_limit"], p["speed_limit"]) - speed
+                    e, u = np.where(inner, lag, e), np.where(inner, p["speed_gain"] * lag, u)
+                    slow, gain = np.where(inner, p["speed_gain"], slow), np.where(inner, p["speed_integral_gain"], gain)
+                if closed and np.any(
+                    gain
+                ):  # to the middle of the step; a speed's error over the last one is known by now
+                    integral = integral - np.where(inner, half * gain * (speed - before), 0.0)
+                    before = speed
+                    u = u + np.clip(integral + half * gain * e, -p["limit"], p["limit"])
+                    integral = np.clip(integral + gain * h * e, -p["limit"], p["limit"])
+                loses = p["back_emf"]  # what the motor's torque loses per unit of its speed
+                if closed and np.any(slow):
+                    loses = loses + np.where((np.abs(u) < p["limit"]) & at_once, supply * slow, 0.0)
+                if finite:
+                    u = np.minimum(np.maximum(u, -p["limit"]), p["limit"])
+                if has_sag:
+                    u = u * (1.0 - p["supply_sag"] * np.abs(u))
+                u = delayed.pass_on(u)
+                x = u * supply - p["back_emf"] * w
+                if bends:
+                    size = np.maximum(np.abs(x), BEND)
+                    grown = full * size ** (power - 1.0)
+                    push, lever = grown * x, grown * np.where(np.abs(x) > BEND, power, 1.0) * loses
+                else:
+                    push, lever = full * x, full * loses
+                if one_way:
+                    share = np.where(x * u < 0, p["braking"], 1.0)
+                    push, lever = push * share, lever * share
+                apart = middle - along - (i + 0.5) * turn
+                rest = now + (i + 0.5) * slope + G * apart
+                damping = 0.5 * (lever + p["viscous"])
+                friction = p["coulomb"]
+                if pushes:
+                    friction = friction + p["load_friction"] * np.abs(push)
+                if carries:
+                    friction = friction + p["carried_friction"] * np.abs(rest)
+                if has_stiction:
+                    friction = friction + p["stiction"] * np.exp(-np.abs(w) / p["stiction_speed"])
+                push = push + (damping - p["viscous"]) * w
+                step = partial(_step, p, joint, (m, w, q, v), (push, damping, friction), mass_h, half)
+                if rows is None:
+                    m, w, q, v = step(rest)
+                    continue
+                row, part = k // waves.coupling.every, k % waves.coupling.every / waves.coupling.every
+                M, slopes = (
+                    np.moveaxis(x[:, row] + part * (x[:, row + 1] - x[:, row]), 0, -1) for x in (rows.mass, rows.slope)
+                )
+                others = slopes * (1 - np.eye(len(M)))[:, :, None]
+                rest = rest + np.einsum("jis,ics->jcs", others, apart)
+                old, (m, w, q, v) = v, _step_together(step, rest, M / h[0], v, gained)
+                gained = v - old
+            self._state = [m, w, q, v, before, integral, gained, goal, delayed]
+            self._show(k + 1)
+
+
+def _step(p, joint, state, forces, mass_h, half, rest):  # noqa: ANN001, ANN202
+    """Return the state (m, w, q, v) after a step under loads."""
+    push, damping, friction = forces
+    m, w, q, v = state
+    rigid_q, rigid_v = _step_rigid(p, (q, v), (push, rest, damping, friction), mass_h, half)
+    if joint is None:
+        return rigid_q, rigid_v, rigid_q, rigid_v
+    w_after, v_after = joint.step(state, push, rest, damping, friction)
+    m, q = (np.where(joint.there, x, rigid_q) for x in (m + half * (w + w_after), q + half * (v + v_after)))
+    w, v = (np.where(joint.there, x, rigid_v) for x in (w_after, v_after))
+    return m, w, q, v
+
+
+def _step_together(
+    step: Callable[[np.ndarray], Sequence[np.ndarray]],
+    rest: np.ndarray,
+    M: np.ndarray,
+    v: np.ndarray,
+    first: np.ndarray,
+) -> list[np.ndarray]:
+    """Return the state after a step of all joints by projected Gauss-Seidel: each load grows as the others' speeds change."""
+    found, change = [np.empty(rest.shape) for _ in range(4)], first.copy()
+    for _ in range(MAX_STEP_SWEEPS):
+        most = 0.0
+        for j in range(len(rest)):
+            load = rest.copy()
+            load[j] += np.einsum("is,ics->cs", M[j], change) - M[j, j] * change[j]
+            for x, after in zip(found, step(load), strict=True):
+                x[j] = np.broadcast_to(after, rest.shape)[j]
+            most = max(most, float(np.abs(found[3][j] - v[j] - change[j]).max()))
+            change[j] = found[3][j] - v[j]
+        if not most > SETTLED_SPEED:
+            break
+    return found
 
 
 def _step_rigid(p, state, forces, mass_h, half):  # noqa: ANN001, ANN202
@@ -262,7 +375,8 @@ class _Goal:
         self._whole = np.floor(late).astype(int)
         self._part = late - self._whole
         self._limit, self._speed = p["acceleration_limit"], p["speed_limit"]
-        self._has_profile = bool(np.any(np.isfinite(self._limit)) or np.any(np.isfinite(self._speed)))
+        bounded = bool(np.any(np.isfinite(self._limit)) or np.any(np.isfinite(self._speed)))
+        self._has_profile = bounded and waves.told == "position"
         self._x, self._w = np.broadcast_to(self._command[0], shape).copy(), np.zeros(shape)
         grid = np.ogrid[: shape[0], : shape[1], : shape[2]]
         self._rows = [grid[0], grid[1] if command.shape[2] > 1 else np.zeros_like(grid[1]), grid[2]]

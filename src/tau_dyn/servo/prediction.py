@@ -1,35 +1,40 @@
 """Positions of a coupled robot from commands alone: servo loops whose loads are taken along the simulated motion itself.
 
-Loads are taken along a motion, the loops are simulated, the loads are taken along the result, until nothing moves (waveform
-relaxation). Where it ends does not depend on where it began; it begins with the measured motion, where there is one.
+Window by window, loads are taken along a motion, the loops are simulated, the loads are taken along the result, until nothing
+moves (waveform relaxation). Where it ends does not depend on where it began: with the measured motion, where there is one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.servo.loop import FINE_STEP_S, simulate_loops, simulate_motion
+from tau_dyn.mechanism import Mechanism
+from tau_dyn.servo.loop import FINE_STEP_S, simulate_motion
 from tau_dyn.servo.records import (
     InertialSpace,
+    LoadWaves,
     LoopRecord,
     build_waves,
-    compute_held_loads,
-    compute_load_waves,
+    count_slow,
+    fill_coupled_loads,
+    refine,
     refine_record,
-    smooth_motion,
 )
-from tau_dyn.servo.waves import Trials
+from tau_dyn.servo.waves import Coupling, LoadRows, Trials
 from tau_dyn.simulate import ServoLaw
 
+WINDOW_S = 0.5
+"""Length over which loads and motion settle together before the next window begins [s]: a few time constants of a servo's loop,
+over which the mass matrix changes little."""
 MAX_SWEEPS = 16
-"""Sweeps of the relaxation at most; a position servo needs five, springs in front of coupled links more."""
-SETTLED_RAD = (2e-5, 2e-4)
-"""rms change of positions at which the relaxation ends, with fine and with long steps [rad]: a hundredth and a tenth of a step
-of a hobby servo's encoder."""
+"""Sweeps of a window at most; three are usual."""
+SETTLED_RAD = 1e-5
+"""Largest change of positions at which a window has settled [rad]: a hundredth of a step of a hobby servo's encoder. The next
+sweep would change a tenth of it."""
 
 
 def predict_positions(
@@ -73,40 +78,66 @@ def simulate_coupled(
     records: Sequence[LoopRecord],
     step: float,
 ) -> list[SimulatedMotion]:
-    """Return the motion of each record, joints coupled; see `predict_positions`.
-
-    Where the relaxation diverges, as of springs that swing in play, loads hold only what is slower than a servo's loop.
-    """
-    every = max(1, int(np.ceil(max(r.dt for r in records) / step - 1e-9)))
-    fine = [refine_record(r, every) for r in records]
-    space = replace(space, nominal=space.at(unknowns), directions=space.directions[:, :0])
+    """Return the motion of each record, joints coupled; see `predict_positions`."""
+    times = max(1, int(np.ceil(max(r.dt for r in records) / step - 1e-9)))
+    fine = [refine_record(r, times) for r in records]
+    every = count_slow(max(r.dt for r in fine))
+    guesses = [[refine(x, times) for x in r.motion[:2]] for r in records]
+    relaxation = _Relaxation(space.build_mechanism(unknowns), guesses, [r.dt for r in fine], every)
+    window = every * max(1, round(WINDOW_S / (every * max(r.dt for r in fine))))
+    empty = [_build_empty_loads(r.q) for r in fine]
+    waves = replace(
+        build_waves(fine, empty, law), step=step, held=True, coupling=Coupling(every, window, relaxation.settle)
+    )
     trial = Trials({key: value[:, None] for key, value in values.items()}, np.zeros((0, 1)))
-    motions = [[np.repeat(x, every, axis=0)[: len(f.t)] for x in r.motion] for r, f in zip(records, fine, strict=True)]
-    first = loads = [compute_load_waves(space, q, v, a, f.dt) for (q, v, a), f in zip(motions, fine, strict=True)]
-    links: list[np.ndarray] = []
-    change, smooth = np.inf, False
-    for _ in range(MAX_SWEEPS):
-        waves = replace(build_waves(space, fine, loads, law), step=step)
-        both = simulate_motion(replace(waves, measured_on_motor=False), trial)  # loads are the links'
-        before, links, speeds = links, *([x[: len(r.t), :, 0, k] for k, r in enumerate(fine)] for x in both)
-        last, change = change, _compare(links, before) if before else np.inf
-        if change < SETTLED_RAD[step > FINE_STEP_S]:
-            break
-        if not smooth and change > last:
-            links, loads, smooth = [], first, True
-        elif smooth:
-            loads = [compute_load_waves(space, *smooth_motion(q, r.dt), r.dt) for q, r in zip(links, fine, strict=True)]
-        else:
-            loads = [compute_held_loads(space, *x, r.dt) for *x, r in zip(links, speeds, fine, strict=True)]
-    out = simulate_loops(waves, trial) if waves.measured_on_motor else both[0]
+    out = simulate_motion(waves, trial)
     found = []
-    for k, (r, q, v) in enumerate(zip(fine, links, speeds, strict=True)):
-        around = max(1, every // 2)
+    for k, r in enumerate(fine):
+        shown, q, v = (x[: len(r.t), :, 0, k] for x in out)
+        around = max(1, times // 2)
         half = np.clip(np.arange(len(q)) + np.array([[-around], [around]]), 0, len(q) - 1)
         a = (v[half[1]] - v[half[0]]) / ((half[1] - half[0])[:, None] * r.dt)
-        found.append(SimulatedMotion(*(x[::every] for x in (out[: len(r.t), :, 0, k], q, v, a))))
+        found.append(SimulatedMotion(*(x[::times] for x in (shown, q, v, a))))
     return found
 
 
-def _compare(found: Sequence[np.ndarray], before: Sequence[np.ndarray]) -> float:
-    return max(float(np.sqrt(np.mean((a - b) ** 2))) for a, b in zip(found, before, strict=True))
+def _build_empty_loads(q: np.ndarray) -> LoadWaves:
+    zero = np.zeros((*q.shape, 1))
+    return LoadWaves(zero, zero, zero[..., 0], q)
+
+
+@dataclass(frozen=True, eq=False)
+class _Relaxation:
+    """Loads of logs along the motion that is simulated with them, window by window.
+
+    Attributes:
+        mechanism: The robot's dynamics, without drive inertias.
+        guesses: A motion near that of each log, positions and speeds (N, na).
+        dt: Time between samples of each log [s].
+        every: Samples between matrices.
+    """
+
+    mechanism: Mechanism
+    guesses: Sequence[Sequence[np.ndarray]]
+    dt: Sequence[float]
+    every: int
+
+    def settle(self, rows: LoadRows, log: int, begin: int, stop: int, turn: int) -> int:
+        """Take loads along a window's motion, at first along a guess that starts where the window does; 1 where they settled."""
+        part = slice(begin, stop + 1)
+        if begin >= len(self.guesses[log][0]) - 1:  # beyond the log's end, where the joints are of no interest
+            first = begin // self.every
+            rows.inertia[part, :, log], rows.mass[log, first:] = rows.inertia[begin - 1, :, log], rows.mass[log, first]
+            return 1
+        if turn:
+            change = float(np.abs(rows.motion[0, part, :, log] - rows.along[part, :, log]).max())
+            if not change > SETTLED_RAD or turn >= MAX_SWEEPS:
+                return 1
+        else:
+            for x, guess in zip(rows.motion, self.guesses[log], strict=True):
+                near = guess[np.minimum(np.arange(begin, stop + 1), len(guess) - 1)]
+                x[part, :, log] = near + (x[begin, :, log] - near[0])
+        if not np.isfinite(rows.motion[:, part, :, log]).all():
+            return 1  # trial values that no step can follow
+        fill_coupled_loads(self.mechanism, rows, log, part, self.every, self.dt[log])
+        return 0

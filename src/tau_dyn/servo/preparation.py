@@ -24,10 +24,11 @@ from tau_dyn.model import Model
 from tau_dyn.robot import NOT_GIVEN, Robot
 from tau_dyn.servo.contact import Contact, find_contacts
 from tau_dyn.servo.data import LoopData
-from tau_dyn.servo.fit import FRICTION, LoopUnknowns, build_unknowns, choose_directions, screen_equation_error
-from tau_dyn.servo.records import InertialSpace, LoopRecord, build_records, compute_load_columns, compute_load_waves
+from tau_dyn.servo.equation_error import choose_directions, screen_equation_error
+from tau_dyn.servo.records import InertialSpace, LoopRecord, build_records, compute_load_waves
+from tau_dyn.servo.unknowns import FRICTION, LoopUnknowns, build_unknowns, compute_stiffness
 from tau_dyn.servo.waves import MAX_STEP_S, SPRING_STEP_S
-from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
+from tau_dyn.simulate import COMMANDS, SERVO_ENTRIES, ServoLaw
 
 ALWAYS = ("armature", "command_delay")
 """What is estimated of every joint beside friction, unless the law or `--fix` gives it."""
@@ -126,21 +127,25 @@ def read_loop_logs(robot: Robot, logs: Log | Recording | Iterable[Log | Recordin
     )  # fmt: skip
 
 
-def prepare_loop(
-    model: Model, law: ServoLaw, records: Sequence[LoopRecord], own: Choices, friction: str, progress: Progress
-) -> LoopData:
-    """Return what a fit starts from: the screen's values, and the inertial directions that the logs inform on."""
-    space = InertialSpace.of(model)
-    loads = [compute_load_columns(space, *r.motion, r.dt) for r in records]
-    progress("equation error")
-    estimate_gain = "position_gain" in law.estimated
-    screen = screen_equation_error(law, space, records, loads, estimate_gain)
-    space = choose_directions(space, records, loads, screen)
+def prepare_loop(given: LoopLogs, records: Sequence[LoopRecord]) -> LoopData:
+    """Return what a fit of some records starts from: the screen's values, and the inertial directions that they inform on."""
+    model, law, space = given.model, given.law, InertialSpace.of(given.model)
+    given.progress("equation error")
+    estimate_gain = "position_gain" in law.estimated and not np.any(law.values["speed_gain"])
+    screen = screen_equation_error(law, space, records, estimate_gain)
+    space = choose_directions(space, records, screen)
     loads = [compute_load_waves(space, *r.motion, r.dt) for r in records]
-    unknowns = _build_unknowns(model, law, space, screen.values, own, friction)
+    unknowns = _build_unknowns(model, law, space, screen.values, given.own, given.friction)
     springy = any(np.any(law.values[k]) or k in law.estimated for k in ("joint_compliance", "backlash"))
     return LoopData(
-        model, law, space, records, loads, unknowns, whole=springy, step=SPRING_STEP_S if springy else MAX_STEP_S
+        model,
+        law,
+        space,
+        records,
+        loads,
+        unknowns,
+        whole=springy or law.command != COMMANDS[0],
+        step=SPRING_STEP_S if springy else MAX_STEP_S,
     )
 
 
@@ -152,7 +157,7 @@ def _build_unknowns(
     if "back_emf" in law.estimated and "viscous" in kinds:
         kinds.remove("viscous")  # one number until the servo saturates
     kinds = list(dict.fromkeys(kinds))
-    stiff = found["position_gain"] * law.values["force_per_unit"]
+    stiff = compute_stiffness({**law.values, **found})
     start = {key: value for key, value in found.items() if key in kinds}
     start |= {"load_friction": np.full(na, 0.15), "stiction": 2e-3 * stiff} if friction != "rigid" else {}
     start |= {

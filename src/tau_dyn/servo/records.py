@@ -17,10 +17,11 @@ from scipy.interpolate import interp1d
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log, differentiate, lowpass
+from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.model import Model
-from tau_dyn.robot import BODY_STDERR
-from tau_dyn.servo.waves import Waves
-from tau_dyn.simulate import ServoLaw
+from tau_dyn.robot import compute_body_stderr
+from tau_dyn.servo.waves import LoadRows, Waves
+from tau_dyn.simulate import COMMANDS, ServoLaw
 
 MOTION_HZ = 12.0
 """Low-pass of measured positions before they are differentiated [Hz]: twice the bandwidth of a servo's position loop."""
@@ -34,12 +35,6 @@ WARM_UP_S = 1.0
 """Start of a piece that does not count [s]: a dozen time constants of a servo's loop."""
 ROWS = 20_000
 """Samples whose regressors are computed at once: 60 MB for an arm of six joints."""
-MAJORANT = 0.525
-"""Own inertia over the sum of a row of the mass matrix, at least: a half and 5 % (Gershgorin)."""
-_STEP = 1e-4
-"""Step of a position by which the load's growth is taken [rad]."""
-_MIN_RADIUS = 0.02
-"""Smallest size of a body that its uncertainty is taken of [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +45,14 @@ class LoopRecord:
         name: The log's name.
         t: Time (N,) [s].
         q: Measured positions (N, na) [rad].
-        command: Commands (N, na) [rad].
+        command: Commands (N, na) [rad, or the law's unit].
         supply: Supply over the nominal one (N,).
         enabled: 1 where the motor is on (N,).
         used: Samples that count (N,).
         entries: Law entries (na,) that hold in this log.
         start: Positions from which it is simulated (na,) [rad]; None for the measured ones.
         speed: Speeds at the first sample (na,) [rad/s]; None for rest.
+        told: What commands are, of `simulate.COMMANDS`.
     """
 
     name: str
@@ -69,6 +65,18 @@ class LoopRecord:
     entries: Mapping[str, np.ndarray]
     start: np.ndarray | None = None
     speed: np.ndarray | None = None
+    told: str = COMMANDS[0]
+
+    @property
+    def goal(self) -> np.ndarray:
+        """Positions (N, na) that commands alone ask for: integrated speeds; where they are torques, to stay."""
+        if self.told == "position":
+            return self.command
+        if self.told != "speed":
+            return np.broadcast_to(self.q[:1], self.q.shape)
+        return self.q[0] + np.concatenate(
+            [np.zeros((1, self.q.shape[1])), np.cumsum(self.command[:-1], axis=0) * self.dt]
+        )
 
     @property
     def dt(self) -> float:
@@ -111,7 +119,15 @@ def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str])
     for name in exclude:
         used = used * (_get_column(log, name)[near] == 0)
     return LoopRecord(
-        log.name, t, q, log.joint("cmd", joints)[held], supply, enabled, used.astype(bool), law.in_log(log.name)
+        log.name,
+        t,
+        q,
+        log.joint("cmd", joints)[held],
+        supply,
+        enabled,
+        used.astype(bool),
+        law.in_log(log.name),
+        told=law.command,
     )
 
 
@@ -140,7 +156,13 @@ class InertialSpace:
     @classmethod
     def of(cls, model: Model) -> InertialSpace:
         """Return the space of a model, without unknowns."""
-        parameters, sizes = model.robot.parameters, _measure_bodies(model)
+        parameters, links = model.robot.parameters, model.robot.links
+        total = sum(float(link.nominal[0]) for link in links)
+        sizes = {
+            name: float(compute_body_stderr(link, total)[k])
+            for link in links
+            for k, name in zip(link.own, link.names, strict=True)
+        }
         nominal, prior = np.zeros((2, len(parameters)))
         for k, p in enumerate(parameters):
             if not p.name.endswith(".armature"):
@@ -163,17 +185,10 @@ class InertialSpace:
         """Return the parameters (p,) at unknowns (K,)."""
         return self.nominal + self.directions @ unknowns
 
-
-def _measure_bodies(model: Model) -> dict[str, float]:
-    """Return the uncertainty of each inertial parameter that nobody weighed."""
-    found = {}
-    for link in model.robot.links:
-        mass, moments, inertia = link.nominal[0], link.nominal[1:4], link.nominal[[4, 6, 9]]
-        size = max(mass, 1e-3)
-        radius = max(_MIN_RADIUS, float(np.linalg.norm(moments)) / size, float(np.sqrt(max(inertia.sum(), 0) / size)))
-        for k, name in zip(link.own, link.names, strict=True):
-            found[name] = BODY_STDERR * mass * radius ** (0 if k == 0 else 1 if k < 4 else 2)
-    return found
+    def build_mechanism(self, unknowns: np.ndarray | None = None) -> Mechanism:
+        """Return the robot's dynamics at unknowns (K,), or at the nominal values, without drive inertias."""
+        robot, values = self.model.robot, self.nominal if unknowns is None else self.at(unknowns)
+        return build_mechanism(robot.with_parameters(robot.parameters.with_values(values)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +200,6 @@ class LoadWaves:
         inertia: (N, na, m).
         stiffness: (N, na) at the nominal values [N m/rad].
         along: The motion's positions (N, na) [rad].
-        held: Whether each load is that of the middle between its sample and the next.
         speed: The motion's speeds (N, na) [rad/s], where it is simulated.
     """
 
@@ -193,82 +207,71 @@ class LoadWaves:
     inertia: np.ndarray
     stiffness: np.ndarray
     along: np.ndarray
-    held: bool = False
     speed: np.ndarray | None = None
 
     def cut(self, part: slice) -> LoadWaves:
         """Return a part of the waves."""
         speed = None if self.speed is None else self.speed[part]
-        return LoadWaves(self.load[part], self.inertia[part], self.stiffness[part], self.along[part], self.held, speed)
-
-
-def compute_load_columns(space: InertialSpace, q: np.ndarray, v: np.ndarray, a: np.ndarray, dt: float) -> LoadWaves:
-    """Return loads along a motion (N, na), a column for each inertial parameter."""
-    return _compute_waves(space, np.eye(len(space.nominal)), (q, v, a), dt)
+        return LoadWaves(self.load[part], self.inertia[part], self.stiffness[part], self.along[part], speed)
 
 
 def compute_load_waves(space: InertialSpace, q: np.ndarray, v: np.ndarray, a: np.ndarray, dt: float) -> LoadWaves:
     """Return loads along a motion (N, na): a column of the nominal values, and one for each unknown."""
-    return _compute_waves(space, space.basis, (q, v, a), dt)
-
-
-def compute_held_loads(space: InertialSpace, q: np.ndarray, v: np.ndarray, dt: float) -> LoadWaves:
-    """Return loads along a simulated motion (N, na) at the middle of each step, whose acceleration is its change of speed.
-
-    Each joint's own inertia is raised, and its load lowered by as much, where the others' share of it would let the relaxation
-    diverge: it converges where twice the own inertias exceed the mass matrix.
-    """
-    rate = np.diff(q, axis=0) / dt
-    middle = np.append(np.arange(len(rate)), len(rate) - 1)
-    motion = ((0.5 * (q[1:] + q[:-1]))[middle], rate[middle], (np.diff(v, axis=0) / dt)[middle])
-    return replace(_compute_waves(space, space.basis, motion, dt, majorant=True), along=q, held=True)
-
-
-def _compute_waves(
-    space: InertialSpace,
-    basis: np.ndarray,
-    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
-    dt: float,
-    majorant: bool = False,
-) -> LoadWaves:
-    mechanism, (q, v, a), (n, na) = space.model.mechanism, motion, motion[0].shape
-    every = max(1, round(SLOW_S / dt))
-    some = np.unique(np.append(np.arange(0, n, every), n - 1))
+    mechanism, basis, (n, na) = space.model.mechanism, space.basis, q.shape
+    some = np.unique(np.append(np.arange(0, n, count_slow(dt)), n - 1))
     qs, zero = q[some], np.zeros((len(some), na))
     still = mechanism.regressor(qs, zero, zero)
-    inertia = np.empty((len(some), na, basis.shape[1]))
-    stiffness, coupling = np.empty((2, len(some), na))
-    for j in range(na):
-        push = np.zeros_like(qs)
-        push[:, j] = 1.0
-        column = mechanism.regressor(qs, zero, push) - still
-        inertia[:, j] = column[:, j] @ basis
-        coupling[:, j] = np.abs(np.delete(column, j, axis=1) @ space.nominal).sum(axis=1)
-        ahead, behind = (mechanism.regressor(qs + s * _STEP * push, zero, zero)[:, j] for s in (1, -1))
-        stiffness[:, j] = (ahead - behind) @ space.nominal / (2 * _STEP)
-    if majorant:
-        inertia[..., 0] = np.maximum(inertia[..., 0], MAJORANT * (inertia[..., 0] + coupling))
-    full, stiff = (
-        interp1d(some, x, axis=0, assume_sorted=True)(np.arange(n)) if len(some) > 1 else x[[0] * n]
-        for x in (inertia, stiffness)
+    columns = [(mechanism.regressor(qs, zero, zero + unit) - still)[:, j] @ basis for j, unit in enumerate(np.eye(na))]
+    full, stiffness = (
+        _fill_between(some, x, n)
+        for x in (np.stack(columns, axis=1), np.einsum("njj->nj", space.build_mechanism().weight_gradient(qs)))
     )
     load = np.empty_like(full)
     for k in range(0, n, ROWS):
         part = slice(k, k + ROWS)
         load[part] = mechanism.regressor(q[part], v[part], a[part]) @ basis - full[part] * a[part, :, None]
-    return LoadWaves(load, full, stiff, q)
+    return LoadWaves(load, full, stiffness, q)
 
 
-def build_waves(
-    space: InertialSpace,
-    records: Sequence[LoopRecord],
-    loads: Sequence[LoadWaves],
-    law: ServoLaw,
-) -> Waves:
+def _fill_between(some: np.ndarray, x: np.ndarray, n: int) -> np.ndarray:
+    return interp1d(some, x, axis=0, assume_sorted=True)(np.arange(n)) if len(some) > 1 else x[[0] * n]
+
+
+def fill_coupled_loads(mechanism: Mechanism, rows: LoadRows, log: int, part: slice, every: int, dt: float) -> None:
+    """Take a log's loads along its motion from one sample to another, that one included; its acceleration is its change of speed.
+
+    They hold from each sample to the next, and are those of the middle.
+    """
+    q, v = rows.motion[:, part, :, log]
+    n, na = len(q) - 1, q.shape[1]
+    a = np.diff(v, axis=0) / dt
+    tau = mechanism.inverse_dynamics(0.5 * (q[1:] + q[:-1]), np.diff(q, axis=0) / dt, a)
+    some = np.minimum(np.arange(0, n + every, every), n)
+    mass, slope = mechanism.inertia(q[some]), mechanism.weight_gradient(q[some])
+    share = (np.arange(every) / every)[:, None]
+
+    def fill(x: np.ndarray) -> np.ndarray:
+        own = np.einsum("njj->nj", x)
+        return (own[:-1, None] + share * np.diff(own, axis=0)[:, None]).reshape(-1, na)[:n]
+
+    blocks = np.pad(a, ((0, (len(some) - 1) * every - n), (0, 0))).reshape(-1, every, na)
+    pushed = blocks @ mass[:-1] + share * (blocks @ np.diff(mass, axis=0))
+    steps, first = slice(part.start, part.start + n), part.start // every
+    rows.along[part, :, log] = q
+    rows.load[steps, :, log] = tau - pushed.reshape(-1, na)[:n]
+    rows.inertia[steps, :, log], rows.stiffness[steps, :, log] = fill(mass), fill(slope)
+    rows.mass[log, first : first + len(some)], rows.slope[log, first : first + len(some)] = mass, slope
+
+
+def count_slow(dt: float) -> int:
+    """Return the samples over which inertias and stiffness may be interpolated."""
+    return max(1, round(SLOW_S / dt))
+
+
+def build_waves(records: Sequence[LoopRecord], loads: Sequence[LoadWaves], law: ServoLaw) -> Waves:
     """Return the waves of logs, padded to the longest.
 
     Args:
-        space: Inertial numbers and their unknowns.
         records: The logs.
         loads: Loads along each log's motion.
         law: Whose entries that differ by log are handed on.
@@ -276,7 +279,10 @@ def build_waves(
     n = max(len(r.t) for r in records)
 
     def stack(arrays: Sequence[np.ndarray]) -> np.ndarray:
-        return np.stack([_pad(x, n) for x in arrays], axis=-1)
+        """Return arrays (N, ...) as (N, ..., S), in memory as compiled loops read them."""
+        rows = np.stack([_pad(x, n) for x in arrays], axis=-1)
+        order = {2: (1, 0), 3: (1, 2, 0), 4: (1, 3, 0, 2)}[rows.ndim]
+        return np.ascontiguousarray(rows.transpose(order)).transpose(np.argsort(order))
 
     keys = sorted({key for entries in law.by_log.values() for key in entries})
     return Waves(
@@ -295,14 +301,14 @@ def build_waves(
         by_log={key: np.stack([r.entries[key] for r in records], axis=1) for key in keys},
         encoder_on_motor=law.encoder == "motor",
         measured_on_motor=law.measured == "motor",
-        held=loads[0].held,
+        told=law.command,
     )
 
 
 def refine_record(record: LoopRecord, every: int) -> LoopRecord:
     """Return a record with samples between the measured ones, its positions interpolated."""
     n = (len(record.t) - 1) * every + 1
-    t, q = (_refine(x, every) for x in (record.t, record.q))
+    t, q = (refine(x, every) for x in (record.t, record.q))
     before = np.arange(n) // every
     return replace(
         record, t=t, q=q, command=record.command[before], supply=record.supply[before], enabled=record.enabled[before],
@@ -310,7 +316,8 @@ def refine_record(record: LoopRecord, every: int) -> LoopRecord:
     )  # fmt: skip
 
 
-def _refine(x: np.ndarray, every: int) -> np.ndarray:
+def refine(x: np.ndarray, every: int) -> np.ndarray:
+    """Return rows (N, na) with `every` steps from each to the next."""
     n = len(x)
     return interp1d(np.arange(n), x, axis=0, assume_sorted=True)(np.arange((n - 1) * every + 1) / every)
 

@@ -82,7 +82,7 @@ def _build_variables(joints: Sequence[str], sets: Sequence[Sequence[LoopRecord]]
     names = [f"{kind}_{j}" for kind in ("q", "v", "a", "error") for j in joints] + ["t"]
     tables = []
     for records in sets:
-        rows = [np.column_stack([*r.motion, r.command - r.q, r.t])[r.used] for r in records]
+        rows = [np.column_stack([*r.motion, r.goal - r.q, r.t])[r.used] for r in records]
         tables.append(np.concatenate(rows))
     return names, tables
 

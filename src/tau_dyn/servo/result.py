@@ -89,7 +89,7 @@ def _build_errors(joints, records, predicted, masks, whole) -> PositionErrors:  
         np.array([_rms((r.q - p)[m]) for r, p, m in pairs]),
         np.array([int(m.sum()) for m in masks]),
         np.array([_rms((r.q - r.q[m].mean(axis=0) if m.any() else r.q)[m]) for r, _, m in pairs]),
-        np.array([_rms((r.q - r.command)[m]) for r, _, m in pairs]),
+        np.array([_rms((r.q - r.goal)[m]) for r, _, m in pairs]),
         float(sum(m.sum() for m in masks) / max(total, 1)),
         whole,
     )

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.model import Model
-from tau_dyn.servo.fit import JOINT_UNITS
 from tau_dyn.servo.prediction import predict_positions
 from tau_dyn.servo.records import InertialSpace, LoopRecord
+from tau_dyn.servo.unknowns import JOINT_UNITS
 from tau_dyn.simulate import ServoLaw, Trajectory
 
 FINE_HZ = 500.0
@@ -35,7 +37,7 @@ def simulate_loop_log(
     Args:
         model: The true robot; friction that is `symmetric` or `asymmetric` and drive inertias count.
         law: The servo's law.
-        motion: Its positions are the commands.
+        motion: Its positions are the commands; its speeds, or what the model needs along it, where the law takes these.
         rate_hz: Of commands and log [Hz].
         encoder_noise: Standard deviation of positions [rad].
         encoder_resolution: Step of the encoder [rad]; 0 for none.
@@ -53,10 +55,11 @@ def simulate_loop_log(
     often = max(1, int(np.ceil(FINE_HZ / rate_hz)))
     n = len(commands.t)
     t = np.arange((n - 1) * often + 1) / (rate_hz * often)
-    held = np.repeat(commands.q, often, axis=0)[: len(t)]
-    on = np.ones(len(t))
-    record = LoopRecord(name, t, held, held, on, on, on.astype(bool), law.in_log(name))
     space, values = InertialSpace.of(model), read_values(model, law)
+    told = _build_commands(model, law, values, commands)
+    q, held = (np.repeat(x, often, axis=0)[: len(t)] for x in (commands.q, told))
+    on = np.ones(len(t))
+    record = LoopRecord(name, t, q, held, on, on, on.astype(bool), law.in_log(name), told=law.command)
     q = predict_positions(space, np.zeros(0), values, law, [record], step=STEP_S)[0][::often]
     rng = np.random.default_rng(seed)
     q = q + encoder_noise * rng.standard_normal(q.shape)
@@ -64,8 +67,18 @@ def simulate_loop_log(
         q = encoder_resolution * np.round(q / encoder_resolution)
     channels = {}
     for j, joint in enumerate(motion.joints):
-        channels |= {f"cmd_{joint}": commands.q[:n, j], f"q_{joint}": q[:, j]}
+        channels |= {f"cmd_{joint}": told[:n, j], f"q_{joint}": q[:, j]}
     return Log(t[::often], channels, name=name)
+
+
+def _build_commands(model: Model, law: ServoLaw, values: Mapping[str, np.ndarray], motion: Trajectory) -> np.ndarray:
+    """Return what the law is told (N, na) so that the robot moves about as a motion."""
+    if law.command in ("position", "speed"):
+        return motion.q if law.command == "position" else motion.v
+    resisting = values["coulomb"] * np.sign(motion.v) + values["viscous"] * motion.v + values["offset"]
+    tau = model.mechanism.inverse_dynamics(motion.q, motion.v, motion.a) + resisting
+    u = tau / values["force_per_unit"] + values["back_emf"] * motion.v
+    return np.clip(u, -values["limit"], values["limit"])
 
 
 def read_values(model: Model, law: ServoLaw) -> dict[str, np.ndarray]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,42 @@ SPRING_STEP_S = 2e-3
 """Longest step where a spring may be [s]: resonances to 80 Hz are exact. A diagnosis tells what half of it confirms."""
 
 
+class LoadRows(NamedTuple):
+    """What a step of coupled joints reads, and the motion that comes of it; loads are taken along that again.
+
+    Attributes:
+        along: Motion that loads were taken along (N, na, S).
+        load: Torque besides that of all joints' accelerations (N, na, S), from each sample to the next.
+        inertia: Own inertia without armature (N, na, S).
+        stiffness: Growth of the load with the own position (N, na, S).
+        mass: Mass matrix without armatures (S, R, na, na), a row each so many samples.
+        slope: Growth of each joint's load with each position (S, R, na, na).
+        motion: Positions and speeds of the links (2, N, na, S).
+    """
+
+    along: np.ndarray
+    load: np.ndarray
+    inertia: np.ndarray
+    stiffness: np.ndarray
+    mass: np.ndarray
+    slope: np.ndarray
+    motion: np.ndarray
+
+
+class Coupling(NamedTuple):
+    """How all joints are stepped at once: window by window, with loads along the motion that the window ends with.
+
+    Attributes:
+        every: Samples between the rows of matrices.
+        window: Samples of a window, a multiple of it.
+        settle: Takes loads of one log from one sample to another; the first time along a guess. Nonzero where they settled.
+    """
+
+    every: int
+    window: int
+    settle: Callable[[LoadRows, int, int, int, int], int]
+
+
 @dataclass(frozen=True, eq=False)
 class Waves:
     """What logs and a robot give a loop, sample by sample; logs of S are padded to the longest of N samples.
@@ -22,7 +59,7 @@ class Waves:
         dt: Time between samples of each log (S,) [s].
         start: Positions at the first sample (na, S).
         speed: Speeds at the first sample (na, S).
-        command: Commands (N, na, S) [rad], each holding until the next.
+        command: Commands (N, na, S) [rad, or the law's unit], each holding until the next.
         along: Motion that loads were taken along (N, na, S) [rad].
         load: Torque besides the own inertia (N, na, S) [N m].
         load_by: The same per unit of each inertial unknown (N, na, K, S).
@@ -36,6 +73,8 @@ class Waves:
         measured_on_motor: Whether the positions returned, and those of the start, are the motor's.
         step: Longest step of the loop [s].
         held: Whether a load holds from its sample to the next, rather than changing evenly.
+        coupling: Steps all joints at once; None for each of its own.
+        told: What commands are, of `simulate.COMMANDS`.
     """
 
     dt: np.ndarray
@@ -55,6 +94,8 @@ class Waves:
     measured_on_motor: bool = False
     step: float = MAX_STEP_S
     held: bool = False
+    coupling: Coupling | None = None
+    told: str = "position"
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,6 +57,7 @@ from .plant import free_motion as free_motion, run_plant as run_plant
 from .plant_run import PlantRun as PlantRun
 from .sensors import EncoderReadings as EncoderReadings, Sensors as Sensors, measure as measure
 from .servo_law import (
+    COMMANDS as COMMANDS,
     SERVO_ENTRIES as SERVO_ENTRIES,
     ServoLaw as ServoLaw,
     build_servo_law as build_servo_law,

@@ -24,6 +24,7 @@ from tau_dyn.effects import (
     SENSITIVITY,
     SIDE_FORCE,
     CartShift,
+    CircuitEffect,
     Delay,
     DisplacementEffect,
     Motion,
@@ -83,7 +84,8 @@ def record_run(run: PlantRun) -> PlantRun:
         InputError: An effect is neither of the robot nor of its sensors.
     """
     model = run.model
-    odd = [e for e in model.effects if acts_on_recording(e) and not isinstance(e, DisplacementEffect | TimingEffect)]
+    known = DisplacementEffect | TimingEffect | CircuitEffect
+    odd = [e for e in model.effects if acts_on_recording(e) and not isinstance(e, known)]
     if odd:
         raise InputError("unsupported", f"effect {odd[0].name} cannot be simulated")
     yielding = _yielding(run)
@@ -93,13 +95,33 @@ def record_run(run: PlantRun) -> PlantRun:
     elif _displacements(model):
         errors = EncoderErrors(model)
         shown = yielding + (np.array([errors.read(q) for q in run.q]) if errors.any else run.q)
-    return replace(run, q_shown=shown, q_read=read, tau_shown=_late(run), tool_shown=_shifted_tool(run))
+    return replace(run, q_shown=shown, q_read=read, tau_shown=_record_forces(run), tool_shown=_shifted_tool(run))
 
 
 def get_temperatures(run: PlantRun) -> dict[str, np.ndarray]:
     """Return the room's temperature (N,) as a log's channel, where an effect follows it."""
     feels = any("temperature" in effect.needs for effect in run.model.effects)
     return {ROOM_TEMPERATURE: compute_warm_up(run.t - run.t[0])} if feels else {}
+
+
+def get_voltages(run: PlantRun, forces: np.ndarray) -> dict[str, np.ndarray]:
+    """Return channels (N,) of a drive that logs a voltage or pulse width as its force (N, na): one for a force of one."""
+    kinds = dict.fromkeys(e.signal for e in run.model.effects if isinstance(e, CircuitEffect))
+    return {f"{kind}_{j}": forces[:, k] for kind in kinds for k, j in enumerate(run.model.robot.actuated)}
+
+
+def _find_voltages(run: PlantRun) -> np.ndarray | None:
+    """Return the voltages (N, na) that a motor's circuit makes of the forces, as forces; None without a circuit."""
+    circuit = [e for e in run.model.effects if isinstance(e, CircuitEffect)]
+    if not circuit:
+        return None
+    warm = np.repeat(compute_warm_up(run.t - run.t[0])[:, None], run.model.robot.na, axis=1)
+    tau = run.tau
+    for effect in sorted(circuit, key=lambda e: "force" in e.needs):  # back-EMF first, as a voltage holds it
+        signals = {"force": tau, "temperature": warm}
+        motion = Motion.of(run.model.robot.actuated, run.q, run.v, run.a, t=run.t, signals=signals)
+        tau = tau + effect.force(motion, run.model.effect_parameters)
+    return tau
 
 
 def _displacements(model: Model) -> list[tuple[DisplacementEffect, np.ndarray]]:
@@ -123,8 +145,10 @@ def _yielding(run: PlantRun) -> np.ndarray:
     return out
 
 
-def _late(run: PlantRun) -> np.ndarray | None:
-    """Return forces (N, na) as they are logged where they are low-passed, late or early; the ends keep the last known ones."""
+def _record_forces(run: PlantRun) -> np.ndarray | None:
+    """Return forces (N, na) as they are logged where a circuit or time changes them; the ends keep the last known ones."""
+    circuit = _find_voltages(run)
+    run = run if circuit is None else replace(run, tau=circuit)
     late, lag = np.zeros((2, run.model.robot.na))
     for effect in run.model.effects:
         if isinstance(effect, TimingEffect):
@@ -132,7 +156,7 @@ def _late(run: PlantRun) -> np.ndarray | None:
             total = late if isinstance(effect, Delay) else lag
             total[index] += run.model.effect_parameters[effect.parameters.names[0]].value
     if not (late.any() or lag.any()):
-        return None
+        return None if circuit is None else run.tau
     shown = [apply_first_order_lowpass(force, run.t, x) for x, force in zip(lag, run.tau.T, strict=True)]
     return np.column_stack([np.interp(run.t - d, run.t, force) for d, force in zip(late, shown, strict=True)])
 
@@ -280,7 +304,7 @@ def measure(run: PlantRun, sensors: Sensors, rng: np.random.Generator, name: str
         signals["q_ref"] = run.reference.q
     joints = run.model.robot.actuated
     channels = {f"{key}_{j}": values[:, k] for key, values in signals.items() for k, j in enumerate(joints)}
-    channels |= get_temperatures(run)
+    channels |= get_temperatures(run) | get_voltages(run, signals["tau"])
     if sensors.tool and run.model.robot.tool == "tool":
         tool = (run.tool if run.tool_shown is None else run.tool_shown) + sensors.tool_noise * rng.standard_normal(
             run.tool.shape

@@ -3,7 +3,11 @@
     goal = profile(command(t - delay)),    e = goal - q, less the dead band
     u = clip(position_gain e + integral_gain int e dt - derivative_gain v, +-limit)          [share of the supply]
     x = u supply (1 - supply_sag |u|) - back_emf v,    tau = force_per_unit sign(x) |x|^drive_exponent
-    friction = coulomb + load_friction |tau| + stiction exp(-|v| / stiction_speed), and viscous v
+    friction = coulomb + load_friction |tau| + carried_friction |load| + stiction exp(-|v| / stiction_speed), and viscous v
+
+A cascade has a loop of speed inside: with a `speed_gain`, the first line of u is a wanted speed w, at most `speed_limit`, and
+u = speed_gain (w - v) + speed_integral_gain int (w - v) dt. `command` says what commands are: `position` (the default), `speed`
+(commands are w), `current` (commands are u [A], force_per_unit is the torque of one ampere) or `pwm` (commands are u).
 
 The output takes `torque_delay` to become torque. A delay of the position that the law uses is a `torque_delay` and a
 `command_delay` of less; the two delays are all that a log tells. A spring of `joint_compliance` and `joint_damping`, and a
@@ -24,6 +28,7 @@ below one. A law file is a controller file (see `controllers`) whose first line 
     logs:                        # what differs in some logs, by a pattern of their names
       "kp800_*": {position_gain: 4.6}
     encoder: motor               # or link, the default
+    command: position            # the default, or speed, current, pwm
     enabled: torque_enable       # the log's column that is zero where the motor is switched off
     supply: {column: input_volts, nominal: 7.4}
 
@@ -59,6 +64,10 @@ SERVO_ENTRIES = {
     "position_gain": ServoEntry("1/rad", np.nan, "share of the supply for a position error of one rad"),
     "integral_gain": ServoEntry("1/(rad s)", 0.0, "how fast the position error is integrated"),
     "derivative_gain": ServoEntry("s/rad", 0.0, "share of the supply that the measured speed takes off"),
+    "speed_gain": ServoEntry(
+        "s/rad", 0.0, "share of the supply for a speed error of one rad/s, of a cascade's inner loop"
+    ),
+    "speed_integral_gain": ServoEntry("1/rad", 0.0, "how fast that loop's speed error is integrated"),
     "limit": ServoEntry("1", 1.0, "largest share of the supply"),
     "force_per_unit": ServoEntry("N m", np.nan, "torque at standstill for the whole nominal supply"),
     "back_emf": ServoEntry("s/rad", 0.0, "share of the supply that the motor's own voltage takes off"),
@@ -71,6 +80,7 @@ SERVO_ENTRIES = {
     "speed_limit": ServoEntry("rad/s", np.inf, "largest speed of the goal profile"),
     "acceleration_limit": ServoEntry("rad/s^2", np.inf, "largest acceleration of the goal profile"),
     "load_friction": ServoEntry("1", 0.0, "friction for a motor torque of one"),
+    "carried_friction": ServoEntry("1", 0.0, "friction for a load of one that the gear carries, the motor on or off"),
     "stiction": ServoEntry("N m", 0.0, "friction at rest beyond that of motion"),
     "stiction_speed": ServoEntry("rad/s", 0.05, "speed at which the friction of rest has fallen to a third"),
     "torque_delay": ServoEntry("s", 0.0, "time from the law's output to the motor's torque"),
@@ -81,9 +91,16 @@ SERVO_ENTRIES = {
 """The numbers of a servo law, each one a joint."""
 
 REQUIRED = ("position_gain", "force_per_unit")
+COMMANDS = ("position", "speed", "current", "pwm")
+"""What commands may be; the first is the default."""
+_NEEDED = {"position": REQUIRED, "speed": ("speed_gain", "force_per_unit")}
+_OUTER = ("position_gain", "integral_gain", "derivative_gain", "dead_band")
+_UNUSED = {"position": (), "speed": (*_OUTER, "acceleration_limit"), "current": (*_OUTER, "speed_gain", "speed_integral_gain",
+           "speed_limit", "acceleration_limit", "back_emf", "supply_sag")}  # fmt: skip
+_UNUSED["pwm"] = tuple(x for x in _UNUSED["current"] if x not in ("back_emf", "supply_sag"))
 SIDES = ("link", "motor")
 """Where an encoder sits; the first is the default, as of hobby servos, whose potentiometer or magnet is on the output."""
-_OTHER_KEYS = ("law", "logs", "enabled", "supply", "encoder", "measured")
+_OTHER_KEYS = ("law", "logs", "enabled", "supply", "encoder", "measured", "command")
 _MAY_BE_INFINITE = ("limit", "speed_limit", "acceleration_limit")
 
 
@@ -102,6 +119,7 @@ class ServoLaw:
         given: Whether somebody gave it; a law that is estimated from nothing knows no torque.
         encoder: Side of the joint, of `SIDES`, whose position and speed the law uses.
         measured: Side whose position the logs hold.
+        command: What commands are, of `COMMANDS`.
     """
 
     joints: tuple[str, ...]
@@ -114,19 +132,26 @@ class ServoLaw:
     given: bool = True
     encoder: str = SIDES[0]
     measured: str = SIDES[0]
+    command: str = COMMANDS[0]
 
     @classmethod
     def of(
-        cls, joints: tuple[str, ...], *, given: bool = True, encoder: str = SIDES[0], **entries: float | np.ndarray
+        cls,
+        joints: tuple[str, ...],
+        *,
+        given: bool = True,
+        encoder: str = SIDES[0],
+        command: str = COMMANDS[0],
+        **entries: float | np.ndarray,
     ) -> ServoLaw:
         """Build a law for joints; a single number holds for all of them, what is not named has its default."""
         for key in entries:
             if key not in SERVO_ENTRIES:
                 raise UnknownName("servo entry", key, SERVO_ENTRIES)
-        full = {key: entries.get(key, row.default) for key, row in SERVO_ENTRIES.items()}
+        full = {key: row.default for key, row in SERVO_ENTRIES.items()} | _list_defaults(command) | entries
         return cls(
             joints, {key: np.broadcast_to(np.asarray(x, float), len(joints)) for key, x in full.items()}, given=given,
-            encoder=encoder, measured=encoder,
+            encoder=encoder, measured=encoder, command=command,
         )  # fmt: skip
 
     def with_values(self, **entries: np.ndarray) -> ServoLaw:
@@ -153,6 +178,9 @@ class ServoLaw:
             return out
 
         content: dict[str, Any] = {"law": "servo", **plain(self.values)}
+        if self.command != COMMANDS[0]:
+            content["command"] = self.command
+            del content["position_gain"]
         if self.by_log:
             content["logs"] = {pattern: plain(entries) for pattern, entries in self.by_log.items()}
         if self.enabled:
@@ -191,13 +219,22 @@ def build_servo_law(content: object, robot: Robot, where: str) -> ServoLaw:
         if key not in SERVO_ENTRIES and key not in _OTHER_KEYS:
             raise UnknownName("servo entry", str(key), [*SERVO_ENTRIES, *_OTHER_KEYS], where)
     given, estimated = _split_estimated({k: v for k, v in content.items() if k in SERVO_ENTRIES}, where)
-    for key in REQUIRED:
+    command = content.get("command", COMMANDS[0])
+    if command not in COMMANDS:
+        raise InputError("file_format", f"{where}: command is {', '.join(COMMANDS)}, not {str(command)[:60]!r}")
+    cascade = ("integral_gain", "derivative_gain") if "speed_gain" in given else ()
+    for key in (*_UNUSED[command], *cascade):
+        if key in given:
+            raise InputError("file_format", f"{where}: '{key}' acts on nothing in a law of {command} commands"
+                             f"{' with a speed_gain' if cascade else ''}; leave it out")  # fmt: skip
+    for key in _NEEDED.get(command, REQUIRED[1:]):
         if key not in given:
             raise InputError(
                 "file_format",
                 f"{where}: '{key}' is missing; give its value, or '{key}: {{estimate: START}}' where it is not known",
             )
-    values = {key: np.full(robot.na, row.default) for key, row in SERVO_ENTRIES.items()}
+    defaults = {key: row.default for key, row in SERVO_ENTRIES.items()} | _list_defaults(command)
+    values = {key: np.full(robot.na, x) for key, x in defaults.items()}
     values |= {key: _read_numbers(key, value, robot.actuated, where) for key, value in given.items()}
     column, nominal = _read_supply(content.get("supply"), where)
     enabled = content.get("enabled", "")
@@ -206,8 +243,15 @@ def build_servo_law(content: object, robot: Robot, where: str) -> ServoLaw:
     encoder = _read_side(content, "encoder", SIDES[0], where)
     return ServoLaw(
         robot.actuated, values, estimated, _read_by_log(content.get("logs"), robot.actuated, where), enabled, column, nominal,
-        encoder=encoder, measured=_read_side(content, "measured", encoder, where),
+        encoder=encoder, measured=_read_side(content, "measured", encoder, where), command=command,
     )  # fmt: skip
+
+
+def _list_defaults(command: str) -> dict[str, float]:
+    """Return the defaults of commands that are no positions: a position gain of no effect; no limit of currents."""
+    if command == COMMANDS[0]:
+        return {}
+    return {"position_gain": 1.0} | ({"limit": np.inf} if command == "current" else {})
 
 
 def _read_side(content: Mapping[str, Any], key: str, default: str, where: str) -> str:
@@ -282,7 +326,7 @@ def _read_numbers(key: str, value: object, joints: tuple[str, ...], where: str) 
     for x in row:
         least = (
             "above zero"
-            if key in (*REQUIRED, *_MAY_BE_INFINITE, "stiction_speed", "drive_exponent")
+            if key in (*REQUIRED, *_MAY_BE_INFINITE, "speed_gain", "stiction_speed", "drive_exponent")
             else "zero or more"
         )
         fits = (

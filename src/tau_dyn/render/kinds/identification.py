@@ -50,6 +50,7 @@ def present_identification(found: Identification, *, truth: Mapping[str, float] 
         *_list_friction(found, list(dict.fromkeys(fits))),
         r.Chapter("parameters", "Parameters", lambda: _build_parameters(found, rows, truth), r.On.ALL),
         *_list_per_log(found),
+        *_list_motors(found),
         r.Chapter("uncertain", "", lambda: _list_uncertain(found), r.On.TERMINAL),
         r.Chapter("trust", "Quality of fit", lambda: _build_quality(found)),
     ]
@@ -208,6 +209,26 @@ def _list_per_log(found: Identification) -> list[r.Chapter]:
         )
 
     return [r.Chapter("per_log", "Values by log", build, r.On.ALL)]
+
+
+def _list_motors(found: Identification) -> list[r.Chapter]:
+    """Return the section of the motors' circuits; none where no voltage stands beside current or force."""
+    if not len(found.motors):
+        return []
+
+    def build() -> Iterator[r.Element]:
+        columns = [r.Column("parameter"), r.Column("value", "number"), r.Column("", "unit")]
+        rows = [
+            r.Row([p.name, r.format_with_uncertainty(p.value, p.stderr or 0.0), r.format_unit(p.unit)])
+            for p in found.motors
+        ]
+        yield r.ResultTable(columns, rows, on=r.On.ALL)
+        yield r.explain(
+            "From the voltage: u = R i + back-EMF v + L di/dt + offset, the force in the current's place where none is logged. "
+            "Behind an ideal gear the back-EMF is the joint's torque constant in N m/A."
+        )
+
+    return [r.Chapter("motors", "Motors", build, r.On.ALL)]
 
 
 def _list_uncertain(found: Identification) -> Iterator[r.Element]:
