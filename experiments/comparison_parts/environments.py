@@ -43,9 +43,7 @@ TOOLS = {
     "FIGAROH": Tool("figaroh_tool", ("figaroh",)),
     "BAM": Tool("bam_tool", ("better-actuator-models", "optuna", "cmaes", "wandb", "scipy"), "python3.12"),
     "SLICOT": Tool("slicot", ("ctrlsys", "numpy", "scipy")),
-    "FloBaRoID": Tool(
-        "flobaroid", absent="no package: its repository asks for Python 3.13 and an iDynTree built from source"
-    ),
+    "FloBaRoID": Tool("flobaroid", absent="no package; needs Python 3.13 and iDynTree from source"),
 }
 
 

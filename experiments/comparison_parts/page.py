@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -174,8 +175,17 @@ def build_page(table: pd.DataFrame) -> str:
         also=list_channels_behind(ran),
         blocks="{1} has {0:.0f}".format(*min(zip(ran["blocks"], ran["set"], strict=True))),
         skipped="\n".join(
-            f"- {tool}, {'all sets' if reason.startswith('not installed') else ', '.join(names)}: {reason}"
-            for (tool, reason), names in reasons.items()
+            [
+                *(
+                    f"- {tool}, {'all sets' if reason.startswith('not installed') else ', '.join(names)}: {shorten(reason, 70)}"
+                    for (tool, reason), names in reasons.items()
+                ),
+                *(
+                    f"- {OURS}, {x['set']}: {x['note'].split(':')[0]}"
+                    for _, x in ours.iterrows()
+                    if x["note"].startswith("diagnos")
+                ),
+            ]
         )
         or "- None.",
     )
