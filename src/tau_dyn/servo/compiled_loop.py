@@ -394,9 +394,8 @@ def run_compiled(
         out[:] = np.nan
         every, window = coupling.every, coupling.window
         matrices = np.zeros((2, s, -(-n // every) + 1, na, na))
-        rows = LoadRows(
-            *(np.moveaxis(x, -1, 0) for x in (along, load, inertia, stiffness)), *matrices, shown[1:, :, :, 0]
-        )
+        way, force, own_inertia, growth = (np.moveaxis(x, -1, 0) for x in (along, load, inertia, stiffness))
+        rows = LoadRows(way, force, own_inertia, growth, matrices[0], matrices[1], shown[1:, :, :, 0])
 
         def call(*where: int) -> int:
             try:

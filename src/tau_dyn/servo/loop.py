@@ -79,8 +79,9 @@ def _simulate_in_numpy(waves: Waves, trials: Trials, often: int) -> np.ndarray:
         loops = _Loops(waves, trials, often, out)
         loops.run(0, n - 1)
         return out
-    shown = (np.array(x) for x in (waves.along, waves.load, waves.inertia, waves.stiffness))
-    rows = LoadRows(*shown, *np.zeros((2, s, -(-n // coupling.every) + 1, na, na)), out[1:, :, :, 0])
+    along, load, inertia, stiffness = (np.array(x) for x in (waves.along, waves.load, waves.inertia, waves.stiffness))
+    mass, slope = np.zeros((2, s, -(-n // coupling.every) + 1, na, na))
+    rows = LoadRows(along, load, inertia, stiffness, mass, slope, out[1:, :, :, 0])
     waves = replace(waves, along=rows.along, load=rows.load, inertia=rows.inertia, stiffness=rows.stiffness)
     loops = _Loops(waves, trials, often, out, rows)
     for begin in range(0, n - 1, coupling.window):
@@ -101,6 +102,7 @@ class _Loops:
         shape, p = out.shape[2:], {key: value[:, :, None] for key, value in trials.values.items()}
         self._p = p = p | {key: value[:, None, :] for key, value in waves.by_log.items()}
         self._h = h = (waves.dt / often)[None, None, :]
+        self._has_band = bool(np.any(p["dead_band"]))
         self._load, self._inertia = (
             _combine(first, by, trials)
             for first, by in ((waves.load, waves.load_by), (waves.inertia, waves.inertia_by))
@@ -128,15 +130,39 @@ class _Loops:
         m, _, q, v = self._state[:4]
         self._out[:, k] = m if self._waves.measured_on_motor else q, q, v
 
+    def _follow_law(
+        self, goal: np.ndarray, seen: np.ndarray, speed: np.ndarray, integral: np.ndarray, before: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, np.ndarray]:
+        """Return the law's output, its slope by the speed (None where none acts at once), the integral and the last speed."""
+        p, h, told = self._p, self._h, self._waves.told
+        half, e, u = 0.5 * h, goal, goal
+        if told not in ("position", "speed"):
+            return u, None, integral, before
+        gain = p["integral_gain"]
+        if told == "position":
+            e = goal - (seen + half * speed)
+            if self._has_band:
+                e = np.sign(e) * np.maximum(np.abs(e) - p["dead_band"], 0.0)
+            u = p["position_gain"] * e - p["derivative_gain"] * speed
+        inner, slow = p["speed_gain"] > 0, None
+        if np.any(inner):  # a loop of speed, alone or inside that of position
+            lag = np.clip(u, -p["speed_limit"], p["speed_limit"]) - speed
+            e, u = np.where(inner, lag, e), np.where(inner, p["speed_gain"] * lag, u)
+            slow, gain = np.where(inner, p["speed_gain"], 0.0), np.where(inner, p["speed_integral_gain"], gain)
+        if np.any(gain):  # to the middle of the step; a speed's error over the last one is known by now
+            integral = integral - np.where(inner, half * gain * (speed - before), 0.0)
+            before = speed
+            u = u + np.clip(integral + half * gain * e, -p["limit"], p["limit"])
+            integral = np.clip(integral + gain * h * e, -p["limit"], p["limit"])
+        return u, slow, integral, before
+
     def run(self, begin: int, stop: int) -> None:
         """Step from one sample to another."""
         waves, p, h, often, rows = self._waves, self._p, self._h, self._often, self._rows
         m, w, q, v, before, integral, gained, goal, delayed = self._state
         half, joint, load = 0.5 * h, self._joint, self._load
         has_stiction, pushes = bool(np.any(p["stiction"])), bool(np.any(p["load_friction"]))
-        has_band, has_sag = bool(np.any(p["dead_band"])), bool(np.any(p["supply_sag"]))
-        carries = bool(np.any(p["carried_friction"]))
-        told, closed = waves.told, waves.told in ("position", "speed")
+        has_sag, carries = bool(np.any(p["supply_sag"])), bool(np.any(p["carried_friction"]))
         at_once = p["torque_delay"] == 0
         bends, one_way = bool(np.any(p["drive_exponent"] != 1.0)), bool(np.any(p["braking"] != 1.0))
         power = p["drive_exponent"]
@@ -153,27 +179,9 @@ class _Loops:
             for i in range(often):
                 middle = q + half * v
                 seen, speed = (m, w) if waves.encoder_on_motor else (q, v)
-                e = u = goal.at(k * often + i)
-                slow, gain = 0.0, p["integral_gain"]
-                if told == "position":
-                    e = e - (seen + half * speed)
-                    if has_band:
-                        e = np.sign(e) * np.maximum(np.abs(e) - p["dead_band"], 0.0)
-                    u = p["position_gain"] * e - p["derivative_gain"] * speed
-                inner = p["speed_gain"] > 0
-                if closed and np.any(inner):  # a loop of speed, alone or inside that of position
-                    lag = np.clip(u, -p["speed_limit"], p["speed_limit"]) - speed
-                    e, u = np.where(inner, lag, e), np.where(inner, p["speed_gain"] * lag, u)
-                    slow, gain = np.where(inner, p["speed_gain"], slow), np.where(inner, p["speed_integral_gain"], gain)
-                if closed and np.any(
-                    gain
-                ):  # to the middle of the step; a speed's error over the last one is known by now
-                    integral = integral - np.where(inner, half * gain * (speed - before), 0.0)
-                    before = speed
-                    u = u + np.clip(integral + half * gain * e, -p["limit"], p["limit"])
-                    integral = np.clip(integral + gain * h * e, -p["limit"], p["limit"])
+                u, slow, integral, before = self._follow_law(goal.at(k * often + i), seen, speed, integral, before)
                 loses = p["back_emf"]  # what the motor's torque loses per unit of its speed
-                if closed and np.any(slow):
+                if slow is not None:
                     loses = loses + np.where((np.abs(u) < p["limit"]) & at_once, supply * slow, 0.0)
                 if finite:
                     u = np.minimum(np.maximum(u, -p["limit"]), p["limit"])
@@ -202,7 +210,7 @@ class _Loops:
                     friction = friction + p["stiction"] * np.exp(-np.abs(w) / p["stiction_speed"])
                 push = push + (damping - p["viscous"]) * w
                 step = partial(_step, p, joint, (m, w, q, v), (push, damping, friction), mass_h, half)
-                if rows is None:
+                if rows is None or waves.coupling is None:
                     m, w, q, v = step(rest)
                     continue
                 row, part = k // waves.coupling.every, k % waves.coupling.every / waves.coupling.every
@@ -217,7 +225,7 @@ class _Loops:
             self._show(k + 1)
 
 
-def _step(p, joint, state, forces, mass_h, half, rest):  # noqa: ANN001, ANN202
+def _step(p, joint, state, forces, mass_h, half, rest) -> tuple[np.ndarray, ...]:  # noqa: ANN001
     """Return the state (m, w, q, v) after a step under loads."""
     push, damping, friction = forces
     m, w, q, v = state
@@ -253,7 +261,7 @@ def _step_together(
     return found
 
 
-def _step_rigid(p, state, forces, mass_h, half):  # noqa: ANN001, ANN202
+def _step_rigid(p, state, forces, mass_h, half) -> tuple[np.ndarray, np.ndarray]:  # noqa: ANN001
     """Return positions and speeds (na, C, S) after a step of joints without a spring, parted where they come to rest."""
     (q, v), (push, rest, damping, friction) = state, forces
     wanted = mass_h * v + push - rest  # what friction acts on
