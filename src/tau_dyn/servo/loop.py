@@ -30,7 +30,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -93,6 +93,23 @@ def _simulate_in_numpy(waves: Waves, trials: Trials, often: int) -> np.ndarray:
     return out
 
 
+_OPTIONAL = ("dead_band", "supply_sag", "load_friction", "carried_friction", "stiction")
+"""Entries that cost nothing where no trial has them."""
+
+
+class _Sample(NamedTuple):
+    """What holds from one sample to the next: arrays that fit (na, C, S)."""
+
+    mass_h: np.ndarray
+    supply: np.ndarray
+    full: np.ndarray
+    now: np.ndarray
+    slope: np.ndarray | float
+    stiffness: np.ndarray
+    along: np.ndarray
+    turn: np.ndarray
+
+
 class _Loops:
     """Servo loops and their state."""
 
@@ -102,7 +119,8 @@ class _Loops:
         shape, p = out.shape[2:], {key: value[:, :, None] for key, value in trials.values.items()}
         self._p = p = p | {key: value[:, None, :] for key, value in waves.by_log.items()}
         self._h = h = (waves.dt / often)[None, None, :]
-        self._has_band = bool(np.any(p["dead_band"]))
+        self._has = {key: bool(np.any(p[key])) for key in _OPTIONAL}
+        self._bends, self._one_way = bool(np.any(p["drive_exponent"] != 1.0)), bool(np.any(p["braking"] != 1.0))
         self._load, self._inertia = (
             _combine(first, by, trials)
             for first, by in ((waves.load, waves.load_by), (waves.inertia, waves.inertia_by))
@@ -141,7 +159,7 @@ class _Loops:
         gain = p["integral_gain"]
         if told == "position":
             e = goal - (seen + half * speed)
-            if self._has_band:
+            if self._has["dead_band"]:
                 e = np.sign(e) * np.maximum(np.abs(e) - p["dead_band"], 0.0)
             u = p["position_gain"] * e - p["derivative_gain"] * speed
         inner, slow = p["speed_gain"] > 0, None
@@ -158,71 +176,76 @@ class _Loops:
 
     def run(self, begin: int, stop: int) -> None:
         """Step from one sample to another."""
-        waves, p, h, often, rows = self._waves, self._p, self._h, self._often, self._rows
-        m, w, q, v, before, integral, gained, goal, delayed = self._state
-        half, joint, load = 0.5 * h, self._joint, self._load
-        has_stiction, pushes = bool(np.any(p["stiction"])), bool(np.any(p["load_friction"]))
-        has_sag, carries = bool(np.any(p["supply_sag"])), bool(np.any(p["carried_friction"]))
-        at_once = p["torque_delay"] == 0
-        bends, one_way = bool(np.any(p["drive_exponent"] != 1.0)), bool(np.any(p["braking"] != 1.0))
-        power = p["drive_exponent"]
-        switched, finite = not np.all(waves.enabled), bool(np.any(np.isfinite(p["limit"])))
         for k in range(begin, stop):
-            mass_h = np.maximum(self._inertia[k] + p["armature"], MIN_INERTIA) / h
-            if joint is not None:
-                joint.set_inertia(self._inertia[k])
-            supply, on = waves.supply[k], waves.enabled[k]
-            full = p["force_per_unit"] * on if switched else p["force_per_unit"]
-            slope, now = 0.0 if waves.held else (load[k + 1] - load[k]) / often, load[k] + p["offset"]
-            G, along = waves.stiffness[k][:, None, :], waves.along[k][:, None, :]
-            turn = (waves.along[k + 1] - waves.along[k])[:, None, :] / often
-            for i in range(often):
-                middle = q + half * v
-                seen, speed = (m, w) if waves.encoder_on_motor else (q, v)
-                u, slow, integral, before = self._follow_law(goal.at(k * often + i), seen, speed, integral, before)
-                loses = p["back_emf"]  # what the motor's torque loses per unit of its speed
-                if slow is not None:
-                    loses = loses + np.where((np.abs(u) < p["limit"]) & at_once, supply * slow, 0.0)
-                if finite:
-                    u = np.minimum(np.maximum(u, -p["limit"]), p["limit"])
-                if has_sag:
-                    u = u * (1.0 - p["supply_sag"] * np.abs(u))
-                u = delayed.pass_on(u)
-                x = u * supply - p["back_emf"] * w
-                if bends:
-                    size = np.maximum(np.abs(x), BEND)
-                    grown = full * size ** (power - 1.0)
-                    push, lever = grown * x, grown * np.where(np.abs(x) > BEND, power, 1.0) * loses
-                else:
-                    push, lever = full * x, full * loses
-                if one_way:
-                    share = np.where(x * u < 0, p["braking"], 1.0)
-                    push, lever = push * share, lever * share
-                apart = middle - along - (i + 0.5) * turn
-                rest = now + (i + 0.5) * slope + G * apart
-                damping = 0.5 * (lever + p["viscous"])
-                friction = p["coulomb"]
-                if pushes:
-                    friction = friction + p["load_friction"] * np.abs(push)
-                if carries:
-                    friction = friction + p["carried_friction"] * np.abs(rest)
-                if has_stiction:
-                    friction = friction + p["stiction"] * np.exp(-np.abs(w) / p["stiction_speed"])
-                push = push + (damping - p["viscous"]) * w
-                step = partial(_step, p, joint, (m, w, q, v), (push, damping, friction), mass_h, half)
-                if rows is None or waves.coupling is None:
-                    m, w, q, v = step(rest)
-                    continue
-                row, part = k // waves.coupling.every, k % waves.coupling.every / waves.coupling.every
-                M, slopes = (
-                    np.moveaxis(x[:, row] + part * (x[:, row + 1] - x[:, row]), 0, -1) for x in (rows.mass, rows.slope)
-                )
-                others = slopes * (1 - np.eye(len(M)))[:, :, None]
-                rest = rest + np.einsum("jis,ics->jcs", others, apart)
-                old, (m, w, q, v) = v, _step_together(step, rest, M / h[0], v, gained)
-                gained = v - old
-            self._state = [m, w, q, v, before, integral, gained, goal, delayed]
+            sample = self._read_sample(k)
+            for i in range(self._often):
+                self._step_once(k, i, sample)
             self._show(k + 1)
+
+    def _read_sample(self, k: int) -> _Sample:
+        """Return what holds from one sample to the next."""
+        waves, p, load = self._waves, self._p, self._load
+        if self._joint is not None:
+            self._joint.set_inertia(self._inertia[k])
+        along = waves.along[k : k + 2, :, None, :]
+        return _Sample(
+            np.maximum(self._inertia[k] + p["armature"], MIN_INERTIA) / self._h,
+            waves.supply[k],
+            p["force_per_unit"] * waves.enabled[k],
+            load[k] + p["offset"],
+            0.0 if waves.held else (load[k + 1] - load[k]) / self._often,
+            waves.stiffness[k][:, None, :],
+            along[0],
+            (along[1] - along[0]) / self._often,
+        )
+
+    def _step_once(self, k: int, i: int, sample: _Sample) -> None:
+        """Take step `i` of sample `k`: the law, the motor's torque, loads and friction, the motion."""
+        waves, p, h, has = self._waves, self._p, self._h, self._has
+        m, w, q, v, before, integral, gained, goal, delayed = self._state
+        half = 0.5 * h
+        seen, speed = (m, w) if waves.encoder_on_motor else (q, v)
+        u, slow, integral, before = self._follow_law(goal.at(k * self._often + i), seen, speed, integral, before)
+        loses = p["back_emf"]  # what the motor's torque loses per unit of its speed
+        if slow is not None:
+            loses = loses + np.where((np.abs(u) < p["limit"]) & (p["torque_delay"] == 0), sample.supply * slow, 0.0)
+        u = np.minimum(np.maximum(u, -p["limit"]), p["limit"])
+        if has["supply_sag"]:
+            u = u * (1.0 - p["supply_sag"] * np.abs(u))
+        u = delayed.pass_on(u)
+        x = u * sample.supply - p["back_emf"] * w
+        push, lever = sample.full * x, sample.full * loses
+        if self._bends:
+            power = p["drive_exponent"]
+            grown = sample.full * np.maximum(np.abs(x), BEND) ** (power - 1.0)
+            push, lever = grown * x, grown * np.where(np.abs(x) > BEND, power, 1.0) * loses
+        if self._one_way:
+            share = np.where(x * u < 0, p["braking"], 1.0)
+            push, lever = push * share, lever * share
+        apart = q + half * v - sample.along - (i + 0.5) * sample.turn
+        rest = sample.now + (i + 0.5) * sample.slope + sample.stiffness * apart
+        damping, friction = 0.5 * (lever + p["viscous"]), p["coulomb"]
+        if has["load_friction"]:
+            friction = friction + p["load_friction"] * np.abs(push)
+        if has["carried_friction"]:
+            friction = friction + p["carried_friction"] * np.abs(rest)
+        if has["stiction"]:
+            friction = friction + p["stiction"] * np.exp(-np.abs(w) / p["stiction_speed"])
+        push = push + (damping - p["viscous"]) * w
+        step = partial(_step, p, self._joint, (m, w, q, v), (push, damping, friction), sample.mass_h, half)
+        if self._rows is None or waves.coupling is None:
+            m, w, q, after = step(rest)
+        else:
+            row, part = divmod(k, waves.coupling.every)
+            M, slopes = (
+                np.moveaxis(x[:, row] + part / waves.coupling.every * (x[:, row + 1] - x[:, row]), 0, -1)
+                for x in (self._rows.mass, self._rows.slope)
+            )
+            others = slopes * (1 - np.eye(len(M)))[:, :, None]
+            rest = rest + np.einsum("jis,ics->jcs", others, apart)
+            m, w, q, after = _step_together(step, rest, M / h[0], v, gained)
+            gained = after - v
+        self._state = [m, w, q, after, before, integral, gained, goal, delayed]
 
 
 def _step(p, joint, state, forces, mass_h, half, rest) -> tuple[np.ndarray, ...]:  # noqa: ANN001
