@@ -198,7 +198,7 @@ COMMANDS = (
     Reader("tau-dyn plan-poses --camera", ".yaml", of(seeds.CAMERA), YAML,
            command(f"plan-poses {_R} --camera CASE --n 4 --candidates 20 --out OUT/p.csv"), 4),
     Reader("tau-dyn plan-poses --tracker", ".yaml", of(seeds.TRACKER.replace(b"incidence: 30", b"incidence: 85")), YAML,
-           command(f"plan-poses {_R} --tracker CASE --n 4 --candidates 20 --out OUT/p.csv"), 4),
+           command(f"plan-poses {_R} --tracker CASE --n 20 --candidates 100 --out OUT/p.csv"), 4),
     Reader("tau-dyn --out", ".json", _runs, JSON, _rerun, 3),
 )  # fmt: skip
 """Each with its share of time."""

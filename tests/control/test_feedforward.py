@@ -137,6 +137,10 @@ NOT_BY_A_STATE = {
     "guideway_nonparallel",
     "lugre",
     "torque_speed_limit",
+    "back_emf",
+    "inductance",
+    "winding_heat",
+    "supply_sag",
 }
 OF_HINGES = {"directional_efficiency"}  # fmt: skip
 ROBOTS = ("gantry_tau", "linear_axis")
