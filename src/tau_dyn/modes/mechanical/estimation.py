@@ -191,7 +191,9 @@ def maximise_likelihood(target: Target, start: SecondOrder) -> SecondOrder:
 
     begin = np.concatenate([_factor(part)[np.tril_indices(n)] for part in (start.M, start.D, start.K)])
     stop = {"xtol": 1e-12, "ftol": 1e-12, "gtol": 1e-12, "max_nfev": 60}
-    found = least_squares(safe, begin, jac=slope, method="lm", x_scale="jac", **stop)  # pyright: ignore[reportArgumentType]
+    # MINPACK asks for as many residuals as unknowns; of nearly exact data fewer are left to weigh
+    method = "lm" if len(safe(begin)) >= len(begin) else "trf"
+    found = least_squares(safe, begin, jac=slope, method=method, x_scale="jac", **stop)  # pyright: ignore[reportArgumentType]
     return structure(found.x)
 
 
