@@ -140,6 +140,9 @@ WARNING_CODES: dict[str, MessageCode] = {
     "law_incomplete": MessageCode(
         "fits at each servo gain alone disagree", "add the entry that is named to the controller file"
     ),
+    "not_settled": MessageCode(
+        "simulated joints of a servo robot push each other without end", "check gains, delays and inertias in the files"
+    ),
     "outside_training": MessageCode("held-out logs accelerate more than the training's", "train on faster motions"),
     "unsigned_load": MessageCode("a load channel has no sign", "do not map it to torque"),
     "column_missing": MessageCode("`columns`: no clock or torque", "add it to the map"),

@@ -164,7 +164,7 @@ def _by_number(name: str) -> Any:
     return method
 
 
-_inverse_dynamics = _by_number("inverse_dynamics")
+_inverse_dynamics, _inertia = _by_number("inverse_dynamics"), _by_number("inertia")
 
 
 class TreeMechanism(SamplewiseTree):
@@ -176,7 +176,6 @@ class TreeMechanism(SamplewiseTree):
     """
 
     regressor = _by_number("regressor")
-    inertia = _by_number("inertia")
     guide_force = _by_number("guide_force")
     passive_rates = _by_number("passive_rates")
     tool_position = _by_number("tool_position")
@@ -199,6 +198,18 @@ class TreeMechanism(SamplewiseTree):
         x, *rates = (np.asfortranarray(share @ one.T) for one in self._checked(q, v, a))
         tree = pin.rneaInParallel(1, pin.ModelPool(self.model, 1), x + offset[:, None], *rates)
         return np.ascontiguousarray((share.T @ tree.reshape(x.shape)).T)
+
+    def inertia(self, q: np.ndarray) -> np.ndarray:
+        """Return the mass matrix (N, na, na); of a tree without loops by Pinocchio's composite bodies, sample by sample."""
+        if not self._plain or np.ndim(q) != 2:
+            return _inertia(self, q)
+        share, offset = self.robot.coupling
+        rows = self._checked(q)[0] @ share.T + offset
+        tree = np.empty((len(rows), self.model.nv, self.model.nv))
+        for k, row in enumerate(rows):
+            tree[k] = pin.crba(self.model, self.data, row)
+        half = share.T @ (self._upper * tree) @ share
+        return half + half.swapaxes(1, 2)
 
 
 def build_mechanism(robot: Robot) -> Mechanism:

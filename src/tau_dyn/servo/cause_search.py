@@ -329,12 +329,12 @@ def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:
     problem = data.build_problem(wide)
     x = wide.pack()
     x[wide.n - data.space.n_unknowns :] = base.x[data.unknowns.n - data.space.n_unknowns :]
-    _, sensitivities, owners = problem.differentiate(x)
+    _, slopes = problem.differentiate(x)
     residual = data.build_problem().residuals(base.x[:, None])[:, :, 0]
     where = np.full(wide.free.shape, -1)
     where[wide.free] = np.arange(int(wide.free.sum()))
     limits = np.full(na, np.inf)
-    for j, (S, mine) in enumerate(zip(sensitivities, owners, strict=True)):
+    for j, (S, mine) in enumerate(zip(slopes.rows, slopes.owners, strict=True)):
         at = int(where[wide.kinds.index(entry), j])
         column = int(np.flatnonzero(mine == at)[0])
         rest, own = np.delete(S, column, axis=0).T, S[column]

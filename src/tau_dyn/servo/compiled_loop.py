@@ -175,15 +175,13 @@ static void take_inertia(joint_t *x, double least, double contact) {
   x->firm = 1.0 / (x->total + share * share * x->S); x->loose = 1.0 / (x->total + share * share * x->open);
 }
 
-static double combine(const double *by, const double *unknowns, int64_t K) {
-  double a = 0.0, b = 0.0, c = 0.0, d = 0.0;
+/* What a trial's inertial unknowns add to a row: only those that differ from the waves' own */
+static double combine(const double *by, const double *changes, const int64_t *which, int64_t K) {
+  double a = 0.0, b = 0.0;
   int64_t i = 0;
-  for (; i + 4 <= K; i += 4) {
-    a += by[i] * unknowns[i]; b += by[i + 1] * unknowns[i + 1];
-    c += by[i + 2] * unknowns[i + 2]; d += by[i + 3] * unknowns[i + 3];
-  }
-  for (; i < K; i++) a += by[i] * unknowns[i];
-  return (a + b) + (c + d);
+  for (; i + 2 <= K; i += 2) {a += by[which[i]] * changes[i]; b += by[which[i + 1]] * changes[i + 1];}
+  if (i < K) a += by[which[i]] * changes[i];
+  return a + b;
 }
 
 static void show(joint_t *x, int64_t k, int64_t plane, int on_motor, int with_speeds) {
@@ -253,13 +251,14 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
   double least = limits[0], straight = limits[1], contact = limits[2], settled = limits[3];
   joint_t *all = malloc(2 * (size_t)together * sizeof(joint_t)), *kept = all + together;
   double *M = malloc((size_t)(3 * J * J + J + K) * sizeof(double)), *G = M + J * J;  /* and room for a step */
-  double *unknowns = M + 3 * J * J + J;
-  if (!all || !M) {free(all); free(M); return 1;}
+  double *changes = M + 3 * J * J + J;
+  int64_t *which = malloc((size_t)(K + 1) * sizeof(int64_t));
+  if (!all || !M || !which) {free(all); free(M); free(which); return 1;}
   for (int64_t s = 0; s < L && !failed; s++) for (int64_t j0 = 0; j0 < J; j0 += together) for (int64_t c = 0; c < C; c++) {
     double h = dt[s] / (double)often;
     const double *sup = supply + s * N, *en = enabled + s * N;
-    int moved = 0;
-    for (int64_t i = 0; i < K; i++) {unknowns[i] = inertial[i * C + c]; moved = moved || unknowns[i] != 0.0;}
+    int64_t moved = 0;
+    for (int64_t i = 0; i < K; i++) if (inertial[i * C + c] != 0.0) {changes[moved] = inertial[i * C + c]; which[moved++] = i;}
     for (int64_t n = 0; n < together; n++) {
       joint_t *x = all + n;
       int64_t j = j0 + n, row = (j * L + s) * N;
@@ -287,7 +286,7 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
       x->g.position = x->cmd[0]; x->g.speed = 0.0;
       if (p[command_step] > 0) x->g.position = p[command_step] * nearbyint(x->cmd[0] / p[command_step]);
       x->next_load = x->ld[0];
-      if (moved) x->next_load += combine(x->ldb, unknowns, K);
+      if (moved) x->next_load += combine(x->ldb, changes, which, moved);
       if (x->elastic) {
         double rest0 = x->next_load + p[offset];
         double twist = p[joint_compliance] * rest0 + (rest0 > 0 ? x->gap : rest0 < 0 ? -x->gap : 0.0);
@@ -311,8 +310,8 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
             double now = held_load ? x->ld[k] : x->next_load;
             x->mass = x->in[k]; x->next_load = x->ld[k + 1];
             if (moved) {
-              x->mass += combine(x->inb + k * K, unknowns, K);
-              x->next_load += combine(x->ldb + (k + 1) * K, unknowns, K);
+              x->mass += combine(x->inb + k * K, changes, which, moved);
+              x->next_load += combine(x->ldb + (k + 1) * K, changes, which, moved);
             }
             x->rest0 = now + x->p[offset];
             x->slope = held_load ? 0.0 : (x->next_load - now) / (double)often;
@@ -352,7 +351,7 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
     }
     for (int64_t n = 0; n < together; n++) free(all[n].past);
   }
-  free(all); free(M);
+  free(all); free(M); free(which);
   return failed;
 }
 """
@@ -387,6 +386,10 @@ def run_compiled(
     own = [np.moveaxis(x, 0, -1) for x in (waves.along, waves.load, waves.inertia, waves.stiffness)]
     make = np.ascontiguousarray if waves.coupling is None else partial(np.array, order="C")  # a copy is filled
     along, load, inertia, stiffness = (make(x) for x in own)
+    by = [np.ascontiguousarray(np.moveaxis(x, (0, 2), (-2, -1))) for x in (waves.load_by, waves.inertia_by)]
+    near = trials.inertial[:, 0]  # trials about one vector differ from it in few unknowns
+    if np.any(near):
+        load, inertia = load + by[0] @ near, inertia + by[1] @ near
     coupling, matrices, faults = waves.coupling, np.zeros((2, s, 0, na, na)), []
     every = window = 0
     settle = _SETTLE()
@@ -424,9 +427,8 @@ def run_compiled(
         dtype=np.int64,
     )
     inputs = [waves.dt, waves.start, waves.speed, np.moveaxis(waves.command, 0, -1), along, load]
-    inputs += [np.moveaxis(waves.load_by, (0, 2), (-2, -1)), inertia]
-    inputs += [np.moveaxis(waves.inertia_by, (0, 2), (-2, -1)), stiffness]
-    inputs += [waves.supply.T, waves.enabled.T, entries, trials.inertial, np.array(limits), *matrices]
+    inputs += [by[0], inertia, by[1], stiffness]
+    inputs += [waves.supply.T, waves.enabled.T, entries, trials.inertial - near[:, None], np.array(limits), *matrices]
     inputs = [np.ascontiguousarray(x, dtype=float) for x in inputs]
     library.loop_run.restype = ctypes.c_int64
     failed = library.loop_run(*(ctypes.c_void_p(x.ctypes.data) for x in (sizes, *inputs, out)), settle)

@@ -107,7 +107,10 @@ class LoopData:
 
 
 def fit_coupled(
-    data: LoopData, progress: Callable[[str], None] = lambda step: None, fit: LoopFit | None = None
+    data: LoopData,
+    progress: Callable[[str], None] = lambda step: None,
+    fit: LoopFit | None = None,
+    settled: float = SETTLED,
 ) -> tuple[LoopData, LoopFit]:
     """Return the data and the end of a search whose loads and steps are exact where it ends (defect correction).
 
@@ -116,16 +119,20 @@ def fit_coupled(
     change there. Where a model misses much more than that, the first fit is the last.
     Reference: Stetter 1978.
     """
-    fit = fit or fit_loop(data.build_problem(), progress)
+    last = None
+    if fit is None:
+        last = data.build_problem()
+        fit = fit_loop(last, progress)
     if float(np.median(fit.sigma)) > LARGE_RESIDUAL_RAD:
         return data, fit
     for _ in range(MAX_SETTLINGS):
         data = data.with_exact_motions(fit)
         problem = data.build_problem()
         problem = problem.with_finer_differences() if data.whole else problem
-        before, fit = fit, fit_loop(problem, progress, _ITERATIONS, fit.x)
+        last = problem.take_slopes(last)
+        before, fit = fit, fit_loop(last, progress, _ITERATIONS, fit.x)
         sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-        if np.all(np.abs(fit.x - before.x) <= SETTLED * sigma + 1e-12) or _is_alike(fit.sigma, before.sigma):
+        if np.all(np.abs(fit.x - before.x) <= settled * sigma + 1e-12) or _is_alike(fit.sigma, before.sigma):
             break
     return data, fit
 

@@ -48,6 +48,19 @@ def list_loop_warnings(
     ]
 
 
+def list_unsettled(logs: Sequence[tuple[str, float | None]]) -> list[str]:
+    """Return a sentence for each log, by name, whose simulation did not settle from a time [s] on."""
+    return [
+        CodedWarning(
+            "not_settled",
+            f"{name}: from {since:.1f} s the simulated joints push each other and do not settle; what is said of this log from "
+            "there on cannot be trusted",
+        )
+        for name, since in logs
+        if since is not None
+    ]
+
+
 def _describe_scale(law: ServoLaw, data: LoopData) -> list[str]:
     if law.given and not {"position_gain", "force_per_unit"} & law.estimated:
         return []

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,6 +48,10 @@ _SMALL_GAIN = 1e-3  # relative fall of the loss below which a first search ends,
 CONVERGED = 0.01
 """Squared distance to the minimum, in standard errors, from which a search near a solution ends (Newton decrement)."""
 
+SLOPE_REACH = 0.1
+"""Squared distance from where sensitivities were simulated, in standard errors and by unknown, up to which they are used again:
+a third of a standard error each (chord method, Kelley 1995, 5.4)."""
+
 MAX_ELEMENTS = 6_000_000
 """Positions that are simulated at once, 48 MB of them."""
 
@@ -72,8 +77,26 @@ class LoopFit:
     step: float
 
 
+class Slopes(NamedTuple):
+    """How simulated positions change with unknowns, at one vector.
+
+    Attributes:
+        at: The vector (n,).
+        rows: Joint by joint, sensitivities (n_j, S N) [rad per unit].
+        owners: Which unknowns they belong to (n_j,).
+    """
+
+    at: np.ndarray
+    rows: list[np.ndarray]
+    owners: list[np.ndarray]
+
+
 class LoopProblem:
-    """Residuals and sensitivities of a fit."""
+    """Residuals and sensitivities of a fit.
+
+    Attributes:
+        slopes: Sensitivities that were simulated last, or those of nearly the same problem.
+    """
 
     def __init__(self, unknowns: LoopUnknowns, waves: Waves, records: Sequence[LoopRecord]) -> None:
         """Prepare; records give the measured positions and the samples that count."""
@@ -84,12 +107,21 @@ class LoopProblem:
         self.blocks = _number_blocks(records, n)
         self.count = np.maximum(self.used.sum(), 1)
         self.share_of_steps = 1.0
+        self.slopes: Slopes | None = None
 
     def with_finer_differences(self) -> LoopProblem:
         """Return the problem with small steps for its differences, for the last part of a search."""
         other = copy(self)
-        other.share_of_steps = FINE_DIFFERENCES
+        other.share_of_steps, other.slopes = FINE_DIFFERENCES, None
         return other
+
+    def take_slopes(self, other: LoopProblem | None) -> LoopProblem:
+        """Return the problem with the sensitivities of nearly the same one, where these are differences over equal steps."""
+        if other is None or other.share_of_steps != self.share_of_steps:
+            return self
+        problem = copy(self)
+        problem.slopes = other.slopes
+        return problem
 
     def with_step(self, step: float) -> LoopProblem:
         """Return the problem with another longest step [s]."""
@@ -138,8 +170,8 @@ class LoopProblem:
         steps = self.share_of_steps * np.array(table).reshape(self.unknowns.free.shape)[self.unknowns.free]
         return np.append(np.maximum(steps, 1e-9), np.full(self.unknowns.space.n_unknowns, 0.15))
 
-    def differentiate(self, x: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
-        """Return the residual (N, na, S), and joint by joint the sensitivities (n_j, S N) and which unknowns they belong to."""
+    def differentiate(self, x: np.ndarray) -> tuple[np.ndarray, Slopes]:
+        """Return the residual (N, na, S) and the sensitivities at a vector (n,)."""
         u, steps, joint_of = self.unknowns, self.list_steps(x), self.unknowns.joint_of
         kind_of = np.append(np.nonzero(u.free)[0], len(u.kinds) + np.arange(u.space.n_unknowns))
         names = np.unique(kind_of)
@@ -154,7 +186,8 @@ class LoopProblem:
             rows = r[:, j].transpose(1, 2, 0)
             sensitivities.append(((rows[at] - rows[:1]) / steps[mine][:, None, None]).reshape(len(mine), -1))
             owners.append(mine)
-        return base, sensitivities, owners
+        self.slopes = Slopes(x, sensitivities, owners)
+        return base, self.slopes
 
 
 def _stack(arrays: Sequence[np.ndarray], n: int) -> np.ndarray:
@@ -202,17 +235,13 @@ def fit_loop(
         r = problem.residuals(x[:, None])[:, :, 0]
         sigma = np.sqrt((r**2).sum(axis=(0, 2)) / problem.count)
         return LoopFit(x, np.zeros((0, 0)), sigma, 0.0, 0, problem.waves.step)
-    worth, last, damping, small = None, np.inf, 1.0 if first is None else 1e-3, 0
-    H, scatter, sigma, loss = np.eye(u.n), np.eye(u.n), np.ones(1), 0.0
+    last, damping, small = np.inf, 1.0 if first is None else 1e-3, 0
+    near, worth = None, None
     for k in range(max_iterations):
         progress(f"output error, iteration {k + 1}")
-        r, sensitivities, owners = problem.differentiate(x)
-        sigma = np.maximum(np.sqrt((r**2).sum(axis=(0, 2)) / problem.count), 1e-7)
-        if worth is None or k == 2:
-            worth = np.array([count_worth(r[:, j], problem.used) for j in range(r.shape[1])])
-        weight = _weigh(problem, r, sigma) / worth[:, None]
-        H, g, scatter = _accumulate(problem, r, sensitivities, owners, weight)
-        H, g = H + np.diag(precision), g - precision * (x - start)
+        near = _linearise(problem, x, precision, None if k == 2 else worth)
+        worth, weight, H, r = near.worth, near.weight, near.H, near.residual
+        g = near.g - precision * (x - start)
         loss = _sum_squares(r[:, :, None], weight)[0] + float(precision @ (x - start) ** 2)
         held = _find_held(u, x, g)
         if first is not None and k > 1 and float(g @ (_step(H, g, 0.0, held, u, x) - x)) < CONVERGED:
@@ -224,6 +253,9 @@ def fit_loop(
         best = int(np.argmin(losses))
         gain = loss - losses[best]
         if gain <= 0:
+            if near.distance > 0:
+                problem.slopes = None  # those of another place may be what misled
+                continue
             if damping > 1e3:
                 break
             damping *= 1e3
@@ -232,19 +264,52 @@ def fit_loop(
         small = small + 1 if gain < (CONVERGED / 2 if first is not None else _SMALL_GAIN * loss) else 0
         if small == 2:
             break
-    r, sensitivities, owners = problem.differentiate(x)
+    end = _linearise(problem, x, precision, worth)
+    held = _find_held(u, x, end.g - precision * (x - start))
+    covariance = _compute_covariance(end.H, end.scatter + np.diag(precision), held)
+    return LoopFit(x, covariance, end.sigma, min(loss, last), k + 1, problem.waves.step)
+
+
+class _Linearised(NamedTuple):
+    """A problem about one vector.
+
+    Attributes:
+        residual: (N, na, S) [rad].
+        H: Normal matrix, with the prior's (n, n).
+        g: Right side, without the prior's (n,).
+        scatter: Of the gradient over blocks (n, n).
+        sigma: Residual rms of each joint (na,) [rad].
+        weight: Inverse variance of residuals (na, S).
+        worth: Samples that an independent one is worth (na,).
+        distance: Squared distance to the vector that the sensitivities are of, in standard errors.
+    """
+
+    residual: np.ndarray
+    H: np.ndarray
+    g: np.ndarray
+    scatter: np.ndarray
+    sigma: np.ndarray
+    weight: np.ndarray
+    worth: np.ndarray
+    distance: float
+
+
+def _linearise(problem: LoopProblem, x: np.ndarray, precision: np.ndarray, worth: np.ndarray | None) -> _Linearised:
+    """Return the problem about a vector, by sensitivities of a place nearby if there are any."""
+    slopes = problem.slopes
+    r, slopes = problem.differentiate(x) if slopes is None else (problem.residuals(x[:, None])[:, :, 0], slopes)
     sigma = np.maximum(np.sqrt((r**2).sum(axis=(0, 2)) / problem.count), 1e-7)
-    weight = _weigh(problem, r, sigma) / (worth if worth is not None else np.ones(len(sigma)))[:, None]
-    H, g, scatter = _accumulate(problem, r, sensitivities, owners, weight)
-    held = _find_held(u, x, g - precision * (x - start))
-    return LoopFit(
-        x,
-        _compute_covariance(H + np.diag(precision), scatter + np.diag(precision), held),
-        sigma,
-        min(loss, last),
-        k + 1,
-        problem.waves.step,
-    )
+    if worth is None:
+        worth = np.array([count_worth(r[:, j], problem.used) for j in range(r.shape[1])])
+    weight = _weigh(problem, r, sigma) / worth[:, None]
+    H, g, scatter = _accumulate(problem, r, slopes, weight)
+    H = H + np.diag(precision)
+    away = x - slopes.at
+    distance = float(away @ H @ away)
+    if distance > SLOPE_REACH * len(x):
+        problem.slopes = None
+        return _linearise(problem, x, precision, worth)
+    return _Linearised(r, H, g, scatter, sigma, weight, worth, distance)
 
 
 def _weigh(problem: LoopProblem, r: np.ndarray, sigma: np.ndarray) -> np.ndarray:
@@ -253,13 +318,15 @@ def _weigh(problem: LoopProblem, r: np.ndarray, sigma: np.ndarray) -> np.ndarray
     return np.clip(own, sigma[:, None] / MAX_CONTRAST, sigma[:, None] * MAX_CONTRAST) ** -2.0
 
 
-def _accumulate(problem, r, sensitivities, owners, weight):  # noqa: ANN001, ANN202
+def _accumulate(
+    problem: LoopProblem, r: np.ndarray, slopes: Slopes, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return normal matrix (n, n), right side (n,) and the gradient's scatter over blocks (n, n)."""
     n = problem.unknowns.n
     H, g = np.zeros((n, n)), np.zeros(n)
     blocks = problem.blocks.T.reshape(-1)
     sums = np.zeros((blocks.max() + 1, n))
-    for j, (S, mine) in enumerate(zip(sensitivities, owners, strict=True)):
+    for j, (S, mine) in enumerate(zip(slopes.rows, slopes.owners, strict=True)):
         weights = np.broadcast_to(weight[j][:, None], r[:, j].T.shape).reshape(-1)
         weighed = S * weights
         H[np.ix_(mine, mine)] += S @ weighed.T
@@ -268,7 +335,7 @@ def _accumulate(problem, r, sensitivities, owners, weight):  # noqa: ANN001, ANN
         for row, k in zip(weighed, mine, strict=True):
             sums[:, k] += np.bincount(blocks, weights=row, minlength=len(sums))
     blocks_used = max(2, int(np.count_nonzero(np.abs(sums).sum(axis=1))))
-    most = max(len(mine) for mine in owners)
+    most = max(len(mine) for mine in slopes.owners)
     return H, g, sums.T @ sums * blocks_used / max(blocks_used - most, 0.2 * blocks_used)
 
 

@@ -21,9 +21,9 @@ from tau_dyn.parameters import Parameters
 from tau_dyn.robot import NOMINAL_MASS_STDERR, Robot
 from tau_dyn.servo.by_gain import compare_gains
 from tau_dyn.servo.data import LoopData, fit_coupled
-from tau_dyn.servo.doubts import list_loop_warnings
+from tau_dyn.servo.doubts import list_loop_warnings, list_unsettled
 from tau_dyn.servo.fit import LoopFit, fit_loop
-from tau_dyn.servo.prediction import predict_positions
+from tau_dyn.servo.prediction import SimulatedMotion, simulate_coupled
 from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
 from tau_dyn.servo.records import LoopRecord, mask_unused
 from tau_dyn.servo.result import LoopIdentification, LoopParameter, build_position_errors
@@ -31,6 +31,9 @@ from tau_dyn.servo.spring_start import start_springs
 from tau_dyn.servo.unknowns import JOINT_UNITS, get_unit
 from tau_dyn.simulate import SERVO_ENTRIES
 
+SETTLED_FOR_ERRORS = 1.0
+"""Change of unknowns over standard errors from which a fit's held-out error counts as settled: their own scatter changes it as
+much."""
 TRAIN_SHARE = 0.7
 """Where no held-out log is given, a fit of this first part of each log predicts the rest."""
 
@@ -55,17 +58,15 @@ def identify_loop(
     if others:
         data, fit = fit_coupled(data, progress)
         progress("held-out errors")
-        predicted = predict(data, fit, others)
-        errors, how = (
-            build_position_errors(robot.actuated, others, predicted),
-            "held-out logs: " + ", ".join(x.name for x in given.held),
-        )
-        shown = [(r, p, True) for r, p in zip(others, predicted, strict=True)]
+        judged, predicted = others, predict(data, fit, others)
+        how = "held-out logs: " + ", ".join(x.name for x in given.held)
     else:
-        data, fit, errors, shown = _judge_last_part(data, progress)
+        data, fit, judged, predicted = _judge_last_part(data, progress)
         how = "last 30 % of each log, predicted by a fit of its first 70 %"
     trained = predict(data, fit, kept)
-    warnings = [*given.warnings]
+    pairs = [(r, m, True) for r, m in zip(judged, predicted, strict=True)]
+    pairs += [(r, m, False) for r, m in zip(kept, trained, strict=True)]
+    warnings = [*given.warnings, *list_unsettled([(r.name, m.unsettled) for r, m, _ in pairs])]
     by_gain: tuple[Mapping[str, Any], ...] = ()
     if len({tuple(r.entries["position_gain"]) for r in kept}) > 1:
         by_gain, said = compare_gains(data, fit.x, progress)
@@ -73,31 +74,31 @@ def identify_loop(
     warnings += list_loop_warnings(law, kept, others, [*given.train, *given.held], data, fit)
     return _build_result(
         data, fit, seed=given.seed, logs=given.train, held=given.held, friction=given.friction or "file",
-        contacts=given.contacts, train=build_position_errors(robot.actuated, kept, trained), holdout=errors, how=how,
-        shown=[*shown, *((r, p, False) for r, p in zip(kept, trained, strict=True))], warnings=warnings, by_gain=by_gain,
+        contacts=given.contacts, train=build_position_errors(robot.actuated, kept, [m.q for m in trained]),
+        holdout=build_position_errors(robot.actuated, judged, [m.q for m in predicted]), how=how,
+        shown=[(r, m.q, apart) for r, m, apart in pairs], warnings=warnings, by_gain=by_gain,
     )  # fmt: skip
 
 
-def predict(data: LoopData, fit: LoopFit, records: Sequence[LoopRecord]) -> list[np.ndarray]:
-    """Return positions (N, na) of records at a solution, from their commands alone."""
+def predict(data: LoopData, fit: LoopFit, records: Sequence[LoopRecord]) -> list[SimulatedMotion]:
+    """Return the motions of records at a solution, from their commands alone."""
     u = data.unknowns
     inertial = fit.x[u.n - data.space.n_unknowns :]
-    return predict_positions(data.space, inertial, u.with_values(fit.x), data.law, records, fit.step)
+    return simulate_coupled(data.space, inertial, u.with_values(fit.x), data.law, records, fit.step)
 
 
 def _judge_last_part(data: LoopData, progress: Callable[[str], None]):  # noqa: ANN202
-    """Return the fit of all data, errors on the last part of each log by a fit of its first part, and what to look at."""
+    """Return the fit of all data, and the last part of each log with its motion by a fit of the first part."""
     first, last = [], []
     for r in data.records:
         early = np.arange(len(r.t)) < TRAIN_SHARE * len(r.t)
         first.append(mask_unused(r, ~early))
         last.append(mask_unused(r, early))
-    near, part = fit_coupled(replace(data, records=first), progress)
+    near, part = fit_coupled(replace(data, records=first), progress, settled=SETTLED_FOR_ERRORS)
     predicted = predict(data, part, last)
-    errors = build_position_errors(data.law.joints, last, predicted)
     data = replace(near, records=data.records)  # with exact motions, which masks do not change
     data, fit = fit_coupled(data, progress, fit_loop(data.build_problem(), progress, first=part.x))
-    return data, fit, errors, [(r, p, True) for r, p in zip(last, predicted, strict=True)]
+    return data, fit, last, predicted
 
 
 def _build_result(

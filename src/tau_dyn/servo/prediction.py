@@ -7,7 +7,7 @@ moves (waveform relaxation). Where it ends does not depend on where it began: wi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from tau_dyn.servo.records import (
     build_waves,
     count_slow,
     fill_coupled_loads,
+    fill_coupled_matrices,
     refine,
     refine_record,
 )
@@ -35,6 +36,9 @@ MAX_SWEEPS = 16
 SETTLED_RAD = 1e-5
 """Largest change of positions at which a window has settled [rad]: a hundredth of a step of a hobby servo's encoder. The next
 sweep would change a tenth of it."""
+
+UNSETTLED_RAD = 1e-4
+"""Change of positions after the last sweep from which a window is told as not settled [rad]: a tenth of an encoder's step."""
 
 
 def predict_positions(
@@ -61,13 +65,15 @@ def predict_positions(
 class SimulatedMotion(NamedTuple):
     """A log's motion, simulated, at its samples (N, na): positions of the measured side, the links' positions and speeds.
 
-    Accelerations are means over the time from half a sample before to half a sample after.
+    Accelerations are means over the time from half a sample before to half a sample after. `unsettled` is the time [s] from
+    which loads and motion kept changing each other, None where they settled.
     """
 
     q: np.ndarray
     link: np.ndarray
     v: np.ndarray
     a: np.ndarray
+    unsettled: float | None = None
 
 
 def simulate_coupled(
@@ -97,7 +103,9 @@ def simulate_coupled(
         around = max(1, times // 2)
         half = np.clip(np.arange(len(q)) + np.array([[-around], [around]]), 0, len(q) - 1)
         a = (v[half[1]] - v[half[0]]) / ((half[1] - half[0])[:, None] * r.dt)
-        found.append(SimulatedMotion(*(x[::times] for x in (shown, q, v, a))))
+        first = relaxation.unsettled.get(k)
+        shown, q, v, a = (x[::times] for x in (shown, q, v, a))
+        found.append(SimulatedMotion(shown, q, v, a, None if first is None else first * r.dt))
     return found
 
 
@@ -115,12 +123,14 @@ class _Relaxation:
         guesses: A motion near that of each log, positions and speeds (N, na).
         dt: Time between samples of each log [s].
         every: Samples between matrices.
+        unsettled: Logs -> the first sample of the first window that did not settle; filled on the way.
     """
 
     mechanism: Mechanism
     guesses: Sequence[Sequence[np.ndarray]]
     dt: Sequence[float]
     every: int
+    unsettled: dict[int, int] = field(default_factory=dict)
 
     def settle(self, rows: LoadRows, log: int, begin: int, stop: int, turn: int) -> int:
         """Take loads along a window's motion, at first along a guess that starts where the window does; 1 where they settled."""
@@ -131,6 +141,8 @@ class _Relaxation:
             return 1
         if turn:
             change = float(np.abs(rows.motion[0, part, :, log] - rows.along[part, :, log]).max())
+            if change > UNSETTLED_RAD and turn >= MAX_SWEEPS:
+                self.unsettled.setdefault(log, begin)
             if not change > SETTLED_RAD or turn >= MAX_SWEEPS:
                 return 1
         else:
@@ -138,6 +150,9 @@ class _Relaxation:
                 near = guess[np.minimum(np.arange(begin, stop + 1), len(guess) - 1)]
                 x[part, :, log] = near + (x[begin, :, log] - near[0])
         if not np.isfinite(rows.motion[:, part, :, log]).all():
+            self.unsettled.setdefault(log, begin)
             return 1  # trial values that no step can follow
+        if not turn:  # loads hold what the matrices of the first motion do not
+            fill_coupled_matrices(self.mechanism, rows, log, part, self.every)
         fill_coupled_loads(self.mechanism, rows, log, part, self.every, self.dt[log])
         return 0

@@ -27,6 +27,8 @@ MOTION_HZ = 12.0
 """Low-pass of measured positions before they are differentiated [Hz]: twice the bandwidth of a servo's position loop."""
 SLOW_S = 0.04
 """Time over which own inertia and stiffness may be interpolated [s]: positions change by less than 0.1 rad."""
+LOAD_S = 2e-3
+"""Time between the loads of coupled joints [s]: speeds change by some percent of what they reach."""
 PIECES = 24
 """Pieces that logs are cut into for a fit, about; more are no faster."""
 MIN_PIECE_S = 10.0
@@ -237,15 +239,10 @@ def _fill_between(some: np.ndarray, x: np.ndarray, n: int) -> np.ndarray:
     return interp1d(some, x, axis=0, assume_sorted=True)(np.arange(n)) if len(some) > 1 else x[[0] * n]
 
 
-def fill_coupled_loads(mechanism: Mechanism, rows: LoadRows, log: int, part: slice, every: int, dt: float) -> None:
-    """Take a log's loads along its motion from one sample to another, that one included; its acceleration is its change of speed.
-
-    They hold from each sample to the next, and are those of the middle.
-    """
-    q, v = rows.motion[:, part, :, log]
+def fill_coupled_matrices(mechanism: Mechanism, rows: LoadRows, log: int, part: slice, every: int) -> None:
+    """Take a log's mass matrix and slopes of gravity along its motion from one sample to another, that one included."""
+    q = rows.motion[0, part, :, log]
     n, na = len(q) - 1, q.shape[1]
-    a = np.diff(v, axis=0) / dt
-    tau = mechanism.inverse_dynamics(0.5 * (q[1:] + q[:-1]), np.diff(q, axis=0) / dt, a)
     some = np.minimum(np.arange(0, n + every, every), n)
     mass, slope = mechanism.inertia(q[some]), mechanism.weight_gradient(q[some])
     share = (np.arange(every) / every)[:, None]
@@ -254,13 +251,27 @@ def fill_coupled_loads(mechanism: Mechanism, rows: LoadRows, log: int, part: sli
         own = np.einsum("njj->nj", x)
         return (own[:-1, None] + share * np.diff(own, axis=0)[:, None]).reshape(-1, na)[:n]
 
-    blocks = np.pad(a, ((0, (len(some) - 1) * every - n), (0, 0))).reshape(-1, every, na)
-    pushed = blocks @ mass[:-1] + share * (blocks @ np.diff(mass, axis=0))
     steps, first = slice(part.start, part.start + n), part.start // every
-    rows.along[part, :, log] = q
-    rows.load[steps, :, log] = tau - pushed.reshape(-1, na)[:n]
     rows.inertia[steps, :, log], rows.stiffness[steps, :, log] = fill(mass), fill(slope)
     rows.mass[log, first : first + len(some)], rows.slope[log, first : first + len(some)] = mass, slope
+
+
+def fill_coupled_loads(mechanism: Mechanism, rows: LoadRows, log: int, part: slice, every: int, dt: float) -> None:
+    """Take a log's loads along its motion from one sample to another, that one included; its acceleration is its change of speed.
+
+    They hold from each sample to the next, and are those of the middle. What the mass matrix, interpolated, leaves of the force
+    changes as smoothly as speeds do, so that it is taken every `LOAD_S`.
+    """
+    q, v = rows.motion[:, part, :, log]
+    n = len(q) - 1
+    stride = max(1, round(LOAD_S / dt))
+    at = np.unique(np.append(np.arange(0, n, stride), n - 1))
+    a = (v[at + 1] - v[at]) / dt
+    tau = mechanism.inverse_dynamics(0.5 * (q[at + 1] + q[at]), (q[at + 1] - q[at]) / dt, a)
+    row, share = part.start // every + at // every, ((at % every) / every)[:, None, None]
+    M = (1 - share) * rows.mass[log, row] + share * rows.mass[log, row + 1]
+    rows.along[part, :, log] = q
+    rows.load[part.start : part.start + n, :, log] = _fill_between(at, tau - np.einsum("nij,nj->ni", M, a), n)
 
 
 def count_slow(dt: float) -> int:

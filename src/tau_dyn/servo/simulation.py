@@ -9,7 +9,8 @@ import numpy as np
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.model import Model
-from tau_dyn.servo.prediction import predict_positions
+from tau_dyn.servo.doubts import list_unsettled
+from tau_dyn.servo.prediction import simulate_coupled
 from tau_dyn.servo.records import InertialSpace, LoopRecord
 from tau_dyn.servo.unknowns import JOINT_UNITS
 from tau_dyn.simulate import ServoLaw, Trajectory
@@ -60,7 +61,8 @@ def simulate_loop_log(
     q, held = (np.repeat(x, often, axis=0)[: len(t)] for x in (commands.q, told))
     on = np.ones(len(t))
     record = LoopRecord(name, t, q, held, on, on, on.astype(bool), law.in_log(name), told=law.command)
-    q = predict_positions(space, np.zeros(0), values, law, [record], step=STEP_S)[0][::often]
+    (simulated,) = simulate_coupled(space, np.zeros(0), values, law, [record], step=STEP_S)
+    q = simulated.q[::often]
     rng = np.random.default_rng(seed)
     q = q + encoder_noise * rng.standard_normal(q.shape)
     if encoder_resolution > 0:
@@ -68,7 +70,7 @@ def simulate_loop_log(
     channels = {}
     for j, joint in enumerate(motion.joints):
         channels |= {f"cmd_{joint}": told[:n, j], f"q_{joint}": q[:, j]}
-    return Log(t[::often], channels, name=name)
+    return Log(t[::often], channels, name=name, warnings=tuple(list_unsettled([(name, simulated.unsettled)])))
 
 
 def _build_commands(model: Model, law: ServoLaw, values: Mapping[str, np.ndarray], motion: Trajectory) -> np.ndarray:
