@@ -7,6 +7,7 @@ from tests.servo.coupled import PlanarArms
 
 from tau_dyn.identify import Choices
 from tau_dyn.servo import identify_loop
+from tau_dyn.servo.data import Mixing
 from tau_dyn.servo.loop import simulate_motion
 from tau_dyn.servo.records import InertialSpace, build_records, build_waves, compute_load_waves
 from tau_dyn.servo.simulation import read_values
@@ -62,3 +63,16 @@ def test_intervals_hold_what_is_true():
     assert np.mean(np.abs(z) < 1.96) > 0.85
     assert np.max(np.abs(z)) < 4
     assert np.std(z) > 0.5
+
+
+def test_mixing_finds_what_a_linear_map_leaves_in_place() -> None:
+    """Of a map with n slow directions, n + 1 answers tell where it would stay, in whatever units."""
+    rng = np.random.default_rng(5)
+    A = np.linalg.qr(rng.normal(size=(6, 6)))[0] @ np.diag([0.95, 0.9, 0.85, 0.0, 0.0, 0.0])
+    stays, scale = rng.normal(size=6), 10.0 ** rng.uniform(-3, 3, 6)
+    mixing, points, answers, x = Mixing(), [], [], np.zeros(6)
+    for _ in range(6):
+        points, answers = [*points, x], [*answers, scale * (stays + A @ (x / scale - stays))]
+        x = mixing.mix(points, answers, scale)
+    assert np.abs(x / scale - stays).max() < 1e-6
+    assert np.abs(answers[0] / scale - stays).max() > 0.3

@@ -28,8 +28,12 @@ STEP_RATIO = 4.0
 """Step of the fits over that of exact motions."""
 LARGE_RESIDUAL_RAD = 1.6e-3
 """Residual from which what a model misses outweighs the errors of long steps and of loads along the measured motion."""
-MAX_SETTLINGS = 5
-"""Fits in turn with loads along the motion that the last one simulates; three are usual."""
+MAX_SETTLINGS = 14
+"""Fits in turn against exact motions of the last one's solution; three are usual, ten of long chains."""
+LOADS_ANEW = 2
+"""Such fits that take their loads along the last exact motions; later ones move too little for their sensitivities."""
+MIXED = 8
+"""Solutions that are mixed into the next start, at most."""
 RMS_TOLERANCE = 1e-4
 """Relative change of every joint's residual from which loads count as settled: where a model misses much, unknowns wander."""
 SETTLED = 0.1
@@ -90,20 +94,47 @@ class LoopData:
         records, loads = ([rows[k] for k in chosen] for rows in (self.records, self.loads))
         return replace(self, records=records, loads=loads, settled=settled)
 
-    def with_exact_motions(self, fit: LoopFit) -> LoopData:
-        """Return the data with loads along the motions that a fit simulates, and the error that its steps make."""
+    def with_exact_motions(self, fit: LoopFit, with_loads: bool = True) -> LoopData:
+        """Return the data with the motions of a solution, and with loads along them unless the old ones do."""
         u, space = self.unknowns, self.space
         inertial, values = fit.x[u.n - space.n_unknowns :], u.with_values(fit.x)
         step = float(np.clip(STEP_PER_ROOT * np.sqrt(np.median(fit.sigma)), EXACT_STEP_S, self.step / STEP_RATIO))
         motions = simulate_coupled(space, inertial, values, self.law, self.records, step)
-        loads = [
-            replace(compute_load_waves(space, m.link, m.v, m.a, r.dt), speed=m.v)
-            for m, r in zip(motions, self.records, strict=True)
-        ]
+        loads = self.loads
+        if with_loads:
+            loads = [
+                replace(compute_load_waves(space, m.link, m.v, m.a, r.dt), speed=m.v)
+                for m, r in zip(motions, self.records, strict=True)
+            ]
         trials = Trials({key: value[:, None] for key, value in values.items()}, inertial[:, None])
         return replace(
             self, loads=loads, settled=ExactMotions(tuple(motions), trials), step=min(self.step, STEP_RATIO * step)
         )
+
+
+class Mixing:
+    """Solutions of a search for what a map leaves in place, mixed into its next point as if the map were linear.
+
+    Joints of a long chain answer each other for many fits; what one search learns of that holds for the next.
+    Reference: Anderson 1965; Walker & Ni 2011.
+    """
+
+    def __init__(self) -> None:
+        """Know nothing."""
+        self._gaps: list[np.ndarray] = []
+        self._ways: list[np.ndarray] = []
+
+    def mix(self, points: Sequence[np.ndarray], answers: Sequence[np.ndarray], scale: np.ndarray) -> np.ndarray:
+        """Return the next point (n,) after the last ones (n,) and what the map made of them, in units of a scale (n,)."""
+        gap = answers[-1] - points[-1]
+        if len(points) > 1:
+            self._gaps = [*self._gaps[1 - MIXED :], gap - (answers[-2] - points[-2])]
+            self._ways = [*self._ways[1 - MIXED :], answers[-1] - answers[-2]]
+        if not self._gaps:
+            return answers[-1]
+        weight = np.divide(1.0, scale, out=np.zeros(len(scale)), where=scale > 0)
+        share = np.linalg.lstsq((np.array(self._gaps) * weight).T, gap * weight, rcond=1e-8)[0]
+        return answers[-1] - share @ np.array(self._ways)
 
 
 def fit_coupled(
@@ -111,12 +142,13 @@ def fit_coupled(
     progress: Callable[[str], None] = lambda step: None,
     fit: LoopFit | None = None,
     settled: float = SETTLED,
+    mixing: Mixing | None = None,
 ) -> tuple[LoopData, LoopFit]:
     """Return the data and the end of a search whose loads and steps are exact where it ends (defect correction).
 
     The first fit, unless one is given, takes what joints do to each other along the measured motion, whose accelerations
-    are filtered and noisy. Each next one takes it along the motion that the last one simulates, and adds what finer steps
-    change there. Where a model misses much more than that, the first fit is the last.
+    are filtered and noisy. Each next one adds what finer steps, and loads along the motion that the last one simulates, change
+    there. Where a model misses much more than that, the first fit is the last.
     Reference: Stetter 1978.
     """
     last = None
@@ -125,15 +157,19 @@ def fit_coupled(
         fit = fit_loop(last, progress)
     if float(np.median(fit.sigma)) > LARGE_RESIDUAL_RAD:
         return data, fit
-    for _ in range(MAX_SETTLINGS):
-        data = data.with_exact_motions(fit)
+    mixing = mixing or Mixing()
+    points, answers, x = [], [], fit.x
+    for k in range(MAX_SETTLINGS):
+        data = data.with_exact_motions(replace(fit, x=x), with_loads=k < LOADS_ANEW)
         problem = data.build_problem()
         problem = problem.with_finer_differences() if data.whole else problem
         last = problem.take_slopes(last)
-        before, fit = fit, fit_loop(last, progress, _ITERATIONS, fit.x)
+        before, fit = fit, fit_loop(last, progress, _ITERATIONS, x)
         sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-        if np.all(np.abs(fit.x - before.x) <= settled * sigma + 1e-12) or _is_alike(fit.sigma, before.sigma):
+        if np.all(np.abs(fit.x - x) <= settled * sigma + 1e-12) or _is_alike(fit.sigma, before.sigma):
             break
+        points, answers = [*points, x], [*answers, fit.x]
+        x = last.unknowns.clip(mixing.mix(points, answers, sigma))
     return data, fit
 
 

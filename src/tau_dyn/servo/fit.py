@@ -46,11 +46,8 @@ BLOCKS = 100
 _SMALL_GAIN = 1e-3  # relative fall of the loss below which a first search ends, twice in turn
 
 CONVERGED = 0.01
-"""Squared distance to the minimum, in standard errors, from which a search near a solution ends (Newton decrement)."""
-
-SLOPE_REACH = 0.1
-"""Squared distance from where sensitivities were simulated, in standard errors and by unknown, up to which they are used again:
-a third of a standard error each (chord method, Kelley 1995, 5.4)."""
+"""Squared distance to the minimum, in standard errors and by unknown, from which a search near a solution ends (Newton
+decrement)."""
 
 MAX_ELEMENTS = 6_000_000
 """Positions that are simulated at once, 48 MB of them."""
@@ -244,7 +241,7 @@ def fit_loop(
         g = near.g - precision * (x - start)
         loss = _sum_squares(r[:, :, None], weight)[0] + float(precision @ (x - start) ** 2)
         held = _find_held(u, x, g)
-        if first is not None and k > 1 and float(g @ (_step(H, g, 0.0, held, u, x) - x)) < CONVERGED:
+        if first is not None and float(g @ (_step(H, g, 0.0, held, u, x) - x)) < CONVERGED * u.n:
             break
         tried = np.array([_step(H, g, damping * lam, held, u, x) for lam in _LAMBDAS])
         rs = problem.residuals(tried.T)
@@ -253,7 +250,7 @@ def fit_loop(
         best = int(np.argmin(losses))
         gain = loss - losses[best]
         if gain <= 0:
-            if near.distance > 0:
+            if not near.own:
                 problem.slopes = None  # those of another place may be what misled
                 continue
             if damping > 1e3:
@@ -261,7 +258,7 @@ def fit_loop(
             damping *= 1e3
             continue
         x, damping, last = tried[best], min(max(damping * _LAMBDAS[best], 1e-4), 1e4), losses[best]
-        small = small + 1 if gain < (CONVERGED / 2 if first is not None else _SMALL_GAIN * loss) else 0
+        small = small + 1 if gain < (CONVERGED * u.n / 2 if first is not None else _SMALL_GAIN * loss) else 0
         if small == 2:
             break
     end = _linearise(problem, x, precision, worth)
@@ -281,7 +278,7 @@ class _Linearised(NamedTuple):
         sigma: Residual rms of each joint (na,) [rad].
         weight: Inverse variance of residuals (na, S).
         worth: Samples that an independent one is worth (na,).
-        distance: Squared distance to the vector that the sensitivities are of, in standard errors.
+        own: Whether the sensitivities are of this vector, rather than of one nearby.
     """
 
     residual: np.ndarray
@@ -291,25 +288,27 @@ class _Linearised(NamedTuple):
     sigma: np.ndarray
     weight: np.ndarray
     worth: np.ndarray
-    distance: float
+    own: bool
 
 
 def _linearise(problem: LoopProblem, x: np.ndarray, precision: np.ndarray, worth: np.ndarray | None) -> _Linearised:
-    """Return the problem about a vector, by sensitivities of a place nearby if there are any."""
+    """Return the problem about a vector (chord method).
+
+    Sensitivities hold as far as the steps that they are differences over.
+    Reference: Kelley 1995, 5.4.
+    """
     slopes = problem.slopes
-    r, slopes = problem.differentiate(x) if slopes is None else (problem.residuals(x[:, None])[:, :, 0], slopes)
+    if slopes is None or np.any(np.abs(x - slopes.at) > problem.list_steps(slopes.at)):
+        r, slopes = problem.differentiate(x)
+    else:
+        r = problem.residuals(x[:, None])[:, :, 0]
     sigma = np.maximum(np.sqrt((r**2).sum(axis=(0, 2)) / problem.count), 1e-7)
     if worth is None:
         worth = np.array([count_worth(r[:, j], problem.used) for j in range(r.shape[1])])
     weight = _weigh(problem, r, sigma) / worth[:, None]
     H, g, scatter = _accumulate(problem, r, slopes, weight)
-    H = H + np.diag(precision)
-    away = x - slopes.at
-    distance = float(away @ H @ away)
-    if distance > SLOPE_REACH * len(x):
-        problem.slopes = None
-        return _linearise(problem, x, precision, worth)
-    return _Linearised(r, H, g, scatter, sigma, weight, worth, distance)
+    H += np.diag(precision)
+    return _Linearised(r, H, g, scatter, sigma, weight, worth, slopes.at is x)
 
 
 def _weigh(problem: LoopProblem, r: np.ndarray, sigma: np.ndarray) -> np.ndarray:

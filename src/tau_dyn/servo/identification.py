@@ -20,7 +20,7 @@ from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import NOMINAL_MASS_STDERR, Robot
 from tau_dyn.servo.by_gain import compare_gains
-from tau_dyn.servo.data import LoopData, fit_coupled
+from tau_dyn.servo.data import LoopData, Mixing, fit_coupled
 from tau_dyn.servo.doubts import list_loop_warnings, list_unsettled
 from tau_dyn.servo.fit import LoopFit, fit_loop
 from tau_dyn.servo.prediction import SimulatedMotion, simulate_coupled
@@ -94,10 +94,11 @@ def _judge_last_part(data: LoopData, progress: Callable[[str], None]):  # noqa: 
         early = np.arange(len(r.t)) < TRAIN_SHARE * len(r.t)
         first.append(mask_unused(r, ~early))
         last.append(mask_unused(r, early))
-    near, part = fit_coupled(replace(data, records=first), progress, settled=SETTLED_FOR_ERRORS)
+    mixing = Mixing()
+    near, part = fit_coupled(replace(data, records=first), progress, settled=SETTLED_FOR_ERRORS, mixing=mixing)
     predicted = predict(data, part, last)
     data = replace(near, records=data.records)  # with exact motions, which masks do not change
-    data, fit = fit_coupled(data, progress, fit_loop(data.build_problem(), progress, first=part.x))
+    data, fit = fit_coupled(data, progress, fit_loop(data.build_problem(), progress, first=part.x), mixing=mixing)
     return data, fit, last, predicted
 
 
