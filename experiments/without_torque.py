@@ -1,6 +1,6 @@
 """How well are commands and positions alone simulated, on motions and gains that were not used; do the parameters hold?
 
-    python experiments/without_torque.py [--only so101 free xl330 pairs causes spring speed] [--sets N] [--out DIR]
+    python experiments/without_torque.py [--only so101 free xl330 pairs causes spring speed] [--sets N] [--first N] [--out DIR]
 
 so101: every second motion by name trains (a rule fixed before any result), with the servo's law; free: without one. xl330:
 each gain from the others, mean absolute error. pairs: simulated arms of one to three joints, each at two servo gains: how
@@ -14,7 +14,7 @@ twelve joints, 120 s at 200 Hz.
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -107,10 +107,10 @@ def identify_made(joints: int, gain: float, seed: int) -> tuple[LoopIdentificati
     return found, values
 
 
-def tabulate_pairs(sets: int) -> pd.DataFrame:
+def tabulate_pairs(sets: Iterable[int]) -> pd.DataFrame:
     """Return every parameter of every pair: both estimates, whether they agree, and whether each holds the true value."""
     rows = []
-    for seed in range(sets):
+    for seed in sets:
         (one, true), (other, _) = (identify_made(1 + seed % 3, gain, seed) for gain in GAINS)
         second = {p.name: p for p in other.parameters}
         for p in one.parameters:
@@ -125,10 +125,10 @@ def tabulate_pairs(sets: int) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def tabulate_causes(sets: int) -> pd.DataFrame:
+def tabulate_causes(sets: Iterable[int]) -> pd.DataFrame:
     """Return what is hidden and what is confirmed in each set; two logs of 30 s, the causes at all joints."""
     rows, names = [], list(HIDDEN)
-    for seed in range(sets):
+    for seed in sets:
         hidden = "" if seed % 3 == 0 else names[(seed // 3 * 2 + seed % 3 - 1) % len(names)]
         rows.append({"set": seed, "hidden": hidden or "nothing"} | judge_causes(seed, hidden))
         print({key: round(x, 4) if isinstance(x, float) else x for key, x in rows[-1].items()}, flush=True)
@@ -195,15 +195,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="+", default=["so101", "free", "xl330", "pairs"])
     parser.add_argument("--sets", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0, help="number of the first set, which draws it")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
+    sets = range(options.first, options.first + options.sets)
     tables: dict[str, Callable[[], pd.DataFrame]] = {
         "so101": lambda: tabulate_motions(True),
         "free": lambda: tabulate_motions(False),
         "xl330": tabulate_gains,
-        "pairs": lambda: tabulate_pairs(options.sets),
-        "causes": lambda: tabulate_causes(options.sets),
-        "spring": lambda: tabulate_springs(options.sets),
+        "pairs": lambda: tabulate_pairs(sets),
+        "causes": lambda: tabulate_causes(sets),
+        "spring": lambda: tabulate_springs(sets),
         "speed": tabulate_speed,
     }
     for name in options.only:

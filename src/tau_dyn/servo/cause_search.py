@@ -30,16 +30,13 @@ TWIN_SHARE = 0.95
 """Share of what the best cause takes off from which another one is indistinguishable from it here."""
 APART = 9.0
 """Likelihood ratio, twice its logarithm, from which one of two causes is told from the other: three standard errors."""
-MAX_ROUNDS = 4  # causes at one joint; each takes off at least 3 %
+MAX_ROUNDS = 4  # causes at one joint; each takes off at least 3 %, and joints may wait for each other
+TOGETHER = 0.5
+"""Share of what the best cause takes off of its joint's residual from which other joints' causes are taken in with it. The rest
+wait, as what a joint misses shakes its neighbours."""
 _TRY_ITERATIONS = 6  # from a solution of all but the new numbers
 WHITE_LAGS = 20  # samples over which residuals are compared
 _CHANCE = 4.0  # standard errors of an autocorrelation
-MAX_STEP_SHARE = 0.25
-"""Share of a cause's number that may change with half the step: an error of the step, of first or second order, changes by
-half or more."""
-MAIN_SHARE = 0.5
-"""Share of a joint's residual variance from which a cause stays in, however uncertain its number: on a ridge with others, such
-as gain and mass, a number moves without a change of the simulation."""
 POWER_Z = 1.645
 """Standard errors above the threshold that a number must have to be found in 95 of 100 logs."""
 _FIRST = {"command_delay": 0.01, "torque_delay": 0.005, "dead_band": 0.006, "load_friction": 0.15, "supply_sag": 0.15,
@@ -87,7 +84,7 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
     u, fit = data.unknowns, base
     taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]] = {}
     refused: set[tuple[str, int]] = set()
-    for turn in range(MAX_ROUNDS):
+    for turn in range(MAX_ROUNDS + len(data.law.joints) - 1):
         coloured = _find_coloured(data, u, fit)
         if not coloured.any():
             break
@@ -97,23 +94,25 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
             row = _try(data, u, fit, cause)
             if row is not None:
                 tried[cause] = row
-        chosen, starts = [], {}
-        for j in np.flatnonzero(coloured):
-            rows = {
-                c: row
+        best: dict[int, tuple[str, float, tuple[str, ...]]] = {}
+        for j in np.flatnonzero(coloured).tolist():
+            shares = {
+                c: float(row.share[j])
                 for c, row in tried.items()
                 if row.score[j] > MIN_SCORE and row.share[j] > MIN_SHARE and (c, j) not in refused
             }
-            if not rows:
-                continue
-            best = max(rows, key=lambda c: rows[c].share[j])
-            twins = [c for c in rows if c != best and rows[c].share[j] > TWIN_SHARE * rows[best].share[j]]
-            j = int(j)
-            chosen.append((best, j))
-            starts[best] = rows[best].start
-            taken[best, j] = (float(rows[best].score[j]), tuple(twins))
-        if not chosen:
+            if shares:
+                first = max(shares, key=lambda c: shares[c])
+                twins = tuple(c for c in shares if c != first and shares[c] > TWIN_SHARE * shares[first])
+                best[j] = (first, shares[first], twins)
+        if not best:
             break
+        chosen, starts, most = [], {}, max(share for _, share, _ in best.values())
+        for j, (cause, share, twins) in best.items():
+            if share >= TOGETHER * most:
+                chosen.append((cause, j))
+                starts[cause] = tried[cause].start
+                taken[cause, j] = (float(tried[cause].score[j]), twins)
         u = free_causes(data, u, fit, chosen, starts)
         fit = fit_precisely(data.build_problem(u), progress)
         u, fit, dropped = _drop_superfluous(data, u, fit, taken, progress)
@@ -124,9 +123,9 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
 def check_steps(
     data: LoopData, base: LoopFit, search: LoopSearch, progress: Callable[[str], None]
 ) -> tuple[LoopFit, LoopSearch]:
-    """Return baseline and extended model fitted again to data with exact loads and steps, without causes that stood for these.
+    """Return baseline and extended model fitted again to data with exact loads and steps.
 
-    What stands for an error of theirs goes; a cause keeps its number.
+    A cause that stood for an error of these is superfluous beside them.
     """
     fine = refit_again(data.build_problem(), base, progress)
     if not search.taken:
@@ -136,15 +135,6 @@ def check_steps(
         refit_again(data.build_problem(search.unknowns), search.fit, progress),
         dict(search.taken),
     )
-    for cause, j in search.taken:
-        entry = LOOP_CAUSES[cause].entries[0]
-        null = data.law.values[entry][j]
-        coarse, finer = (float(read_kind(u, one, entry)[0][j] - null) for one in (search.fit, again))
-        if abs(finer - coarse) > MAX_STEP_SHARE * abs(coarse):
-            left, without = _take_out(data, u, again, cause, j, progress)
-            if _takes_off(again, without, j) < MAIN_SHARE:
-                u, again = left, without
-                del taken[cause, j]
     u, again, _ = _drop_superfluous(data, u, again, taken, progress)
     return fine, replace(search, unknowns=u, fit=again, taken=taken)
 
@@ -174,9 +164,7 @@ def part_twins(data: LoopData, search: LoopSearch, progress: Callable[[str], Non
             tried[twin] = min(found, key=lambda one: one[1].sigma[j])
         best = min(tried, key=lambda c: tried[c][1].sigma[j])
         u, fit = tried[best]
-        problem = data.build_problem(u)
-        count = problem.count / count_worth(problem.residuals(fit.x[:, None])[:, j, 0], problem.used)
-        ratio = {c: count * 2 * np.log(one.sigma[j] / fit.sigma[j]) for c, (_, one) in tried.items()}
+        ratio = {c: _compare_likelihoods(data, tried[best], one, j) for c, (_, one) in tried.items()}
         same = tuple(c for c in tried if c != best and ratio[c] < APART)
         first = next(c for c in LOOP_CAUSES if c == best or c in same)  # the table begins with what is met most often
         best, same, (u, fit) = first, tuple(c for c in (best, *same) if c != first), tried[first]
@@ -287,7 +275,11 @@ def free_causes(
 def _drop_superfluous(
     data: LoopData, u: LoopUnknowns, fit: LoopFit, taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]], progress
 ) -> tuple[LoopUnknowns, LoopFit, set[tuple[str, int]]]:  # noqa: ANN001
-    """Take out of `taken` what is not distinct from its null beside the others, and refit without it."""
+    """Take out of `taken` what is not distinct from its null beside the others, and refit without it.
+
+    A number may be uncertain on a ridge with others, such as gain and mass, or where friction and play make sums of squares
+    bend: what a refit without it leaves decides.
+    """
     dropped: set[tuple[str, int]] = set()
     needed: set[tuple[str, int]] = set()
     while True:
@@ -304,16 +296,21 @@ def _drop_superfluous(
             return u, fit, dropped
         _, cause, j = min(weak)
         left, without = _take_out(data, u, fit, cause, j, progress)
-        if _takes_off(fit, without, j) < MAIN_SHARE:
+        share = 1 - (fit.sigma[j] / without.sigma[j]) ** 2
+        if share > MIN_SHARE and _compare_likelihoods(data, (u, fit), without, j) > MIN_SCORE**2:
+            needed.add((cause, j))
+        else:
             u, fit = left, without
             del taken[cause, j]
             dropped.add((cause, j))
-        else:
-            needed.add((cause, j))
 
 
-def _takes_off(with_it: LoopFit, without: LoopFit, j: int) -> float:
-    return 1 - float((with_it.sigma[j] / without.sigma[j]) ** 2)
+def _compare_likelihoods(data: LoopData, one: tuple[LoopUnknowns, LoopFit], other: LoopFit, j: int) -> float:
+    """Return the likelihood ratio of two fits at a joint, twice its logarithm; samples count as far as they are independent."""
+    u, fit = one
+    problem = data.build_problem(u)
+    count = problem.count / count_worth(problem.residuals(fit.x[:, None])[:, j, 0], problem.used)
+    return float(count * 2 * np.log(other.sigma[j] / fit.sigma[j]))
 
 
 def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:

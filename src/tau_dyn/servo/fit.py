@@ -225,9 +225,8 @@ def fit_loop(
 ) -> LoopFit:
     """Search the unknowns that simulate the logs best, from their start values or a first vector (n,)."""
     u = problem.unknowns
-    start = u.pack()
-    x = u.clip(start if first is None else first)
-    precision = np.append(u.prior[u.free] ** -2.0, np.ones(u.space.n_unknowns))
+    prior = _Prior(u)
+    x = prior.enter(u.clip(prior.start if first is None else first))
     if u.n == 0:
         r = problem.residuals(x[:, None])[:, :, 0]
         sigma = np.sqrt((r**2).sum(axis=(0, 2)) / problem.count)
@@ -236,16 +235,14 @@ def fit_loop(
     near, worth = None, None
     for k in range(max_iterations):
         progress(f"output error, iteration {k + 1}")
-        near = _linearise(problem, x, precision, None if k == 2 else worth)
-        worth, weight, H, r = near.worth, near.weight, near.H, near.residual
-        g = near.g - precision * (x - start)
-        loss = _sum_squares(r[:, :, None], weight)[0] + float(precision @ (x - start) ** 2)
+        near = _linearise(problem, x, prior, None if k == 2 else worth)
+        worth, weight, H, g = near.worth, near.weight, near.H, near.g
+        loss = _sum_squares(near.residual[:, :, None], weight)[0] + prior.evaluate(x)
         held = _find_held(u, x, g)
-        if first is not None and float(g @ (_step(H, g, 0.0, held, u, x) - x)) < CONVERGED * u.n:
+        if first is not None and float(g @ (_step(H, g, 0.0, held, prior, x) - x)) < CONVERGED * u.n:
             break
-        tried = np.array([_step(H, g, damping * lam, held, u, x) for lam in _LAMBDAS])
-        rs = problem.residuals(tried.T)
-        losses = _sum_squares(rs, weight) + np.array([precision @ (t - start) ** 2 for t in tried])
+        tried = np.array([_step(H, g, damping * lam, held, prior, x) for lam in _LAMBDAS])
+        losses = _sum_squares(problem.residuals(tried.T), weight) + [prior.evaluate(t) for t in tried]
         losses = np.where(np.isfinite(losses), losses, np.inf)
         best = int(np.argmin(losses))
         gain = loss - losses[best]
@@ -261,10 +258,45 @@ def fit_loop(
         small = small + 1 if gain < (CONVERGED * u.n / 2 if first is not None else _SMALL_GAIN * loss) else 0
         if small == 2:
             break
-    end = _linearise(problem, x, precision, worth)
-    held = _find_held(u, x, end.g - precision * (x - start))
-    covariance = _compute_covariance(end.H, end.scatter + np.diag(precision), held)
+    end = _linearise(problem, x, prior, worth)
+    covariance = _compute_covariance(end.H, end.scatter, _find_held(u, x, end.g))
     return LoopFit(x, covariance, end.sigma, min(loss, last), k + 1, problem.waves.step)
+
+
+class _Prior:
+    """What a fit pays for its unknowns: squares from their start, and the divergence of bodies from the file's."""
+
+    def __init__(self, u: LoopUnknowns) -> None:
+        self.unknowns, self.start = u, u.pack()
+        self._precision = np.append(u.prior[u.free] ** -2.0, np.ones(u.space.n_unknowns))
+        self._z = slice(u.n - u.space.n_unknowns, u.n)
+
+    def enter(self, x: np.ndarray) -> np.ndarray:
+        """Return a vector (n,) whose bodies exist: itself, or as far on the way from the file's."""
+        z = x[self._z]
+        if not len(z) or self.unknowns.space.bodies.find(z) is not None:
+            return x
+        return np.append(x[: self._z.start], self.unknowns.space.bodies.limit(np.zeros(len(z)), z) * z)
+
+    def evaluate(self, x: np.ndarray) -> float:
+        """Return what a vector (n,) costs; infinite where a body cannot exist."""
+        found = self.unknowns.space.bodies.find(x[self._z]) if self._z.start < len(x) else None
+        if found is None and self._z.start < len(x):
+            return np.inf
+        return float(self._precision @ (x - self.start) ** 2) + (found.value if found else 0.0)
+
+    def differentiate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return half the curvature (n, n) and half the slope downwards (n,) at a vector (n,)."""
+        H, g = np.diag(self._precision), -self._precision * (x - self.start)
+        found = self.unknowns.space.bodies.find(x[self._z]) if self._z.start < len(x) else None
+        if found is not None:
+            H[self._z, self._z] += 0.5 * found.curvature
+            g[self._z] -= 0.5 * found.gradient
+        return H, g
+
+    def limit(self, x: np.ndarray, step: np.ndarray) -> float:
+        """Return the part of a step (n,) that keeps every body."""
+        return self.unknowns.space.bodies.limit(x[self._z], step[self._z]) if self._z.start < len(x) else 1.0
 
 
 class _Linearised(NamedTuple):
@@ -273,8 +305,8 @@ class _Linearised(NamedTuple):
     Attributes:
         residual: (N, na, S) [rad].
         H: Normal matrix, with the prior's (n, n).
-        g: Right side, without the prior's (n,).
-        scatter: Of the gradient over blocks (n, n).
+        g: Right side, with the prior's (n,).
+        scatter: Of the gradient over blocks, with the prior's (n, n).
         sigma: Residual rms of each joint (na,) [rad].
         weight: Inverse variance of residuals (na, S).
         worth: Samples that an independent one is worth (na,).
@@ -291,7 +323,7 @@ class _Linearised(NamedTuple):
     own: bool
 
 
-def _linearise(problem: LoopProblem, x: np.ndarray, precision: np.ndarray, worth: np.ndarray | None) -> _Linearised:
+def _linearise(problem: LoopProblem, x: np.ndarray, prior: _Prior, worth: np.ndarray | None) -> _Linearised:
     """Return the problem about a vector (chord method).
 
     Sensitivities hold as far as the steps that they are differences over.
@@ -307,8 +339,8 @@ def _linearise(problem: LoopProblem, x: np.ndarray, precision: np.ndarray, worth
         worth = np.array([count_worth(r[:, j], problem.used) for j in range(r.shape[1])])
     weight = _weigh(problem, r, sigma) / worth[:, None]
     H, g, scatter = _accumulate(problem, r, slopes, weight)
-    H += np.diag(precision)
-    return _Linearised(r, H, g, scatter, sigma, weight, worth, slopes.at is x)
+    known, pull = prior.differentiate(x)
+    return _Linearised(r, H + known, g + pull, scatter + known, sigma, weight, worth, slopes.at is x)
 
 
 def _weigh(problem: LoopProblem, r: np.ndarray, sigma: np.ndarray) -> np.ndarray:
@@ -351,15 +383,15 @@ def _find_held(u: LoopUnknowns, x: np.ndarray, g: np.ndarray) -> np.ndarray:
     return held
 
 
-def _step(H: np.ndarray, g: np.ndarray, lam: float, held: np.ndarray, u: LoopUnknowns, x: np.ndarray) -> np.ndarray:
-    """Return the next vector by a damped step among the unknowns that no bound holds."""
+def _step(H: np.ndarray, g: np.ndarray, lam: float, held: np.ndarray, prior: _Prior, x: np.ndarray) -> np.ndarray:
+    """Return the next vector by a damped step among the unknowns that no bound holds, as far as bodies exist."""
     loose = ~held
     d = np.zeros(len(x))
     A = H[np.ix_(loose, loose)]
     scale = np.sqrt(np.maximum(np.diag(A), 1e-12))
     A = A / scale[:, None] / scale[None, :] + lam * np.eye(len(scale))
     d[loose] = np.linalg.lstsq(A, g[loose] / scale, rcond=1e-12)[0] / scale
-    return u.clip(x + d)
+    return prior.unknowns.clip(x + prior.limit(x, d) * d)
 
 
 def _compute_covariance(H: np.ndarray, scatter: np.ndarray, held: np.ndarray) -> np.ndarray:

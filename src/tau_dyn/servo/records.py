@@ -20,6 +20,7 @@ from tau_dyn.log import Log, differentiate, lowpass
 from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.model import Model
 from tau_dyn.robot import compute_body_stderr
+from tau_dyn.servo.consistent_bodies import ConsistentBodies
 from tau_dyn.servo.waves import LoadRows, Waves
 from tau_dyn.simulate import COMMANDS, ServoLaw
 
@@ -183,9 +184,17 @@ class InertialSpace:
         """The nominal values and the directions (p, 1 + K)."""
         return np.column_stack([self.nominal, self.directions])
 
+    @cached_property
+    def bodies(self) -> ConsistentBodies:
+        """What keeps bodies such as may exist."""
+        robot = self.model.robot
+        return ConsistentBodies(robot.links, robot.parameters.names, self.nominal, self.prior, self.directions)
+
     def at(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the parameters (p,) at unknowns (K,)."""
-        return self.nominal + self.directions @ unknowns
+        """Return the parameters (p,) at unknowns (K,); what the logs do not inform on lets the bodies exist."""
+        theta = self.nominal + self.directions @ unknowns
+        found = self.bodies.find(unknowns) if len(unknowns) else None
+        return theta if found is None else theta + self.bodies.within @ found.w
 
     def build_mechanism(self, unknowns: np.ndarray | None = None) -> Mechanism:
         """Return the robot's dynamics at unknowns (K,), or at the nominal values, without drive inertias."""
