@@ -12,9 +12,9 @@ of the torque (odd ones). A spring gives the link a resonance of 3 to 8 Hz with 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np

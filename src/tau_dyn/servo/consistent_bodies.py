@@ -21,6 +21,8 @@ from tau_dyn.robot import LinkInertia
 
 INNER = 0.9
 """Part of the way to where a body ceases to exist that one step may go."""
+NO_WAY = 1e-6
+"""Part of the way from which a step is none: what it leads to does not exist."""
 MAX_STEPS = 60
 """Newton steps for w, and steps towards z, at most; five and one are usual."""
 SETTLED = 1e-8
@@ -92,6 +94,8 @@ class ConsistentBodies:
                 step = z - at
                 follow = np.linalg.solve(derivatives[self._k :, self._k :], -derivatives[self._k :, : self._k] @ step)
                 part = min(1.0, INNER * self._reach(np.append(at, w), np.append(step, follow)))
+                if part < NO_WAY:
+                    break
                 at, w = z if part == 1.0 else at + part * step, w + part * follow
         return None
 
