@@ -39,11 +39,17 @@ WHITE_LAGS = 20  # samples over which residuals are compared
 _CHANCE = 4.0  # standard errors of an autocorrelation
 POWER_Z = 1.645
 """Standard errors above the threshold that a number must have to be found in 95 of 100 logs."""
-_FIRST = {"command_delay": 0.01, "torque_delay": 0.005, "dead_band": 0.006, "load_friction": 0.15, "supply_sag": 0.15,
-          "drive_exponent": -0.1}  # fmt: skip
+_FIRST = {
+    "command_delay": 0.01,
+    "torque_delay": 0.005,
+    "load_friction": 0.15,
+    "supply_sag": 0.15,
+    "drive_exponent": -0.1,
+}
 """First changes of entries off their null."""
 _FIRST_STICTION = 3e-3  # as a share of the loop's stiffness
 _PLAYS = (0.005, 0.03)  # rad; of gears, and of worn hobby servos
+_DEAD_BANDS = (0.006, 0.03)  # rad; Coulomb friction stands for a small part of a large one
 RESONANCES_HZ = (2.0, 4.0, 8.0, 16.0, 32.0)
 """Resonances of the link on its spring, the motor held, at which springs start, up to the log's Nyquist frequency."""
 _DAMPING_RATIO = 0.05  # of a spring's start; of gears with elastic parts, 0.02 to 0.1
@@ -244,8 +250,8 @@ def list_starts(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> li
         return [
             {"joint_compliance": 1 / (inertia * w**2), "joint_damping": 2 * _DAMPING_RATIO * inertia * w} for w in turns
         ]
-    if cause == "backlash":
-        return [{entry: np.full(na, play)} for play in _PLAYS]
+    if cause in ("backlash", "dead_band"):
+        return [{entry: np.full(na, width)} for width in (_PLAYS if cause == "backlash" else _DEAD_BANDS)]
     if cause == "stiction":
         return [{entry: values[entry] + _FIRST_STICTION * compute_stiffness(values)}]
     return [{entry: np.array(data.law.values[entry]) + _FIRST.get(entry, 0.0)}]
