@@ -8,6 +8,7 @@ from tau_dyn.estimate import pseudo_inertia
 from tau_dyn.identify import Choices
 from tau_dyn.servo import identify_loop
 from tau_dyn.servo.consistent_bodies import ConsistentBodies
+from tau_dyn.servo.fit import LoopPrior
 from tau_dyn.simulate import ServoLaw
 
 
@@ -60,6 +61,16 @@ def test_no_step_leads_out_of_what_may_exist():
     assert bodies.find(4.1 * lighter) is None
 
 
+def assert_slope_is_that_of_the_cost(prior: LoopPrior, x: np.ndarray) -> None:
+    """Half the slope and half the curvature of what a fit pays agree with differences."""
+    H, g = prior.differentiate(x)
+    for k, unit in enumerate(np.eye(len(x))):
+        either = [x + way * 1e-4 * unit for way in (1, -1)]
+        cost, slope = ([f(at) for at in either] for f in (prior.evaluate, lambda at: prior.differentiate(at)[1]))
+        assert (cost[0] - cost[1]) / 2e-4 == pytest.approx(-2 * g[k], rel=1e-4, abs=1e-5)
+        assert (slope[0] - slope[1])[k] / 2e-4 == pytest.approx(-H[k, k], rel=1e-2, abs=1e-4)
+
+
 @pytest.mark.parametrize("fixed", [(), ("j1_link.mass=0.125",)])
 def test_identified_bodies_may_exist(fixed):
     """Bodies far off the file come back such as some distribution of mass has, even beside a mass that is weighed too small."""
@@ -68,6 +79,7 @@ def test_identified_bodies_may_exist(fixed):
     log = record(robot, model, build_law(robot), 5, 20.0)
     law = ServoLaw.of(robot.actuated, position_gain=2.65, force_per_unit=2.9, back_emf=0.17)
     found = identify_loop(robot, log, law=law, choices=Choices(fix=fixed))
+    assert_slope_is_that_of_the_cost(LoopPrior(found.start[0].unknowns), found.start[1].x)
     parameters = found.model.robot.parameters
     for link in found.model.robot.links:
         J = pseudo_inertia(link.map @ parameters.select(link.names).values)

@@ -25,7 +25,7 @@ NO_WAY = 1e-6
 """Part of the way from which a step is none: what it leads to does not exist."""
 MAX_STEPS = 60
 """Newton steps for w, and steps towards z, at most; five and one are usual."""
-SETTLED = 1e-8
+SETTLED = 1e-12
 """Newton decrement from which w is found."""
 _LEAST = 1e-9  # eigenvalue of a file's pseudo-inertia, scaled to a diagonal of one, below which the body is degenerate
 

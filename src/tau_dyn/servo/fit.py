@@ -225,7 +225,7 @@ def fit_loop(
 ) -> LoopFit:
     """Search the unknowns that simulate the logs best, from their start values or a first vector (n,)."""
     u = problem.unknowns
-    prior = _Prior(u)
+    prior = LoopPrior(u)
     x = prior.enter(u.clip(prior.start if first is None else first))
     if u.n == 0:
         r = problem.residuals(x[:, None])[:, :, 0]
@@ -263,10 +263,11 @@ def fit_loop(
     return LoopFit(x, covariance, end.sigma, min(loss, last), k + 1, problem.waves.step)
 
 
-class _Prior:
+class LoopPrior:
     """What a fit pays for its unknowns: squares from their start, and the divergence of bodies from the file's."""
 
     def __init__(self, u: LoopUnknowns) -> None:
+        """Take the start of the unknowns, and what is known of them before."""
         self.unknowns, self.start = u, u.pack()
         self._precision = np.append(u.prior[u.free] ** -2.0, np.ones(u.space.n_unknowns))
         self._z = slice(u.n - u.space.n_unknowns, u.n)
@@ -323,7 +324,7 @@ class _Linearised(NamedTuple):
     own: bool
 
 
-def _linearise(problem: LoopProblem, x: np.ndarray, prior: _Prior, worth: np.ndarray | None) -> _Linearised:
+def _linearise(problem: LoopProblem, x: np.ndarray, prior: LoopPrior, worth: np.ndarray | None) -> _Linearised:
     """Return the problem about a vector (chord method).
 
     Sensitivities hold as far as the steps that they are differences over.
@@ -383,7 +384,7 @@ def _find_held(u: LoopUnknowns, x: np.ndarray, g: np.ndarray) -> np.ndarray:
     return held
 
 
-def _step(H: np.ndarray, g: np.ndarray, lam: float, held: np.ndarray, prior: _Prior, x: np.ndarray) -> np.ndarray:
+def _step(H: np.ndarray, g: np.ndarray, lam: float, held: np.ndarray, prior: LoopPrior, x: np.ndarray) -> np.ndarray:
     """Return the next vector by a damped step among the unknowns that no bound holds, as far as bodies exist."""
     loose = ~held
     d = np.zeros(len(x))
