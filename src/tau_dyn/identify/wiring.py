@@ -15,6 +15,7 @@ they gain nothing.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -203,10 +204,15 @@ class _Judge:
     def best(self, current: Rewiring, fit: _Fit | None) -> list[tuple[Rewiring, _Fit, float]]:
         """Return the alternative that gains most, and those that cannot be told from it and have another code."""
         quick = self.thinned()
-        design, tried = quick.design(current), []
+        design, tried, gravity = quick.design(current), [], self.robot.model.gravity.linear
+        turned = quick.turned(current) if design is not None and not current.gravity and gravity.any() else None
         for change in list_alternatives(self.robot, current, self.q):
-            same = design is not None and change.moves_as(current)
-            other = quick.solve(design, change) if same and design is not None else quick.fit(change)
+            if design is not None and change.moves_as(current):
+                other = quick.solve(design, change)
+            elif turned is not None and change.code == "gravity_direction":
+                other = quick.fit(change, turned(change.gravity))
+            else:
+                other = quick.fit(change)
             if other is not None:
                 tried.append((change, other.log_p))
         tried.sort(key=lambda item: -item[1])
@@ -239,13 +245,27 @@ class _Judge:
         mends = drop < MIN_POWER_DROP or fit.prior - other.prior > SPARED_NATS
         return bool(other.log_p - fit.log_p > MIN_GAIN_NATS and mends)
 
-    def design(self, wiring: Rewiring) -> _Design | None:
-        """Return the columns of a wiring's motion; None where the robot cannot move so."""
+    def motion(self, wiring: Rewiring) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return positions, velocities and accelerations (n, na) as a wiring reads them."""
         q_from = list(wiring.q_from)
         q, v, a = (x[:, q_from] / np.array(wiring.q_scale) for x in (self.q, self.v, self.a))
-        v, a = v * wiring.t_scale, a * wiring.t_scale**2
+        return q, v * wiring.t_scale, a * wiring.t_scale**2
+
+    def turned(self, wiring: Rewiring) -> Callable[[tuple[float, ...]], np.ndarray]:
+        """Return the regressor (n, na, p) of a wiring's motion by the direction of gravity, in which it is linear."""
+        q, v, a = self.motion(wiring)
+        usual = np.array(self.robot.model.gravity.linear)
+        size, rest = float(np.linalg.norm(usual)), np.zeros_like(q)
+        plain = self._rigid((), q, v, a)
+        axes = np.stack([self._rigid(tuple(axis), q, rest, rest) for axis in np.eye(3)])
+        return lambda gravity: plain + np.tensordot(np.array(gravity) - usual / size, axes, axes=1)
+
+    def design(self, wiring: Rewiring, rigid: np.ndarray | None = None) -> _Design | None:
+        """Return the columns of a wiring's motion, or of its regressor; None where the robot cannot move so."""
+        q_from = list(wiring.q_from)
+        q, v, a = self.motion(wiring)
         try:
-            rigid = self._rigid(wiring.gravity, q, v, a)
+            rigid = self._rigid(wiring.gravity, q, v, a) if rigid is None else rigid
         except (LoopClosureError, InputError, np.linalg.LinAlgError):
             return None
         if not np.all(np.isfinite(rigid)):
@@ -266,9 +286,9 @@ class _Judge:
             nominal.append(force[rows, j])
         return _Design(own, nominal, [block.T @ block for block in own], used)
 
-    def fit(self, wiring: Rewiring) -> _Fit | None:
+    def fit(self, wiring: Rewiring, rigid: np.ndarray | None = None) -> _Fit | None:
         """Return the fit of the robot to the log if the log is wired so; None where the robot cannot move so."""
-        design = self.design(wiring)
+        design = self.design(wiring, rigid)
         return None if design is None else self.solve(design, wiring)
 
     def solve(self, design: _Design, wiring: Rewiring) -> _Fit:
