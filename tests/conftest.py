@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -110,6 +111,12 @@ def four_bar_text(kind: str = "revolute", driven: str = "crank") -> str:
         ball("coupler_link", f"{b} 0 0", "rocker_link", f"{c} 0 0"),
         drive(driven) if driven else "",
     )  # fmt: skip
+
+
+def pytest_collection_finish() -> None:
+    """Leave what collection made out of every later search for garbage, which would walk through all of it."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture
