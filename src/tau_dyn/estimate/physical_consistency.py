@@ -200,7 +200,7 @@ def _minimise(misfit: Any, pull: Any, constraints: list[Any], bodies: list[Inert
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # an inaccurate solution shows in the status
             try:
-                problem.solve(solver=cp.CLARABEL)
+                problem.solve(solver=cp.CLARABEL, ignore_dpp=True)
             except cp.SolverError:
                 continue
         if problem.status == cp.OPTIMAL:

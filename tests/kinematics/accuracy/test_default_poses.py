@@ -81,13 +81,13 @@ def test_two_turns_that_cross_sweep_a_sphere(tmp_path) -> None:
 
 
 def test_another_section_is_taken_where_the_first_is_hardly_reached(tmp_path, monkeypatch) -> None:
-    """Cut across y, the planar arm gives a line of at most six points; the plane of its motion gives more."""
+    """Cut across y, the planar arm gives a line of at most nine points; the plane of its motion gives more."""
     file = tmp_path / "planar.urdf"
     file.write_text(PLANAR)
     robot = load_robot(file)
     tool = forward_kinematics(robot, robot.home[None]).poses
     monkeypatch.setattr(section, "choose_default_section", lambda *_: Section(1, float(tool.position[0, 1])))
-    grid = lay_default_grid(robot, 6)
+    grid = lay_default_grid(robot, 9)
     assert grid.section.axis == 2 and grid.ok.sum() > 9
 
 
@@ -97,5 +97,5 @@ def test_a_slide_is_looked_for_along_its_travel(tmp_path) -> None:
     text = PLANAR.replace('name="first" type="revolute"', 'name="first" type="prismatic"').replace("0 0 1", "1 0 0", 1)
     file.write_text(text.replace('lower="-0.5" upper="1.5"', 'lower="-1.5" upper="1.5"'))
     robot = load_robot(file)
-    grid = lay_default_grid(robot, 13)
+    grid = lay_default_grid(robot, 31)
     assert grid.section.axis == 2 and np.ptp(grid.u) > 2.5
