@@ -18,7 +18,9 @@ from witnesses import (  # noqa: F401
 
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
-gc.set_threshold(50_000, 20, 20)  # trees of syntax and of XML are thousands of objects, and none of them is garbage soon
+gc.set_threshold(
+    50_000, 20, 20
+)  # trees of syntax and of XML are thousands of objects, and none of them is garbage soon
 ROOT = Path(__file__).resolve().parents[1]
 FOUR_BAR = SimpleNamespace(base=0.8, crank=0.3, coupler=0.9, rocker=0.6)  # [m], a crank-rocker by Grashof's rule
 

@@ -231,7 +231,9 @@ def _pseudo_inertia_of(body: InertialBody, parameters: Parameters, position: dic
             columns[:, position[name]] = J.ravel()
         else:
             total = total + parameters[name].value * J
-    return cp.reshape(columns @ theta, (4, 4), order="F") + total  # one product, not a sum that cvxpy walks term by term
+    return (
+        cp.reshape(columns @ theta, (4, 4), order="F") + total
+    )  # one product, not a sum that cvxpy walks term by term
 
 
 def _scale(free: Parameters, base: BaseParameters, beta: np.ndarray) -> np.ndarray:
