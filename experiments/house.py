@@ -36,6 +36,12 @@ def list_packages() -> set[str]:
     return {".".join(("tau_dyn", *p.parent.relative_to(SOURCE).parts)) for p in SOURCE.rglob("__init__.py")}
 
 
+def list_large_folders() -> dict[str, int]:
+    """Return how many files stand in each folder that holds more than `MAX_FILES`."""
+    folders = Counter(str(p.parent.relative_to(SOURCE)) for p in SOURCE.rglob("*.py"))
+    return {folder: n for folder, n in folders.items() if n > MAX_FILES}
+
+
 def get_room(module: str) -> str:
     """Return the package directly below `tau_dyn` that a module belongs to."""
     return module.split(".")[1] if "." in module else ""
@@ -153,12 +159,11 @@ def measure() -> dict[str, Any]:
         room = rooms.setdefault(path.relative_to(SOURCE).parts[0], {"lines": 0, "files": 0})
         room["lines"] += lines
         room["files"] += 1
-    folders = Counter(str(p.parent.relative_to(SOURCE)) for p in files)
     return {
         "lines": sum(files.values()),
         "files": len(files),
         "rooms": rooms,
-        "large_folders": {f: n for f, n in folders.items() if n > MAX_FILES},
+        "large_folders": list_large_folders(),
         "single_caller_functions": len(list_single_caller_functions(modules)),
         "circles": list_circles(modules),
         "deep_imports": len(list_deep_imports(modules)),

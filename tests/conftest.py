@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,9 @@ from witnesses import (  # noqa: F401
 
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
+gc.set_threshold(
+    50_000, 20, 20
+)  # trees of syntax and of XML are thousands of objects, and none of them is garbage soon
 ROOT = Path(__file__).resolve().parents[1]
 FOUR_BAR = SimpleNamespace(base=0.8, crank=0.3, coupler=0.9, rocker=0.6)  # [m], a crank-rocker by Grashof's rule
 
@@ -110,6 +114,12 @@ def four_bar_text(kind: str = "revolute", driven: str = "crank") -> str:
         ball("coupler_link", f"{b} 0 0", "rocker_link", f"{c} 0 0"),
         drive(driven) if driven else "",
     )  # fmt: skip
+
+
+def pytest_collection_finish() -> None:
+    """Leave what collection made out of every later search for garbage, which would walk through all of it."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture

@@ -21,10 +21,16 @@ ROOMS = sorted(
 ASIDE = {"__init__", "__main__", "version"}  # they gather names or call the command line; the version is read by all
 
 
-def imported(path: Path) -> set[str]:
-    """Return the rooms that a file imports, anywhere in it."""
+@pytest.fixture(scope="module")
+def modules() -> dict[str, ast.Module]:
+    """Return the parsed modules of the package by dotted name."""
+    return house.read_modules()
+
+
+def imported(tree: ast.Module) -> set[str]:
+    """Return the rooms that a module imports, anywhere in it."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module == "tau_dyn":
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tau_dyn."):
@@ -40,32 +46,30 @@ def test_every_room_stands_in_the_table():
 
 
 @pytest.mark.parametrize("room", [room for room in ROOMS if room not in ASIDE])
-def test_a_room_imports_only_rooms_above_it(room):
+def test_a_room_imports_only_rooms_above_it(room, modules):
     """Imports run one way, so there is no circle."""
     above = set(TABLE[: TABLE.index(room) + 1])
-    files = [SOURCE / f"{room}.py"] if (SOURCE / f"{room}.py").exists() else (SOURCE / room).rglob("*.py")
-    odd = {str(path.relative_to(SOURCE)): sorted(imported(path) - above) for path in files}
-    assert not {path: names for path, names in odd.items() if names}
+    own = {name: tree for name, tree in modules.items() if house.get_room(name) == room}
+    assert own
+    odd = {name: sorted(imported(tree) - above) for name, tree in own.items()}
+    assert not {name: names for name, names in odd.items() if names}
 
 
-MODULES = house.read_modules()
-
-
-def test_no_module_imports_itself_by_way_of_others():
+def test_no_module_imports_itself_by_way_of_others(modules):
     """Circles inside a package count too, also those that only functions or type checkers close."""
-    assert house.list_circles(MODULES) == []
+    assert house.list_circles(modules) == []
 
 
-def test_packages_are_entered_through_their_face():
+def test_packages_are_entered_through_their_face(modules):
     """A package's modules are its own affair; what others may use stands in its stub."""
-    assert house.list_deep_imports(MODULES) == []
+    assert house.list_deep_imports(modules) == []
 
 
 def test_no_folder_holds_more_files_than_a_person_overlooks():
     """More than 25 files mean that a room is missing, or that files are fragments."""
-    assert house.measure()["large_folders"] == {}
+    assert house.list_large_folders() == {}
 
 
-def test_nobody_asks_what_kind_a_mechanism_is():
+def test_nobody_asks_what_kind_a_mechanism_is(modules):
     """Robots differ behind the protocol of mechanisms; a branch on their kind elsewhere is a design fault."""
-    assert house.list_mechanism_branches(MODULES) == []
+    assert house.list_mechanism_branches(modules) == []

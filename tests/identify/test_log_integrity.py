@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tau_dyn.identify import check_integrity, identify, is_diagnosis_invalid
+from tau_dyn.identify import build_model, check_integrity, identify, is_diagnosis_invalid
 from tau_dyn.log import Log, read_log
 from tau_dyn.message_codes import get_code
 from tau_dyn.robot import load_robot
+from tau_dyn.simulate import build_named_motion
 
 HERE = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("TAU_DYN_DATA", HERE.parent / "shared" / "data"))
@@ -67,6 +69,20 @@ def test_a_lone_axis_that_turns_round_is_the_same_axis(axis, axis_log) -> None:
     """With q and tau both reversed a lone axis is the same axis; with the force alone friction would push."""
     assert codes(axis, scaled(axis_log, q_axis=-1.0, tau_axis=-1.0)) == set()
     assert codes(axis, scaled(axis_log, tau_axis=-1.0)) == {"sign_reversed"}
+
+
+@pytest.mark.parametrize("down", [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, -1.0), (1.0, 0.0, -1.0)])
+def test_a_robot_on_a_wall_or_a_slope_is_named_with_its_direction_of_gravity(two_link, make, down) -> None:
+    """Forces of an arm that hangs elsewhere fit its file once gravity acts along that side of its base."""
+    down = np.array(down) / np.linalg.norm(down)
+    turned = two_link.model.copy()
+    turned.gravity.linear = np.linalg.norm(turned.gravity.linear) * down
+    truth = build_model(replace(two_link, model=turned), "symmetric")
+    truth = truth.with_values(dict.fromkeys(truth.effect_parameters.names, 0.5))
+    log = make.recorded(truth, build_named_motion("fourier", truth, 20.0, 1), force_noise=0.02, encoder_noise=1e-6)
+    (warning,) = check_integrity(two_link, [log])
+    shown = ", ".join(f"{x:.2g}" for x in down + 0.0)
+    assert get_code(warning) == "gravity_direction" and f"gravity acts along ({shown})" in warning
 
 
 def test_another_clock_makes_another_mass(axis, axis_log) -> None:

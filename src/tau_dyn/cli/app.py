@@ -112,8 +112,9 @@ class _HelpFormatter(DefaultFormatter):
         super().__call__(console, options, panel)
 
 
-def build_app() -> App:
-    """Return the application with all commands."""
+def build_app(first: str = "") -> App:
+    """Return the application with all commands, or with those alone that begin with a word, if there are any."""
+    named = {words for words in COMMANDS if words.split(" ")[0] == first} or set(COMMANDS)
     app = App(
         name="tau-dyn",
         help="Identify robot dynamics from torque logs, closed loops included.",
@@ -129,7 +130,7 @@ def build_app() -> App:
         sort_key=list(COMMANDS).index("feedforward export"),
     )
     app.command(feedforward)
-    for words, function in COMMANDS.items():
+    for words, function in ((words, COMMANDS[words]) for words in COMMANDS if words in named):
         owner, name = (feedforward, "export") if words.startswith("feedforward") else (app, words)
         owner.command(function, name=name, sort_key=list(COMMANDS).index(words))
     app.command(print_completion, name="completion")
@@ -160,8 +161,8 @@ def parse(argv: Sequence[str] | None, app: App | None = None) -> Call:
     Raises:
         InputError: They make none.
     """
-    app = app or build_app()
     words = _join_stdout(sys.argv[1:] if argv is None else argv)
+    app = app or build_app(words[0] if words else "")
     try:
         function, bound, _ = app.parse_args(words, exit_on_error=False, print_error=False)
     except CycloptsError as fault:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -172,14 +173,15 @@ class ToolChannel(MeasuredChannel):
         piece = self.pieces[run]
         return piece.passed(effect.tool_columns(piece.motion, piece.jacobian))
 
-    @property
-    def thinned(self) -> tuple[Motion, ...]:
-        """The motions at the regression's rate."""
+    @cached_property
+    def thinned(self) -> tuple[tuple[Motion, np.ndarray], ...]:
+        """The motions at the regression's rate, and their tool Jacobians (n, 3, na), samples last in memory."""
         found = []
         for p in self.pieces:
             q, v, a, sign = (x[:: p.factor] for x in (p.motion.q, p.motion.v, p.motion.a, p.motion.sign))
             signals = {key: x[:: p.factor] for key, x in p.motion.signals.items()}
-            found.append(Motion.of(p.motion.joints, q, v, a, sign, t=p.t, signals=signals))
+            jacobian = np.ascontiguousarray(p.jacobian[:: p.factor].transpose(1, 2, 0)).transpose(2, 0, 1)
+            found.append((Motion.of(p.motion.joints, q, v, a, sign, t=p.t, signals=signals), jacobian))
         return tuple(found)
 
     def quick_columns(self, effect: Effect) -> Sequence[np.ndarray] | None:
@@ -187,8 +189,8 @@ class ToolChannel(MeasuredChannel):
         if not effect.dense or not isinstance(effect, DisplacementEffect):
             return None
         found = []
-        for piece, motion in zip(self.pieces, self.thinned, strict=True):
-            columns = effect.tool_columns(motion, piece.jacobian[:: piece.factor])
+        for piece, (motion, jacobian) in zip(self.pieces, self.thinned, strict=True):
+            columns = effect.tool_columns(motion, jacobian)
             if piece.cutoff_hz is not None:
                 f = effect.local_frequency(motion)[:, :1, None]  # type: ignore[attr-defined]
                 columns = columns / compute_attenuation(f, piece.cutoff_hz)

@@ -121,11 +121,11 @@ class DisplacementEffect(Effect):
             motion: Motion of the encoders.
             tool_jacobian: Tool velocity per actuated speed (N, 3, na).
         """
-        made = self.displacement(motion)
-        out = np.zeros((len(made), 3, made.shape[2]))
+        made, jacobian = self.displacement(motion).transpose(1, 2, 0), tool_jacobian.transpose(1, 2, 0)
+        out = np.zeros((3, made.shape[1], made.shape[2]))  # samples last: products along them are long
         for k in self._indices(motion):  # the others are zero
-            out -= tool_jacobian[:, :, k, None] * made[:, None, k]
-        return out
+            out -= jacobian[:, k, None] * made[k]
+        return out.transpose(2, 0, 1)
 
 
 def subtract_load_force(

@@ -107,12 +107,13 @@ class Lags:
         """Return the model of everything taken in."""
         variance = self._squares / self._count
         best, best_aic = np.zeros(0), self._count * np.log(max(variance, 1e-300))
+        factors = {part: part.R for part in (self._whole, *self._early[1:])}
         for order in range(1, self.max_order + 1):
             parts = [self._whole, *self._early[order:]]
             n = sum(part.count for part in parts)
             if n < 10 * self.max_order:
                 break
-            rows = np.concatenate([part.R[:, : order + 1] for part in parts])
+            rows = np.concatenate([factors[part][:, : order + 1] for part in parts])
             phi = np.linalg.lstsq(rows[:, 1:], rows[:, 0], rcond=None)[0]
             innovation = float(np.sum((rows[:, 0] - rows[:, 1:] @ phi) ** 2)) / n
             aic = self._count * np.log(max(innovation, 1e-300)) + 2 * order

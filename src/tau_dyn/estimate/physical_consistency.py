@@ -200,7 +200,7 @@ def _minimise(misfit: Any, pull: Any, constraints: list[Any], bodies: list[Inert
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # an inaccurate solution shows in the status
             try:
-                problem.solve(solver=cp.CLARABEL)
+                problem.solve(solver=cp.CLARABEL, ignore_dpp=True)
             except cp.SolverError:
                 continue
         if problem.status == cp.OPTIMAL:
@@ -222,14 +222,18 @@ def _minimise(misfit: Any, pull: Any, constraints: list[Any], bodies: list[Inert
 
 def _pseudo_inertia_of(body: InertialBody, parameters: Parameters, position: dict[str, int], theta: Any) -> Any:
     """Return a body's pseudo-inertia (4, 4) as an expression of the program's variables."""
-    total, expression = np.zeros((4, 4)), 0 * theta[0] * np.eye(4)
+    import cvxpy as cp
+
+    total, columns = np.zeros((4, 4)), np.zeros((16, theta.size))
     for name, column in zip(body.parameters, body.map.T, strict=True):
         J = np.tensordot(column, PSEUDO_INERTIA_BASIS, axes=1)
         if name in position:
-            expression = expression + theta[position[name]] * J
+            columns[:, position[name]] = J.ravel()
         else:
             total = total + parameters[name].value * J
-    return expression + total
+    return (
+        cp.reshape(columns @ theta, (4, 4), order="F") + total
+    )  # one product, not a sum that cvxpy walks term by term
 
 
 def _scale(free: Parameters, base: BaseParameters, beta: np.ndarray) -> np.ndarray:

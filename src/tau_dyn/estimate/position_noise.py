@@ -89,16 +89,16 @@ def build_position_noise(
     n, m = keep.shape
     lags = 2 * REACH
     autocorrelation = np.correlate(STENCIL, STENCIL, "full")[lags:] / dt**4
-    noisy = inertia * position**2
+    counted = np.ascontiguousarray((inertia * keep[:, :, None]).transpose(1, 2, 0))  # samples last: sums run along them
+    noisy = counted * np.square(position)[:, None]
     band = np.zeros(((lags + 1) * m, n * m))
     for lag in range(lags + 1):
-        block = autocorrelation[lag] * np.einsum("kij,klj->kil", inertia[lag:], noisy[: n - lag])
-        block = block * keep[lag:, :, None] * keep[: n - lag, None, :]
         for i in range(m):  # row (k + lag, i), column (k, l)
             for column in range(m):
                 below = lag * m + i - column
                 if below >= 0:
-                    band[below, column : (n - lag) * m : m] = block[:, i, column]
+                    block = (counted[i, :, lag:] * noisy[column, :, : n - lag]).sum(axis=0)
+                    band[below, column : (n - lag) * m : m] = autocorrelation[lag] * block
     variance = np.broadcast_to(np.asarray(force) ** 2, keep.shape)
     band[0] += np.where(keep, variance, 1.0).ravel()
     factor = np.asarray(linalg.cholesky_banded(band, lower=True))

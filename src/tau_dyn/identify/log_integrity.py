@@ -8,6 +8,8 @@ mended, they are said alone: they look like wrong scales and delays.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from hashlib import blake2b
 
 from tau_dyn.identify.excerpt import make_excerpt
 from tau_dyn.identify.timing import check_timing
@@ -23,6 +25,10 @@ SPOILING = frozenset(
 
 MAX_LOGS = 5
 """So many logs are held against the robot file; the columns of a campaign are wired alike."""
+
+
+_FOUND: dict[bytes, tuple[CodedWarning, ...]] = {}
+"""Faults that logs have against robots, by a hash of all that they depend on."""
 
 
 def check_integrity(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...] = ()) -> list[CodedWarning]:
@@ -56,10 +62,26 @@ def _against_robot(
             sound = mend_log(log, robot.actuated)
             if sound is log or is_diagnosis_invalid(list_data_warnings(sound, robot.actuated)):
                 continue
-        excerpt = make_excerpt(robot, resample_segments(sound), exclude)
-        if excerpt is not None:
-            found += check_wiring(robot, excerpt, log.name) or check_timing(robot, excerpt, log.name)
+        found += _against_columns(robot, sound, log.name, exclude)
     return list(dict.fromkeys(found))
+
+
+def _against_columns(robot: Robot, log: Log, name: str, exclude: tuple[str, ...]) -> tuple[CodedWarning, ...]:
+    """Return the faults of one sound log; they are remembered, as `diagnose` asks for those of `identify` again."""
+    content = blake2b(
+        repr(
+            (name, exclude, robot.parameters.names, [(link.own, link.nominal.tolist()) for link in robot.links])
+        ).encode()
+    )
+    placed = {f.name: getattr(robot, f.name) for f in fields(robot) if f.name not in ("model", "links", "parameters")}
+    content.update(repr(placed).encode() + robot.model.saveToString().encode() + robot.parameters.values.tobytes())
+    for channel, values in {"": log.t, **log.channels}.items():
+        content.update(channel.encode() + values.tobytes())
+    if (known := _FOUND.get(content.digest())) is None:
+        excerpt = make_excerpt(robot, resample_segments(log), exclude)
+        found = excerpt and (check_wiring(robot, excerpt, name) or check_timing(robot, excerpt, name))
+        known = _FOUND[content.digest()] = tuple(found or ())
+    return known
 
 
 def is_diagnosis_invalid(warnings: Iterable[str]) -> bool:

@@ -15,6 +15,7 @@ they gain nothing.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -158,6 +159,7 @@ class _Judge:
     size: np.ndarray
     counts: np.ndarray
     prior: np.ndarray
+    low: np.ndarray
     model_error: float = MODEL_ERROR
 
     @classmethod
@@ -170,7 +172,8 @@ class _Judge:
         squares = np.where(used, tau**2, 0.0).sum(axis=0) / np.maximum(used.sum(axis=0), 1)
         size = np.sqrt(np.where(squares > 0, squares, 1.0))
         counts = used.sum(axis=0) / 2.0
-        return cls(robot, build_mechanism(robot), q, v, a, tau, used, size, counts, _prior(robot))
+        prior = _prior(robot)
+        return cls(robot, build_mechanism(robot), q, v, a, tau, used, size, counts, prior, _bounds(robot, prior))
 
     def counted(self, fit: _Fit) -> _Judge:
         """Return the judge with the effective number of samples that the residual's autocorrelation leaves."""
@@ -203,10 +206,15 @@ class _Judge:
     def best(self, current: Rewiring, fit: _Fit | None) -> list[tuple[Rewiring, _Fit, float]]:
         """Return the alternative that gains most, and those that cannot be told from it and have another code."""
         quick = self.thinned()
-        design, tried = quick.design(current), []
+        design, tried, gravity = quick.design(current), [], self.robot.model.gravity.linear
+        turned = quick.turned(current) if design is not None and not current.gravity and gravity.any() else None
         for change in list_alternatives(self.robot, current, self.q):
-            same = design is not None and change.moves_as(current)
-            other = quick.solve(design, change) if same and design is not None else quick.fit(change)
+            if design is not None and change.moves_as(current):
+                other = quick.solve(design, change)
+            elif turned is not None and change.code == "gravity_direction":
+                other = quick.fit(change, turned(change.gravity))
+            else:
+                other = quick.fit(change)
             if other is not None:
                 tried.append((change, other.log_p))
         tried.sort(key=lambda item: -item[1])
@@ -239,13 +247,27 @@ class _Judge:
         mends = drop < MIN_POWER_DROP or fit.prior - other.prior > SPARED_NATS
         return bool(other.log_p - fit.log_p > MIN_GAIN_NATS and mends)
 
-    def design(self, wiring: Rewiring) -> _Design | None:
-        """Return the columns of a wiring's motion; None where the robot cannot move so."""
+    def motion(self, wiring: Rewiring) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return positions, velocities and accelerations (n, na) as a wiring reads them."""
         q_from = list(wiring.q_from)
         q, v, a = (x[:, q_from] / np.array(wiring.q_scale) for x in (self.q, self.v, self.a))
-        v, a = v * wiring.t_scale, a * wiring.t_scale**2
+        return q, v * wiring.t_scale, a * wiring.t_scale**2
+
+    def turned(self, wiring: Rewiring) -> Callable[[tuple[float, ...]], np.ndarray]:
+        """Return the regressor (n, na, p) of a wiring's motion by the direction of gravity, in which it is linear."""
+        q, v, a = self.motion(wiring)
+        usual = np.array(self.robot.model.gravity.linear)
+        size, rest = float(np.linalg.norm(usual)), np.zeros_like(q)
+        plain = self._rigid((), q, v, a)
+        axes = np.stack([self._rigid(tuple(axis), q, rest, rest) for axis in np.eye(3)])
+        return lambda gravity: plain + np.tensordot(np.array(gravity) - usual / size, axes, axes=1)
+
+    def design(self, wiring: Rewiring, rigid: np.ndarray | None = None) -> _Design | None:
+        """Return the columns of a wiring's motion, or of its regressor; None where the robot cannot move so."""
+        q_from = list(wiring.q_from)
+        q, v, a = self.motion(wiring)
         try:
-            rigid = self._rigid(wiring.gravity, q, v, a)
+            rigid = self._rigid(wiring.gravity, q, v, a) if rigid is None else rigid
         except (LoopClosureError, InputError, np.linalg.LinAlgError):
             return None
         if not np.all(np.isfinite(rigid)):
@@ -266,9 +288,9 @@ class _Judge:
             nominal.append(force[rows, j])
         return _Design(own, nominal, [block.T @ block for block in own], used)
 
-    def fit(self, wiring: Rewiring) -> _Fit | None:
+    def fit(self, wiring: Rewiring, rigid: np.ndarray | None = None) -> _Fit | None:
         """Return the fit of the robot to the log if the log is wired so; None where the robot cannot move so."""
-        design = self.design(wiring)
+        design = self.design(wiring, rigid)
         return None if design is None else self.solve(design, wiring)
 
     def solve(self, design: _Design, wiring: Rewiring) -> _Fit:
@@ -279,16 +301,19 @@ class _Judge:
         floor = (self.model_error * size) ** 2
         targets = [self.tau[design.rows[:, j], tau_from[j]] - scale[j] * design.nominal[j] for j in range(na)]
         right = [scale[j] * (design.own[j].T @ targets[j]) for j in range(na)]
-        low, penalty = self._bounds(n, size / np.abs(scale))
+        low = np.concatenate([self.low, np.tile([-np.inf, 0, 0, 0, 0], na)])
+        drives = np.zeros((na, 5))
+        drives[:, 0] = (OFFSET_SHARE * size / np.abs(scale)) ** -2.0
+        penalty = np.concatenate([np.ones(n), drives.ravel()])
         number = np.maximum(design.rows.sum(axis=0), 1)
-        power, residual, x = (0.3 * size) ** 2, targets, np.zeros(len(low))
+        power, residual, x, held = (0.3 * size) ** 2, targets, np.zeros(len(low)), np.zeros(len(low), bool)
         for _ in range(3):
             weight = counts / number / np.maximum(power, floor)
             A, b = np.diag(penalty), np.zeros(len(low))
             for j in range(na):
                 A += weight[j] * scale[j] ** 2 * design.gram[j]
                 b += weight[j] * right[j]
-            x = _solve(A, b, low)
+            x, held = _solve(A, b, low, held)
             residual = [target - scale[j] * (design.own[j] @ x) for j, target in enumerate(targets)]
             power = np.array([compute_clipped_power(r, 3.0) for r in residual])
         power = np.where(design.rows.sum(axis=0) < MIN_ROWS, size**2, power)  # no sample, no evidence
@@ -305,20 +330,17 @@ class _Judge:
         model.gravity.linear = np.linalg.norm(model.gravity.linear) * np.array(gravity)
         return build_mechanism(replace(self.robot, model=model)).regressor(q, v, a)
 
-    def _bounds(self, n: int, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return lower bounds and prior weights of bodies and drive inertia (n), then of five numbers of each drive."""
-        na = self.robot.na
-        low, penalty = np.full(n, -np.inf), np.ones(n)
-        values = self.robot.parameters.values
-        for k, name in enumerate(self.robot.parameters.names):
-            column = np.flatnonzero(self.prior[k])
-            if name.endswith(".armature") and column.size:
-                low[column] = -values[k] / self.prior[k, column]
-            elif name.endswith((".mass", ".ixx", ".iyy", ".izz")) and column.size and values[k] > 0:
-                low[column] = -(1 - MIN_MASS_SHARE) * values[k] / self.prior[k, column]
-        drives = np.zeros((na, 5))
-        drives[:, 0] = (OFFSET_SHARE * size) ** -2.0
-        return np.concatenate([low, np.tile([-np.inf, 0, 0, 0, 0], na)]), np.concatenate([penalty, drives.ravel()])
+
+def _bounds(robot: Robot, prior: np.ndarray) -> np.ndarray:
+    """Return lower bounds of the unknowns (n,) of bodies and drive inertia."""
+    low = np.full(prior.shape[1], -np.inf)
+    for k, (name, value) in enumerate(zip(robot.parameters.names, robot.parameters.values, strict=True)):
+        column = np.flatnonzero(prior[k])
+        if name.endswith(".armature") and column.size:
+            low[column] = -value / prior[k, column]
+        elif name.endswith((".mass", ".ixx", ".iyy", ".izz")) and column.size and value > 0:
+            low[column] = -(1 - MIN_MASS_SHARE) * value / prior[k, column]
+    return low
 
 
 def _prior(robot: Robot) -> np.ndarray:
@@ -344,13 +366,15 @@ def _prior(robot: Robot) -> np.ndarray:
     return np.diag(spread)[:, spread != 0]
 
 
-def _solve(A: np.ndarray, b: np.ndarray, low: np.ndarray) -> np.ndarray:
-    """Minimise x'Ax/2 - b'x within bounds: an active set that is grown, then released (Lawson & Hanson 1974)."""
+def _solve(A: np.ndarray, b: np.ndarray, low: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Minimise x'Ax/2 - b'x within bounds, and return which hold: an active set that is grown, then released.
+
+    It starts from a guess of the set, `held`; Lawson & Hanson 1974.
+    """
     scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
     A, b, low = A / np.outer(scale, scale), b / scale, low * scale
     A[np.diag_indices_from(A)] += 1e-10
-    held = np.zeros(len(b), bool)
-    x = np.zeros(len(b))
+    held, x = held.copy(), np.zeros(len(b))
     for _ in range(30):
         free = ~held
         x[held] = low[held]
@@ -358,13 +382,13 @@ def _solve(A: np.ndarray, b: np.ndarray, low: np.ndarray) -> np.ndarray:
         below = free & (x < low - 1e-12)
         pulling = held & (b - A @ x > 1e-9)
         if not below.any() and not pulling.any():
-            return x / scale
+            return x / scale, held
         held |= below
         if not below.any():
             held &= ~pulling
     root = np.linalg.cholesky(A)
     found = lsq_linear(root.T, np.linalg.solve(root, b), bounds=(low, np.inf))
-    return found.x / scale
+    return found.x / scale, found.active_mask < 0
 
 
 def _effective(r: np.ndarray) -> float:

@@ -108,7 +108,8 @@ def _filter_both_ways(x: NDArray[np.float64], pad: int, design: Design) -> NDArr
 
 def compute_attenuation(f: NDArray[np.float64], cutoff_hz: float, order: int = 4) -> NDArray[np.float64]:
     """Return how many times smaller `lowpass` makes sines of frequencies f (...) [Hz], far below half the sampling rate."""
-    return 1 + (f / cutoff_hz) ** (2 * order)
+    square = np.square(f / cutoff_hz)
+    return 1 + (np.square(np.square(square)) if order == 4 else square**order)  # a power costs ten products
 
 
 def compute_edge_samples(cutoff_hz: float, rate_hz: float, order: int = 4) -> int:

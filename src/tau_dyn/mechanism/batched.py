@@ -28,7 +28,7 @@ from tau_dyn.mechanism.frames import (
     rotate_into_frame,
     transform_point,
 )
-from tau_dyn.mechanism.loop_arrays import ClosedLoops, LoopArrays
+from tau_dyn.mechanism.loop_arrays import ClosedLoops, LoopArrays, get_cells
 from tau_dyn.mechanism.loops import LoopSolver
 from tau_dyn.mechanism.mechanism import require_tool_frame
 from tau_dyn.robot import Robot, compute_inertia_matrix
@@ -165,7 +165,7 @@ class BatchedTree:
     def __init__(self, robot: Robot, solver: LoopSolver, joints: list[Joint]) -> None:
         """Prepare for a robot with its parameters' values."""
         self.robot, self.solver, self.joints = robot, solver, joints
-        self.loops = LoopArrays(solver, joints)
+        self.loops = LoopArrays(solver, joints, get_cells(robot))
         self.gravity = np.asarray(solver.model.gravity.linear, float)
         names = robot.parameters.names
         first = np.cumsum([0, *(len(link.own) for link in robot.links)])

@@ -8,6 +8,8 @@ What does not converge (near a singularity, at the edge of reach) is left to the
 
 from __future__ import annotations
 
+import threading
+from functools import lru_cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -25,13 +27,15 @@ from tau_dyn.mechanism.frames import (
     yield_columns,
 )
 from tau_dyn.mechanism.loops import LoopSolver
-from tau_dyn.mechanism.small_systems import ILL, CellStarts, Elimination, Entries, invert_matrices
+from tau_dyn.mechanism.small_systems import ILL, CellStarts, Elimination, Entries, Known, invert_matrices
+from tau_dyn.robot import Robot
 
 _CELL = 0.05  # [m or rad] as far as one-by-one closures step
 _DONE = 1e-6  # [m or rad] Newton's last step may be this large; what is left after it is of the order of its square
 _MAX_ITERATIONS = 12  # Newton steps from a neighbour's pose; quadratic convergence needs three to five
 _MAX_PASSIVE_STEP = 0.5  # [m or rad] of a passive joint from its guess; more may be another assembly mode
 _MAX_CELLS_FROM_HOME = 2000  # cells from home beyond which positions are taken for a mistake of units
+_MAX_GEOMETRIES = 4  # whose cells are kept
 _TRUSTED = 1e-12  # relative residual up to which elimination is as good as LAPACK
 
 
@@ -85,18 +89,34 @@ class _Ends(NamedTuple):
     carriers: tuple[int, ...]
 
 
+class _Cells(threading.local):
+    """A thread's cells of the geometries that were used last."""
+
+    def __init__(self) -> None:
+        self.of = lru_cache(maxsize=_MAX_GEOMETRIES)(lambda *geometry: {})
+
+
+_CELLS = _Cells()
+
+
+def get_cells(robot: Robot) -> Known:
+    """Return the cells that are known of a robot's geometry, whatever its masses are."""
+    placed = repr((robot.passive_home, robot.drive_scales, robot.mimics)), robot.home.tobytes()
+    return _CELLS.of(robot.model, robot.actuated, robot.loops, *placed)
+
+
 class LoopArrays:
     """Solves the loops of one robot for arrays of samples."""
 
-    def __init__(self, solver: LoopSolver, joints: list[Joint]) -> None:
-        """Prepare for the robot and model of a one-by-one solver."""
+    def __init__(self, solver: LoopSolver, joints: list[Joint], known: Known | None = None) -> None:
+        """Prepare for the robot and model of a one-by-one solver; `known` are cells of the same geometry."""
         self.solver, self.joints = solver, joints
         robot, model = solver.robot, solver.model
         self.active, self.passive, self.scale = solver.active_v, solver.passive_v, robot.drive_scale
         self._share, self._offset = robot.coupling
         self._by_index = {joint.index: joint for joint in joints}
         self._ends = [(_end(model, loop.frame_a), _end(model, loop.frame_b)) for loop in robot.loops]
-        self._cells = CellStarts(np.full(robot.na, _CELL), _MAX_CELLS_FROM_HOME, self._learn)
+        self._cells = CellStarts(np.full(robot.na, _CELL), _MAX_CELLS_FROM_HOME, self._learn, known)
         self._row = {int(v): k for k, v in enumerate(self.passive)}
         self._plan = self._planned()
         self._endless = np.array([model.joints[model.getJointId(j)].nq == 2 for j in robot.actuated])

@@ -343,6 +343,9 @@ _KEPT = 200_000  # cells kept at most
 Learn = Callable[[np.ndarray], Iterable[tuple[np.ndarray, ...]]]
 """From cells' numbers (n, na) to what is kept of each."""
 
+Known = dict[tuple[int, ...], tuple[np.ndarray, ...]]
+"""Cells' numbers -> what is kept of each."""
+
 
 class CellStarts:
     """Starts of Newton's method that depend on a sample's own positions alone: what was found at the middle of its cell.
@@ -351,16 +354,17 @@ class CellStarts:
     assembly mode, and are kept with the slope there. In which order, block or process samples come changes nothing.
     """
 
-    def __init__(self, size: np.ndarray, most: int, learn: Learn) -> None:
-        """Start with none.
+    def __init__(self, size: np.ndarray, most: int, learn: Learn, known: Known | None = None) -> None:
+        """Start with those that are known, or with none; what is learnt is added to them.
 
         Args:
             size: Of a cell, one an actuator (na,) [m or rad].
             most: Cells from home beyond which positions are taken for a mistake of units; `learn` gives nan there.
             learn: Walks to the middles of new cells.
+            known: Cells by their numbers.
         """
         self.size, self._most, self._learn = size, most, learn
-        self._known: dict[tuple[int, ...], tuple[np.ndarray, ...]] = {}
+        self._known: Known = {} if known is None else known
 
     def find(self, away: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return the cells' middles and what is kept of them, samples last, at distances from home (na, N)."""

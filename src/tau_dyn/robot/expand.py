@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -128,7 +129,17 @@ def expand(
         UnknownName: An argument that the file does not declare.
     """
     given = {name: str(value) for name, value in (arguments or {}).items()}
+    if evaluate and not packages and path in list_robot_names().values():
+        written = tuple((str(p), p.stat().st_mtime_ns) for p in sorted(path.parent.rglob("*")) if p.is_file())
+        return _expand_own(path, tuple(given.items()), written)
     return _expand(path, given, evaluate, packages=packages)[0]
+
+
+@lru_cache(maxsize=32)
+def _expand_own(path: Path, given: tuple[tuple[str, str], ...], written: tuple[tuple[str, int], ...]) -> str:
+    """Expand a robot that comes with the package once, for as long as no file beside it is written again."""
+    del written  # part of what is remembered
+    return _expand(path, dict(given), evaluate=True)[0]
 
 
 def list_dimensions(

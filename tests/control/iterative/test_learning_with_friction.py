@@ -11,6 +11,15 @@ sys.path.insert(0, str(Path(__file__).parents[3] / "experiments"))
 from ilc_parts.carts import NOISE  # noqa: E402
 from ilc_parts.rates import measure_rates  # noqa: E402
 
+from tau_dyn.simulate import compiled_plant  # noqa: E402
+
+
+@pytest.fixture(autouse=True)
+def compiled(monkeypatch):
+    """Let the trials, a hundred of one robot, pay the compiled plant that is equal to rounding (`test_compiled_plant.py`)."""
+    monkeypatch.setattr(compiled_plant, "MIN_SAMPLES", 0)
+    monkeypatch.setattr(compiled_plant, "MIN_SAMPLES_PER_DRIVE", 0)
+
 
 @pytest.mark.parametrize(("friction", "left"), [(False, 0.05), (True, 0.3)])
 @pytest.mark.parametrize("seed", range(5))

@@ -207,14 +207,16 @@ class KalmanToolObserver:
         """Return tool positions (N, m) [m] and innovations (N, m) [m/s^2]."""
         u, y, rest = self._inputs(kinematic, acceleration)
         e, M, late = self.extended, self.correction, not self.extended.ahead
-        before, after = np.zeros(len(e.A)), np.zeros(len(e.A))
-        z, innovations = np.empty_like(u), np.empty_like(u)
+        if late:
+            u = np.vstack([np.zeros((1, self.axes)), u[:-1]])
+        kept = np.eye(len(e.A)) - M @ e.acceleration
+        onward, come = kept @ e.A, u @ (kept @ e.B).T + y @ M.T  # after[k] = onward after[k - 1] + come[k]
+        after = np.zeros((len(u) + 1, len(e.A)))
         for k in range(len(u)):
-            if k or not late:
-                before = e.A @ after + e.B @ (u[k - 1] if late else u[k])
-            innovations[k] = y[k] - e.acceleration @ before
-            after = before + M @ innovations[k]
-            z[k] = e.position @ (before if self.predict else after)
+            after[k + 1] = onward @ after[k] + come[k]
+        before = after[:-1] @ e.A.T + u @ e.B.T
+        innovations = y - before @ e.acceleration.T
+        z = (before if self.predict else after[1:]) @ e.position.T
         return rest + z, innovations
 
     def standard_error(self) -> np.ndarray:
