@@ -2,10 +2,11 @@
 
 A pseudo-inertia `J` that is positive definite belongs to some distribution of mass. A fit pays its divergence from the file's,
 
-    minimise over w  |w|^2 + sum_bodies tr(J J0^-1) - log det(J J0^-1) - 4,   J at nominal + prior (V z + W w),
+    minimise over w  c |w|^2 + sum_bodies tr(J J0^-1) - log det(J J0^-1) - 4,   J at nominal + prior (V z + W w),
 
 beside what it pays for its unknowns z: nothing at the file, and without end where a body ceases to exist. What the logs do not
-inform on, w, gives way as far as its prior lets it. Convex in z; gradient and curvature follow from those in (z, w).
+inform on, w, gives way almost freely: of a thin rod two moments are one, and what is known of it before counts once. Convex in
+z; gradient and curvature follow from those in (z, w).
 Reference: Wensing, Kim & Slotine 2018 (J); Lee, Wensing & Park 2019 (divergence); Boyd & Vandenberghe 2004, 3.2.5 and 9.5.
 """
 
@@ -25,6 +26,8 @@ NO_WAY = 1e-6
 """Part of the way from which a step is none: what it leads to does not exist."""
 MAX_STEPS = 60
 """Newton steps for w, and steps towards z, at most; five and one are usual."""
+GIVING_WAY = 0.01
+"""What w pays per square, in units of its prior's (c)."""
 SETTLED = 1e-12
 """Newton decrement from which w is found."""
 _LEAST = 1e-9  # eigenvalue of a file's pseudo-inertia, scaled to a diagonal of one, below which the body is degenerate
@@ -124,13 +127,13 @@ class ConsistentBodies:
         inverse = np.linalg.inv(J)
         w = np.append(np.zeros(self._k), x[self._k :])
         trace = np.einsum("bii->b", J)
-        value = float((trace - np.linalg.slogdet(J)[1] - 4).sum() + w @ w)
+        value = float((trace - np.linalg.slogdet(J)[1] - 4).sum() + GIVING_WAY * w @ w)
         moved = np.einsum("bij,bkjl->bkil", inverse, self._A)
-        gradient = np.einsum("bkii->k", self._A - moved) + 2 * w
+        gradient = np.einsum("bkii->k", self._A - moved) + 2 * GIVING_WAY * w
         flat = moved.reshape(len(moved), len(x), 16)
         turned = moved.swapaxes(2, 3).reshape(len(moved), len(x), 16)
         second = (flat @ turned.swapaxes(1, 2)).sum(axis=0)
-        second[range(self._k, len(x)), range(self._k, len(x))] += 2.0
+        second[range(self._k, len(x)), range(self._k, len(x))] += 2.0 * GIVING_WAY
         return value, gradient, second
 
     def _minimise(self, z: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, tuple[float, np.ndarray], np.ndarray]:
