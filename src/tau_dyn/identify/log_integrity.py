@@ -27,6 +27,8 @@ MAX_LOGS = 5
 """So many logs are held against the robot file; the columns of a campaign are wired alike."""
 
 
+MAX_FOUND = 100
+"""Logs whose faults are remembered; the first goes first."""
 _FOUND: dict[bytes, tuple[CodedWarning, ...]] = {}
 """Faults that logs have against robots, by a hash of all that they depend on."""
 
@@ -81,6 +83,8 @@ def _against_columns(robot: Robot, log: Log, name: str, exclude: tuple[str, ...]
         excerpt = make_excerpt(robot, resample_segments(log), exclude)
         found = excerpt and (check_wiring(robot, excerpt, name) or check_timing(robot, excerpt, name))
         known = _FOUND[content.digest()] = tuple(found or ())
+        if len(_FOUND) > MAX_FOUND:
+            _FOUND.pop(next(iter(_FOUND)), None)
     return known
 
 
