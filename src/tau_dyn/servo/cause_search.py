@@ -37,6 +37,9 @@ wait, as what a joint misses shakes its neighbours."""
 _TRY_ITERATIONS = 6  # from a solution of all but the new numbers
 WHITE_LAGS = 20  # samples over which residuals are compared
 _CHANCE = 4.0  # standard errors of an autocorrelation
+MAIN_SHARE = 0.5
+"""Share of a joint's residual variance from which a cause counts, however uncertain its number: on a ridge with others, such as
+gain and mass, or far from its end, a number moves without a change of the simulation."""
 POWER_Z = 1.645
 """Standard errors above the threshold that a number must have to be found in 95 of 100 logs."""
 _FIRST = {
@@ -53,6 +56,7 @@ _DEAD_BANDS = (0.006, 0.03)  # rad; Coulomb friction stands for a small part of 
 RESONANCES_HZ = (2.0, 4.0, 8.0, 16.0, 32.0)
 """Resonances of the link on its spring, the motor held, at which springs start, up to the log's Nyquist frequency."""
 _DAMPING_RATIO = 0.05  # of a spring's start; of gears with elastic parts, 0.02 to 0.1
+_FEW = 0.1  # share of a rigid joint's viscous friction, and of the link's inertia as the drive's, with which springs start too
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +109,7 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
             shares = {
                 c: float(row.share[j])
                 for c, row in tried.items()
-                if row.score[j] > MIN_SCORE and row.share[j] > MIN_SHARE and (c, j) not in refused
+                if row.share[j] > (MIN_SHARE if row.score[j] > MIN_SCORE else MAIN_SHARE) and (c, j) not in refused
             }
             if shares:
                 first = max(shares, key=lambda c: shares[c])
@@ -170,7 +174,9 @@ def part_twins(data: LoopData, search: LoopSearch, progress: Callable[[str], Non
             tried[twin] = min(found, key=lambda one: one[1].sigma[j])
         best = min(tried, key=lambda c: tried[c][1].sigma[j])
         u, fit = tried[best]
-        ratio = {c: _compare_likelihoods(data, tried[best], one, j) for c, (_, one) in tried.items()}
+        problem = data.build_problem(u)
+        count = problem.count / count_worth(problem.residuals(fit.x[:, None])[:, j, 0], problem.used)
+        ratio = {c: count * 2 * np.log(one.sigma[j] / fit.sigma[j]) for c, (_, one) in tried.items()}
         same = tuple(c for c in tried if c != best and ratio[c] < APART)
         first = next(c for c in LOOP_CAUSES if c == best or c in same)  # the table begins with what is met most often
         best, same, (u, fit) = first, tuple(c for c in (best, *same) if c != first), tried[first]
@@ -247,9 +253,13 @@ def list_starts(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> li
         inertia = np.maximum(inertia, 1e-3 * np.maximum(values["armature"], 1e-6))
         highest = 0.5 / max(r.dt for r in data.records)
         turns = [2 * np.pi * f for f in RESONANCES_HZ if f < highest]
-        return [
+        springs = [
             {"joint_compliance": 1 / (inertia * w**2), "joint_damping": 2 * _DAMPING_RATIO * inertia * w} for w in turns
         ]
+        # what a rigid joint puts into friction and drive inertia to stand for a spring would lead its search astray
+        heavy = {key: np.array(values[key]) for key in ("viscous", "armature")}
+        light = {"viscous": _FEW * values["viscous"], "armature": np.maximum(values["armature"], _FEW * inertia)}
+        return [spring | rest for rest in (heavy, light) for spring in springs]
     if cause in ("backlash", "dead_band"):
         return [{entry: np.full(na, width)} for width in (_PLAYS if cause == "backlash" else _DEAD_BANDS)]
     if cause == "stiction":
@@ -273,7 +283,8 @@ def free_causes(
     for cause, j in chosen:
         for entry in LOOP_CAUSES[cause].entries:
             free[wide.kinds.index(entry), j] = True
-            values[entry][j] = starts[cause][entry][j]
+        for entry, start in starts[cause].items():
+            values[entry][j] = start[j]
     free[:n] |= u.free
     return replace(wide, free=free, values=values)
 
@@ -281,11 +292,7 @@ def free_causes(
 def _drop_superfluous(
     data: LoopData, u: LoopUnknowns, fit: LoopFit, taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]], progress
 ) -> tuple[LoopUnknowns, LoopFit, set[tuple[str, int]]]:  # noqa: ANN001
-    """Take out of `taken` what is not distinct from its null beside the others, and refit without it.
-
-    A number may be uncertain on a ridge with others, such as gain and mass, or where friction and play make sums of squares
-    bend: what a refit without it leaves decides.
-    """
+    """Take out of `taken` what is not distinct from its null beside the others, and refit without it."""
     dropped: set[tuple[str, int]] = set()
     needed: set[tuple[str, int]] = set()
     while True:
@@ -302,21 +309,12 @@ def _drop_superfluous(
             return u, fit, dropped
         _, cause, j = min(weak)
         left, without = _take_out(data, u, fit, cause, j, progress)
-        share = 1 - (fit.sigma[j] / without.sigma[j]) ** 2
-        if share > MIN_SHARE and _compare_likelihoods(data, (u, fit), without, j) > MIN_SCORE**2:
+        if 1 - (fit.sigma[j] / without.sigma[j]) ** 2 > MAIN_SHARE:
             needed.add((cause, j))
         else:
             u, fit = left, without
             del taken[cause, j]
             dropped.add((cause, j))
-
-
-def _compare_likelihoods(data: LoopData, one: tuple[LoopUnknowns, LoopFit], other: LoopFit, j: int) -> float:
-    """Return the likelihood ratio of two fits at a joint, twice its logarithm; samples count as far as they are independent."""
-    u, fit = one
-    problem = data.build_problem(u)
-    count = problem.count / count_worth(problem.residuals(fit.x[:, None])[:, j, 0], problem.used)
-    return float(count * 2 * np.log(other.sigma[j] / fit.sigma[j]))
 
 
 def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:

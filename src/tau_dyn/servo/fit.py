@@ -235,6 +235,10 @@ def fit_loop(
     near, worth = None, None
     for k in range(max_iterations):
         progress(f"output error, iteration {k + 1}")
+        if (
+            first is None or problem.share_of_steps < 1
+        ):  # far from a solution, or where sums of squares bend, slopes are new
+            problem.slopes = None
         near = _linearise(problem, x, prior, None if k == 2 else worth)
         worth, weight, H, g = near.worth, near.weight, near.H, near.g
         loss = _sum_squares(near.residual[:, :, None], weight)[0] + prior.evaluate(x)
