@@ -66,7 +66,7 @@ def assert_slope_is_that_of_the_cost(prior: LoopPrior, x: np.ndarray) -> None:
     H, g = prior.differentiate(x)
     for k, unit in enumerate(np.eye(len(x))):
         either = [x + way * 1e-4 * unit for way in (1, -1)]
-        cost, slope = ([f(at) for at in either] for f in (prior.evaluate, lambda at: prior.differentiate(at)[1]))
+        cost, slope = ([f(at) for at in either] for f in (prior.compute_cost, lambda at: prior.differentiate(at)[1]))
         assert (cost[0] - cost[1]) / 2e-4 == pytest.approx(-2 * g[k], rel=1e-4, abs=1e-5)
         assert (slope[0] - slope[1])[k] / 2e-4 == pytest.approx(-H[k, k], rel=1e-2, abs=1e-4)
 

@@ -207,12 +207,16 @@ class _Judge:
         """Return the alternative that gains most, and those that cannot be told from it and have another code."""
         quick = self.thinned()
         design, tried, gravity = quick.design(current), [], self.robot.model.gravity.linear
-        turned = quick.turned(current) if design is not None and not current.gravity and gravity.any() else None
+        by_gravity = (
+            quick.build_regressor_by_gravity(current)
+            if design is not None and not current.gravity and gravity.any()
+            else None
+        )
         for change in list_alternatives(self.robot, current, self.q):
             if design is not None and change.moves_as(current):
                 other = quick.solve(design, change)
-            elif turned is not None and change.code == "gravity_direction":
-                other = quick.fit(change, turned(change.gravity))
+            elif by_gravity is not None and change.code == "gravity_direction":
+                other = quick.fit(change, by_gravity(change.gravity))
             else:
                 other = quick.fit(change)
             if other is not None:
@@ -253,7 +257,7 @@ class _Judge:
         q, v, a = (x[:, q_from] / np.array(wiring.q_scale) for x in (self.q, self.v, self.a))
         return q, v * wiring.t_scale, a * wiring.t_scale**2
 
-    def turned(self, wiring: Rewiring) -> Callable[[tuple[float, ...]], np.ndarray]:
+    def build_regressor_by_gravity(self, wiring: Rewiring) -> Callable[[tuple[float, ...]], np.ndarray]:
         """Return the regressor (n, na, p) of a wiring's motion by the direction of gravity, in which it is linear."""
         q, v, a = self.motion(wiring)
         usual = np.array(self.robot.model.gravity.linear)

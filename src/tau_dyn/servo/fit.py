@@ -241,12 +241,12 @@ def fit_loop(
             problem.slopes = None
         near = _linearise(problem, x, prior, None if k == 2 else worth)
         worth, weight, H, g = near.worth, near.weight, near.H, near.g
-        loss = _sum_squares(near.residual[:, :, None], weight)[0] + prior.evaluate(x)
+        loss = _sum_squares(near.residual[:, :, None], weight)[0] + prior.compute_cost(x)
         held = _find_held(u, x, g)
         if first is not None and float(g @ (_step(H, g, 0.0, held, prior, x) - x)) < CONVERGED * u.n:
             break
         tried = np.array([_step(H, g, damping * lam, held, prior, x) for lam in _LAMBDAS])
-        losses = _sum_squares(problem.residuals(tried.T), weight) + [prior.evaluate(t) for t in tried]
+        losses = _sum_squares(problem.residuals(tried.T), weight) + [prior.compute_cost(t) for t in tried]
         losses = np.where(np.isfinite(losses), losses, np.inf)
         best = int(np.argmin(losses))
         gain = loss - losses[best]
@@ -283,7 +283,7 @@ class LoopPrior:
             return x
         return np.append(x[: self._z.start], self.unknowns.space.bodies.limit(np.zeros(len(z)), z) * z)
 
-    def evaluate(self, x: np.ndarray) -> float:
+    def compute_cost(self, x: np.ndarray) -> float:
         """Return what a vector (n,) costs; infinite where a body cannot exist."""
         found = self.unknowns.space.bodies.find(x[self._z]) if self._z.start < len(x) else None
         if found is None and self._z.start < len(x):
