@@ -102,7 +102,7 @@ def test_a_springy_law_is_fitted():
 
 
 def test_links_that_swing_on_springs_shake_each_other():
-    """Springs at both joints of an arm leave what the encoder rounds; filtered measured accelerations would leave six times that."""
+    """Springs at both joints of an arm leave what the encoder rounds, loads along filtered accelerations six times that."""
     arm = build_arm(2)
     law = build_law(arm, **NOTHING, joint_compliance=0.1, joint_damping=0.005)
     asked = build_law(arm, **NOTHING, joint_compliance=0.12, joint_damping=0.01)

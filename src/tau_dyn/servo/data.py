@@ -165,7 +165,9 @@ def fit_coupled(
     mixing = mixing or Mixing()
     points, answers, x = [], [], fit.x
     for k in range(MAX_SETTLINGS):
-        data = data.with_exact_motions(replace(fit, x=x), with_loads=k < LOADS_ANEW or not _is_alike(fit.sigma, before.sigma, STILL_FALLING))
+        data = data.with_exact_motions(
+            replace(fit, x=x), with_loads=k < LOADS_ANEW or not _is_alike(fit.sigma, before.sigma, STILL_FALLING)
+        )
         problem = data.build_problem()
         problem = problem.with_finer_differences() if data.whole else problem
         last = problem.take_slopes(last)
