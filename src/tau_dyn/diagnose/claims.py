@@ -158,8 +158,8 @@ def build_waterfall(
         if test.within and not shown.stderr < MAX_SHARE_STDERR and len(aside):
             part = replace(channel, parts=tuple(np.where(p == VALIDATION, TEST, p) for p in aside))
             known = [restrict_to_parts(fit.regression, part, TRAIN) for fit in fits[-2:]]
-            left = [r.residuals(solve_with_fallback(r, physics).theta) for r in known]
-            gains.append(compute_gain(part, *left, joints, rng, test))
+            before, after = (r.residuals(solve_with_fallback(r, physics).theta) for r in known)
+            gains.append(compute_gain(part, before, after, joints, rng, test))
         else:
             gains.append(compute_gain(channel, fits[-2].residuals, fits[-1].residuals, joints, rng, shown))
     return Waterfall(steps, fits, gains, first)
