@@ -149,11 +149,9 @@ def check_steps(
     fine = refit_again(data.build_problem(), base, progress)
     if not search.taken:
         return fine, replace(search, unknowns=data.unknowns, fit=fine)
-    u, again, taken = (
-        search.unknowns,
-        refit_again(data.build_problem(search.unknowns), search.fit, progress),
-        dict(search.taken),
-    )
+    u, again, taken = search.unknowns, search.fit, dict(search.taken)
+    if not replace(data, unknowns=u).is_shaken:  # that fit is of exact motions already
+        again = refit_again(data.build_problem(u), search.fit, progress)
     u, again, _ = _drop_superfluous(data, u, again, taken, progress)
     for cause, j in sorted(taken, key=lambda place: taken[place][0]):
         if sum(k == j for _, k in taken) > 1:  # what others leave of it may be less than what it took off without them

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.model import Model
-from tau_dyn.servo.fit import LoopFit, LoopProblem, fit_loop
-from tau_dyn.servo.prediction import SimulatedMotion, simulate_coupled
+from tau_dyn.servo.fit import FINE_DIFFERENCES, LoopFit, LoopProblem, Slopes, fit_loop, stack_records
+from tau_dyn.servo.prediction import SimulatedMotion, differentiate_coupled, simulate_coupled
 from tau_dyn.servo.records import InertialSpace, LoadWaves, LoopRecord, build_waves, compute_load_waves, split_pieces
 from tau_dyn.servo.unknowns import LoopUnknowns
 from tau_dyn.servo.waves import MAX_STEP_S, Trials
@@ -32,6 +32,8 @@ MAX_SETTLINGS = 14
 """Fits in turn against exact motions of the last one's solution; three are usual, ten of long chains."""
 LOADS_ANEW = 2
 """Such fits that take their loads along the last exact motions; later ones move too little for their sensitivities, unless"""
+MAX_JOINT_SECONDS = 4000.0
+"""Unknowns times joints times seconds of logs up to which springs are fitted with sensitivities of all joints: minutes."""
 STILL_FALLING = 0.05
 """a joint's residual changed by this share in the last one."""
 MIXED = 8
@@ -96,11 +98,22 @@ class LoopData:
         records, loads = ([rows[k] for k in chosen] for rows in (self.records, self.loads))
         return replace(self, records=records, loads=loads, settled=settled)
 
+    @property
+    def is_shaken(self) -> bool:
+        """Whether links on springs shake each other, in logs short enough to fit all joints' sensitivities."""
+        seconds = sum(len(r.t) * r.dt for r in self.records)
+        na = len(self.law.joints)
+        return self.unknowns.is_flexible and na > 1 and self.unknowns.n * na * seconds < MAX_JOINT_SECONDS
+
+    def compute_exact_step(self, fit: LoopFit) -> float:
+        """Return the longest step of exact motions near a solution [s]."""
+        return float(np.clip(STEP_PER_ROOT * np.sqrt(np.median(fit.sigma)), EXACT_STEP_S, self.step / STEP_RATIO))
+
     def with_exact_motions(self, fit: LoopFit, with_loads: bool = True) -> LoopData:
         """Return the data with the motions of a solution, and with loads along them unless the old ones do."""
         u, space = self.unknowns, self.space
         inertial, values = fit.x[u.n - space.n_unknowns :], u.with_values(fit.x)
-        step = float(np.clip(STEP_PER_ROOT * np.sqrt(np.median(fit.sigma)), EXACT_STEP_S, self.step / STEP_RATIO))
+        step = self.compute_exact_step(fit)
         motions = simulate_coupled(space, inertial, values, self.law, self.records, step)
         loads = self.loads
         if with_loads:
@@ -112,6 +125,37 @@ class LoopData:
         return replace(
             self, loads=loads, settled=ExactMotions(tuple(motions), trials), step=min(self.step, STEP_RATIO * step)
         )
+
+
+class CoupledProblem(LoopProblem):
+    """Residuals of exact motions, and sensitivities of every joint to every unknown: links on springs shake each other."""
+
+    def __init__(self, data: LoopData, step: float) -> None:
+        """Prepare, with the longest step of the loops [s]."""
+        super().__init__(data.unknowns, build_waves(data.records, data.loads, data.law), data.records)
+        self.waves = replace(self.waves, step=step)
+        self._data, self.share_of_steps = data, FINE_DIFFERENCES
+
+    def simulate(self, x: np.ndarray) -> np.ndarray:
+        """Return positions (N, na, C, S) at vectors (n, C)."""
+        d, (values, inertial), found = self._data, self.unknowns.unpack(x), []
+        for c in range(x.shape[1]):
+            one = {key: value[:, c] for key, value in values.items()}
+            motions = simulate_coupled(d.space, inertial[:, c], one, d.law, d.records, self.waves.step)
+            found.append(stack_records([m.q for m in motions], len(self.measured)))
+        return np.stack(found, axis=2)
+
+    def differentiate(self, x: np.ndarray) -> tuple[np.ndarray, Slopes]:
+        """Return the residual (N, na, S) and the sensitivities at a vector (n,)."""
+        d, steps = self._data, self.list_steps(x)
+        values, inertial = self.unknowns.unpack(np.column_stack([x, x[:, None] + np.diag(steps)]))
+        moved = differentiate_coupled(d.space, Trials(values, inertial), d.law, d.records, self.waves.step)
+        n = len(self.measured)
+        change = np.stack([stack_records([m[:, :, c] for m in moved], n) for c in range(1, len(x) + 1)], axis=0)
+        change = np.where(self.used[None, :, None, :], change, 0.0) / -steps[:, None, None, None]
+        rows = [change[:, :, j].transpose(0, 2, 1).reshape(len(x), -1) for j in range(change.shape[2])]
+        self.slopes = Slopes(x, rows, [np.arange(len(x))] * len(rows))
+        return self.residuals(x[:, None])[:, :, 0], self.slopes
 
 
 class Mixing:
@@ -151,7 +195,8 @@ def fit_coupled(
     The first fit, unless one is given, takes what joints do to each other along the measured motion, whose accelerations
     are filtered and noisy. Each next one adds what finer steps, and loads along the motion that the last one simulates, change
     there. Where a model misses much more than that, the first fit is the last, except of springs: accelerations of a link that
-    swings are what filters miss, and its motion simulated with them is kept where every joint's residual is less.
+    swings are what filters miss, and links shake each other, so that a last fit (Gauss-Newton) takes sensitivities of all joints.
+    It is kept where every joint's residual is less.
     Reference: Stetter 1978.
     """
     last = None
@@ -164,7 +209,7 @@ def fit_coupled(
     measured, before = (data, fit), fit
     mixing = mixing or Mixing()
     points, answers, x = [], [], fit.x
-    for k in range(MAX_SETTLINGS):
+    for k in range(LOADS_ANEW if data.is_shaken else MAX_SETTLINGS):
         data = data.with_exact_motions(
             replace(fit, x=x), with_loads=k < LOADS_ANEW or not _is_alike(fit.sigma, before.sigma, STILL_FALLING)
         )
@@ -177,6 +222,10 @@ def fit_coupled(
             break
         points, answers = [*points, x], [*answers, fit.x]
         x = last.unknowns.clip(mixing.mix(points, answers, sigma))
+    if data.is_shaken:
+        whole = fit_loop(CoupledProblem(data, data.compute_exact_step(fit)), progress, first=fit.x)
+        if np.log(whole.sigma / fit.sigma).sum() <= 0:
+            data, fit = data.with_exact_motions(whole), whole
     return measured if large and np.any(fit.sigma > measured[1].sigma) else (data, fit)
 
 

@@ -88,9 +88,9 @@ def diagnose_loop(
     base = fit_precisely(data.build_problem(), progress)
     search = search_causes(data, base, progress)
     progress("exact motions")
-    settled, _ = fit_coupled(replace(data, unknowns=search.unknowns), progress, search.fit)
+    settled, near = fit_coupled(replace(data, unknowns=search.unknowns), progress, search.fit)
     data = replace(settled, unknowns=unknowns)
-    base, search = check_steps(data, base, search, progress)
+    base, search = check_steps(data, base, replace(search, fit=near) if settled.is_shaken else search, progress)
     search = part_twins(data, search, progress)
     held = data
     if not parts.same_logs:

@@ -99,7 +99,7 @@ class LoopProblem:
         """Prepare; records give the measured positions and the samples that count."""
         n = len(waves.command)
         self.unknowns, self.waves = unknowns, waves
-        self.measured = _stack([r.q for r in records], n)
+        self.measured = stack_records([r.q for r in records], n)
         self.used = np.stack([np.pad(r.used, (0, n - len(r.t))) for r in records], axis=-1)
         self.blocks = _number_blocks(records, n)
         self.count = np.maximum(self.used.sum(), 1)
@@ -130,7 +130,7 @@ class LoopProblem:
         """Return the problem without the error of its steps and loads: known, at one trial, are the exact positions (N, na)."""
         other = copy(self)
         n = len(self.measured)
-        other.measured = self.measured - _stack(exact, n) + simulate_loops(self.waves, trials)[:, :, 0]
+        other.measured = self.measured - stack_records(exact, n) + simulate_loops(self.waves, trials)[:, :, 0]
         return other
 
     def simulate(self, x: np.ndarray) -> np.ndarray:
@@ -187,7 +187,7 @@ class LoopProblem:
         return base, self.slopes
 
 
-def _stack(arrays: Sequence[np.ndarray], n: int) -> np.ndarray:
+def stack_records(arrays: Sequence[np.ndarray], n: int) -> np.ndarray:
     """Return arrays (., na) side by side (n, na, S), their last rows repeated."""
     return np.stack([np.pad(x, ((0, n - len(x)), (0, 0)), mode="edge") for x in arrays], axis=-1)
 

@@ -85,29 +85,90 @@ def simulate_coupled(
     step: float,
 ) -> list[SimulatedMotion]:
     """Return the motion of each record, joints coupled; see `predict_positions`."""
-    times = max(1, int(np.ceil(max(r.dt for r in records) / step - 1e-9)))
-    fine = [refine_record(r, times) for r in records]
-    every = count_slow(max(r.dt for r in fine))
-    guesses = [[refine(x, times) for x in r.motion[:2]] for r in records]
-    mechanism = space.build_mechanism(unknowns)
-    relaxation = _Relaxation(mechanism, guesses, [r.dt for r in fine], every)
-    window = every * max(1, round(WINDOW_S / (every * max(r.dt for r in fine))))
-    empty = [_build_first_loads(mechanism, r) for r in fine]
-    waves = replace(
-        build_waves(fine, empty, law), step=step, held=True, coupling=JointCoupling(every, window, relaxation.settle)
-    )
-    trial = Trials({key: value[:, None] for key, value in values.items()}, np.zeros((0, 1)))
-    out = simulate_motion(waves, trial)
+    fine = FineRecords.of(records, step)
+    relaxation = _Relaxation(space.build_mechanism(unknowns), fine.guesses, fine.dt, fine.every)
+    out = fine.simulate(relaxation, values, law)
     found = []
-    for k, r in enumerate(fine):
+    for k, r in enumerate(fine.records):
         shown, q, v = (x[: len(r.t), :, 0, k] for x in out)
-        around = max(1, times // 2)
+        around = max(1, fine.times // 2)
         half = np.clip(np.arange(len(q)) + np.array([[-around], [around]]), 0, len(q) - 1)
         a = (v[half[1]] - v[half[0]]) / ((half[1] - half[0])[:, None] * r.dt)
         first = relaxation.unsettled.get(k)
-        shown, q, v, a = (x[::times] for x in (shown, q, v, a))
+        shown, q, v, a = (x[:: fine.times] for x in (shown, q, v, a))
         found.append(SimulatedMotion(shown, q, v, a, None if first is None else first * r.dt))
     return found
+
+
+def differentiate_coupled(
+    space: InertialSpace,
+    trials: Trials,
+    law: ServoLaw,
+    records: Sequence[LoopRecord],
+    step: float,
+) -> list[np.ndarray]:
+    """Return how positions (N, na, C) of each record change from the first trial to each one, joints coupled.
+
+    Loads, mass matrix and slopes of gravity are those along the first trial's motion, so that joints answer each other's changes
+    of acceleration and position; what another joint's change of speed does to a load is left out.
+    """
+    fine = FineRecords.of(records, step)
+    first = {key: value[:, 0] for key, value in trials.values.items()}
+    relaxation = _Relaxation(space.build_mechanism(trials.inertial[:, 0]), fine.guesses, fine.dt, fine.every)
+    out = fine.simulate(relaxation, first, law)
+    along = [[x[: len(r.t), :, 0, k] for x in out[1:]] for k, r in enumerate(fine.records)]
+    held: dict[bytes, _HeldLoads] = {}
+    shown = []
+    for c in range(trials.inertial.shape[1]):
+        key = trials.inertial[:, c].tobytes()
+        if key not in held:
+            mechanism = space.build_mechanism(trials.inertial[:, c])
+            held[key] = _HeldLoads(_Relaxation(mechanism, along, fine.dt, fine.every))
+        values = {name: value[:, c] for name, value in trials.values.items()}
+        shown.append(np.array(fine.simulate(held[key], values, law)[0, :: fine.times, :, 0]))
+    return [
+        np.stack([x[: len(r.t), :, k] - shown[0][: len(r.t), :, k] for x in shown], axis=2)
+        for k, r in enumerate(records)
+    ]
+
+
+class FineRecords(NamedTuple):
+    """Records with samples between the measured ones, by which coupled joints are stepped.
+
+    Attributes:
+        records: The records.
+        guesses: Motions near theirs, positions and speeds (N, na).
+        times: Samples for each measured one.
+        every: Samples between matrices.
+        step: Longest step [s].
+    """
+
+    records: Sequence[LoopRecord]
+    guesses: Sequence[Sequence[np.ndarray]]
+    times: int
+    every: int
+    step: float
+
+    @classmethod
+    def of(cls, records: Sequence[LoopRecord], step: float) -> FineRecords:
+        """Return records as fine as a step asks for."""
+        times = max(1, int(np.ceil(max(r.dt for r in records) / step - 1e-9)))
+        fine = [refine_record(r, times) for r in records]
+        guesses = [[refine(x, times) for x in r.motion[:2]] for r in records]
+        return cls(fine, guesses, times, count_slow(max(r.dt for r in fine)), step)
+
+    @property
+    def dt(self) -> list[float]:
+        """Time between samples of each record [s]."""
+        return [r.dt for r in self.records]
+
+    def simulate(self, loads: _Relaxation | _HeldLoads, values: Mapping[str, np.ndarray], law: ServoLaw) -> np.ndarray:
+        """Return measured positions, and the links' positions and speeds (3, N, na, 1, S)."""
+        window = self.every * max(1, round(WINDOW_S / (self.every * max(self.dt))))
+        empty = [_build_first_loads(loads.mechanism, r) for r in self.records]
+        coupling = JointCoupling(self.every, window, loads.settle)
+        waves = replace(build_waves(self.records, empty, law), step=self.step, held=True, coupling=coupling)
+        return simulate_motion(waves, Trials({key: value[:, None] for key, value in values.items()}, np.zeros((0, 1))))
 
 
 def _build_first_loads(mechanism: Mechanism, record: LoopRecord) -> LoadWaves:
@@ -160,3 +221,36 @@ class _Relaxation:
             fill_coupled_matrices(self.mechanism, rows, log, part, self.every)
         fill_coupled_loads(self.mechanism, rows, log, part, self.every, self.dt[log])
         return 0
+
+
+@dataclass(frozen=True, eq=False)
+class _HeldLoads:
+    """Loads along one motion, taken once and held for others near it.
+
+    Attributes:
+        relaxation: Takes them.
+        kept: Log and begin of a window -> whether it is beyond the log's end, and its rows.
+    """
+
+    relaxation: _Relaxation
+    kept: dict[tuple[int, int], tuple[int, list[np.ndarray]]] = field(default_factory=dict)
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The robot's dynamics."""
+        return self.relaxation.mechanism
+
+    def settle(self, rows: LoadRows, log: int, begin: int, stop: int, turn: int) -> int:
+        """Write a window's loads; 1 once it is stepped."""
+        if turn:
+            return 1
+        part, every = slice(begin, stop + 1), self.relaxation.every
+        slow = slice(begin // every, -(-stop // every) + 1)
+        views = [x[part, :, log] for x in (rows.along, rows.load, rows.inertia, rows.stiffness)]
+        views += [rows.mass[log, slow], rows.slope[log, slow]]
+        if (log, begin) not in self.kept:
+            self.kept[log, begin] = self.relaxation.settle(rows, log, begin, stop, 0), [x.copy() for x in views]
+        done, kept = self.kept[log, begin]
+        for x, row in zip(views, kept, strict=True):
+            x[:] = row
+        return done
