@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
+from tau_dyn.control.motion.constraints import build_integration_constraints, compute_simpson_weights
 from tau_dyn.control.motion.expressions import ForceLaw, build_force_law
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
@@ -84,3 +85,13 @@ def test_casadi_is_asked_for_by_name(monkeypatch):
     monkeypatch.setitem(sys.modules, "casadi", None)
     with raises_code("missing_package"):
         build_force_law(l1(), np.full(3, 0.02))
+
+
+def test_integration_is_exact_where_accelerations_are_linear():
+    """A cubic fulfils the equations between nodes to rounding, and Simpson's rule integrates it exactly."""
+    N, cubic = 5, np.polynomial.Polynomial([0.3, -1.0, 2.0, 4.0])
+    t, fine = np.linspace(0, 1, N + 1), np.linspace(0, 1, 2 * N + 1)
+    x, dx, ddx = (ca.DM(cubic.deriv(k)(t)[None]) for k in range(3))
+    assert np.abs(np.array(build_integration_constraints(x, dx, ddx, N))).max() < 1e-12
+    weights = compute_simpson_weights(N)
+    assert weights @ cubic(fine) == pytest.approx(cubic.integ()(1), rel=1e-12)
