@@ -41,6 +41,11 @@ class Fault:
     old: str
     new: str
 
+    @property
+    def is_equivalent(self) -> bool:
+        """Whether the list says that it changes no result."""
+        return self.why.startswith("without consequence, ")
+
     def path(self, root: Path) -> Path:
         """Return the file in a copy of the project."""
         return root / "src" / "tau_dyn" / self.room / self.file
@@ -94,8 +99,10 @@ def order_tests(fault: Fault, root: Path = ROOT) -> list[str]:
 def judge(fault: Fault, folder: Path, limit: float, known: str = "") -> dict[str, Any]:
     """Return whether the room's tests notice a fault: `noticed`, `unnoticed` or `undecided` in time; by which test; seconds.
 
-    The test that noticed it in an earlier campaign runs first.
+    The test that noticed it in an earlier campaign runs first. What changes no result is `equivalent`, untried.
     """
+    if fault.is_equivalent:
+        return {"outcome": "equivalent", "by": "", "seconds": 0.0}
     root = copy_project(folder)
     path, begun = fault.path(root), time.monotonic()
     whole = path.read_text(encoding="utf-8")
