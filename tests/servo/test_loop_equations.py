@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
-from tests.servo.arms import build_arm, build_commands, build_link, build_truth, record
+from tests.servo.arms import build_commands, build_link
 
 from tau_dyn.effects import build_friction_model
 from tau_dyn.exceptions import InputError
@@ -220,18 +220,6 @@ def test_a_law_of_numbers_that_cannot_be_is_refused(content, said):
     law = {"law": "servo", "force_per_unit": 1.0} | ({} if "command" in content else {"position_gain": 1.0})
     with pytest.raises(InputError, match=said):
         build_servo_law(law | content, build_link(0.05), "law.yaml")
-
-
-@pytest.mark.parametrize("compiled", ["1", "0"])
-@pytest.mark.parametrize(("late", "as_late"), [({"torque_delay": 1e300}, {"torque_delay": 5.0}),
-                                               ({"command_delay": -1e300}, {"command_delay": -5.0})])  # fmt: skip
-def test_a_delay_beyond_a_log_is_as_long_as_it(compiled, late, as_late, monkeypatch):
-    """What comes after a log's end is not in it, however much later; no step looks beyond the commands that there are."""
-    monkeypatch.setenv("TAU_DYN_COMPILE", compiled)
-    arm, law = build_arm(1), {"position_gain": 2.0, "force_per_unit": 2.0}
-    truth = build_truth(arm)
-    one, other = (record(arm, truth, ServoLaw.of(arm.actuated, **law, **x), 3, 0.2, clean=True) for x in (late, as_late))
-    assert_allclose(one.channels["q_j1"], other.channels["q_j1"], rtol=0, atol=1e-12)
 
 
 def test_loads_along_a_motion_are_the_robots(rng):
