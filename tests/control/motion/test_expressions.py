@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
+from scipy.interpolate import make_interp_spline
 
 from tau_dyn.control.motion.constraints import build_integration_constraints, compute_simpson_weights
+from tau_dyn.control.motion.coordinates import Along, JointPath
 from tau_dyn.control.motion.expressions import ForceLaw, build_force_law
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
@@ -95,3 +97,18 @@ def test_integration_is_exact_where_accelerations_are_linear():
     assert np.abs(np.array(build_integration_constraints(x, dx, ddx, N))).max() < 1e-12
     weights = compute_simpson_weights(N)
     assert weights @ cubic(fine) == pytest.approx(cubic.integ()(1), rel=1e-12)
+
+
+def test_a_path_bends_by_the_square_of_its_speed():
+    """Positions, speeds and accelerations along a curve are those of `q(s(t / T))`, by differences."""
+    points = np.random.default_rng(4).standard_normal((9, 2))
+    path = Along(JointPath(make_interp_spline(np.linspace(0, 1, 9), points, k=5), 1.0))
+    x, dx, ddx, T, h = 0.4, 0.8, -1.5, 2.0, 1e-3
+
+    def place(t: float) -> np.ndarray:
+        return path.path.q(x + dx * t / T + ddx * (t / T) ** 2 / 2)
+
+    found = [np.array(ca.evalf(part)).ravel() for part in path.symbols(*map(ca.DM, (x, dx, ddx, T)))]
+    assert_allclose(found[0], place(0.0), rtol=1e-9)
+    assert_allclose(found[1], (place(h) - place(-h)) / (2 * h), rtol=1e-4)
+    assert_allclose(found[2], (place(h) - 2 * place(0.0) + place(-h)) / h**2, rtol=1e-4)
