@@ -120,8 +120,9 @@ def test_a_mimicked_joint_adds_its_force_by_virtual_work(write):
 
 
 def test_a_follower_moves_with_what_its_drive_travels(write):
-    """Of a drive that travels 1.1 per unit of its reading, the follower at -0.5 takes -0.55 per unit."""
+    """Of a slide that travels 1.1 m per metre of its reading, the follower at -0.5 rad/m takes -0.55."""
     text = follow(write).replace("</robot>", '<tau_dyn:drive joint="shoulder" scale="1.1"/></robot>')
+    text = text.replace('"shoulder" type="revolute"', '"shoulder" type="prismatic"')
     share, offset = load_robot_from_urdf(text, "coupled").coupling
     assert_allclose(share, [[1.1], [-0.55]])
     assert_allclose(offset, [0.0, 0.2])
