@@ -47,6 +47,7 @@ from .preparation import (
     Preparation as Preparation,
     TooShort as TooShort,
     choose_preparation as choose_preparation,
+    refuse_slow_clocks as refuse_slow_clocks,
     count_information as count_information,
     find_unsure_samples as find_unsure_samples,
     get_measured_signals as get_measured_signals,
