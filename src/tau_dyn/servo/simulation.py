@@ -17,7 +17,6 @@ from tau_dyn.simulate import ServoLaw, Trajectory
 
 FINE_HZ = 500.0
 """Rate at which the loop is simulated [Hz], at least: servos themselves run at 200 to 1000 Hz."""
-
 RAN_AWAY = 1e6
 """Position from which a simulated robot is no robot any more [rad or m]: no joint turns as far in an hour."""
 STEP_S = 2.5e-4
