@@ -64,4 +64,4 @@ def test_a_column_to_exclude_by_must_be_there(log):
 def test_a_simulated_robot_that_runs_away_gives_no_log():
     """A torque of 1e300 N m ends in a sentence, and not in positions that no joint has."""
     with raises_code("unstable", "ran away"):
-        record(ARM, build_truth(ARM), build_law(ARM, force_per_unit=1e300, load_friction=0.0), 3, 1.0)
+        record(ARM, build_truth(ARM), build_law(ARM, force_per_unit=1e300, load_friction=0.0, back_emf=0.0), 3, 1.0)
