@@ -34,6 +34,7 @@ from tau_dyn.identify import (
     find_structural_base,
     log_warnings,
     name_apart,
+    refuse_constant_forces,
     require_forces,
 )
 from tau_dyn.log import Log
@@ -205,6 +206,8 @@ def identify_fleet(
     progress("columns")
     data = Data.of(fitted, logs, exclude=exclude)
     built = data.build(fitted)
+    for unit in units:
+        refuse_constant_forces([log for log in logs if owner[log.name] == unit], built.regression)
     progress("all units together")
     physics = build_physical_constraints(fitted)
     together = solve_least_squares(built.regression, physics=physics, structural=find_structural_base(fitted, seed))
