@@ -43,7 +43,7 @@ def test_accelerometers_answer_at_once(delay):
 
 @pytest.mark.parametrize("delay", [0, 5])
 def test_with_the_true_poles_the_first_look_finds_the_delay(delay):
-    """A displacement answers a force one sample later at the earliest: with its poles known, the least criterion is at the delay."""
+    """A displacement answers a force one sample later at the earliest; with its poles known the criterion is least there."""
     plant = structure()
     record = recorded(plant, 1000, 40, delay)
     assert int(np.argmin([_linear_bic(np.linalg.eigvals(plant.A), [record], d, 12) for d in range(9)])) == delay

@@ -31,7 +31,9 @@ def test_a_supply_that_none_can_be_is_refused(log, volts):
     at = np.where(np.arange(log.n_samples) == 100, volts, 7.0)
     with raises_code("bad_sample", "volts"):
         read(log.with_channels(volts=at), supply=supply)
-    assert read(log.with_channels(volts=np.full(log.n_samples, 8.4)), supply=supply).kept[0].supply == pytest.approx(1.2)
+    assert read(log.with_channels(volts=np.full(log.n_samples, 8.4)), supply=supply).kept[0].supply == pytest.approx(
+        1.2
+    )
 
 
 def test_a_switch_that_says_nothing_is_refused(log):

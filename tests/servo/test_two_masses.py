@@ -170,7 +170,9 @@ def test_compiled_and_array_steps_of_coupled_joints_agree(entries, monkeypatch):
 
 
 @pytest.mark.parametrize("compiled", ["1", "0"])
-@pytest.mark.parametrize(("entry", "late"), [("torque_delay", 1e300), ("command_delay", -1e300), ("command_delay", 1e300)])
+@pytest.mark.parametrize(
+    ("entry", "late"), [("torque_delay", 1e300), ("command_delay", -1e300), ("command_delay", 1e300)]
+)
 def test_a_delay_beyond_a_log_is_as_long_as_it(entry, late, compiled, monkeypatch):
     """What comes after a log's end is not in it, however much later; no step looks beyond the commands that there are."""
     monkeypatch.setenv("TAU_DYN_COMPILE", compiled)

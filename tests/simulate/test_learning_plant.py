@@ -59,7 +59,9 @@ def test_speed_fed_forward_makes_up_for_the_drives_lag(parts) -> None:
         plant = LearningPlant(*parts, velocity_share=share, **QUIET)
         target = plant.rest + ramp[:, None] * np.array([1.0, 0.0, 0.0])
         late.append((target - plant.run(plant.actuators(target)).kinematic)[-200:, 0].mean() / 0.01)
-    assert abs(late[1]) < 0.2 * late[0] and min(parts[2].time_constants) < late[0] < max(parts[2].time_constants) + 0.004
+    assert (
+        abs(late[1]) < 0.2 * late[0] and min(parts[2].time_constants) < late[0] < max(parts[2].time_constants) + 0.004
+    )
 
 
 def test_references_that_leave_the_pose_are_refused(parts) -> None:

@@ -50,7 +50,6 @@ from .preparation import (
     Preparation as Preparation,
     TooShort as TooShort,
     choose_preparation as choose_preparation,
-    refuse_slow_clocks as refuse_slow_clocks,
     count_information as count_information,
     find_unsure_samples as find_unsure_samples,
     get_measured_signals as get_measured_signals,
@@ -58,6 +57,7 @@ from .preparation import (
     list_crumbs as list_crumbs,
     list_information_warnings as list_information_warnings,
     refuse_short as refuse_short,
+    refuse_slow_clocks as refuse_slow_clocks,
     select_long as select_long,
     widen as widen,
 )

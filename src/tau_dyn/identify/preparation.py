@@ -76,7 +76,8 @@ def refuse_slow_clocks(logs: Sequence[Log]) -> None:
     slow = min(logs, key=lambda log: log.rate_hz)
     if slow.rate_hz < MIN_RATE_HZ:
         raise InputError(
-            "wrong_unit", f"{slow.name} is sampled at {slow.rate_hz:.3g} Hz; t must be in s (does it stand in ms or us?)"
+            "wrong_unit",
+            f"{slow.name} is sampled at {slow.rate_hz:.3g} Hz; t must be in s (does it stand in ms or us?)",
         )
 
 

@@ -41,7 +41,7 @@ from tau_dyn.identify import (
     require_forces,
 )
 from tau_dyn.log import Log
-from tau_dyn.message_codes import format_warnings, get_code
+from tau_dyn.message_codes import CodedWarning, format_warnings
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Z95, Shown, format_list
@@ -246,8 +246,8 @@ def _refuse_wrong_wiring(warnings: Sequence[str]) -> None:
         InputError: A log is wired otherwise than the robot file says.
     """
     for warning in warnings:
-        if get_code(warning) in ("sign_reversed", "joints_exchanged"):
-            raise InputError(get_code(warning), warning)
+        if isinstance(warning, CodedWarning) and warning.code in ("sign_reversed", "joints_exchanged"):
+            raise InputError(warning.code, warning)
 
 
 def find_carrying_link(robot: Robot, name: str | None) -> LinkInertia:

@@ -120,7 +120,9 @@ def read_loop_logs(robot: Robot, logs: Log | Recording | Iterable[Log | Recordin
     own, theirs = _split_choices(options.get("choices") or Choices(), robot)
     started = theirs.apply(_build_start(robot, friction))
     progress("loads")
-    contacts, records = find_contacts(started, build_records(started, law, [*pieces, *apart], options.get("exclude", ())))
+    contacts, records = find_contacts(
+        started, build_records(started, law, [*pieces, *apart], options.get("exclude", ()))
+    )
     kept = records[: len(pieces)]
     _refuse_stillness(kept)
     warnings = [*doubled, *said, *started.robot.warnings, *(CodedWarning("contact", c.describe()) for c in contacts)]
