@@ -101,6 +101,20 @@ def test_a_springy_law_is_fitted():
     assert row.value == pytest.approx(true, rel=0.01)
 
 
+def test_links_that_swing_on_springs_shake_each_other():
+    """Springs at both joints of an arm leave what the encoder rounds, loads along filtered accelerations six times that."""
+    arm = build_arm(2)
+    law = build_law(arm, **NOTHING, joint_compliance=0.1, joint_damping=0.005)
+    asked = build_law(arm, **NOTHING, joint_compliance=0.12, joint_damping=0.01)
+    asked = replace(asked, estimated=frozenset({"joint_compliance", "joint_damping"}))
+    log, held = (record(arm, build_truth(arm), law, seed, duration) for seed, duration in ((11, 8.0), (12, 4.0)))
+    found = identify_loop(arm, log, law=asked, holdout=held)
+    rms = np.sqrt(np.mean(found.holdout.rms**2, axis=0))
+    assert np.all(rms < 1e-3)
+    springs = [p.value for p in found.parameters if p.name.endswith("joint_compliance")]
+    assert springs == pytest.approx([0.1, 0.1], rel=0.05)
+
+
 def test_limits_say_what_would_have_been_found():
     """A delay above its limit is found in the same motion; causes that were found have no limit."""
     plain = build_law(ARM, **NOTHING)

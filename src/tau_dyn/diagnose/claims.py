@@ -43,6 +43,8 @@ MIN_AMPLITUDE_Z = 2.0
 """Standard errors that the amplitudes of a claimed cause must be off zero in the extended model, all in one Wald test."""
 MAX_RELATIVE_RMS_INCREASE = 0.005
 """By how much a cause may raise the error on the confirmation part; a weak one changes it by less, either way."""
+MAX_SHARE_STDERR = 0.25
+"""Standard error of a cause's share from which the last part cannot show it: its whole would be four of them."""
 _NOT_SHOWN = "held-out data do not show it"
 _SILENT = "held-out data cannot show it"
 _WORSE = "held-out data are predicted worse with it"
@@ -123,21 +125,25 @@ def _missed(channel: Channel, found: Sequence[SelectedCause], physics: PhysicalC
 
 def build_waterfall(
     hunt: StepwiseSelection,
-    kept: Sequence[SelectedCause],
+    claims: Claims,
     rng: np.random.Generator,
     nominal: np.ndarray | None = None,
     physics: PhysicalConstraints | None = None,
+    aside: Sequence[np.ndarray] = (),
 ) -> Waterfall:
     """Fit and judge the baseline, then with one cause more each time.
 
+    The gain of a cause that only blocks of the training logs can show is measured there, by a fit of the others.
+
     Args:
         hunt: The search.
-        kept: Confirmed causes in the order found.
+        claims: What was found; confirmed causes come in that order.
         rng: For intervals.
         nominal: The baseline's values before any fit (p,); by default its parameters' own.
         physics: What makes the baseline's values physical.
+        aside: Parts with the blocks set aside of the training logs, see `divide_training`.
     """
-    channel, gains = hunt.channel, []
+    channel, gains, kept = hunt.channel, [], claims.kept
     values = channel.parameters.values if nominal is None else nominal
     first = evaluate_fit(channel, build_extended_regression(channel, ()), values, None, rng)
     fits = [fit_extended_model(channel, (), physics, rng)]
@@ -148,7 +154,14 @@ def build_waterfall(
         steps.append(Step(f"{one.candidate.cause} {' '.join(joints)}", fits[-1].errors))
         own = hunt.columns(one.candidate.effects)
         shown = confirm(hunt.ground, own, build_effects(kept[:k]), TEST, fitted_on=(TRAIN, VALIDATION))
-        gains.append(compute_gain(channel, fits[-2].residuals, fits[-1].residuals, joints, rng, shown))
+        test = claims.tests[claims.found.index(one)]
+        if test.within and not shown.stderr < MAX_SHARE_STDERR and len(aside):
+            part = replace(channel, parts=tuple(np.where(p == VALIDATION, TEST, p) for p in aside))
+            known = [restrict_to_parts(fit.regression, part, TRAIN) for fit in fits[-2:]]
+            before, after = (r.residuals(solve_with_fallback(r, physics).theta) for r in known)
+            gains.append(compute_gain(part, before, after, joints, rng, test))
+        else:
+            gains.append(compute_gain(channel, fits[-2].residuals, fits[-1].residuals, joints, rng, shown))
     return Waterfall(steps, fits, gains, first)
 
 
@@ -158,6 +171,7 @@ def select_supported(
     rng: np.random.Generator,
     nominal: np.ndarray | None = None,
     physics: PhysicalConstraints | None = None,
+    aside: Sequence[np.ndarray] = (),
 ) -> tuple[Claims, Waterfall]:
     """Return the claims that all rules for a confirmed cause let stand, and their bars.
 
@@ -167,7 +181,7 @@ def select_supported(
     that look at one cause alone come first, as what they turn down may be what makes another one worse.
     """
     while True:
-        bars = build_waterfall(hunt, claims.kept, rng, nominal, physics)
+        bars = build_waterfall(hunt, claims, rng, nominal, physics, aside)
         judged_again = _reject_by_amplitude(hunt, claims, bars)
         if judged_again is claims:
             judged_again = _reject_companion(hunt, claims, bars)

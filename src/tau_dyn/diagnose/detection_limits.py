@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import special
 
 from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, CandidateCause, GroupTest, compute_explained
 from tau_dyn.diagnose.channel import EVERY, Channel
@@ -70,9 +70,7 @@ _MAX_LISTED_JOINTS = 3
 
 def solve_noncentrality(level: float, dof: int, power: float = POWER) -> float:
     """Return the noncentrality at which a chi-square test of this level has this power."""
-    critical = float(stats.chi2.isf(level, dof))
-    root = optimize.root_scalar(lambda x: float(stats.ncx2.sf(critical, dof, x)) - power, bracket=(1e-3, 1e5))
-    return float(root.root)
+    return float(special.chndtrinc(special.chdtri(dof, level), dof, 1 - power))
 
 
 def _limit(ground: NullModel, candidate: CandidateCause, causes: int) -> Limit | str | None:

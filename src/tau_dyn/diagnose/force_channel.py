@@ -85,7 +85,7 @@ class ForceChannel(Channel):
             terms = build_displacement_terms(v, a)
             scale = np.concatenate([m.signals["inertia"][:, joint, joint] for m in self.thinned])[:, None]
         found = scan_periods(effects, whiten, joint, both, q, v, self.preparation.force_cutoff_hz, terms, scale)
-        found[[effect.settings["period"] > np.ptp(q) / LONG for effect in effects]] = np.nan
+        found[np.array([effect.settings["period"] for effect in effects]) > np.ptp(q) / LONG] = np.nan
         return found
 
     def variables(self) -> list[Mapping[str, np.ndarray]]:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS
-from tau_dyn.diagnose.channel import EVERY, Channel
+from tau_dyn.diagnose.channel import EVERY, Channel, divide_training
 from tau_dyn.diagnose.claims import Claims, Recommendation, Waterfall, recommend, select_confirmed, select_supported
 from tau_dyn.diagnose.confirmation import ConfirmationResults, build_unexplained, confirm_all, confirm_within_training
 from tau_dyn.diagnose.deflection_channel import build_deflection_channel
@@ -144,13 +144,15 @@ def diagnose_channel(
     hunt, structure = _search(channel, rng, progress, noise)
     progress("confirming")
     tests = confirm_all(hunt, structure)
+    aside: Sequence[np.ndarray] = ()
     if case and noise:
         gap_s = compute_border_gap_s(case.preparation.force_cutoff_hz, case.channel.prepared[0].log.rate_hz)
         tests = confirm_within_training(hunt, tests, gap_s, rng, noise)
+        aside = divide_training(channel.runs, channel.parts, gap_s)
     periods = find_alias_periods(hunt)
     claims = _doubt(select_confirmed(hunt, tests.causes, physics), periods, spoiled)
     progress("measuring the gain")
-    claims, bars = select_supported(hunt, claims, rng, nominal, physics)
+    claims, bars = select_supported(hunt, claims, rng, nominal, physics, aside)
     found = _Found(hunt, claims, bars, tests, periods, spoiled)
     findings, unexplained = _tell(found, model, case, rng)
     return _answer(found, findings, unexplained, model, case, rng, seed=seed, how=how, warnings=warnings)

@@ -31,7 +31,9 @@ LARGE_RESIDUAL_RAD = 1.6e-3
 MAX_SETTLINGS = 14
 """Fits in turn against exact motions of the last one's solution; three are usual, ten of long chains."""
 LOADS_ANEW = 2
-"""Such fits that take their loads along the last exact motions; later ones move too little for their sensitivities."""
+"""Such fits that take their loads along the last exact motions; later ones move too little for their sensitivities, unless"""
+STILL_FALLING = 0.05
+"""a joint's residual changed by this share in the last one."""
 MIXED = 8
 """Solutions that are mixed into the next start, at most."""
 RMS_TOLERANCE = 1e-4
@@ -148,33 +150,38 @@ def fit_coupled(
 
     The first fit, unless one is given, takes what joints do to each other along the measured motion, whose accelerations
     are filtered and noisy. Each next one adds what finer steps, and loads along the motion that the last one simulates, change
-    there. Where a model misses much more than that, the first fit is the last.
+    there. Where a model misses much more than that, the first fit is the last, except of springs: accelerations of a link that
+    swings are what filters miss, and its motion simulated with them is kept where every joint's residual is less.
     Reference: Stetter 1978.
     """
     last = None
     if fit is None:
         last = data.build_problem()
         fit = fit_loop(last, progress)
-    if float(np.median(fit.sigma)) > LARGE_RESIDUAL_RAD:
+    large = float(np.median(fit.sigma)) > LARGE_RESIDUAL_RAD
+    if large and not data.unknowns.is_flexible:
         return data, fit
+    measured, before = (data, fit), fit
     mixing = mixing or Mixing()
     points, answers, x = [], [], fit.x
     for k in range(MAX_SETTLINGS):
-        data = data.with_exact_motions(replace(fit, x=x), with_loads=k < LOADS_ANEW)
+        data = data.with_exact_motions(
+            replace(fit, x=x), with_loads=k < LOADS_ANEW or not _is_alike(fit.sigma, before.sigma, STILL_FALLING)
+        )
         problem = data.build_problem()
         problem = problem.with_finer_differences() if data.whole else problem
         last = problem.take_slopes(last)
         before, fit = fit, fit_loop(last, progress, _ITERATIONS, x)
         sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-        if np.all(np.abs(fit.x - x) <= settled * sigma + 1e-12) or _is_alike(fit.sigma, before.sigma):
+        if np.all(np.abs(fit.x - x) <= settled * sigma + 1e-12) or _is_alike(fit.sigma, before.sigma, RMS_TOLERANCE):
             break
         points, answers = [*points, x], [*answers, fit.x]
         x = last.unknowns.clip(mixing.mix(points, answers, sigma))
-    return data, fit
+    return measured if large and np.any(fit.sigma > measured[1].sigma) else (data, fit)
 
 
-def _is_alike(sigma: np.ndarray, before: np.ndarray) -> bool:
-    return bool(np.all(np.abs(sigma - before) < RMS_TOLERANCE * before))
+def _is_alike(sigma: np.ndarray, before: np.ndarray, share: float) -> bool:
+    return bool(np.all(np.abs(sigma - before) < share * before))
 
 
 def fit_precisely(problem: LoopProblem, progress: Callable[[str], None]) -> LoopFit:

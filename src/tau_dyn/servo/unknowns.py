@@ -70,6 +70,11 @@ class LoopUnknowns:
         return int(self.free.sum()) + self.space.n_unknowns
 
     @property
+    def is_flexible(self) -> bool:
+        """Whether a joint's compliance is an unknown."""
+        return "joint_compliance" in self.kinds and bool(self.free[self.kinds.index("joint_compliance")].any())
+
+    @property
     def joint_of(self) -> np.ndarray:
         """Joint of each unknown (n,); -1 for the inertial ones."""
         return np.append(np.nonzero(self.free)[1], np.full(self.space.n_unknowns, -1))
