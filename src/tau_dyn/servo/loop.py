@@ -380,7 +380,7 @@ class _Delay:
             return u
         keep = int(self._whole.max()) + 2
         self._past = [u, *self._past[: keep - 1]] if self._past else [u] * keep
-        newer, older = np.empty((2, *self._late.shape))
+        newer, older = np.empty(self._late.shape), np.empty(self._late.shape)
         for steps in np.unique(self._whole):
             for out, past in zip((newer, older), self._past[steps : steps + 2], strict=True):
                 np.copyto(out, past, where=self._whole == steps)

@@ -341,7 +341,7 @@ def _read_numbers(key: str, value: object, joints: tuple[str, ...], where: str) 
         if not fits:
             hint = "; YAML reads a number such as 1.0e-3 only with a point and a sign" if isinstance(x, str) else ""
             raise InputError("file_format", f"{where}: {key} must be a number {least}, not {str(x)[:60]!r}{hint}")
-        if key in _DELAYS and abs(x) > MAX_DELAY_S:
+        if key in _DELAYS and _is_number(x) and abs(x) > MAX_DELAY_S:
             raise InputError("file_format", f"{where}: {key} is in seconds, {MAX_DELAY_S:g} at most, not {x:g}")
     return np.array(row, dtype=float)
 
