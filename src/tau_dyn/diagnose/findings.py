@@ -24,7 +24,9 @@ _DEPENDENT = 1e-8
 """Part of the largest eigenvalue below which columns count as dependent."""
 _BLIND = 0.01
 """Share of an amplitude that may lie in what dependent columns leave open."""
-_WITHIN = " The held-out logs hardly excite it; blocks set aside of the training logs confirmed it and measured its gain."
+_WITHIN = (
+    " The held-out logs hardly excite it; blocks set aside of the training logs confirmed it and measured its gain."
+)
 _TWIN_EXPERIMENT = "record {reveals}; that separates it from {twins}"
 _EQUIVALENT = "no log of this kind separates it from {twins}; the force is the same"
 
