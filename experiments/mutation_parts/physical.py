@@ -10,6 +10,7 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.util import cache_from_source
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +108,7 @@ def judge(fault: Fault, folder: Path, limit: float, known: str = "") -> dict[str
     path, begun = fault.path(root), time.monotonic()
     whole = path.read_text(encoding="utf-8")
     tests = order_tests(fault, root)
-    path.write_text(fault.apply(whole), encoding="utf-8")
+    _write(path, fault.apply(whole))
     status: int | None = 0
     said = ""
     try:
@@ -115,12 +116,18 @@ def judge(fault: Fault, folder: Path, limit: float, known: str = "") -> dict[str
             if part and status in (0, *_NO_TESTS):
                 status, said = run_forked(root, ["--timeout=120", *part], limit - (time.monotonic() - begun))
     finally:
-        path.write_text(whole, encoding="utf-8")
+        _write(path, whole)
     by = next(iter(_FAILED.findall(said)), "")
     outcome = {None: "undecided", 0: "unnoticed", 5: "unnoticed"}.get(status, "noticed")
     if outcome == "noticed" and not by:
         raise SystemExit(f"{fault.room}: the tests do not run\n{said}")
     return {"outcome": outcome, "by": by, "seconds": round(time.monotonic() - begun, 1)}
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a source and forget its bytecode, which Python takes for that of any text as long of the same second."""
+    path.write_text(text, encoding="utf-8")
+    Path(cache_from_source(str(path))).unlink(missing_ok=True)
 
 
 def fail_unbroken(tests: list[str], folder: Path) -> set[str]:
