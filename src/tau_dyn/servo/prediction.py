@@ -89,9 +89,10 @@ def simulate_coupled(
     fine = [refine_record(r, times) for r in records]
     every = count_slow(max(r.dt for r in fine))
     guesses = [[refine(x, times) for x in r.motion[:2]] for r in records]
-    relaxation = _Relaxation(space.build_mechanism(unknowns), guesses, [r.dt for r in fine], every)
+    mechanism = space.build_mechanism(unknowns)
+    relaxation = _Relaxation(mechanism, guesses, [r.dt for r in fine], every)
     window = every * max(1, round(WINDOW_S / (every * max(r.dt for r in fine))))
-    empty = [_build_empty_loads(r.q) for r in fine]
+    empty = [_build_first_loads(mechanism, r) for r in fine]
     waves = replace(
         build_waves(fine, empty, law), step=step, held=True, coupling=JointCoupling(every, window, relaxation.settle)
     )
@@ -109,9 +110,12 @@ def simulate_coupled(
     return found
 
 
-def _build_empty_loads(q: np.ndarray) -> LoadWaves:
-    zero = np.zeros((*q.shape, 1))
-    return LoadWaves(zero, zero, zero[..., 0], q)
+def _build_first_loads(mechanism: Mechanism, record: LoopRecord) -> LoadWaves:
+    """Return no loads but that of the first sample, which twists a spring before the loops are stepped."""
+    zero = np.zeros((*record.q.shape, 1))
+    load, start = zero.copy(), record.q[:1] if record.start is None else np.atleast_2d(record.start)
+    load[0, :, 0] = mechanism.inverse_dynamics(start, np.zeros_like(start), np.zeros_like(start))[0]
+    return LoadWaves(load, zero, zero[..., 0], record.q)
 
 
 @dataclass(frozen=True, eq=False)
