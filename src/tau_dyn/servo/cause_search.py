@@ -9,8 +9,9 @@ Reference: Liang & Zeger 1986 (blocks); Efroymson 1960 (forward and backward sel
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -52,6 +53,7 @@ _FIRST = {
 """First changes of entries off their null."""
 _FIRST_STICTION = 3e-3  # as a share of the loop's stiffness
 _PLAYS = (0.005, 0.03)  # rad; of gears, and of worn hobby servos
+_DELAYS = (0.002, 0.008)  # s; a step of a servo's bus, and several
 _DEAD_BANDS = (0.006, 0.03)  # rad; Coulomb friction stands for a small part of a large one
 RESONANCES_HZ = (2.0, 4.0, 8.0, 16.0, 32.0)
 """Resonances of the link on its spring, the motor held, at which springs start, up to the log's Nyquist frequency."""
@@ -94,7 +96,8 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
     u, fit = data.unknowns, base
     taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]] = {}
     refused: set[tuple[str, int]] = set()
-    for turn in range(MAX_ROUNDS + len(data.law.joints) - 1):
+    restarted = False
+    for turn in range(MAX_ROUNDS + len(data.law.joints)):
         coloured = _find_coloured(data, u, fit)
         if not coloured.any():
             break
@@ -116,7 +119,13 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
                 twins = tuple(c for c in shares if c != first and shares[c] > TWIN_SHARE * shares[first])
                 best[j] = (first, shares[first], twins)
         if not best:
-            break
+            again = None if restarted else _restart_springs(data, u, fit, taken, progress)
+            if again is None:
+                break
+            restarted = True
+            u, fit, _ = _drop_superfluous(data, *again, taken, progress)
+            refused.clear()
+            continue
         chosen, starts, most = [], {}, max(share for _, share, _ in best.values())
         for j, (cause, share, twins) in best.items():
             if share >= TOGETHER * most:
@@ -146,6 +155,12 @@ def check_steps(
         dict(search.taken),
     )
     u, again, _ = _drop_superfluous(data, u, again, taken, progress)
+    for cause, j in sorted(taken, key=lambda place: taken[place][0]):
+        if sum(k == j for _, k in taken) > 1:  # what others leave of it may be less than what it took off without them
+            left, without = _take_out(data, u, again, cause, j, progress)
+            if 1 - (again.sigma[j] / without.sigma[j]) ** 2 < MIN_SHARE:
+                u, again = left, without
+                del taken[cause, j]
     return fine, replace(search, unknowns=u, fit=again, taken=taken)
 
 
@@ -157,21 +172,16 @@ def part_twins(data: LoopData, search: LoopSearch, progress: Callable[[str], Non
     """
     for cause, j in list(search.taken):
         score, twins = search.taken[cause, j]
+        alike = [c for c in LOOP_CAUSES[cause].mistaken_for if c in LOOP_CAUSES]
+        twins = [c for c in dict.fromkeys((*twins, *alike)) if (c, j) not in search.taken]
         if not twins:
             continue
         progress(f"{cause.replace('_', ' ')} or {', '.join(twins).replace('_', ' ')}")
         tried = {cause: (search.unknowns, search.fit)}
-        left = _hold_null(data, search.unknowns, search.fit, cause, j)
-        x = left.pack()
-        x[left.n - data.space.n_unknowns :] = search.fit.x[search.unknowns.n - data.space.n_unknowns :]
-        without = replace(search.fit, x=x)
+        left, without = _hold_null(data, search.unknowns, search.fit, [(cause, j)])
         for twin in twins:
-            wide = [
-                free_causes(data, left, without, [(twin, j)], {twin: start})
-                for start in list_starts(data, left, without, twin)
-            ]
-            found = [(u, fit_precisely(data.build_problem(u), progress)) for u in wide]
-            tried[twin] = min(found, key=lambda one: one[1].sigma[j])
+            wide = _start_best(data, left, without, {twin: list_starts(data, left, without, twin)}, [j])
+            tried[twin] = wide, fit_precisely(data.build_problem(wide), progress)
         best = min(tried, key=lambda c: tried[c][1].sigma[j])
         u, fit = tried[best]
         problem = data.build_problem(u)
@@ -190,17 +200,74 @@ def _take_out(
 ) -> tuple[LoopUnknowns, LoopFit]:
     """Return unknowns and fit without a cause at a joint."""
     progress(f"without {cause.replace('_', ' ')}")
-    left = _hold_null(data, u, fit, cause, j)
+    left, _ = _hold_null(data, u, fit, [(cause, j)])
     return left, fit_precisely(data.build_problem(left), progress)
 
 
-def _hold_null(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str, j: int) -> LoopUnknowns:
-    """Return unknowns at a solution, a cause at one joint held at its null."""
+def _hold_null(
+    data: LoopData, u: LoopUnknowns, fit: LoopFit, places: Iterable[tuple[str, int]]
+) -> tuple[LoopUnknowns, LoopFit]:
+    """Return unknowns and vector of a solution, causes at some joints held at their null."""
     values, free = {key: np.array(x) for key, x in u.with_values(fit.x).items()}, np.array(u.free)
-    for entry in LOOP_CAUSES[cause].entries:
-        values[entry][j] = data.law.values[entry][j]
-        free[u.kinds.index(entry), j] = False
-    return replace(u, values=values, free=free)
+    for cause, j in places:
+        for entry in LOOP_CAUSES[cause].entries:
+            values[entry][j] = data.law.values[entry][j]
+            free[u.kinds.index(entry), j] = False
+    left = replace(u, values=values, free=free)
+    x = left.pack()
+    x[left.n - data.space.n_unknowns :] = fit.x[u.n - data.space.n_unknowns :]
+    return left, replace(fit, x=x)
+
+
+def _start_best(
+    data: LoopData,
+    u: LoopUnknowns,
+    fit: LoopFit,
+    starts: Mapping[str, Sequence[Mapping[str, np.ndarray]]],
+    joints: Sequence[int],
+) -> LoopUnknowns:
+    """Return the unknowns with causes free at joints, at the starts from which a few steps leave least at each joint."""
+    places = [(cause, j) for cause in starts for j in joints]
+    tried = [dict(zip(starts, one, strict=True)) for one in product(*starts.values())]
+    sigmas = [
+        fit_loop(data.build_problem(free_causes(data, u, fit, places, start)), max_iterations=_TRY_ITERATIONS).sigma
+        for start in tried
+    ]
+    best = [tried[k] for k in np.argmin(sigmas, axis=0)]
+    chosen = {
+        cause: {entry: np.array([best[j][cause][entry][j] for j in range(len(best))]) for entry in rows[0]}
+        for cause, rows in starts.items()
+    }
+    return free_causes(data, u, fit, places, chosen)
+
+
+def _restart_springs(
+    data: LoopData, u: LoopUnknowns, fit: LoopFit, taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]], progress
+) -> tuple[LoopUnknowns, LoopFit] | None:  # noqa: ANN001
+    """Return a better solution for joints whose residual is coloured in spite of their spring, changing `taken`; None for none.
+
+    A torque that comes late drives a spring, so that neither is found without the other.
+    """
+    coloured = _find_coloured(data, u, fit)
+    joints = [j for cause, j in taken if cause == "joint_compliance" and coloured[j]]
+    if not joints:
+        return None
+    left, without = _hold_null(data, u, fit, [place for place in taken if place[1] in joints])
+    found = []
+    for late in ("command_delay", "delay"):
+        progress(f"a spring and a {late.replace('_', ' ')}")
+        (entry,) = LOOP_CAUSES[late].entries
+        delays = [{entry: data.law.values[entry] + x} for x in _DELAYS]
+        starts = {"joint_compliance": list_starts(data, left, without, "joint_compliance"), late: delays}
+        wide = _start_best(data, left, without, starts, joints)
+        found.append((late, wide, fit_precisely(data.build_problem(wide), progress)))
+    late, wide, again = min(found, key=lambda one: float(np.log(one[2].sigma[joints]).sum()))
+    if not np.all(again.sigma[joints] < np.sqrt(1 - MIN_SHARE) * fit.sigma[joints]):
+        return None
+    for place in [place for place in taken if place[1] in joints]:
+        del taken[place]
+    taken.update({(cause, j): (0.0, ()) for cause in ("joint_compliance", late) for j in joints})
+    return wide, again
 
 
 def _find_coloured(data: LoopData, u: LoopUnknowns, fit: LoopFit) -> np.ndarray:
