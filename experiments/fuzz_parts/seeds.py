@@ -63,6 +63,20 @@ XACRO = """<robot name="axis" xmlns:xacro="http://www.ros.org/wiki/xacro" xmlns:
 """
 
 
+SERVO_LAW = b"""law: servo
+position_gain: {axis: 40.0}
+force_per_unit: [2.9]
+back_emf: {estimate: 0.2}
+command_delay: 0.02
+dead_band: 0.001
+limit: 1.0
+logs: {"log*": {position_gain: 30.0}}
+encoder: link
+enabled: active
+supply: {column: volts, nominal: 7}
+"""
+
+
 @cache
 def columns() -> dict[str, np.ndarray]:
     """Return the columns of a small log of the pendulum."""
@@ -71,6 +85,14 @@ def columns() -> dict[str, np.ndarray]:
     tau = 0.6 * -0.3 * 36 * np.sin(6 * t) + 9.81 * np.sin(q) + 0.2 * np.sign(np.cos(6 * t))
     tool = {"x_tool": -np.sin(q), "y_tool": 0 * q, "z_tool": 1 - np.cos(q)}
     return {"t": t, "q_axis": q, "tau_axis": tau, "v_axis": 1.8 * np.cos(6 * t), "temp_room": 20 + t, **tool}
+
+
+def loop_columns() -> dict[str, np.ndarray]:
+    """Return the columns of a small log of the pendulum's commands and positions, which come 60 ms late and sag by gravity."""
+    t = np.arange(320) * 0.02
+    cmd = 0.3 * np.sin(3 * t) + 0.2 * np.sign(np.sin(1.3 * t))
+    q = np.interp(t - 0.06, t, cmd) * 0.9
+    return {"t": t, "cmd_axis": cmd, "q_axis": q, "volts": 7 + 0 * t, "active": 1 + 0 * t}
 
 
 def csv_of(table: dict[str, np.ndarray], more: str = "") -> bytes:

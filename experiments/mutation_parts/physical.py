@@ -10,6 +10,7 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.util import cache_from_source
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,11 @@ class Fault:
     why: str
     old: str
     new: str
+
+    @property
+    def is_equivalent(self) -> bool:
+        """Whether the list says that it changes no result."""
+        return self.why.startswith("without consequence, ")
 
     def path(self, root: Path) -> Path:
         """Return the file in a copy of the project."""
@@ -94,13 +100,15 @@ def order_tests(fault: Fault, root: Path = ROOT) -> list[str]:
 def judge(fault: Fault, folder: Path, limit: float, known: str = "") -> dict[str, Any]:
     """Return whether the room's tests notice a fault: `noticed`, `unnoticed` or `undecided` in time; by which test; seconds.
 
-    The test that noticed it in an earlier campaign runs first.
+    The test that noticed it in an earlier campaign runs first. What changes no result is `equivalent`, untried.
     """
+    if fault.is_equivalent:
+        return {"outcome": "equivalent", "by": "", "seconds": 0.0}
     root = copy_project(folder)
     path, begun = fault.path(root), time.monotonic()
     whole = path.read_text(encoding="utf-8")
     tests = order_tests(fault, root)
-    path.write_text(fault.apply(whole), encoding="utf-8")
+    _write(path, fault.apply(whole))
     status: int | None = 0
     said = ""
     try:
@@ -108,12 +116,18 @@ def judge(fault: Fault, folder: Path, limit: float, known: str = "") -> dict[str
             if part and status in (0, *_NO_TESTS):
                 status, said = run_forked(root, ["--timeout=120", *part], limit - (time.monotonic() - begun))
     finally:
-        path.write_text(whole, encoding="utf-8")
+        _write(path, whole)
     by = next(iter(_FAILED.findall(said)), "")
     outcome = {None: "undecided", 0: "unnoticed", 5: "unnoticed"}.get(status, "noticed")
     if outcome == "noticed" and not by:
         raise SystemExit(f"{fault.room}: the tests do not run\n{said}")
     return {"outcome": outcome, "by": by, "seconds": round(time.monotonic() - begun, 1)}
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a source and forget its bytecode, which Python takes for that of any text as long of the same second."""
+    path.write_text(text, encoding="utf-8")
+    Path(cache_from_source(str(path))).unlink(missing_ok=True)
 
 
 def fail_unbroken(tests: list[str], folder: Path) -> set[str]:
@@ -138,7 +152,8 @@ def run_forked(root: Path, arguments: list[str], limit: float = 3600.0) -> tuple
             os.dup2(out.fileno(), 2)
         for name in [n for n in sys.modules if n.partition(".")[0] == "tau_dyn"]:
             del sys.modules[name]
-        sys.path[:] = [str(root / "src"), *(x for x in sys.path if not x.startswith(str(ROOT)))]
+        # workers that tests start import the program that runs here
+        sys.path[:] = [str(root / "src"), str(root / "experiments"), *(x for x in sys.path if not x.startswith(str(ROOT)))]
         sys.dont_write_bytecode = False
         os.environ["PYTHONPATH"] = str(root / "src")
         os.environ.pop("CI", None)

@@ -19,6 +19,8 @@ from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.results import Shown, count, format_estimate
 
 _MAX_SHOWN = 10  # parameters in a `repr`
+MAX_VALUE = 1e15
+"""Largest value of a file [SI units], as of a log; beyond it sums of squares lose all other numbers."""
 
 
 @dataclass(frozen=True)
@@ -195,6 +197,11 @@ class Parameters(Shown):
             if bad:
                 raise InputError(
                     "file_format", f"{where}: {row['name']}.{bad[0]} must be a number, not {numbers[bad[0]]!r}"
+                )
+            if abs(numbers["value"]) > MAX_VALUE:
+                raise InputError(
+                    "invalid_value",
+                    f"{where}: {row['name']}.value is {numbers['value']:g}, larger than anything in SI units",
                 )
             odd = [
                 key

@@ -16,6 +16,7 @@ from scipy import stats
 sys.path.insert(0, str(Path(__file__).parent))
 from calibration_rigs import RodFamily, family_at, measured, rods_of
 
+from tau_dyn.calibrate import outliers
 from tau_dyn.calibrate.addition_tests import _ProjectedResidual
 from tau_dyn.calibrate.crossvalidation import compare_paired, split_folds
 from tau_dyn.calibrate.geometry_fit import GeometryFit
@@ -136,6 +137,35 @@ def test_rods_carry_plate_and_half_of_themselves():
     force = RodLoads(rods)(robot.home[None])
     assert_allclose(force.sum(axis=1)[0], carried * robot.model.gravity.linear, rtol=1e-6, atol=1e-6)
     assert forward_kinematics(rods, robot.home[None]).ok.all()
+
+
+def test_six_rods_balance_the_moments_too():
+    """About the plate's origin, pulls along the rods balance a plate that is heavy on one side, and half of each rod."""
+    rods = rods_of(prototype="d1", arms="complete")
+    loads = RodLoads(rods)
+    loads.centre = np.array([0.2, -0.1, 0.05])
+    q = rods.robot.home[None]
+    plate = rods.plate_poses(forward_kinematics(rods, q).poses)
+    pulls = loads._axial(q, plate)[0, :, None] * rods.rod_directions(q, plate)[0]
+    halves, arms = np.outer(loads.half, loads.gravity), rods.plate_points(plate)[0] - plate.position[0]
+    weight = loads.plate_mass * loads.gravity
+    assert_allclose(pulls.sum(axis=0) + weight + halves.sum(axis=0), 0, atol=1e-9)
+    moment = np.cross(arms, pulls + halves).sum(axis=0) + np.cross(plate.rotation[0] @ loads.centre, weight)
+    assert_allclose(moment, 0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("size", "moved"), [(16.0, False), (30.0, True)])
+def test_a_move_is_judged_as_six_numbers(fits, monkeypatch, size, moved):
+    """A move that is no chance of one in a thousand has a squared size of 22.5 in units of its covariance, not of 10.8."""
+    poses, _ = measured(rods_of(), "nonparallel", N + 30, 0, noise=(NOISE, NOISE))
+    held = poses.take(np.arange(N, N + 30))
+    held.position[:] += [0.02, 0, 0]
+
+    def fit(*arguments: Any) -> Any:
+        return _fit_move(*arguments)._replace(move=np.full(6, np.sqrt(size / 6)), cov=np.eye(6))
+
+    monkeypatch.setattr(outliers, "_fit_move", fit)
+    assert bool(find_moved_frames(fits[0].fit, held)) is moved
 
 
 def test_a_move_that_is_none_is_as_large_as_its_covariance_says(fits):

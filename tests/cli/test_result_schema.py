@@ -24,8 +24,8 @@ def files(tmp_path_factory) -> Path:
     q = 0.1 * np.sin(w[0] * t) + 0.03 * np.sin(w[1] * t)
     v = 0.1 * w[0] * np.cos(w[0] * t) + 0.03 * w[1] * np.cos(w[1] * t)
     a = -0.1 * w[0] ** 2 * np.sin(w[0] * t) - 0.03 * w[1] ** 2 * np.sin(w[1] * t)
-    for name, mass in (("empty", 95.0), ("loaded", 103.0), ("later", 95.0)):
-        tau = mass * a + 20 * np.sign(v) + 200 * v + np.random.default_rng(len(name)).normal(0, 1, len(t))
+    for seed, (name, mass) in enumerate((("empty", 95.0), ("loaded", 103.0), ("later", 95.0))):
+        tau = mass * a + 20 * np.sign(v) + 200 * v + np.random.default_rng(seed).normal(0, 1, len(t))
         rows = np.column_stack([t, q, tau])
         np.savetxt(folder / f"{name}.csv", rows, delimiter=",", header="t,q_axis,tau_axis", comments="", fmt="%.9g")
     Model.of(load_robot("linear_axis")).save(folder / "model.yaml")

@@ -18,6 +18,7 @@ from tau_dyn.cli import main
         ("identify", "tau-dyn identify: ROBOT and LOG are missing"),
         ("identify linear_axis log.csv --modle rigid", "there is no --modle here (did you mean --model?)"),
         ("identify linear_axis log.csv --seed -3", "--seed '-3': write a whole number from zero up"),
+        ("identify linear_axis log.csv --samples 2.5", "--samples '2.5': write a whole number from zero up"),
         ("identify linear_axis log.csv --estimator foo", "there is no --estimator 'foo'; there are auto, wls"),
         ("simulate linear_axis --rate 0 --out x.csv", "--rate '0': write a number above zero"),
         ("simulate linear_axis --rate abc --out x.csv", "--rate 'abc': write a number above zero"),

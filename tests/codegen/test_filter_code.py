@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.codegen import write_learning_source, write_observer_source
+from tau_dyn.codegen.filters import pad_to_third_order
 from tau_dyn.control import (
     ComplementaryToolObserver,
     KalmanToolObserver,
@@ -67,6 +68,12 @@ def test_an_observer_steps_as_in_python(kind, compiled, rng) -> None:
         assert code("step", state, kinematic[k].copy(), acceleration[k].copy(), z[k]) == 0
     expected = observer.estimate(kinematic, acceleration)
     assert np.abs(z - expected).max() < 1e-12 * max(1.0, np.abs(expected).max())
+
+
+def test_a_filters_table_begins_with_one() -> None:
+    """A filter is the same whatever its leading coefficient; C divides by none."""
+    row = pad_to_third_order(np.array([2.0, 1.0]), np.array([4.0, 1.0, 2.0]))
+    np.testing.assert_allclose(row, [0.5, 0.25, 0, 0, 1, 0.25, 0.5, 0])
 
 
 def test_the_zero_phase_observer_takes_a_trial(compiled, rng) -> None:

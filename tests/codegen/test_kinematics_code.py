@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from raising import raises_code
 from scipy.spatial.transform import Rotation
@@ -97,6 +99,13 @@ def test_what_is_solved_for_is_pythons(name, compiled, rng) -> None:
     """Free plates and trees by Newton's method: to 1e-10, whatever the drives can reach."""
     robot = load_robot("gantry_tau", **SOLVED[name]) if name == "gantry_tau" else robot_named(name)
     same(Kinematics(build_kinematics(robot), compiled), robot, 1e-10, rng)
+
+
+def test_a_tool_beside_the_plates_origin_moves_by_its_lever(compiled, rng) -> None:
+    """Where the plate turns, a tool 11 cm off its origin moves as well, in C as in Python."""
+    rods = build_rods(load_robot("stewart"))
+    rods = replace(rods, tool=pin.SE3(np.eye(3), np.array([0.05, -0.02, 0.1])))
+    same(Kinematics(build_kinematics(rods), compiled), rods, 1e-10, rng)
 
 
 def test_calibrated_rods_are_written_with_their_geometry(compiled, rng) -> None:

@@ -8,8 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from tau_dyn.identify import build_model, check_integrity, identify, is_diagnosis_invalid
+from tau_dyn.identify.timing import ForceDelay, _believed
+from tau_dyn.identify.wiring import _effective
 from tau_dyn.log import Log, read_log
 from tau_dyn.message_codes import get_code
 from tau_dyn.robot import load_robot
@@ -91,6 +94,30 @@ def test_another_clock_makes_another_mass(axis, axis_log) -> None:
     assert codes(axis, log) & {"scale_wrong"}
 
 
+@pytest.mark.parametrize("factor", [0.1, 2.0])
+def test_another_clock_is_told_beside_gravity(l1, monday, factor: float) -> None:
+    """Speeds scale with the clock, accelerations with its square, and weights not at all."""
+    (warning,) = check_integrity(l1, [Log(monday.t * factor, monday.channels, monday.name)])
+    assert get_code(warning) == "scale_wrong" and f"`t: {{column: t, scale: {1 / factor:g}}}`" in warning
+
+
+def test_neighbours_that_are_alike_count_less(rng) -> None:
+    """Of n residuals that follow each other by 0.8, n (1 - 0.8) / (1 + 0.8) are independent; of white ones all."""
+    white = rng.standard_normal(20000)
+    assert _effective(white) == pytest.approx(20000, rel=0.1)
+    assert _effective(lfilter([1], [1, -0.8], white)) == pytest.approx(20000 / 9, rel=0.25)
+
+
+def test_joints_that_agree_on_a_delay_are_believed_together() -> None:
+    """A delay that no joint shows alone weighs by inverse variances: one joint that is known ten times as well decides."""
+    share, judged = np.full(3, 0.3), np.ones(3, bool)
+    found = ForceDelay(np.array([0.010, 0.010, 0.010]), np.full(3, 1e-4), share, np.ones(3), judged)
+    assert _believed(found, 0.004).all()
+    apart = np.array([0.010, 0.0101, 0.004])  # the third is within three of its own standard errors of the first two
+    assert _believed(found._replace(delay_s=apart, stderr_s=np.array([1e-4, 1e-4, 2.1e-3])), 0.004).all()
+    assert not _believed(found._replace(delay_s=apart), 0.004).any()
+
+
 @pytest.mark.parametrize("delay_s", [-0.02, 0.01, 0.04])
 def test_a_late_force_is_named_with_its_delay(l1, monday, delay_s: float) -> None:
     """The jerk of a force that lags has no other source in a rigid robot."""
@@ -104,8 +131,6 @@ def test_a_late_force_is_named_with_its_delay(l1, monday, delay_s: float) -> Non
 
 def test_a_strong_lag_of_the_drive_is_told_from_a_delay(l1, monday) -> None:
     """A first-order lag of 50 ms turns phases less than a delay at high frequencies, and damps them."""
-    from scipy.signal import lfilter
-
     pole = np.exp(-monday.dt / 0.05)
     passed = {
         f"tau_{j}": lfilter([1 - pole], [1, -pole], x, zi=[pole * x[0]])[0]

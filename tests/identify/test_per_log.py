@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from tau_dyn.cli import main
 from tau_dyn.effects import build_friction_model
 from tau_dyn.estimate import Regression, RegressionRun, solve_least_squares
+from tau_dyn.estimate.covariance import BLOCK_S
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.identify import identify
-from tau_dyn.identify.per_log import compare_logs, split_by_log
+from tau_dyn.identify.per_log import compare_logs, compute_contrast_p_value, split_by_log
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
@@ -88,6 +92,27 @@ def test_equal_logs_are_called_different_as_seldom_as_stated() -> None:
         p_values.append(found[0].p_value)
     assert np.sum(np.array(p_values) < 0.05) <= 18  # 10 expected, at most 18 in 99 % of such draws
     assert np.sum(np.array(p_values) < 0.5) > 60
+
+
+def test_several_names_are_several_chances() -> None:
+    """Beside another name under test, the p-value of a difference is twice what it is alone (Bonferroni)."""
+    rng, names = np.random.default_rng(2), ["a_link.mass", "c_link.mass"]
+    regression = make_regression(rng, 0.005)
+    estimate = solve_least_squares(split_by_log(regression, names))
+    both = [row.p_value for row in compare_logs(estimate, names, regression.parameters)]
+    alone = [compare_logs(estimate, [name], regression.parameters)[0].p_value for name in names]
+    assert both == pytest.approx([min(1.0, 2 * p) for p in alone])
+    assert min(alone) < 0.5
+
+
+def test_contrasts_of_few_blocks_have_hotellings_tails() -> None:
+    """Three differences whose spread is known from 7 blocks are judged by 4/(3 * 6) T^2 of F(3, 4), not by chi^2."""
+    spread = np.diag([4.0, 1.0, 9.0])
+    run = SimpleNamespace(t=BLOCK_S * np.arange(7.0), usable=np.ones((7, 1), bool))
+    estimate: Any = SimpleNamespace(
+        beta_plain=np.array([6.0, 2.0, 3.0]), cov=1e-3 * spread, scatter=spread, regression=SimpleNamespace(runs=[run])
+    )
+    assert compute_contrast_p_value(estimate, np.eye(3)) == pytest.approx(stats.f.sf(14 * 4 / 18, 3, 4))
 
 
 @pytest.mark.parametrize(

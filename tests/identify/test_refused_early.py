@@ -50,6 +50,15 @@ def moved(axis, force: np.ndarray, path: np.ndarray = PATH, **more: np.ndarray) 
     return Log(T, {"q_axis": path, "tau_axis": force, **more}, "made.csv")
 
 
+@pytest.mark.parametrize("missing", ["q_axis", "tau_axis"])
+def test_a_held_out_log_without_a_column_is_refused_by_its_name(axis, rng, missing: str) -> None:
+    """Positions and forces are asked of each log, not of the first alone."""
+    channels = {"q_axis": PATH, "tau_axis": 95 * np.gradient(np.gradient(PATH, T), T) + rng.standard_normal(len(T))}
+    held = Log(T, {name: x for name, x in channels.items() if name != missing}, "held.csv")
+    with raises_code("missing_column", missing, "held.csv"):
+        identify(axis, Log(T, channels, "a.csv"), holdout=held)
+
+
 def test_forces_at_their_limits_or_flagged_leave_nothing(axis, rng) -> None:
     """A log in which most forces saturate says so, with the share and the limit; so does one that flags them."""
     limit = float(axis.effort_limit[0])

@@ -18,6 +18,7 @@ from tau_dyn.kinematics.dexterity import (
     compute_worst_force,
     compute_worst_speed,
     find_softest,
+    homogenise_jacobians,
 )
 from tau_dyn.kinematics.workspace import Quality, build_elasticity, build_machine
 from tau_dyn.mechanism import Poses, forward_kinematics
@@ -146,6 +147,15 @@ def test_condition_does_not_depend_on_the_unit_of_length() -> None:
     tool[:, :, 3:] *= 2
     larger = rates._replace(tool=tool, length=2 * rates.length)
     np.testing.assert_allclose(compute_dexterity(larger).condition, compute_dexterity(rates).condition, rtol=1e-12)
+
+
+def test_an_arms_turns_are_lengths_too() -> None:
+    """Of a serial arm, the rows of the tool's turns grow by the length and the columns of turning joints shrink by it."""
+    J = np.arange(36.0).reshape(1, 6, 6) + np.eye(6)
+    tool, joints = homogenise_jacobians(Rates(np.eye(6)[None], J, np.arange(6) > 2, 0.25))
+    unit = np.array([1, 1, 1, 0.25, 0.25, 0.25])
+    np.testing.assert_allclose(tool[0], np.eye(6))
+    np.testing.assert_allclose(joints[0], unit[:, None] * J[0] / unit)
 
 
 def test_nan_stays_nan() -> None:

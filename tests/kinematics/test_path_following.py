@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,6 +12,7 @@ from raising import raises_code
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.kinematics import follow_path
+from tau_dyn.kinematics.path_following import _moved
 from tau_dyn.mechanism import Poses, forward_kinematics, solve_all_configurations
 from tau_dyn.robot import load_robot
 
@@ -75,3 +79,12 @@ def test_what_makes_no_path_is_refused():
         follow_path(robot, np.zeros((0, 3)))
     with raises_code("invalid_value"):
         follow_path(robot, np.zeros((2, 3)), start=robot.home)
+
+
+def test_whole_turns_are_no_steps():
+    """From 175 to -175 degrees a joint turns by 10 degrees; a slide's step counts by the legs' length."""
+    machine: Any = SimpleNamespace(
+        robot=SimpleNamespace(joint_kinds=("revolute", "prismatic")), legs=SimpleNamespace(lengths=np.array([1.5, 2.5]))
+    )
+    assert_allclose(_moved(machine, np.deg2rad([[-350.0, 0.0], [350.0, 0.0], [-10.0, 0.0]])), np.deg2rad(10))
+    assert_allclose(_moved(machine, np.array([0.01, -0.3])), 0.15)

@@ -78,6 +78,9 @@ def test_holding_force_is_the_slope_of_potential_energy(robots, motion, kind: st
             for d in step * np.eye(robot.na)
         ]  # fmt: skip
         assert_allclose(mechanism.mass_and_bias(x, 0 * x)[1], slope, atol=1e-6 * max(1, np.abs(slope).max()))
+        held = [[mechanism.mass_and_bias(x + s * d, 0 * x)[1] for s in (1, -1)] for d in 1e-4 * np.eye(robot.na)]
+        bend = np.array([(ahead - behind) / 2e-4 for ahead, behind in held]).T
+        assert_allclose(mechanism.weight_gradient(x[None])[0], bend, atol=1e-4 * max(1, np.abs(bend).max()))
 
 
 @pytest.mark.parametrize(

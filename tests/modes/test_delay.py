@@ -5,12 +5,13 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 from recordings import recorded, structure
 
-from tau_dyn.modes.delay import choose_delay
+from tau_dyn.modes.delay import _linear_bic, choose_delay
 from tau_dyn.modes.methods import estimate_first_poles
 
 
@@ -38,3 +39,11 @@ def test_a_strictly_proper_plant_has_none():
 def test_accelerometers_answer_at_once(delay):
     """Accelerations answer to forces within the sample; that is no delay, and a delay on top is found."""
     assert _found(structure(accelerometers=True), 40, delay) == delay
+
+
+@pytest.mark.parametrize("delay", [0, 5])
+def test_with_the_true_poles_the_first_look_finds_the_delay(delay):
+    """A displacement answers a force one sample later at the earliest; with its poles known the criterion is least there."""
+    plant = structure()
+    record = recorded(plant, 1000, 40, delay)
+    assert int(np.argmin([_linear_bic(np.linalg.eigvals(plant.A), [record], d, 12) for d in range(9)])) == delay

@@ -10,7 +10,7 @@ from scipy import stats
 
 from tau_dyn.cli import main
 from tau_dyn.effects import build_friction_model
-from tau_dyn.exceptions import CannotAnswer
+from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
@@ -107,6 +107,16 @@ def test_two_units_have_no_spread() -> None:
     """Two units are refused with what is missing."""
     with pytest.raises(CannotAnswer, match="2 units"):
         identify_fleet(ROBOT, {"a": [record(1, 9.0)], "b": [record(2, 9.0)]})
+
+
+def test_a_recording_is_of_one_unit_and_forces_are_measured() -> None:
+    """One log under three names has no spread, and forces that are zero throughout are no unit's."""
+    one, two, three = (record(seed, 9.0, 6.0) for seed in (1, 2, 3))
+    with pytest.raises(InputError, match="one unit"):
+        identify_fleet(ROBOT, {"a": [one], "b": [one], "c": [two]})
+    still = three.with_channels(**{name: 0 * x for name, x in three.channels.items() if name.startswith("tau")})
+    with pytest.raises(CannotAnswer, match="never changes"):
+        identify_fleet(ROBOT, {"a": [one], "b": [two], "c": [still]})
 
 
 def test_the_command_groups_logs_by_unit_and_writes_a_model(tmp_path) -> None:

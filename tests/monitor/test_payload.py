@@ -10,7 +10,7 @@ import pytest
 
 from tau_dyn.cli import main
 from tau_dyn.effects import build_friction_model
-from tau_dyn.exceptions import CannotAnswer, InputError, UnknownName
+from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError, UnknownName
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.monitor import identify_payload
@@ -137,6 +137,18 @@ def test_noise_that_hides_the_mass_ends_with_the_motion_to_make() -> None:
     with pytest.raises(CannotAnswer) as refused:
         identify_payload(GANTRY, logs[:1], logs[1:])
     assert "cart" in refused.value.experiment and "tau-dyn excite" in refused.value.experiment
+
+
+@pytest.mark.parametrize(("factor", "code"), [(0.0, "poor_excitation"), (-1.0, "sign_reversed")])
+def test_forces_that_were_not_measured_or_point_back_are_no_payload(arm, factor: float, code: str) -> None:
+    """Empty logs whose forces are all zero, or all reversed, would make a load of the whole arm or of twice its weight."""
+    empty, loaded = (
+        record(arm, lambda m: arm.torque(m.q, m.v, m.a), seed, name) for seed, name in ((1, "empty"), (2, "loaded"))
+    )
+    spoilt = empty.with_channels(**{k: factor * x for k, x in empty.channels.items() if k.startswith("tau")})
+    with pytest.raises(TauDynError) as fault:
+        identify_payload(arm, [spoilt], [loaded])
+    assert fault.value.code == code
 
 
 def test_what_is_no_pair_of_recordings_is_refused() -> None:

@@ -12,6 +12,7 @@ from tau_dyn.cli import main
 from tau_dyn.effects import build_friction_model
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log
+from tau_dyn.message_codes import get_code
 from tau_dyn.model import Model
 from tau_dyn.monitor import BlockScore, ChangeDetector, GrowingFile, watch_logs
 from tau_dyn.robot import load_robot
@@ -51,6 +52,14 @@ def test_nothing_is_said_of_a_robot_that_stays_as_it_is() -> None:
     off = MODEL.with_values({p.name: 1.03 * p.value for p in MODEL.effect_parameters})
     assert not watch_logs(MODEL, [record()]).changes
     assert not watch_logs(off, [record()]).changes
+
+
+def test_a_reference_that_the_model_contradicts_is_doubted() -> None:
+    """Forces of the wrong sign from the start on are no change, but no normal state either."""
+    log = record()
+    turned = log.with_channels(**{name: -x for name, x in log.channels.items() if name.startswith("tau")})
+    assert "sign_reversed" in {get_code(w) for w in watch_logs(MODEL, [turned]).warnings}
+    assert not watch_logs(MODEL, [log]).warnings
 
 
 CASES = {

@@ -77,6 +77,12 @@ def test_numbers_no_solver_could_start_from_are_refused() -> None:
         Parameters([Parameter("x", 1.0, "kg")]).with_values(np.zeros(2))
 
 
+def test_a_file_holds_no_number_beyond_all_units() -> None:
+    """A mass of 1e300 kg is no mass; squared it would be none of a computer's numbers."""
+    with raises_code("invalid_value", "link.mass"):
+        Parameters.from_list([{"name": "link.mass", "value": -1e300, "unit": "kg"}], "model.yaml")
+
+
 def test_a_value_on_its_bound_says_so(some) -> None:
     """Reports need to tell an estimate from a wall."""
     assert some["a.armature"].at_bound and not some["a.coulomb"].at_bound

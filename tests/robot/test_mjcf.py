@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
+from scipy.spatial.transform import Rotation
 
 from tau_dyn.mechanism import build_mechanism, forward_kinematics
 from tau_dyn.robot import Robot, load_robot
@@ -213,6 +214,24 @@ def test_a_joint_held_by_an_equation_is_no_joint(tmp_path):
     text = f"<mujoco><worldbody>{CHAIN}</worldbody>{held}</mujoco>"
     robot = load_robot(write(tmp_path, text), tool="coupler_bar")
     assert robot.actuated == ("crank", "rocker")
+
+
+def test_a_joint_held_turns_the_body_behind_it(tmp_path):
+    """Held at 0.7 rad, a body's centre and inertia are `R c` and `R I R'` behind the joint that moves."""
+    R = Rotation.from_rotvec([0.7, 0, 0]).as_matrix()
+    centre, inertia = (
+        np.array([0.1, 0.2, 0.3]),
+        np.diag([0.03, 0.02, 0.025]) + 0.004 * (np.eye(3)[::-1] - np.diag([0, 1, 0])),
+    )
+    text = """<mujoco><worldbody><body name="m"><joint name="h"/><joint name="held" axis="1 0 0"/>
+    <inertial pos=".1 .2 .3" mass="1" fullinertia=".03 .02 .025 0 .004 0"/></body></worldbody>
+    <equality><joint joint1="held" polycoef="0.7"/></equality></mujoco>"""
+    robot = load_robot(write(tmp_path, text), tool="m")
+    about = R @ inertia @ R.T + np.dot(centre, centre) * np.eye(3) - np.outer(R @ centre, R @ centre)
+    found = [
+        robot.parameters[f"m.{name}"].value for name in ("mx", "my", "mz", "ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    ]
+    assert_allclose(found, [*(R @ centre), *about[np.triu_indices(3)]], atol=1e-12)
 
 
 @pytest.mark.parametrize(

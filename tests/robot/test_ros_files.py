@@ -119,6 +119,15 @@ def test_a_mimicked_joint_adds_its_force_by_virtual_work(write):
     assert_allclose(where[0], data.oMf[model.getFrameId(robot.tool)].translation, atol=1e-12)
 
 
+def test_a_follower_moves_with_what_its_drive_travels(write):
+    """Of a slide that travels 1.1 m per metre of its reading, the follower at -0.5 rad/m takes -0.55."""
+    text = follow(write).replace("</robot>", '<tau_dyn:drive joint="shoulder" scale="1.1"/></robot>')
+    text = text.replace('"shoulder" type="revolute"', '"shoulder" type="prismatic"')
+    share, offset = load_robot_from_urdf(text, "coupled").coupling
+    assert_allclose(share, [[1.1], [-0.55]])
+    assert_allclose(offset, [0.0, 0.2])
+
+
 def test_a_chain_of_mimics_multiplies_and_a_ring_is_refused(write):
     """What is followed may follow; naming the follower as actuated sets it free."""
     third = write.joint("wrist", "revolute", "lower_link", "hand_link", "0 1 0", "0.3 0 0")

@@ -205,6 +205,23 @@ def test_a_law_that_contradicts_its_commands_is_refused(content):
         build_servo_law({"law": "servo", "force_per_unit": 1.0, **content}, build_link(0.05), "law.yaml")
 
 
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ({"command_delay": 20}, "command_delay is in seconds"),
+        ({"torque_delay": 1e300}, "torque_delay is in seconds"),
+        ({"dead_band": "1e-3"}, "only with a point and a sign"),
+        ({"supply": {"column": "u", "nominal": float("inf")}}, "nominal: VOLTS"),
+        ({"command": "pwm", "logs": {"*": {"position_gain": 2.0}}}, "acts on nothing"),
+    ],
+)
+def test_a_law_of_numbers_that_cannot_be_is_refused(content, said):
+    """Milliseconds for seconds, numbers that YAML takes for words, and what a log's own entries would change of nothing."""
+    law = {"law": "servo", "force_per_unit": 1.0} | ({} if "command" in content else {"position_gain": 1.0})
+    with pytest.raises(InputError, match=said):
+        build_servo_law(law | content, build_link(0.05), "law.yaml")
+
+
 def test_loads_along_a_motion_are_the_robots(rng):
     """Inertia, load and its growth with the position of a swinging arm are those of its equation `I a + m g r cos q`."""
     robot = build_joint("0 -1 0")

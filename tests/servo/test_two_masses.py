@@ -169,6 +169,20 @@ def test_compiled_and_array_steps_of_coupled_joints_agree(entries, monkeypatch):
         np.testing.assert_allclose(one.v, other.v, atol=1e-5)
 
 
+@pytest.mark.parametrize("compiled", ["1", "0"])
+@pytest.mark.parametrize(
+    ("entry", "late"), [("torque_delay", 1e300), ("command_delay", -1e300), ("command_delay", 1e300)]
+)
+def test_a_delay_beyond_a_log_is_as_long_as_it(entry, late, compiled, monkeypatch):
+    """What comes after a log's end is not in it, however much later; no step looks beyond the commands that there are."""
+    monkeypatch.setenv("TAU_DYN_COMPILE", compiled)
+    one, other = (
+        simulate_pair(0.01, 0.5, np.ones(50), joint_compliance=0.0, position_gain=50.0, **{entry: x})
+        for x in (late, np.sign(late) * 0.6)
+    )
+    np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
+
+
 def test_a_law_file_says_where_the_encoder_sits():
     """`encoder` names the side that the servo sees, `measured` that of the logs, which is the encoder's unless said."""
     arm = build_arm(1)

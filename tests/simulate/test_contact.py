@@ -51,6 +51,14 @@ def settings(stiffness, gain, **changed):
     return LeadThroughSettings(**{"contact_stiffness": stiffness, "force_gain": gain, **plain, **changed})
 
 
+def test_a_hand_pulls_along_what_is_behind_and_slow():
+    """A hand is a spring to where it wants the tool and a damper against another speed, of limited strength."""
+    hand, zero = Hand([0.0], np.zeros((1, 3)), stiffness=300.0, damping=10.0, strength=15.0), np.zeros(3)
+    np.testing.assert_allclose(hand.force(zero, 0.2 * UP, zero, 0.05 * UP), 1.5 * UP)
+    np.testing.assert_allclose(hand.force(0.01 * UP, zero, zero, zero), 3.0 * UP)
+    np.testing.assert_allclose(hand.force(UP, zero, zero, zero), 15.0 * UP)
+
+
 @pytest.mark.parametrize("name", sorted(STARTS))
 def test_the_arm_moves_as_it_is_told(robots, name):
     """A tool velocity held for 0.4 s moves and turns the tool by just that, and the joints' lag is the servo's."""

@@ -130,8 +130,10 @@ def test_friction_of_a_serial_arm_is_identified_from_its_log(make):
     assert np.median(np.abs(found.values / truth - 1)) < 0.04
 
 
-def test_integral_does_not_wind_up_at_the_force_limit(make):
+@pytest.mark.parametrize("compiled", ["1", "0"])
+def test_integral_does_not_wind_up_at_the_force_limit(make, compiled, monkeypatch):
     """A jammed block, asked for 1 mm during a second: the force turns within 20 ms of the reference's return."""
+    monkeypatch.setenv("TAU_DYN_COMPILE", compiled)
     model = make.friction(make.block(95.0, effort=400.0), 500.0, 0.0)
     t = np.arange(2001) / 1000
     q = np.where((t > 0.2) & (t < 1.2), 1e-3, np.where(t >= 1.2, -1e-3, 0.0))[:, None]

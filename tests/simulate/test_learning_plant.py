@@ -51,6 +51,19 @@ def test_held_still_the_tool_is_where_the_kinematics_have_it(parts) -> None:
     assert_allclose(trial.tool[-200:].mean(axis=0), target[-1], atol=3e-5)
 
 
+def test_speed_fed_forward_makes_up_for_the_drives_lag(parts) -> None:
+    """On a ramp a drive of first order is late by its time constant, and not at all where its speed is fed forward."""
+    ramp = 0.01 * np.clip(0.004 * np.arange(800) - 0.4, 0, None)
+    late = []
+    for share in (0.0, 1.0):
+        plant = LearningPlant(*parts, velocity_share=share, **QUIET)
+        target = plant.rest + ramp[:, None] * np.array([1.0, 0.0, 0.0])
+        late.append((target - plant.run(plant.actuators(target)).kinematic)[-200:, 0].mean() / 0.01)
+    assert (
+        abs(late[1]) < 0.2 * late[0] and min(parts[2].time_constants) < late[0] < max(parts[2].time_constants) + 0.004
+    )
+
+
 def test_references_that_leave_the_pose_are_refused(parts) -> None:
     """The linear model is not asked about half a metre."""
     plant = LearningPlant(*parts, **QUIET)

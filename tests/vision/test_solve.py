@@ -1,11 +1,15 @@
 """From corners to cameras and plates: what the lens model gains, what images cannot tell, and views that do not belong."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 from raising import raises_code
 
 from tau_dyn.vision import solve
 from tau_dyn.vision.bundle import Plates, Views
 from tau_dyn.vision.pattern import draw_facing_rotation
+from tau_dyn.vision.solution import _noise
 
 
 def test_a_distorted_lens_is_recovered(rig):
@@ -104,3 +108,12 @@ def test_a_far_plate_has_two_tilts(rig):
     near = Plates(far.rotation, np.tile([0.0, 0.0, 0.8], (6, 1)))
     assert solve(rig.views(rng, far, 1, noise=0.3), rig.pattern, rig.size[:1], known=known).unsure.all()
     assert not solve(rig.views(rng, near, 1, noise=0.02), rig.pattern, rig.size[:1], known=known).unsure.any()
+
+
+def test_noise_is_of_what_is_left_by_the_unknowns():
+    """Four corners are eight numbers for a plate's six: the noise of a pixel is twice the rms of what is left."""
+    left = np.array([[[0.3, -0.1], [0.2, 0.4], [-0.3, 0.1], [0.0, -0.2]]])
+    plates, known = Plates(np.zeros((1, 3)), np.eye(3)[None]), SimpleNamespace(n=1)
+    bundle: Any = SimpleNamespace(residuals=left, plates=plates, cameras=known)
+    views: Any = SimpleNamespace(corners=left, camera=np.zeros(1, int))
+    np.testing.assert_allclose(_noise(bundle, views, known), 2 * np.sqrt(np.mean(left**2)))

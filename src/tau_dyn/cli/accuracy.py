@@ -34,7 +34,9 @@ class PlaceOptions:
 
     section: Annotated[str | None, Parameter(metavar="AXIS=VALUE")] = None
     range: Annotated[args.Strings, Parameter(metavar="AXIS=LOW:HIGH")] = ()
-    grid: Annotated[int | None, Parameter(metavar="N", validator=args.build_whole_kind(2, 201))] = None
+    grid: Annotated[
+        int | None, Parameter(metavar="N", validator=args.build_whole_kind(2, 201), converter=args.read_whole)
+    ] = None
     no_limits: bool = False
     poses: Annotated[Path | None, Parameter(metavar="POSES.csv")] = None
 
@@ -49,7 +51,8 @@ def accuracy(
     places: PlaceOptions = PlaceOptions(),
     method: Annotated[args.Strings, Parameter(group=_METHODS, metavar="METHOD")] = (),
     samples: Annotated[
-        int | None, Parameter(group=_METHODS, metavar="N", validator=args.build_whole_kind(1, 100000))
+        int | None,
+        Parameter(group=_METHODS, metavar="N", validator=args.build_whole_kind(1, 100000), converter=args.read_whole),
     ] = None,
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.FolderOutput = args.FolderOutput(),

@@ -68,9 +68,21 @@ def build_whole_kind(low: int, high: int) -> Kind:
     return Kind(f"a whole number from {low} to {high}", lambda x: low <= x <= high)
 
 
+def read_whole(_: Any, tokens: Sequence[Token]) -> int:
+    """Return a whole number; cyclopts would round others.
+
+    Raises:
+        ValueError: It is none.
+    """
+    text = tokens[0].value
+    if "." in text and not float(text).is_integer():
+        raise ValueError("write a whole number")
+    return int(float(text)) if "." in text else int(text)
+
+
 Positive = Annotated[float, Parameter(validator=POSITIVE)]
 NotNegative = Annotated[float, Parameter(validator=NOT_NEGATIVE)]
-Whole = Annotated[int, Parameter(validator=WHOLE)]
+Whole = Annotated[int, Parameter(validator=WHOLE, converter=read_whole)]
 Positives = Annotated[tuple[float, ...], Parameter(validator=POSITIVE, consume_multiple=SEVERAL)]
 NotNegatives = Annotated[tuple[float, ...], Parameter(validator=NOT_NEGATIVE, consume_multiple=SEVERAL)]
 Finites = Annotated[tuple[float, ...], Parameter(validator=FINITE, consume_multiple=SEVERAL)]

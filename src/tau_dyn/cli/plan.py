@@ -185,7 +185,9 @@ def plan_poses(
     no_collisions: Annotated[bool, Parameter(group=_DEMANDS)] = False,
     safety: Annotated[args.NotNegative, Parameter(group=_DEMANDS, metavar="M")] = 0.05,
     safety_angle: Annotated[args.NotNegative, Parameter(group=_DEMANDS, metavar="DEG")] = 5.0,
-    candidates: Annotated[int, Parameter(group=_DEMANDS, metavar="N", validator=args.POSITIVE_WHOLE)] = 1000,
+    candidates: Annotated[
+        int, Parameter(group=_DEMANDS, metavar="N", validator=args.POSITIVE_WHOLE, converter=args.read_whole)
+    ] = 1000,
     out: Annotated[
         Path | None, args.build_destination("POSES.csv", "Write the places in driving order here: pose, q_J", csv=True)
     ] = None,

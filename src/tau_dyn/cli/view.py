@@ -40,7 +40,7 @@ class Contents:
     compute: bool = False
     cloud: Annotated[Path | None, Parameter(metavar="FILE.csv")] = None
     host: Annotated[str, Parameter(metavar="ADDRESS")] = _HERE[0]
-    port: Annotated[int, Parameter(validator=args.PORT)] = 8080
+    port: Annotated[int, Parameter(validator=args.PORT, converter=args.read_whole)] = 8080
     no_shadows: bool = False
 
 

@@ -20,7 +20,10 @@ from .fitted_model import (
     read_bound as read_bound,
     read_fixed as read_fixed,
 )
-from .identification import identify as identify
+from .identification import (
+    identify as identify,
+    refuse_constant_forces as refuse_constant_forces,
+)
 from .log_integrity import (
     check_against_robot as check_against_robot,
     check_integrity as check_integrity,
@@ -54,6 +57,7 @@ from .preparation import (
     list_crumbs as list_crumbs,
     list_information_warnings as list_information_warnings,
     refuse_short as refuse_short,
+    refuse_slow_clocks as refuse_slow_clocks,
     select_long as select_long,
     widen as widen,
 )

@@ -114,7 +114,7 @@ def identify(
         progress("columns")
         built = data.build(fitted)
         warnings += [*built.left_out, *list_resting_warnings(built.regression)]
-        _refuse_constant_forces(train, built.regression)
+        refuse_constant_forces(train, built.regression)
         warnings += _list_singularities(fitted, built.regression)
 
         progress("structure")
@@ -322,7 +322,7 @@ def _refuse_if_nothing_determined(estimate: Estimate) -> None:
     )
 
 
-def _refuse_constant_forces(logs: Sequence[Log | Recording], regression: Regression) -> None:
+def refuse_constant_forces(logs: Sequence[Log | Recording], regression: Regression) -> None:
     """Refuse a force that is the same to the last bit while its joint moves: it was not measured."""
     here = [log for log in logs if isinstance(log, Log)]
     moving = [j for k, j in enumerate(regression.outputs) if any(run.usable[:, k].any() for run in regression.runs)]

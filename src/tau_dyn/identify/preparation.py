@@ -67,6 +67,20 @@ MEMORY = 2.0
 """Half-width of what the first filter makes of a step, in periods of its cutoff; 0.3 % of the step is left after it."""
 
 
+def refuse_slow_clocks(logs: Sequence[Log]) -> None:
+    """Refuse logs whose clock is hardly in seconds.
+
+    Raises:
+        InputError: A log has fewer than `MIN_RATE_HZ` samples a second.
+    """
+    slow = min(logs, key=lambda log: log.rate_hz)
+    if slow.rate_hz < MIN_RATE_HZ:
+        raise InputError(
+            "wrong_unit",
+            f"{slow.name} is sampled at {slow.rate_hz:.3g} Hz; t must be in s (does it stand in ms or us?)",
+        )
+
+
 def choose_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...] = ()) -> Preparation:
     """Choose filters and masks for logs that will be fitted together.
 
@@ -84,11 +98,8 @@ def choose_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ..
             "too_little_data",
             f"{short.name} has {short.n_samples} samples in a row; {MIN_SEGMENT_SAMPLES} are needed to say anything",
         )
+    refuse_slow_clocks(logs)
     rate = min(log.rate_hz for log in logs)
-    if rate < MIN_RATE_HZ:
-        raise InputError(
-            "wrong_unit", f"{logs[0].name} is sampled at {rate:.3g} Hz; t must be in s (does it stand in ms or us?)"
-        )
     bands = [find_motion_band(log.joint("q", robot.actuated), log.rate_hz) for log in logs]
     edge = max(float(band.edge_hz.max()) for band in bands)
     if edge <= 0:

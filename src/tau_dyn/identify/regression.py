@@ -306,9 +306,9 @@ def prepare_segment(
     """
     joints, rate = model.robot.actuated, rate_hz or log.rate_hz
     dt = 1 / rate
+    raw, force = log.joint("q", joints), log.joint("tau", joints)
     refuse_jumps(log, model.robot, preparation.exclude)
-    q = lowpass(log.joint("q", joints), preparation.position_cutoff_hz, rate)
-    force = log.joint("tau", joints)
+    q = lowpass(raw, preparation.position_cutoff_hz, rate)
     if smooth_hz is None:
         force = lowpass(force, preparation.position_cutoff_hz, rate)
     v = differentiate(q, dt, accuracy=4)
@@ -320,7 +320,7 @@ def prepare_segment(
     gate = compute_gate(log, Motion.of(joints, q, v, a, signals=measured), model, preparation, rate)
     sign = np.sign(v)
     if smooth_hz is not None and smooth_hz < preparation.position_cutoff_hz:
-        q = lowpass(log.joint("q", joints), smooth_hz, rate)
+        q = lowpass(raw, smooth_hz, rate)
         v = differentiate(q, dt, accuracy=4)
         a = differentiate(v, dt, accuracy=4)
     motion = model.motion(q, v, a, sign, t=log.t, signals=measured, needs=needs)

@@ -31,9 +31,11 @@ from tau_dyn.identify import (
     build_physical_constraints,
     compute_data_covariance,
     draw_samples,
+    drop_repeated_logs,
     find_structural_base,
     log_warnings,
     name_apart,
+    refuse_constant_forces,
     require_forces,
 )
 from tau_dyn.log import Log
@@ -197,6 +199,9 @@ def identify_fleet(
             f"{len(units)} units have no spread to speak of",
             f"record {MIN_UNITS} units or more, best six",
         )
+    _, _, doubled = drop_repeated_logs([log for group in units.values() for log in group], ())
+    if doubled:
+        raise InputError("bad_option", f"{doubled[0].split(';')[0]}; a recording is of one unit, and counts once")
     fitted = (choices or Choices()).apply(build_model(robot, model))
     logs = name_apart([log for group in units.values() for log in group])
     names = [log.name for log in logs]
@@ -205,6 +210,8 @@ def identify_fleet(
     progress("columns")
     data = Data.of(fitted, logs, exclude=exclude)
     built = data.build(fitted)
+    for unit in units:
+        refuse_constant_forces([log for log in logs if owner[log.name] == unit], built.regression)
     progress("all units together")
     physics = build_physical_constraints(fitted)
     together = solve_least_squares(built.regression, physics=physics, structural=find_structural_base(fitted, seed))

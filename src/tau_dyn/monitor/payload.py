@@ -37,10 +37,11 @@ from tau_dyn.identify import (
     drop_repeated_logs,
     list_information_warnings,
     name_apart,
+    refuse_constant_forces,
     require_forces,
 )
 from tau_dyn.log import Log
-from tau_dyn.message_codes import format_warnings
+from tau_dyn.message_codes import CodedWarning, format_warnings
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Z95, Shown, format_list
@@ -221,17 +222,32 @@ def _identify(
     without, with_it = _tell_apart(model.robot, empty, loaded)
     progress("columns")
     data = Data.of(untie_link(model, body), [*without, *with_it], exclude=exclude)
+    said = data.warnings()
+    _refuse_wrong_wiring(said)
     built = data.build(data.model)
+    for logs in (without, with_it):
+        refuse_constant_forces(logs, built.regression)
     names = {log.name for log in with_it}
     regression = add_payload_columns(model, body, built.regression, names)
     progress("estimate")
     estimate = solve_payload(model, regression)
     found = describe_payload(model, body, estimate, ([log.name for log in without], [log.name for log in with_it]))
-    said = [*data.warnings(), *model.robot.warnings, *built.left_out]
+    said = [*said, *model.robot.warnings, *built.left_out]
     said += list_information_warnings(built.regression, estimate.base.rank)
     found = replace(found, warnings=tuple(dict.fromkeys([*said, *_list_warnings(found)])))
     _refuse_undetermined(model, body, found, seed, progress)
     return found
+
+
+def _refuse_wrong_wiring(warnings: Sequence[str]) -> None:
+    """Refuse forces of another sign or joint: no payload makes them so, and the difference would be taken for one.
+
+    Raises:
+        InputError: A log is wired otherwise than the robot file says.
+    """
+    for warning in warnings:
+        if isinstance(warning, CodedWarning) and warning.code in ("sign_reversed", "joints_exchanged"):
+            raise InputError(warning.code, warning)
 
 
 def find_carrying_link(robot: Robot, name: str | None) -> LinkInertia:

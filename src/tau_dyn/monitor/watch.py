@@ -18,7 +18,14 @@ import numpy as np
 
 from tau_dyn.estimate import Autoregression, Preparation, RegressionRun, Whitener, fit_autoregression
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify import TooShort, choose_preparation, log_warnings, prepare_segment, require_forces
+from tau_dyn.identify import (
+    TooShort,
+    check_against_robot,
+    choose_preparation,
+    log_warnings,
+    prepare_segment,
+    require_forces,
+)
 from tau_dyn.log import Log, find_true_runs, mend_log, resample_segments
 from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
@@ -166,6 +173,7 @@ class Watch:
         self.warnings += [w for w in log_warnings(self.model.robot, pieces) if w not in self.warnings]
         if self._preparation is None:
             self._preparation = choose_preparation(self.model.robot, pieces, self.exclude)
+            self.warnings += check_against_robot(self.model.robot, [log], self.exclude)
         done = 0 if self.detector is None else len(self.detector.changes)
         for piece in pieces:
             try:

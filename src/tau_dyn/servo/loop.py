@@ -64,10 +64,19 @@ def simulate_motion(waves: Waves, trials: Trials) -> np.ndarray:
 
 def _simulate(waves: Waves, trials: Trials, motion: bool) -> np.ndarray:
     often = max(1, int(np.ceil(waves.dt.max() / waves.step - 1e-9)))
+    longest = len(waves.command) * waves.dt.max()
+    waves = replace(waves, by_log=_cut_delays(waves.by_log, longest))
+    trials = replace(trials, values=_cut_delays(trials.values, longest))
     found = run_compiled(
         waves, trials, often, (MIN_INERTIA, BEND, CONTACT_TURN, SETTLED_SPEED), MAX_STEP_SWEEPS, motion
     )
     return _simulate_in_numpy(waves, trials, often) if found is None else found
+
+
+def _cut_delays(values: Mapping[str, np.ndarray], longest: float) -> dict[str, np.ndarray]:
+    """Return values whose delays are no longer than the logs [s], which is as late: so many steps are held in memory."""
+    late = {key: np.nan_to_num(values[key], nan=longest) for key in ("command_delay", "torque_delay") if key in values}
+    return {**values, **{key: np.clip(x, -longest, longest) for key, x in late.items()}}
 
 
 def _simulate_in_numpy(waves: Waves, trials: Trials, often: int) -> np.ndarray:
@@ -364,7 +373,6 @@ class _Delay:
         self._late = np.broadcast_to(late, shape)
         self._whole = np.floor(self._late).astype(int)
         self._past: list[np.ndarray] = []
-        self._grid = np.ogrid[: shape[0], : shape[1], : shape[2]]
 
     def pass_on(self, u: np.ndarray) -> np.ndarray:
         """Take in what the law says now, and return what the motor does."""
@@ -372,8 +380,10 @@ class _Delay:
             return u
         keep = int(self._whole.max()) + 2
         self._past = [u, *self._past[: keep - 1]] if self._past else [u] * keep
-        past = np.stack(self._past)
-        newer, older = (past[self._whole + k, *self._grid] for k in (0, 1))
+        newer, older = np.empty(self._late.shape), np.empty(self._late.shape)
+        for steps in np.unique(self._whole):
+            for out, past in zip((newer, older), self._past[steps : steps + 2], strict=True):
+                np.copyto(out, past, where=self._whole == steps)
         return newer + (self._late - self._whole) * (older - newer)
 
 

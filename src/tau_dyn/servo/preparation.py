@@ -17,8 +17,8 @@ import numpy as np
 
 from tau_dyn.effects import build_friction_model
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify import Choices, drop_repeated_logs, get_log_list, read_bound, read_fixed
-from tau_dyn.log import Log, Recording
+from tau_dyn.identify import Choices, drop_repeated_logs, get_log_list, read_bound, read_fixed, refuse_slow_clocks
+from tau_dyn.log import Log, Recording, list_unit_warnings, split_at_gaps
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.model import Model
 from tau_dyn.robot import NOT_GIVEN, Robot
@@ -111,18 +111,23 @@ def read_loop_logs(robot: Robot, logs: Log | Recording | Iterable[Log | Recordin
     """
     train, held, doubled = drop_repeated_logs(get_log_list(logs), get_log_list(options.get("holdout", ())))
     train, held = _require_in_memory(train), _require_in_memory(held)
+    refuse_slow_clocks([*train, *held])
+    pieces, apart = ([piece for log in logs for piece in split_at_gaps(log)] for logs in (train, held))
+    said = list(dict.fromkeys(w for x in (*pieces, *apart) for w in (*x.warnings, *list_unit_warnings(x, robot))))
     model, progress = options.get("model", "asymmetric"), options.get("progress", lambda step: None)
     friction = model if isinstance(model, str) else ""
     law = options.get("law") or _guess_law(robot)
     own, theirs = _split_choices(options.get("choices") or Choices(), robot)
     started = theirs.apply(_build_start(robot, friction))
     progress("loads")
-    contacts, records = find_contacts(started, build_records(started, law, [*train, *held], options.get("exclude", ())))
-    kept = records[: len(train)]
+    contacts, records = find_contacts(
+        started, build_records(started, law, [*pieces, *apart], options.get("exclude", ()))
+    )
+    kept = records[: len(pieces)]
     _refuse_stillness(kept)
-    warnings = [*doubled, *started.robot.warnings, *(CodedWarning("contact", c.describe()) for c in contacts)]
+    warnings = [*doubled, *said, *started.robot.warnings, *(CodedWarning("contact", c.describe()) for c in contacts)]
     return LoopLogs(
-        started, law, train, held, kept, records[len(train) :], contacts, own, friction, warnings, options.get("seed", 0),
+        started, law, train, held, kept, records[len(pieces) :], contacts, own, friction, warnings, options.get("seed", 0),
         progress,
     )  # fmt: skip
 

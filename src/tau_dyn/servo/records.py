@@ -36,6 +36,8 @@ MIN_PIECE_S = 10.0
 """Shortest piece [s]: a start at the measured position hides where friction holds a joint, so starts are rare."""
 WARM_UP_S = 1.0
 """Start of a piece that does not count [s]: a dozen time constants of a servo's loop."""
+MAX_SUPPLY = 10.0
+"""Largest supply of a log over the nominal one; more is another unit, such as tenths of a volt, or no supply."""
 ROWS = 20_000
 """Samples whose regressors are computed at once: 60 MB for an arm of six joints."""
 
@@ -116,11 +118,13 @@ def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str])
     near = np.clip(np.searchsorted(log.t, t - 0.5 * log.dt), 0, len(log.t) - 1)
     supply, enabled, used = np.ones((3, len(t)))
     if law.supply:
-        supply = np.interp(t, log.t, _get_column(log, law.supply)) / law.nominal_supply
+        supply = np.interp(t, log.t, _get_column(log, law.supply, MAX_SUPPLY * law.nominal_supply)) / law.nominal_supply
     if law.enabled:
         enabled = (_get_column(log, law.enabled)[held] != 0).astype(float)
     for name in exclude:
-        used = used * (_get_column(log, name)[near] == 0)
+        if name not in log.channels:
+            raise InputError("missing_column", f"{log.name} has no column {name} to exclude samples by")
+        used = used * (log.channels[name][near] == 0)
     return LoopRecord(
         log.name,
         t,
@@ -134,10 +138,20 @@ def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str])
     )
 
 
-def _get_column(log: Log, name: str) -> np.ndarray:
+def _get_column(log: Log, name: str, most: float | None = None) -> np.ndarray:
+    """Return a column that a law names (N,): numbers, from zero to a largest one if that is said."""
     if name not in log.channels:
         raise InputError("missing_column", f"{log.name} has no column {name}, which the controller file names")
-    return log.channels[name]
+    column = log.channels[name]
+    bad = ~np.isfinite(column) if most is None else ~((column >= 0) & (column <= most))
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise InputError(
+            "bad_sample",
+            f"{log.name}, column {name}, t = {log.t[k]:.6g} s: {column[k]:g}; every sample needs a number here"
+            + ("" if most is None else f" from 0 to {most:g}, {MAX_SUPPLY:g} times the nominal supply"),
+        )
+    return column
 
 
 @dataclass(frozen=True, eq=False)

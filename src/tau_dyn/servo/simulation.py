@@ -17,7 +17,8 @@ from tau_dyn.simulate import ServoLaw, Trajectory
 
 FINE_HZ = 500.0
 """Rate at which the loop is simulated [Hz], at least: servos themselves run at 200 to 1000 Hz."""
-
+RAN_AWAY = 1e6
+"""Position from which a simulated robot is no robot any more [rad or m]: no joint turns as far in an hour."""
 STEP_S = 2.5e-4
 """Longest step of the simulated loops [s], a quarter of a millisecond, so that no fit has the step of its data."""
 
@@ -46,7 +47,7 @@ def simulate_loop_log(
         name: The log's name.
 
     Raises:
-        InputError: The motion is of other joints, or an effect cannot act here.
+        InputError: The motion is of other joints, an effect cannot act here, or the robot runs away.
     """
     if motion.joints != model.robot.actuated:
         raise InputError(
@@ -63,6 +64,13 @@ def simulate_loop_log(
     record = LoopRecord(name, t, q, held, on, on, on.astype(bool), law.in_log(name), told=law.command)
     (simulated,) = simulate_coupled(space, np.zeros(0), values, law, [record], step=STEP_S)
     q = simulated.q[::often]
+    if not np.abs(q).max() < RAN_AWAY:
+        k = int(np.argmax(~(np.abs(q) < RAN_AWAY).all(axis=1)))
+        raise InputError(
+            "unstable",
+            f"{motion.name}: the simulated robot ran away before t = {commands.t[k]:.4g} s; the law's gains or torque are too "
+            "large for its inertias",
+        )
     rng = np.random.default_rng(seed)
     q = q + encoder_noise * rng.standard_normal(q.shape)
     if encoder_resolution > 0:

@@ -102,6 +102,9 @@ SIDES = ("link", "motor")
 """Where an encoder sits; the first is the default, as of hobby servos, whose potentiometer or magnet is on the output."""
 _OTHER_KEYS = ("law", "logs", "enabled", "supply", "encoder", "measured", "command")
 _MAY_BE_INFINITE = ("limit", "speed_limit", "acceleration_limit")
+_DELAYS = ("command_delay", "torque_delay")
+MAX_DELAY_S = 1.0
+"""Longest delay of a law file [s]; servos answer within tens of milliseconds, and more is a number of milliseconds or samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,12 +222,13 @@ def build_servo_law(content: object, robot: Robot, where: str) -> ServoLaw:
         if key not in SERVO_ENTRIES and key not in _OTHER_KEYS:
             raise UnknownName("servo entry", str(key), [*SERVO_ENTRIES, *_OTHER_KEYS], where)
     given, estimated = _split_estimated({k: v for k, v in content.items() if k in SERVO_ENTRIES}, where)
+    by_log = _read_by_log(content.get("logs"), robot.actuated, where)
     command = content.get("command", COMMANDS[0])
     if command not in COMMANDS:
         raise InputError("file_format", f"{where}: command is {', '.join(COMMANDS)}, not {str(command)[:60]!r}")
     cascade = ("integral_gain", "derivative_gain") if "speed_gain" in given else ()
     for key in (*_UNUSED[command], *cascade):
-        if key in given:
+        if key in given or any(key in row for row in by_log.values()):
             raise InputError("file_format", f"{where}: '{key}' acts on nothing in a law of {command} commands"
                              f"{' with a speed_gain' if cascade else ''}; leave it out")  # fmt: skip
     for key in _NEEDED.get(command, REQUIRED[1:]):
@@ -242,7 +246,7 @@ def build_servo_law(content: object, robot: Robot, where: str) -> ServoLaw:
         raise InputError("file_format", f"{where}: enabled must be the name of a column, not {enabled!r}")
     encoder = _read_side(content, "encoder", SIDES[0], where)
     return ServoLaw(
-        robot.actuated, values, estimated, _read_by_log(content.get("logs"), robot.actuated, where), enabled, column, nominal,
+        robot.actuated, values, estimated, by_log, enabled, column, nominal,
         encoder=encoder, measured=_read_side(content, "measured", encoder, where), command=command,
     )  # fmt: skip
 
@@ -297,7 +301,7 @@ def _read_supply(content: object, where: str) -> tuple[str, float]:
         not isinstance(content, dict)
         or set(content) != {"column", "nominal"}
         or not _is_number(nominal)
-        or not nominal > 0
+        or not 0 < nominal < np.inf
     ):
         raise InputError("file_format", f"{where}: write supply: {{column: NAME, nominal: VOLTS}}")
     return str(content["column"]), float(nominal)
@@ -335,7 +339,10 @@ def _read_numbers(key: str, value: object, joints: tuple[str, ...], where: str) 
             and (isfinite(x) or key in _MAY_BE_INFINITE)
         )
         if not fits:
-            raise InputError("file_format", f"{where}: {key} must be a number {least}, not {str(x)[:60]!r}")
+            hint = "; YAML reads a number such as 1.0e-3 only with a point and a sign" if isinstance(x, str) else ""
+            raise InputError("file_format", f"{where}: {key} must be a number {least}, not {str(x)[:60]!r}{hint}")
+        if key in _DELAYS and _is_number(x) and abs(x) > MAX_DELAY_S:
+            raise InputError("file_format", f"{where}: {key} is in seconds, {MAX_DELAY_S:g} at most, not {x:g}")
     return np.array(row, dtype=float)
 
 

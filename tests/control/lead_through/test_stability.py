@@ -55,6 +55,13 @@ def test_a_long_delay_obeys_the_rule_of_thumb():
     assert limit.hz == pytest.approx(1 / (4 * loop.total_delay), rel=0.01)
 
 
+def test_a_filter_forgets_with_its_time_constant():
+    """A sample that lasts one time constant, 1 / (2 pi f), takes 63 % of the new force."""
+    loop = ForceLoop(sample_time=0.01, filter_hz=1 / (2 * np.pi * 0.01))
+    assert loop.smoothing == pytest.approx(1 - np.exp(-1))
+    assert ForceLoop().smoothing == 1
+
+
 def test_lag_lowers_the_limit_and_damping_of_the_contact_raises_it():
     """Every lag in the loop costs phase; a damper in the contact gives some back."""
     plain = ForceLoop(servo_hz=20.0)

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
+from scipy.interpolate import make_interp_spline
 
+from tau_dyn.control.motion.constraints import build_integration_constraints, compute_simpson_weights
+from tau_dyn.control.motion.coordinates import Along, JointPath
 from tau_dyn.control.motion.expressions import ForceLaw, build_force_law
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
@@ -84,3 +87,28 @@ def test_casadi_is_asked_for_by_name(monkeypatch):
     monkeypatch.setitem(sys.modules, "casadi", None)
     with raises_code("missing_package"):
         build_force_law(l1(), np.full(3, 0.02))
+
+
+def test_integration_is_exact_where_accelerations_are_linear():
+    """A cubic fulfils the equations between nodes to rounding, and Simpson's rule integrates it exactly."""
+    N, cubic = 5, np.polynomial.Polynomial([0.3, -1.0, 2.0, 4.0])
+    t, fine = np.linspace(0, 1, N + 1), np.linspace(0, 1, 2 * N + 1)
+    x, dx, ddx = (ca.DM(cubic.deriv(k)(t)[None]) for k in range(3))
+    assert np.abs(np.array(build_integration_constraints(x, dx, ddx, N))).max() < 1e-12
+    weights = compute_simpson_weights(N)
+    assert weights @ cubic(fine) == pytest.approx(cubic.integ()(1), rel=1e-12)
+
+
+def test_a_path_bends_by_the_square_of_its_speed():
+    """Positions, speeds and accelerations along a curve are those of `q(s(t / T))`, by differences."""
+    points = np.random.default_rng(4).standard_normal((9, 2))
+    path = Along(JointPath(make_interp_spline(np.linspace(0, 1, 9), points, k=5), 1.0))
+    x, dx, ddx, T, h = 0.4, 0.8, -1.5, 2.0, 1e-3
+
+    def place(t: float) -> np.ndarray:
+        return path.path.q(x + dx * t / T + ddx * (t / T) ** 2 / 2)
+
+    found = [np.array(ca.evalf(part)).ravel() for part in path.symbols(*map(ca.DM, (x, dx, ddx, T)))]
+    assert_allclose(found[0], place(0.0), rtol=1e-9)
+    assert_allclose(found[1], (place(h) - place(-h)) / (2 * h), rtol=1e-4)
+    assert_allclose(found[2], (place(h) - 2 * place(0.0) + place(-h)) / h**2, rtol=1e-4)

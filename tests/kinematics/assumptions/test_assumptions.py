@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
@@ -91,6 +92,16 @@ def test_angle_between_guideways_comes_with_its_error() -> None:
     assert not pairs["cart1", "cart3"].sure and "parallel as far" in pairs["cart1", "cart3"].sentence
 
 
+def test_slopes_are_as_uncertain_as_they_scatter() -> None:
+    """Errors of neighbours that are alike by 0.6 widen the slope's standard error by 2, as much as it scatters over draws."""
+    rng, q, z = np.random.default_rng(8), np.linspace(0, 1, 200), []
+    for _ in range(60):
+        noise = 1e-5 * lfilter([1], [1, -0.6], rng.standard_normal((200, 3)), axis=0)
+        line = fit_guideway("cart1", q, np.outer(q, (1.0, 0.0, 0.0)) + noise)
+        z.append((line.slope - (1, 0, 0)) / np.sqrt(np.diag(line.covariance)))
+    assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.3
+
+
 def test_another_load_shifts_the_cart() -> None:
     """A second measurement 100 um below the first line is reported as that shift (the squares of Figure 4.5)."""
     rng, q = np.random.default_rng(5), np.linspace(0, 2, 30)
@@ -121,6 +132,12 @@ def test_orientation_error_is_told_to_come_from_rods_or_from_carts() -> None:
         assert ("the rods" if rods else "carts that turn") in found.sentence
     still = check_orientation(*grid_of_poses(0.0, 0.0))
     assert "beyond chance" in still.sentence and still.sizes.max() < 1.5e-4
+
+
+def test_three_axes_are_three_chances() -> None:
+    """Where nothing turns the plate, one grid in ten has a p-value below 10 %, the best of three axes counted as such."""
+    p_values = [check_orientation(*grid_of_poses(0.0, 0.0, seed)).across.p_value for seed in range(100)]
+    assert np.sum(np.array(p_values) < 0.1) <= 18  # 10 expected, at most 18 in 99 % of such draws; 27 uncorrected
 
 
 def test_euler_angles_are_those_of_the_rotation() -> None:
