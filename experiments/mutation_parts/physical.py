@@ -153,7 +153,11 @@ def run_forked(root: Path, arguments: list[str], limit: float = 3600.0) -> tuple
         for name in [n for n in sys.modules if n.partition(".")[0] == "tau_dyn"]:
             del sys.modules[name]
         # workers that tests start import the program that runs here
-        sys.path[:] = [str(root / "src"), str(root / "experiments"), *(x for x in sys.path if not x.startswith(str(ROOT)))]
+        sys.path[:] = [
+            str(root / "src"),
+            str(root / "experiments"),
+            *(x for x in sys.path if not x.startswith(str(ROOT))),
+        ]
         sys.dont_write_bytecode = False
         os.environ["PYTHONPATH"] = str(root / "src")
         os.environ.pop("CI", None)
