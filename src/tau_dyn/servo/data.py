@@ -32,7 +32,7 @@ MAX_SETTLINGS = 14
 """Fits in turn against exact motions of the last one's solution; three are usual, ten of long chains."""
 LOADS_ANEW = 2
 """Such fits that take their loads along the last exact motions; later ones move too little for their sensitivities, unless"""
-MAX_JOINT_SECONDS = 4000.0
+MAX_JOINT_SECONDS = 1500.0
 """Unknowns times joints times seconds of logs up to which springs are fitted with sensitivities of all joints: minutes."""
 STILL_FALLING = 0.05
 """a joint's residual changed by this share in the last one."""
