@@ -240,8 +240,12 @@ def _start_best(
 
 
 def _restart_springs(
-    data: LoopData, u: LoopUnknowns, fit: LoopFit, taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]], progress
-) -> tuple[LoopUnknowns, LoopFit] | None:  # noqa: ANN001
+    data: LoopData,
+    u: LoopUnknowns,
+    fit: LoopFit,
+    taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]],
+    progress: Callable[[str], None],
+) -> tuple[LoopUnknowns, LoopFit] | None:
     """Return a better solution for joints whose residual is coloured in spite of their spring, changing `taken`; None for none.
 
     A torque that comes late drives a spring, so that neither is found without the other.
@@ -355,8 +359,12 @@ def free_causes(
 
 
 def _drop_superfluous(
-    data: LoopData, u: LoopUnknowns, fit: LoopFit, taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]], progress
-) -> tuple[LoopUnknowns, LoopFit, set[tuple[str, int]]]:  # noqa: ANN001
+    data: LoopData,
+    u: LoopUnknowns,
+    fit: LoopFit,
+    taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]],
+    progress: Callable[[str], None],
+) -> tuple[LoopUnknowns, LoopFit, set[tuple[str, int]]]:
     """Take out of `taken` what is not distinct from its null beside the others, and refit without it."""
     dropped: set[tuple[str, int]] = set()
     needed: set[tuple[str, int]] = set()
