@@ -1,14 +1,17 @@
 """Which causes a search takes in together, from where it looks for them, and steps that keep bodies such as may exist."""
 
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
 from tau_dyn.servo import cause_search
-from tau_dyn.servo.cause_search import RESONANCES_HZ, TriedCause, list_starts, search_causes
+from tau_dyn.servo.cause_search import LoopSearch, TriedCause, search_causes
 from tau_dyn.servo.fit import LoopPrior, _step
+from tau_dyn.servo.starts import RESONANCES_HZ, list_starts
 
 from .test_consistent_bodies import build_bodies
 
@@ -53,6 +56,86 @@ def test_joints_that_miss_as_much_need_not_wait(monkeypatch):
 def test_most_of_a_residual_counts_however_uncertain_the_number(monkeypatch, share, taken):
     """A number of two standard errors is a cause where it takes off more than half of the residual, and chance where less."""
     assert search(monkeypatch, [{"delay": ([2.0, 0.0], [share, 0.0])}]) == taken
+
+
+class Causes(frozenset):
+    """Causes of one joint, which stand for the unknowns and for the problem of their fit."""
+
+    count, used = 1000, np.ones(1)
+
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        """Return one sample."""
+        return np.ones((1, 1, 1))
+
+
+@dataclass(frozen=True)
+class Data:
+    """Logs of one joint."""
+
+    unknowns: Causes = Causes()
+    law: ClassVar = SimpleNamespace(joints=("a",), values={"command_delay": np.zeros(1), "torque_delay": np.zeros(1)})
+    is_shaken: ClassVar = False
+
+    def build_problem(self, causes: Any = None) -> Any:
+        """Return what is free."""
+        return self.unknowns if causes is None else causes
+
+
+def leave(monkeypatch: pytest.MonkeyPatch, sigmas: dict[str, float]) -> Callable[[str], Any]:
+    """Let fits with these causes leave these residuals, all others 9; return how they are built."""
+
+    def fit(causes: Iterable[str]) -> Any:
+        return SimpleNamespace(sigma=np.array([sigmas.get(" ".join(sorted(causes)), 9.0)]), x=np.zeros(1), u=causes)
+
+    replacements = {
+        "fit_precisely": lambda causes, progress: fit(causes),
+        "refit_again": lambda causes, old, progress: fit(old.u),
+        "start_best": lambda data, causes, old, starts, joints: Causes(causes | set(starts)),
+        "_hold_null": lambda data, causes, old, places: (Causes(causes - {c for c, _ in places}), old),
+        "list_starts": lambda *_: [{}],
+        "count_worth": lambda *_: 1.0,
+        "_find_coloured": lambda data, causes, old: old.sigma > 1.0,
+        "_drop_superfluous": lambda data, causes, old, taken, progress: (causes, old, set()),
+    }
+    for name, instead in replacements.items():
+        monkeypatch.setattr(cause_search, name, instead)
+    return lambda causes: fit(Causes(causes.split()))
+
+
+def quiet(step: str) -> None:
+    """Hear no progress."""
+
+
+@pytest.mark.parametrize(("late", "wrong"), [("delay", "command_delay"), ("command_delay", "delay")])
+@pytest.mark.parametrize(("left", "better"), [(1.0, True), (2.98, False)])
+def test_a_spring_that_leaves_colour_is_looked_for_with_a_delay(monkeypatch, late, wrong, left, better):
+    """A spring and what comes late replace all that a joint had where they leave less by three percent of its variance."""
+    had = "gain_error joint_compliance"
+    pairs = {" ".join(sorted((late, "joint_compliance"))): left, " ".join(sorted((wrong, "joint_compliance"))): 2.99}
+    fit = leave(monkeypatch, {had: 3.0} | pairs)
+    taken: dict = {(cause, 0): (9.0, ()) for cause in had.split()}
+    found = cause_search._restart_springs(Data(), Causes(had.split()), fit(had), taken, quiet)  # type: ignore[arg-type]
+    assert (found is not None) == better
+    assert {cause for cause, _ in taken} == ({"joint_compliance", late} if better else set(had.split()))
+
+
+@pytest.mark.parametrize(("alone", "left"), [(1.01, "joint_compliance"), (1.02, "delay joint_compliance")])
+def test_a_cause_that_others_leave_little_of_is_taken_out_at_the_end(monkeypatch, alone, left):
+    """Beside the others, too, a cause takes off three percent of its joint's variance, or it goes."""
+    both = "delay joint_compliance"
+    fit = leave(monkeypatch, {both: 1.0, "joint_compliance": alone})
+    search = LoopSearch(Causes(both.split()), fit(both), {("joint_compliance", 0): (20.0, ()), ("delay", 0): (9.0, ())})  # type: ignore[arg-type]
+    _, after = cause_search.check_steps(Data(), fit(""), search, quiet)  # type: ignore[arg-type]
+    assert sorted(cause for cause, _ in after.taken) == sorted(after.unknowns) == left.split()  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("late_torque", "named"), [(0.9, "delay"), (1.1, "command_delay")])
+def test_what_a_cause_is_mistaken_for_is_fitted_in_its_place(monkeypatch, late_torque, named):
+    """A late torque is mistaken for a late command, and the likelihood decides, though the search had found no twin."""
+    fit = leave(monkeypatch, {"command_delay": 1.0, "delay": late_torque})
+    search = LoopSearch(Causes(["command_delay"]), fit("command_delay"), {("command_delay", 0): (9.0, ())})  # type: ignore[arg-type]
+    after = cause_search.part_twins(Data(), search, quiet)  # type: ignore[arg-type]
+    assert list(after.taken) == [(named, 0)] and set(after.unknowns) == {named}  # type: ignore[arg-type]
 
 
 def test_springs_are_looked_for_at_resonances_an_octave_apart():

@@ -91,6 +91,17 @@ def test_a_load_twists_a_joint_by_its_compliance():
     assert link[-1] == pytest.approx(1 / 200 + COMPLIANCE, rel=1e-3)
 
 
+def test_weight_twists_a_spring_from_the_first_sample():
+    """An arm that stands level at first has its springs twisted by what hangs on them, as if it had stood there."""
+    arm, compliance = build_arm(2), np.array([0.02, 0.05])
+    truth, law = build_truth(arm), build_law(arm, encoder="motor", joint_compliance=compliance)
+    records = build_records(truth, law, [record(arm, truth, law, 3, 0.2, clean=True)])
+    level = [replace(r, start=np.zeros(2)) for r in records]
+    (moved,) = simulate_coupled(InertialSpace.of(truth), np.zeros(0), read_values(truth, law), law, level, 1e-3)
+    weight = 0.15 * 9.81 * np.array([0.07 + 0.12 + 0.07, 0.07])  # of both links, and of the second
+    np.testing.assert_allclose(np.abs(moved.q - moved.link)[0], compliance * weight, rtol=0.02)
+
+
 def test_a_stiff_spring_is_stable_and_as_good_as_none():
     """A resonance far above what a step shows fades, and the joint moves as a rigid one."""
     n, step = 1500, 2e-3

@@ -2,24 +2,23 @@
 
 Every cause is fitted at all joints at once, with everything that is in already, because a joint's loop feels its own numbers
 alone. Its score is its number over that number's error from the scatter of blocks of time. The best one at each joint is
-taken in, in rounds; what a later one makes superfluous leaves again. A spring and a play are tried from several starts, as
-their sum of squares has several minima: springs at resonances an octave apart.
+taken in, in rounds; what a later one makes superfluous leaves again.
 Reference: Liang & Zeger 1986 (blocks); Efroymson 1960 (forward and backward selection).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
 from tau_dyn.effects import LOOP_CAUSES
-from tau_dyn.servo.by_gain import extend_unknowns, read_kind
+from tau_dyn.servo.by_gain import read_kind
 from tau_dyn.servo.data import LoopData, fit_precisely, refit_again
 from tau_dyn.servo.fit import LoopFit, count_worth, fit_loop
-from tau_dyn.servo.unknowns import LoopUnknowns, compute_stiffness
+from tau_dyn.servo.starts import DELAYS, SPRING, TRY_ITERATIONS, free_causes, list_starts, start_best
+from tau_dyn.servo.unknowns import LoopUnknowns
 
 MIN_SCORE = 5.0
 """Score from which a cause is taken in: one false one in 1,000 candidates where some 60 blocks count."""
@@ -35,7 +34,6 @@ MAX_ROUNDS = 4  # causes at one joint; each takes off at least 3 %, and joints m
 TOGETHER = 0.5
 """Share of what the best cause takes off of its joint's residual from which other joints' causes are taken in with it. The rest
 wait, as what a joint misses shakes its neighbours."""
-_TRY_ITERATIONS = 6  # from a solution of all but the new numbers
 WHITE_LAGS = 20  # samples over which residuals are compared
 _CHANCE = 4.0  # standard errors of an autocorrelation
 MAIN_SHARE = 0.5
@@ -43,22 +41,6 @@ MAIN_SHARE = 0.5
 gain and mass, or far from its end, a number moves without a change of the simulation."""
 POWER_Z = 1.645
 """Standard errors above the threshold that a number must have to be found in 95 of 100 logs."""
-_FIRST = {
-    "command_delay": 0.01,
-    "torque_delay": 0.005,
-    "load_friction": 0.15,
-    "supply_sag": 0.15,
-    "drive_exponent": -0.1,
-}
-"""First changes of entries off their null."""
-_FIRST_STICTION = 3e-3  # as a share of the loop's stiffness
-_PLAYS = (0.005, 0.03)  # rad; of gears, and of worn hobby servos
-_DELAYS = (0.002, 0.008)  # s; a step of a servo's bus, and several
-_DEAD_BANDS = (0.006, 0.03)  # rad; Coulomb friction stands for a small part of a large one
-RESONANCES_HZ = (2.0, 4.0, 8.0, 16.0, 32.0)
-"""Resonances of the link on its spring, the motor held, at which springs start, up to the log's Nyquist frequency."""
-_DAMPING_RATIO = 0.05  # of a spring's start; of gears with elastic parts, 0.02 to 0.1
-_FEW = 0.1  # share of a rigid joint's viscous friction, and of the link's inertia as the drive's, with which springs start too
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +160,7 @@ def part_twins(data: LoopData, search: LoopSearch, progress: Callable[[str], Non
         tried = {cause: (search.unknowns, search.fit)}
         left, without = _hold_null(data, search.unknowns, search.fit, [(cause, j)])
         for twin in twins:
-            wide = _start_best(data, left, without, {twin: list_starts(data, left, without, twin)}, [j])
+            wide = start_best(data, left, without, {twin: list_starts(data, left, without, twin)}, [j])
             tried[twin] = wide, fit_precisely(data.build_problem(wide), progress)
         best = min(tried, key=lambda c: tried[c][1].sigma[j])
         u, fit = tried[best]
@@ -217,28 +199,6 @@ def _hold_null(
     return left, replace(fit, x=x)
 
 
-def _start_best(
-    data: LoopData,
-    u: LoopUnknowns,
-    fit: LoopFit,
-    starts: Mapping[str, Sequence[Mapping[str, np.ndarray]]],
-    joints: Sequence[int],
-) -> LoopUnknowns:
-    """Return the unknowns with causes free at joints, at the starts from which a few steps leave least at each joint."""
-    places = [(cause, j) for cause in starts for j in joints]
-    tried = [dict(zip(starts, one, strict=True)) for one in product(*starts.values())]
-    sigmas = [
-        fit_loop(data.build_problem(free_causes(data, u, fit, places, start)), max_iterations=_TRY_ITERATIONS).sigma
-        for start in tried
-    ]
-    best = [tried[k] for k in np.argmin(sigmas, axis=0)]
-    chosen = {
-        cause: {entry: np.array([best[j][cause][entry][j] for j in range(len(best))]) for entry in rows[0]}
-        for cause, rows in starts.items()
-    }
-    return free_causes(data, u, fit, places, chosen)
-
-
 def _restart_springs(
     data: LoopData,
     u: LoopUnknowns,
@@ -251,7 +211,7 @@ def _restart_springs(
     A torque that comes late drives a spring, so that neither is found without the other.
     """
     coloured = _find_coloured(data, u, fit)
-    joints = [j for cause, j in taken if cause == "joint_compliance" and coloured[j]]
+    joints = [j for cause, j in taken if cause == SPRING and coloured[j]]
     if not joints:
         return None
     left, without = _hold_null(data, u, fit, [place for place in taken if place[1] in joints])
@@ -259,16 +219,16 @@ def _restart_springs(
     for late in ("command_delay", "delay"):
         progress(f"a spring and a {late.replace('_', ' ')}")
         (entry,) = LOOP_CAUSES[late].entries
-        delays = [{entry: data.law.values[entry] + x} for x in _DELAYS]
-        starts = {"joint_compliance": list_starts(data, left, without, "joint_compliance"), late: delays}
-        wide = _start_best(data, left, without, starts, joints)
+        delays = [{entry: data.law.values[entry] + x} for x in DELAYS]
+        starts = {SPRING: list_starts(data, left, without, SPRING), late: delays}
+        wide = start_best(data, left, without, starts, joints)
         found.append((late, wide, fit_precisely(data.build_problem(wide), progress)))
     late, wide, again = min(found, key=lambda one: float(np.log(one[2].sigma[joints]).sum()))
     if not np.all(again.sigma[joints] < np.sqrt(1 - MIN_SHARE) * fit.sigma[joints]):
         return None
     for place in [place for place in taken if place[1] in joints]:
         del taken[place]
-    taken.update({(cause, j): (0.0, ()) for cause in ("joint_compliance", late) for j in joints})
+    taken.update({(cause, j): (0.0, ()) for cause in (SPRING, late) for j in joints})
     return wide, again
 
 
@@ -299,7 +259,7 @@ def _try(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> TriedCaus
     starts, found = list_starts(data, u, fit, cause), []
     for start in starts:
         wide = free_causes(data, u, fit, places, {cause: start})
-        found.append((wide, fit_loop(data.build_problem(wide), max_iterations=_TRY_ITERATIONS), start))
+        found.append((wide, fit_loop(data.build_problem(wide), max_iterations=TRY_ITERATIONS), start))
     best = np.argmin([one.sigma for _, one, _ in found], axis=0)
     start = {key: np.array([starts[k][key][j] for j, k in enumerate(best)]) for key in starts[0]}
     score, share = np.zeros((2, na))
@@ -311,51 +271,6 @@ def _try(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> TriedCaus
         score[mine] = np.divide(away, sigma, out=np.zeros(na), where=sigma > 0)[mine]
         share[mine] = (1 - (one.sigma / fit.sigma) ** 2)[mine]
     return TriedCause(score, share, start)
-
-
-def list_starts(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> list[dict[str, np.ndarray]]:
-    """Return the values, by entry (na,), that a search for a cause begins with."""
-    entry, values, na = LOOP_CAUSES[cause].entries[0], u.with_values(fit.x), len(data.law.joints)
-    if cause == "joint_compliance":
-        theta = np.append(1.0, fit.x[u.n - data.space.n_unknowns :])
-        inertia = np.mean([(w.inertia @ theta).mean(axis=0) for w in data.loads], axis=0)
-        inertia = np.maximum(inertia, 1e-3 * np.maximum(values["armature"], 1e-6))
-        highest = 0.5 / max(r.dt for r in data.records)
-        turns = [2 * np.pi * f for f in RESONANCES_HZ if f < highest]
-        springs = [
-            {"joint_compliance": 1 / (inertia * w**2), "joint_damping": 2 * _DAMPING_RATIO * inertia * w} for w in turns
-        ]
-        # what a rigid joint puts into friction and drive inertia to stand for a spring would lead its search astray
-        heavy = {key: np.array(values[key]) for key in ("viscous", "armature")}
-        light = {"viscous": _FEW * values["viscous"], "armature": np.maximum(values["armature"], _FEW * inertia)}
-        return [spring | rest for rest in (heavy, light) for spring in springs]
-    if cause in ("backlash", "dead_band"):
-        return [{entry: np.full(na, width)} for width in (_PLAYS if cause == "backlash" else _DEAD_BANDS)]
-    if cause == "stiction":
-        return [{entry: values[entry] + _FIRST_STICTION * compute_stiffness(values)}]
-    return [{entry: np.array(data.law.values[entry]) + _FIRST.get(entry, 0.0)}]
-
-
-def free_causes(
-    data: LoopData,
-    u: LoopUnknowns,
-    fit: LoopFit,
-    chosen: Sequence[tuple[str, int]],
-    starts: Mapping[str, Mapping[str, np.ndarray]],
-) -> LoopUnknowns:
-    """Return the unknowns at a solution with causes free at their joints, off their null, where friction has a slope."""
-    entries = list(dict.fromkeys(entry for cause, _ in chosen for entry in LOOP_CAUSES[cause].entries))
-    wide = extend_unknowns(u, fit.x, entries, data)
-    free, n = np.array(wide.free), len(u.kinds)
-    free[n:] = False
-    values = {key: np.array(value) for key, value in wide.values.items()}
-    for cause, j in chosen:
-        for entry in LOOP_CAUSES[cause].entries:
-            free[wide.kinds.index(entry), j] = True
-        for entry, start in starts[cause].items():
-            values[entry][j] = start[j]
-    free[:n] |= u.free
-    return replace(wide, free=free, values=values)
 
 
 def _drop_superfluous(
@@ -397,7 +312,7 @@ def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:
     as the baseline's; times the threshold and what a power of 95 % asks for, and enough to colour the residual.
     """
     na = len(data.law.joints)
-    start = list_starts(data, data.unknowns, base, cause)[-1 if cause == "joint_compliance" else 0]
+    start = list_starts(data, data.unknowns, base, cause)[-1 if cause == SPRING else 0]
     entry = LOOP_CAUSES[cause].entries[0]
     wide = free_causes(data, data.unknowns, base, [(cause, j) for j in range(na)], {cause: start})
     problem = data.build_problem(wide)

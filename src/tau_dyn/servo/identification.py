@@ -27,7 +27,7 @@ from tau_dyn.servo.prediction import SimulatedMotion, simulate_coupled
 from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
 from tau_dyn.servo.records import LoopRecord, mask_unused
 from tau_dyn.servo.result import LoopIdentification, LoopParameter, build_position_errors
-from tau_dyn.servo.spring_start import start_springs
+from tau_dyn.servo.starts import start_springs
 from tau_dyn.servo.unknowns import JOINT_UNITS, get_unit
 from tau_dyn.simulate import SERVO_ENTRIES
 
