@@ -17,7 +17,6 @@ from tau_dyn.mechanism import (
     RootChain,
     build_chains,
     build_rods,
-    find_nearest_configuration,
     forward_kinematics,
     get_home_configuration,
     inverse_kinematics,
@@ -261,7 +260,7 @@ def test_what_forward_kinematics_reaches_is_never_given_up(name, arguments, rng)
     q = rng.uniform(robot.lower, robot.upper, (150, robot.na))
     forward = forward_kinematics(robot, q)
     homes = np.flatnonzero(forward.ok)
-    signs = [find_nearest_configuration(rods, forward.poses.take(slice(k, k + 1)), q[k]) for k in homes.tolist()]
+    signs = [rods.nearest_configuration(forward.poses.take(slice(k, k + 1)), q[k]) for k in homes.tolist()]
     homes = homes[(np.array(signs) == get_home_configuration(rods)).all(axis=1)]
     assert len(homes) > 20
     found = inverse_kinematics(robot, forward.poses.take(homes), limits=False)

@@ -39,14 +39,6 @@ def test_a_delay_shifts_the_output_and_turns_the_phase() -> None:
     np.testing.assert_allclose(np.angle(turned[:, 0, 0]), -2 * np.pi * f * 0.04)
 
 
-def test_stepping_is_simulating(rng: np.random.Generator) -> None:
-    """Sample by sample, delays included, the same outputs come out."""
-    sampled = oscillator(0.03).sampled(0.01)
-    u = rng.standard_normal((50, 1))
-    stepper = sampled.stepper()
-    np.testing.assert_allclose(np.array([stepper.step(x) for x in u]), sampled.simulate(u), atol=1e-13)
-
-
 @pytest.mark.parametrize("n", [3, 5, 8])
 def test_a_delay_longer_than_the_inputs_leaves_the_system_at_rest(n: int) -> None:
     """What has not arrived yet moves nothing, whether the delay is a little or much longer than what is simulated."""

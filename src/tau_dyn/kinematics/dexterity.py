@@ -212,27 +212,6 @@ def compute_compliance(rates: Rates, springs: Springs) -> np.ndarray:
     return total
 
 
-def compute_stiffness_matrix(rates: Rates, springs: Springs) -> np.ndarray:
-    """Return `K` (N, d, d): linear first [N/m, N/rad, N m/rad]; inf entries never: rigid directions need every spring.
-
-    Raises:
-        InputError: Too few springs hold the tool: some direction is rigid and has no finite stiffness.
-    """
-    C = compute_compliance(rates, springs)
-    sound = np.isfinite(C).all(axis=(1, 2))
-    K = np.full(C.shape, np.nan)
-    if (
-        sound.any()
-        and np.linalg.matrix_rank(_count_turns_as_lengths(C[sound], rates.length), hermitian=True).min() < C.shape[1]
-    ):
-        raise InputError(
-            "unsupported",
-            "some direction of the tool is rigid, so K is not finite; give rods and actuators a stiffness",
-        )
-    K[sound] = np.linalg.inv(C[sound])
-    return K
-
-
 def find_softest(C: np.ndarray) -> Softest:
     """Return the main stiffnesses and directions from a compliance (N, d, d), d = 3 or 6."""
     there = np.isfinite(C).all(axis=(1, 2))

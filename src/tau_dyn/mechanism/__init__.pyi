@@ -9,7 +9,6 @@ from .flexible import (
     NaturalMode as NaturalMode,
     PositionDrives as PositionDrives,
     SampledModel as SampledModel,
-    Stepper as Stepper,
 )
 from .frames import (
     Carried as Carried,
@@ -53,7 +52,6 @@ from .mechanism import (
     compute_inverse_jacobian as compute_inverse_jacobian,
     compute_perpendicular_axes as compute_perpendicular_axes,
     find_all_solutions as find_all_solutions,
-    find_nearest_configuration as find_nearest_configuration,
     forward_kinematics as forward_kinematics,
     get_cached as get_cached,
     get_home_configuration as get_home_configuration,

@@ -149,11 +149,6 @@ def get_home_configuration(robot: Robot | Kinematics) -> np.ndarray:
     return build_kinematics(robot).home_configuration
 
 
-def find_nearest_configuration(robot: Robot | Kinematics, poses: Poses, q: np.ndarray) -> np.ndarray:
-    """Return the configuration (chains,) that has positions (na,) at or near a pose (1 sample)."""
-    return build_kinematics(robot).nearest_configuration(poses, q)
-
-
 def jacobian(robot: Robot | Kinematics, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
     """Return the tool's twist per actuated velocity (N, 6 or 3, na); see `Kinematics.jacobian`."""
     return build_kinematics(robot).jacobian(q, poses)

@@ -117,25 +117,6 @@ class ActuatorFit:
         return self.actuator.bandwidth_hz * self.stderr.time_constant / self.actuator.time_constant
 
 
-def fit_actuator(t: np.ndarray, reference: np.ndarray, position: np.ndarray) -> ActuatorFit:
-    """Return the actuator of one axis from one test.
-
-    Args:
-        t: Times (N,) [s], evenly spaced.
-        reference: Position reference (N,).
-        position: Measured position (N,), in the same unit.
-    """
-    t, reference, position = (np.asarray(x, float) for x in (t, reference, position))
-    if not (t.ndim == 1 and t.shape == reference.shape == position.shape) or len(t) < 2:
-        raise InputError("wrong_shape", "time, reference and position must be columns of one length")
-    step = np.diff(t)
-    if not np.all(np.isfinite(t)) or np.ptp(step) > 1e-3 * np.mean(step) or np.mean(step) <= 0:
-        raise InputError("time_stamps", "the times are not evenly spaced")
-    dt = float(t[-1] - t[0]) / (len(t) - 1)
-    (found,) = fit_actuators([Record(reference[:, None], position[:, None], dt, ("reference",), ("position",))])
-    return found
-
-
 def fit_actuators(
     records: Sequence[Record], progress: Callable[[str], None] = lambda step: None
 ) -> tuple[ActuatorFit, ...]:

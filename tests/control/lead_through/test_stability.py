@@ -50,9 +50,9 @@ def test_a_sampled_integrator_has_the_limits_of_the_textbook():
 def test_a_long_delay_obeys_the_rule_of_thumb():
     """An integrator behind a delay T_d oscillates from K k = pi / (2 T_d) on, at 1 / (4 T_d)."""
     loop = ForceLoop(sample_time=0.001, servo_hz=1e6, delay=20)
-    limit = loop.limit(1.0)
-    assert limit.gain == pytest.approx(np.pi / 2 / loop.total_delay, rel=0.01)
-    assert limit.hz == pytest.approx(1 / (4 * loop.total_delay), rel=0.01)
+    limit, late = loop.limit(1.0), 20.5 * 0.001  # with half a sample of hold
+    assert limit.gain == pytest.approx(np.pi / 2 / late, rel=0.01)
+    assert limit.hz == pytest.approx(1 / (4 * late), rel=0.01)
 
 
 def test_a_filter_forgets_with_its_time_constant():

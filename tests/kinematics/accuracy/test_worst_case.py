@@ -123,8 +123,8 @@ def test_linear_departs_from_exact_with_the_square_of_the_errors() -> None:
     assert np.allclose(missed[1] / missed[0], 100.0, rtol=0.05)
 
 
-def test_thesis_ellipsoids_are_exact_for_balls_and_too_thin_otherwise() -> None:
-    """A.2's shells have thickness sum r u^2, the error set sqrt(sum r^2 u^2): equal for balls, smaller to first order else."""
+def test_thesis_ellipsoids_are_exact_for_balls_and_too_small_otherwise() -> None:
+    """A.2's shells of balls meet where the exact error set has its corners; those of other bounds leave some of it out."""
     rods = rods_of()
     q, tool = poses_of(rods)
     for actuators, equal in (({j: build_isotropic_error(5e-5) for j in CASE_2}, True), (CASE_2, False)):
@@ -133,10 +133,9 @@ def test_thesis_ellipsoids_are_exact_for_balls_and_too_thin_otherwise() -> None:
         state = device.state(q, tool)
         shifts, count = shells.find_corners(device, state)
         exact = compute_positioning_errors(device, errors, q, tool, methods=["exact"]).largest["exact"]
-        h, thin = shells.compute_half_heights(device, state), shells.compute_shell_heights(device, state)
-        assert np.all(thin <= h * (1 + 1e-12)) and count.max() < 8
+        assert count.max() < 8
         if equal:
-            assert np.allclose(shells.measure_largest(shifts), exact, rtol=1e-9) and np.allclose(thin, h)
+            assert np.allclose(shells.measure_largest(shifts), exact, rtol=1e-9)
         else:
             share = shells.measure_largest(shifts) / exact
             assert np.all(share < 0.99) and np.all(share > 0.9)

@@ -76,12 +76,6 @@ class ForceLoop:
         """Share of a new sample in the filtered force, 1 without a filter."""
         return float(-np.expm1(-2 * np.pi * self.filter_hz * self.sample_time))
 
-    @property
-    def total_delay(self) -> float:
-        """Half a sample of hold, whole samples, servo and filter as one delay [s]; for the rule of thumb only."""
-        lags = 1 / (2 * np.pi * self.servo_hz) + 1 / (2 * np.pi * self.filter_hz)
-        return (0.5 + self.delay) * self.sample_time + lags
-
     def plant(self) -> tuple[np.ndarray, np.ndarray]:
         """Return A (2, 2) and B (2,) of position and speed over a sample."""
         rate = 2 * np.pi * self.servo_hz

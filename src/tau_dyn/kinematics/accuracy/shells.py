@@ -112,14 +112,6 @@ def measure_largest(displacements: np.ndarray) -> np.ndarray:
     return np.linalg.norm(displacements, axis=2).max(axis=1)
 
 
-def compute_shell_heights(device: LegsDevice, state: State) -> np.ndarray:
-    """Return to first order the half thickness of each rod's shell as the thesis' ellipsoids have it (N, n) [m]."""
-    A, b, _ = device.ends(state.q, None)
-    w = state.plate.position[:, None] + np.einsum("Nab,Nkb->Nka", state.plate.rotation, np.broadcast_to(b, A.shape)) - A
-    u = np.einsum("kab,Nka->Nkb", device.sources.axes, w / np.linalg.norm(w, axis=2, keepdims=True))
-    return np.einsum("Nkb,kb->Nk", u**2, device.sources.radii)
-
-
 MAX_FIXED_POINT_STEPS = 200  # of the fixed-point iteration; it converges linearly or not at all
 _MAX_BOUND_RATIO = 0.25
 """Share of the shortest rod up to which a bound is sought."""

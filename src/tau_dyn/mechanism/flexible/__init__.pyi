@@ -5,6 +5,5 @@ from .linear_system import (
     ContinuousModel as ContinuousModel,
     PositionDrives as PositionDrives,
     SampledModel as SampledModel,
-    Stepper as Stepper,
 )
 from .model import FlexibleModel as FlexibleModel, Linearised as Linearised, NaturalMode as NaturalMode

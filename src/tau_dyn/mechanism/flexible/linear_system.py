@@ -165,29 +165,6 @@ class SampledModel:
             x[k + 1] = self.A @ x[k] + driven[k]
         return x @ self.C.T + late @ self.D.T
 
-    def stepper(self) -> Stepper:
-        """Return the system at rest, to be driven sample by sample, as a controller or an observer needs it."""
-        return Stepper(self)
-
-
-class Stepper:
-    """A sampled system in motion: `step(u)` takes this sample's inputs and returns this sample's outputs."""
-
-    def __init__(self, model: SampledModel) -> None:
-        """Start at rest."""
-        self.model = model
-        self.x = np.zeros(len(model.A))
-        self._past = np.zeros((int(model.delay.max(initial=0)) + 1, len(model.inputs)))
-
-    def step(self, u: np.ndarray) -> np.ndarray:
-        """Return the outputs (p,) at this sample and move on by one step with inputs (m,) held."""
-        self._past = np.roll(self._past, 1, axis=0)
-        self._past[0] = u
-        late = self._past[self.model.delay, np.arange(len(self.model.inputs))]
-        y = self.model.C @ self.x + self.model.D @ late
-        self.x = self.model.A @ self.x + self.model.B @ late
-        return y
-
 
 def _places(kind: str, wanted: Sequence[str], known: Sequence[str]) -> list[int]:
     for name in wanted:
