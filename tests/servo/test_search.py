@@ -1,18 +1,22 @@
 """Which causes a search takes in together, from where it looks for them, and steps that keep bodies such as may exist."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
-from tau_dyn.servo import cause_search
+from tau_dyn.servo import cause_search, fit
 from tau_dyn.servo.cause_search import LoopSearch, TriedCause, search_causes
+from tau_dyn.servo.data import BASELINE, keep_kinds
 from tau_dyn.servo.fit import LoopPrior, _step
+from tau_dyn.servo.preparation import prepare_loop, read_loop_logs
 from tau_dyn.servo.starts import RESONANCES_HZ, list_starts
+from tau_dyn.servo.waves import SPRING_STEP_S
 
+from .arms import build_arm, build_law, build_truth, record
 from .test_consistent_bodies import build_bodies
 
 
@@ -20,7 +24,7 @@ def search(monkeypatch: pytest.MonkeyPatch, rounds: list[dict[str, tuple[list[fl
     """Return what is taken in round by round at two joints, where causes have these scores and shares in each round."""
     taken: list[set] = []
 
-    def weigh(data: Any, u: Any, fit: Any, cause: str) -> TriedCause:
+    def weigh(data: Any, u: Any, fit: Any, cause: str, *more: Any) -> TriedCause:
         now = rounds[len(taken)] if len(taken) < len(rounds) else {}
         return TriedCause(*map(np.array, now.get(cause, ([0.0, 0.0], [0.0, 0.0]))), {})
 
@@ -30,12 +34,17 @@ def search(monkeypatch: pytest.MonkeyPatch, rounds: list[dict[str, tuple[list[fl
 
     monkeypatch.setattr(cause_search, "_find_coloured", lambda *_: np.array([True, True]))
     monkeypatch.setattr(cause_search, "_try", weigh)
+    monkeypatch.setattr(cause_search, "list_starts", lambda *_: [])
     monkeypatch.setattr(cause_search, "free_causes", free)
-    monkeypatch.setattr(cause_search, "fit_precisely", lambda *_: "fit")
-    monkeypatch.setattr(cause_search, "_drop_superfluous", lambda *_: ("unknowns", "fit", set()))
-    law = SimpleNamespace(joints=("a", "b"))
-    data: Any = SimpleNamespace(unknowns="unknowns", law=law, build_problem=lambda u: u)
-    found = search_causes(data, "fit", lambda step: None)  # type: ignore[arg-type]
+    fit: Any = SimpleNamespace(x=None)
+    monkeypatch.setattr(cause_search, "fit_precisely", lambda *_: fit)
+    monkeypatch.setattr(cause_search, "_drop_superfluous", lambda *_: ("unknowns", fit, set()))
+    problem = SimpleNamespace(keep_inertial=lambda x: None)
+    data: Any = SimpleNamespace(
+        unknowns="unknowns", law=SimpleNamespace(joints=("a", "b")), build_problem=lambda u: problem
+    )
+    data.with_fine_steps = lambda fit: data
+    found = search_causes(data, fit, lambda step: None)
     assert set(found.taken) == set().union(*taken)
     return taken
 
@@ -156,6 +165,37 @@ def test_springs_are_looked_for_at_resonances_an_octave_apart():
     friction = [float(s["viscous"][0]) for s in starts]
     assert friction == pytest.approx([viscous] * len(below) + [0.1 * viscous] * len(below))
     assert starts[-1]["armature"][0] == pytest.approx(0.1 * inertia)
+
+
+@pytest.fixture(scope="module")
+def three():
+    """Return three joints' data, as they are before any cause."""
+    arm = build_arm(3)
+    law = build_law(arm)
+    given = read_loop_logs(arm, record(arm, build_truth(arm), law, 0, 8.0), {"law": law})
+    data = prepare_loop(given, given.kept)
+    return replace(data, unknowns=keep_kinds(data, BASELINE), whole=True)
+
+
+def test_trials_keep_what_bodies_do_to_a_motion(three, monkeypatch):
+    """Kept where they were simulated, sensitivities to bodies and the others are the same as new ones; elsewhere nearly."""
+    problem, x = three.build_problem(), three.unknowns.pack()
+    trial = problem.with_inertial(problem.keep_inertial(x))
+    for a, b in zip(trial.differentiate(x)[1].rows, problem.differentiate(x)[1].rows, strict=True):
+        np.testing.assert_array_equal(a, b)
+    x[:3] *= 1.05  # drive inertias
+    for a, b in zip(trial.differentiate(x)[1].rows, problem.differentiate(x)[1].rows, strict=True):
+        assert 0 < np.linalg.norm(a - b) < 0.2 * np.linalg.norm(b)
+    monkeypatch.setattr(fit, "MANY", 3)
+    assert problem.keep_inertial(x) is None
+
+
+def test_steps_of_a_search_are_as_short_as_its_residual_asks(three):
+    """Steps fall with the root of the residual, as their error does with their square, and never grow again."""
+    fits = [SimpleNamespace(sigma=np.full(3, x)) for x in (1e-2, 2.5e-3, 1e-5)]
+    one, two, three_ = (three.with_fine_steps(fit) for fit in fits)
+    assert one.step == pytest.approx(2 * two.step) and three_.step == SPRING_STEP_S
+    assert three_.with_fine_steps(fits[0]) is three_
 
 
 def test_a_step_ends_before_bodies_that_cannot_exist():

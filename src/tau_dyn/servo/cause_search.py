@@ -31,6 +31,7 @@ TWIN_SHARE = 0.95
 APART = 9.0
 """Likelihood ratio, twice its logarithm, from which one of two causes is told from the other: three standard errors."""
 MAX_ROUNDS = 4  # causes at one joint; each takes off at least 3 %, and joints may wait for each other
+_NEAR = 0.5  # share of the best cause's share, or of the least that counts, from which a cause may be the best
 TOGETHER = 0.5
 """Share of what the best cause takes off of its joint's residual from which other joints' causes are taken in with it. The rest
 wait, as what a joint misses shakes its neighbours."""
@@ -55,7 +56,7 @@ class TriedCause:
 
     score: np.ndarray
     share: np.ndarray
-    start: Mapping[str, np.ndarray]
+    start: dict[str, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,15 +81,13 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
     refused: set[tuple[str, int]] = set()
     restarted = False
     for turn in range(MAX_ROUNDS + len(data.law.joints)):
+        coarse, data = data, data.with_fine_steps(fit)
+        if data is not coarse:
+            fit = fit_loop(data.build_problem(u).with_finer_differences(), progress, first=fit.x)
         coloured = _find_coloured(data, u, fit)
         if not coloured.any():
             break
-        tried = {}
-        for cause in LOOP_CAUSES:
-            progress(f"round {turn + 1}: {cause.replace('_', ' ')}")
-            row = _try(data, u, fit, cause)
-            if row is not None:
-                tried[cause] = row
+        tried = _try_all(data, u, fit, coloured, lambda step, turn=turn: progress(f"round {turn + 1}: {step}"))
         best: dict[int, tuple[str, float, tuple[str, ...]]] = {}
         for j in np.flatnonzero(coloured).tolist():
             shares = {
@@ -249,17 +248,46 @@ def compute_share_wanted(samples: int) -> float:
     return min(max(MIN_SHARE, _CHANCE / np.sqrt(samples)), 0.5)
 
 
-def _try(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> TriedCause | None:
+def _try_all(
+    data: LoopData, u: LoopUnknowns, fit: LoopFit, coloured: np.ndarray, progress: Callable[[str], None]
+) -> dict[str, TriedCause]:
+    """Return what causes do, those that may be the best at a joint (na,) with all sensitivities simulated anew."""
+    kept = data.build_problem(u).keep_inertial(fit.x)
+    tried = {}
+    for cause in LOOP_CAUSES:
+        progress(cause.replace("_", " "))
+        row = _try(data, u, fit, cause, list_starts(data, u, fit, cause), kept)
+        if row is not None:
+            tried[cause] = row
+    if kept is None or not tried:
+        return tried
+    most = np.max([row.share for row in tried.values()], axis=0)
+    for cause, row in tried.items():
+        if np.any(coloured & (row.share > _NEAR * np.maximum(most, MIN_SHARE))):
+            progress(f"{cause.replace('_', ' ')} again")
+            tried[cause] = _try(data, u, fit, cause, [row.start]) or row
+    return tried
+
+
+def _try(
+    data: LoopData,
+    u: LoopUnknowns,
+    fit: LoopFit,
+    cause: str,
+    starts: list[dict[str, np.ndarray]],
+    kept: list[np.ndarray] | None = None,
+) -> TriedCause | None:
     """Return what a cause does at all joints that do not have it yet, refitted with everything else; None for no joint."""
     entry, na = LOOP_CAUSES[cause].entries[0], len(data.law.joints)
     there = u.free[u.kinds.index(entry)] if entry in u.kinds else np.zeros(na, bool)
     if there.all():
         return None
     places = [(cause, int(j)) for j in np.flatnonzero(~there)]
-    starts, found = list_starts(data, u, fit, cause), []
+    found = []
     for start in starts:
         wide = free_causes(data, u, fit, places, {cause: start})
-        found.append((wide, fit_loop(data.build_problem(wide), max_iterations=TRY_ITERATIONS), start))
+        problem = data.build_problem(wide).with_inertial(kept)
+        found.append((wide, fit_loop(problem, max_iterations=TRY_ITERATIONS), start))
     best = np.argmin([one.sigma for _, one, _ in found], axis=0)
     start = {key: np.array([starts[k][key][j] for j, k in enumerate(best)]) for key in starts[0]}
     score, share = np.zeros((2, na))

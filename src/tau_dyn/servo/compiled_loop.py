@@ -60,9 +60,10 @@ typedef int64_t (*settle_t)(int64_t log, int64_t begin, int64_t stop, int64_t tu
 /* One joint of one log under one trial: numbers, waves, state, and what holds over a sample and over a step */
 typedef struct {
   double p[COUNT], h, part, old_part, *past;
-  int64_t behind, here, here_step, there, there_step, length;
+  int64_t behind, here, here_step, there, there_step, length, moved;
   int elastic, profiled;
-  const double *cmd, *way, *stiff, *ld, *in, *ldb, *inb;
+  const double *cmd, *way, *stiff, *ld, *in, *ldb, *inb, *changes;
+  const int64_t *which;
   double *shown;
   goal_t g;
   double q, v, m, w, v_before, integral, next_load, mass, last;
@@ -238,6 +239,9 @@ static void turn_together(joint_t *all, int64_t J, double *M, int64_t k, int64_t
   }
 }
 
+/* Trials of a joint that are stepped in turn: a step waits for its own divisions, so others fill the time */
+enum {LANES = 8};
+
 __attribute__((visibility("default")))
 int64_t loop_run(const int64_t *size, const double *dt, const double *start, const double *speed, const double *command,
     const double *along, const double *load, const double *load_by, const double *inertia, const double *inertia_by,
@@ -245,23 +249,32 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
     const double *limits, const double *masses, const double *slopes, double *out, settle_t settle) {
   int64_t N = size[0], J = size[1], C = size[2], L = size[3], K = size[4], often = size[5], every = size[10], R = size[11];
   int on_motor = (int)size[6], shown_on_motor = (int)size[7], held_load = (int)size[8], with_speeds = (int)size[9];
-  int64_t together = every ? J : 1, window = size[12], sweeps = size[13], failed = 0;  /* together are stepped at once */
+  int64_t together = every ? J : LANES, window = size[12], sweeps = size[13], failed = 0;  /* together are stepped in turn */
   int told = (int)size[14];
   int64_t plane = J * C * L * N;
   double least = limits[0], straight = limits[1], contact = limits[2], settled = limits[3];
   joint_t *all = malloc(2 * (size_t)together * sizeof(joint_t)), *kept = all + together;
-  double *M = malloc((size_t)(3 * J * J + J + K) * sizeof(double)), *G = M + J * J;  /* and room for a step */
+  int64_t trials = every ? 1 : LANES;
+  double *M = malloc((size_t)(3 * J * J + J + trials * K) * sizeof(double)), *G = M + J * J;  /* and room for a step */
   double *changes = M + 3 * J * J + J;
-  int64_t *which = malloc((size_t)(K + 1) * sizeof(int64_t));
+  int64_t *which = malloc((size_t)(trials * K + 1) * sizeof(int64_t)), moved[LANES] = {0};
   if (!all || !M || !which) {free(all); free(M); free(which); return 1;}
-  for (int64_t s = 0; s < L && !failed; s++) for (int64_t j0 = 0; j0 < J; j0 += together) for (int64_t c = 0; c < C; c++) {
+  for (int64_t s = 0; s < L && !failed; s++) for (int64_t j0 = 0; j0 < J; j0 += every ? J : 1)
+  for (int64_t c0 = 0; c0 < C; c0 += trials) {
     double h = dt[s] / (double)often;
     const double *sup = supply + s * N, *en = enabled + s * N;
-    int64_t moved = 0;
-    for (int64_t i = 0; i < K; i++) if (inertial[i * C + c] != 0.0) {changes[moved] = inertial[i * C + c]; which[moved++] = i;}
+    int64_t lanes = trials < C - c0 ? trials : C - c0;
+    together = every ? J : lanes;
+    for (int64_t n = 0; n < lanes; n++) {
+      moved[n] = 0;
+      for (int64_t i = 0; i < K; i++) if (inertial[i * C + c0 + n] != 0.0) {
+        changes[n * K + moved[n]] = inertial[i * C + c0 + n]; which[n * K + moved[n]++] = i;
+      }
+    }
     for (int64_t n = 0; n < together; n++) {
       joint_t *x = all + n;
-      int64_t j = j0 + n, row = (j * L + s) * N;
+      int64_t j = every ? n : j0, lane = every ? 0 : n, c = c0 + lane, row = (j * L + s) * N;
+      x->changes = changes + lane * K; x->which = which + lane * K; x->moved = moved[lane];
       double *p = x->p;
       for (int i = 0; i < COUNT; i++) p[i] = entries[((i * J + j) * C + c) * L + s];
       x->h = h; x->cmd = command + row; x->way = along + row; x->stiff = stiffness + row;
@@ -286,7 +299,7 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
       x->g.position = x->cmd[0]; x->g.speed = 0.0;
       if (p[command_step] > 0) x->g.position = p[command_step] * nearbyint(x->cmd[0] / p[command_step]);
       x->next_load = x->ld[0];
-      if (moved) x->next_load += combine(x->ldb, changes, which, moved);
+      if (x->moved) x->next_load += combine(x->ldb, x->changes, x->which, x->moved);
       if (x->elastic) {
         double rest0 = x->next_load + p[offset];
         double twist = p[joint_compliance] * rest0 + (rest0 > 0 ? x->gap : rest0 < 0 ? -x->gap : 0.0);
@@ -309,9 +322,9 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
             joint_t *x = all + n;
             double now = held_load ? x->ld[k] : x->next_load;
             x->mass = x->in[k]; x->next_load = x->ld[k + 1];
-            if (moved) {
-              x->mass += combine(x->inb + k * K, changes, which, moved);
-              x->next_load += combine(x->ldb + (k + 1) * K, changes, which, moved);
+            if (x->moved) {
+              x->mass += combine(x->inb + k * K, x->changes, x->which, x->moved);
+              x->next_load += combine(x->ldb + (k + 1) * K, x->changes, x->which, x->moved);
             }
             x->rest0 = now + x->p[offset];
             x->slope = held_load ? 0.0 : (x->next_load - now) / (double)often;
@@ -330,7 +343,7 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
           for (int64_t i = 0; i < often; i++) {
             for (int64_t n = 0; n < together; n++) drive(all + n, N, often, k, i, on_motor, told, sup[k], straight);
             if (every) turn_together(all, J, M, k, i, sweeps, settled);
-            else turn_joint(all, all->rest);
+            else for (int64_t n = 0; n < together; n++) turn_joint(all + n, all[n].rest);
             for (int64_t n = 0; n < together; n++) {
               joint_t *x = all + n;
               double gained = x->v_next - x->v;

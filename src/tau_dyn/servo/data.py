@@ -13,7 +13,7 @@ from tau_dyn.servo.fit import FINE_DIFFERENCES, LoopFit, LoopProblem, Slopes, fi
 from tau_dyn.servo.prediction import SimulatedMotion, differentiate_coupled, simulate_coupled
 from tau_dyn.servo.records import InertialSpace, LoadWaves, LoopRecord, build_waves, compute_load_waves, split_pieces
 from tau_dyn.servo.unknowns import LoopUnknowns
-from tau_dyn.servo.waves import MAX_STEP_S, Trials
+from tau_dyn.servo.waves import MAX_STEP_S, SPRING_STEP_S, Trials
 from tau_dyn.simulate import ServoLaw
 
 BASELINE = ("armature", "coulomb", "viscous", "offset")
@@ -108,6 +108,12 @@ class LoopData:
     def compute_exact_step(self, fit: LoopFit) -> float:
         """Return the longest step of exact motions near a solution [s]."""
         return float(np.clip(STEP_PER_ROOT * np.sqrt(np.median(fit.sigma)), EXACT_STEP_S, self.step / STEP_RATIO))
+
+    def with_fine_steps(self, fit: LoopFit) -> LoopData:
+        """Return the data with steps as short as the residual of a fit asks for where springs may be; never with longer ones."""
+        step = float(np.clip(STEP_RATIO * STEP_PER_ROOT * np.sqrt(np.median(fit.sigma)), SPRING_STEP_S, self.step))
+        many, few = (np.ceil(max(r.dt for r in self.records) / x - 1e-9) for x in (step, self.step))
+        return replace(self, step=step) if many > few else self
 
     def with_exact_motions(self, fit: LoopFit, with_loads: bool = True) -> LoopData:
         """Return the data with the motions of a solution, and with loads along them unless the old ones do."""

@@ -49,6 +49,9 @@ CONVERGED = 0.01
 """Squared distance to the minimum, in standard errors and by unknown, from which a search near a solution ends (Newton
 decrement)."""
 
+MANY = 2
+"""Inertial unknowns over kinds of others from which trials keep what is known of them: simulating them is most of the work."""
+
 MAX_ELEMENTS = 6_000_000
 """Positions that are simulated at once, 48 MB of them."""
 
@@ -93,6 +96,7 @@ class LoopProblem:
 
     Attributes:
         slopes: Sensitivities that were simulated last, or those of nearly the same problem.
+        inertial: Joint by joint, sensitivities (K, S N) to the inertial unknowns that a trial keeps; None to simulate them.
     """
 
     def __init__(self, unknowns: LoopUnknowns, waves: Waves, records: Sequence[LoopRecord]) -> None:
@@ -105,6 +109,7 @@ class LoopProblem:
         self.count = np.maximum(self.used.sum(), 1)
         self.share_of_steps = 1.0
         self.slopes: Slopes | None = None
+        self.inertial: list[np.ndarray] | None = None
 
     def with_finer_differences(self) -> LoopProblem:
         """Return the problem with small steps for its differences, for the last part of a search."""
@@ -119,6 +124,21 @@ class LoopProblem:
         problem = copy(self)
         problem.slopes = other.slopes
         return problem
+
+    def keep_inertial(self, x: np.ndarray) -> list[np.ndarray] | None:
+        """Return the sensitivities to inertial unknowns at a vector (n,), for trials near it; None where they are few."""
+        count = self.unknowns.space.n_unknowns
+        return (
+            [rows[-count:] for rows in self.differentiate(x)[1].rows]
+            if count > MANY * len(self.unknowns.kinds)
+            else None
+        )
+
+    def with_inertial(self, kept: list[np.ndarray] | None) -> LoopProblem:
+        """Return the problem with sensitivities to inertial unknowns that are not simulated anew."""
+        other = copy(self)
+        other.inertial = kept
+        return other
 
     def with_step(self, step: float) -> LoopProblem:
         """Return the problem with another longest step [s]."""
@@ -170,8 +190,9 @@ class LoopProblem:
     def differentiate(self, x: np.ndarray) -> tuple[np.ndarray, Slopes]:
         """Return the residual (N, na, S) and the sensitivities at a vector (n,)."""
         u, steps, joint_of = self.unknowns, self.list_steps(x), self.unknowns.joint_of
+        simulated = u.n if self.inertial is None else u.n - u.space.n_unknowns
         kind_of = np.append(np.nonzero(u.free)[0], len(u.kinds) + np.arange(u.space.n_unknowns))
-        names = np.unique(kind_of)
+        names = np.unique(kind_of[:simulated])
         columns = [x]
         for name in names:  # joints move alone: one column changes a kind at all of them
             columns.append(x + np.where(kind_of == name, steps, 0.0))
@@ -179,9 +200,11 @@ class LoopProblem:
         base, owners, sensitivities = r[:, :, 0], [], []
         for j in range(r.shape[1]):
             mine = np.flatnonzero((joint_of == j) | (joint_of < 0))
-            at = [1 + int(np.searchsorted(names, kind_of[k])) for k in mine]
+            new = mine[mine < simulated]
+            at = [1 + int(np.searchsorted(names, kind_of[k])) for k in new]
             rows = r[:, j].transpose(1, 2, 0)
-            sensitivities.append(((rows[at] - rows[:1]) / steps[mine][:, None, None]).reshape(len(mine), -1))
+            change = ((rows[at] - rows[:1]) / steps[new][:, None, None]).reshape(len(new), rows[0].size)
+            sensitivities.append(change if self.inertial is None else np.concatenate([change, self.inertial[j]]))
             owners.append(mine)
         self.slopes = Slopes(x, sensitivities, owners)
         return base, self.slopes

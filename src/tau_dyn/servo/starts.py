@@ -92,10 +92,9 @@ def start_best(
     """Return the unknowns with causes free at joints, at the starts from which a few steps leave least at each joint."""
     places = [(cause, j) for cause in starts for j in joints]
     tried = [dict(zip(starts, one, strict=True)) for one in product(*starts.values())]
-    sigmas = [
-        fit_loop(data.build_problem(free_causes(data, u, fit, places, start)), max_iterations=TRY_ITERATIONS).sigma
-        for start in tried
-    ]
+    kept = data.build_problem(u).keep_inertial(fit.x)
+    problems = [data.build_problem(free_causes(data, u, fit, places, start)) for start in tried]
+    sigmas = [fit_loop(one.with_inertial(kept), max_iterations=TRY_ITERATIONS).sigma for one in problems]
     best = [tried[k] for k in np.argmin(sigmas, axis=0)]
     chosen = {
         cause: {entry: np.array([best[j][cause][entry][j] for j in range(len(best))]) for entry in rows[0]}
