@@ -6,8 +6,9 @@ so101: every second motion by name trains (a rule fixed before any result), with
 each gain from the others, mean absolute error. pairs: simulated arms of one to three joints, each at two servo gains: how
 many pairs of parameters agree within their 95 % intervals, and how often an interval holds the true value, one mass known.
 causes: arms of one or two joints whose law the file gives, a third of them with nothing hidden; causes confirmed, whether the
-hidden one, or a twin, is among them, lambda (what the baseline misses, in variances of the encoder's noise, summed over the
-samples), and the error on a further log over that of the true model. spring: see spring_in_the_loop.py. speed: an arm of
+hidden one, or a twin, is among them, lambda (what the fitted baseline misses of the true motion, in variances of the
+encoder's noise, summed over samples and joints: a noncentrality), and the error on a further log over that of the true model.
+spring: see spring_in_the_loop.py. speed: an arm of
 twelve joints, 120 s at 200 Hz.
 """
 
@@ -15,6 +16,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +31,13 @@ from tests.servo.arms import build_arm, build_commands, build_law, build_truth, 
 
 from tau_dyn.exceptions import CannotAnswer  # noqa: E402
 from tau_dyn.identify import Choices  # noqa: E402
+from tau_dyn.log import Log  # noqa: E402
+from tau_dyn.robot import Robot  # noqa: E402
 from tau_dyn.servo import LoopIdentification, diagnose_loop, identify_loop, simulate_loop_log  # noqa: E402
+from tau_dyn.servo.data import BASELINE, fit_coupled, keep_kinds  # noqa: E402
+from tau_dyn.servo.identification import predict  # noqa: E402
+from tau_dyn.servo.preparation import prepare_loop, read_loop_logs  # noqa: E402
+from tau_dyn.servo.waves import SPRING_STEP_S  # noqa: E402
 from tau_dyn.simulate import ServoLaw, build_servo_law, read_servo_law  # noqa: E402
 
 GAINS = (2.65, 5.3)
@@ -154,16 +162,27 @@ def judge_causes(seed: int, hidden: str) -> dict[str, object]:
         measured.joint("q", arm.actuated) - simulate_loop_log(m, x, motion).joint("q", arm.actuated)
         for m, x in ((model, true), (found.extended_model, law))
     )
-    noise = np.sqrt(np.mean(truth**2, axis=0))
-    samples = sum(log.n_samples for log in logs)
+    clean = [record(arm, model, true, 1000 + 2 * seed + k, 30.0, clean=True) for k in range(2)]
     return {
         "confirmed": " ".join(cause for cause, _ in told),
         "right": any(cause == hidden or hidden in twins for cause, twins in told),
         "false": any(cause != hidden and hidden not in twins for cause, twins in told),
-        "lambda": float(samples * np.sum(np.maximum((found.baseline / noise) ** 2 - 1, 0.0))),
+        "lambda": measure_noncentrality(arm, plain, logs, clean),
         "error_over_true": float(np.sqrt(np.mean(ours**2)) / np.sqrt(np.mean(truth**2))),
         "unexplained": len(found.unexplained),
     }
+
+
+def measure_noncentrality(arm: Robot, law: ServoLaw, logs: list[Log], clean: list[Log]) -> float:
+    """Return the squared distance of a fitted baseline's motions to the true ones, in variances of the noise."""
+    given = read_loop_logs(arm, logs, {"law": law})
+    data = prepare_loop(given, given.kept)
+    data = replace(data, unknowns=keep_kinds(data, (*BASELINE, *law.estimated)), whole=True, step=SPRING_STEP_S)
+    data, fit = fit_coupled(data)
+    moved = np.stack([m.q for m in predict(data, fit, given.kept)], axis=-1)
+    measured, true = (np.stack([x.joint("q", arm.actuated) for x in some], axis=-1) for some in (logs, clean))
+    noise = np.var(measured - true, axis=(0, 2), keepdims=True)
+    return float(np.sum((moved - true) ** 2 / noise))
 
 
 def summarise_causes(table: pd.DataFrame) -> str:
