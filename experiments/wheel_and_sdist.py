@@ -45,7 +45,13 @@ CARRIED = (
 """How files of the package may end."""
 NEEDED = ("tau_dyn/py.typed", "tau_dyn/urdf/gantry_tau.urdf.xacro", "tau_dyn/render/templates/page.html.j2",
           "tau_dyn/render/templates/notebook.css", "tau_dyn/cli/__main__.py")  # fmt: skip
-SOURCES = ("tests/test_rooms.py", "tests/packaging")
+SOURCES = (
+    "tests/test_rooms.py",
+    "tests/test_frozen.py",
+    "tests/packaging",
+    "tests/docs/test_glossary.py",
+    "tests/experiments/test_physical_faults.py",
+)
 """Tests of the checkout, not of the package."""
 
 
