@@ -31,7 +31,8 @@ TWIN_SHARE = 0.95
 APART = 9.0
 """Likelihood ratio, twice its logarithm, from which one of two causes is told from the other: three standard errors."""
 MAX_ROUNDS = 4  # causes at one joint; each takes off at least 3 %, and joints may wait for each other
-_NEAR = 0.5  # share of the best cause's share, or of the least that counts, from which a cause may be the best
+RIVAL_SHARE = 0.5
+"""Share of what the best cause takes off, or of the least that counts, from which another one may be the best."""
 TOGETHER = 0.5
 """Share of what the best cause takes off of its joint's residual from which other joints' causes are taken in with it. The rest
 wait, as what a joint misses shakes its neighbours."""
@@ -263,7 +264,7 @@ def _try_all(
         return tried
     most = np.max([row.share for row in tried.values()], axis=0)
     for cause, row in tried.items():
-        if np.any(coloured & (row.share > _NEAR * np.maximum(most, MIN_SHARE))):
+        if np.any(coloured & (row.share > RIVAL_SHARE * np.maximum(most, MIN_SHARE))):
             progress(f"{cause.replace('_', ' ')} again")
             tried[cause] = _try(data, u, fit, cause, [row.start]) or row
     return tried
