@@ -24,7 +24,7 @@ def search(monkeypatch: pytest.MonkeyPatch, rounds: list[dict[str, tuple[list[fl
     """Return what is taken in round by round at two joints, where causes have these scores and shares in each round."""
     taken: list[set] = []
 
-    def weigh(data: Any, u: Any, fit: Any, cause: str, *more: Any) -> TriedCause:
+    def answer(data: Any, u: Any, fit: Any, cause: str, *more: Any) -> TriedCause:
         now = rounds[len(taken)] if len(taken) < len(rounds) else {}
         return TriedCause(*map(np.array, now.get(cause, ([0.0, 0.0], [0.0, 0.0]))), {})
 
@@ -33,7 +33,7 @@ def search(monkeypatch: pytest.MonkeyPatch, rounds: list[dict[str, tuple[list[fl
         return "unknowns"
 
     monkeypatch.setattr(cause_search, "_find_coloured", lambda *_: np.array([True, True]))
-    monkeypatch.setattr(cause_search, "_try", weigh)
+    monkeypatch.setattr(cause_search, "_try", answer)
     monkeypatch.setattr(cause_search, "list_starts", lambda *_: [])
     monkeypatch.setattr(cause_search, "free_causes", free)
     fit: Any = SimpleNamespace(x=None)
