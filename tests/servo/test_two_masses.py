@@ -155,10 +155,10 @@ def test_compiled_and_array_loops_agree(entries, side):
     wide = replace(space, directions=0.3 * rng.standard_normal((len(space.nominal), 3)) * space.prior[:, None])
     loads = [compute_load_waves(wide, *r.motion, r.dt) for r in records]
     waves = build_waves(records, loads, law)
-    factors = np.array([1.0, 1.1, 0.9])
+    factors = np.append(1.0, np.linspace(0.9, 1.1, 9))  # more than are stepped in turn
     trials = Trials(
         {key: value[:, None] * factors for key, value in read_values(truth, law).items()},
-        rng.standard_normal((3, 3)) * [0, 1, 1],
+        rng.standard_normal((3, 10)) * (np.arange(10) > 0),
     )
     often = int(np.ceil(waves.dt[0] / waves.step))
     np.testing.assert_allclose(simulate_motion(waves, trials), _simulate_in_numpy(waves, trials, often), atol=1e-9)
