@@ -36,6 +36,7 @@ from tau_dyn.diagnose.plausibility import (
 )
 from tau_dyn.diagnose.result import Choice, Gain, Step
 from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
+from tau_dyn.effects import Effect
 from tau_dyn.estimate import PhysicalConstraints
 from tau_dyn.identify import MAX_HELD_OUT_RATIO, describe_foreign_joints
 
@@ -43,8 +44,6 @@ MIN_AMPLITUDE_Z = 2.0
 """Standard errors that the amplitudes of a claimed cause must be off zero in the extended model, all in one Wald test."""
 MAX_RELATIVE_RMS_INCREASE = 0.005
 """By how much a cause may raise the error on the confirmation part; a weak one changes it by less, either way."""
-MAX_SHARE_STDERR = 0.25
-"""Standard error of a cause's share from which the last part cannot show it: its whole would be four of them."""
 _NOT_SHOWN = "held-out data do not show it"
 _SILENT = "held-out data cannot show it"
 _WORSE = "held-out data are predicted worse with it"
@@ -152,17 +151,38 @@ def build_waterfall(
         fits.append(fit_extended_model(channel, build_effects(kept[: k + 1]), physics, rng))
         joints = sorted({j for e in one.candidate.effects for j in e.joints}, key=channel.scene.joints.index)
         steps.append(Step(f"{one.candidate.cause} {' '.join(joints)}", fits[-1].errors))
-        own = hunt.columns(one.candidate.effects)
-        shown = confirm(hunt.ground, own, build_effects(kept[:k]), TEST, fitted_on=(TRAIN, VALIDATION))
         test = claims.tests[claims.found.index(one)]
-        if test.within and not shown.stderr < MAX_SHARE_STDERR and len(aside):
-            part = replace(channel, parts=tuple(np.where(p == VALIDATION, TEST, p) for p in aside))
-            known = [restrict_to_parts(fit.regression, part, TRAIN) for fit in fits[-2:]]
-            before, after = (r.residuals(solve_with_fallback(r, physics).theta) for r in known)
-            gains.append(compute_gain(part, before, after, joints, rng, test))
-        else:
-            gains.append(compute_gain(channel, fits[-2].residuals, fits[-1].residuals, joints, rng, shown))
+        within, beside = test if test.within else None, build_effects(kept[:k])
+        gains.append(_measure_gain(hunt, fits[-2:], one.candidate.effects, beside, rng, physics, within, aside))
     return Waterfall(steps, fits, gains, first)
+
+
+def _measure_gain(
+    hunt: StepwiseSelection,
+    fits: Sequence[EvaluatedFit],
+    effects: Sequence[Effect],
+    beside: Sequence[Effect],
+    rng: np.random.Generator,
+    physics: PhysicalConstraints | None,
+    within: Confirmation | None = None,
+    aside: Sequence[np.ndarray] = (),
+) -> Gain:
+    """Return the gain of effects between two fits on the last part; where that leaves it open, on more data.
+
+    More data are the part that confirmed, beside the last one, or for a cause with a test `within` the training logs their
+    blocks set aside; in both cases the fits are those of the rest of the training part alone.
+    """
+    channel, own = hunt.channel, hunt.columns(effects)
+    joints = sorted({joint for effect in effects for joint in effect.joints}, key=channel.scene.joints.index)
+    shown = confirm(hunt.ground, own, beside, (TEST,), fitted_on=(TRAIN, VALIDATION))
+    before, after = (fit.residuals for fit in fits)
+    if shown.leaves_gain_open:
+        parts = aside if within else channel.parts
+        channel = replace(channel, parts=tuple(np.where(p == VALIDATION, TEST, p) for p in parts))
+        known = [restrict_to_parts(fit.regression, channel, TRAIN) for fit in fits]
+        before, after = (r.residuals(solve_with_fallback(r, physics).theta) for r in known)
+        shown = within or confirm(hunt.ground, own, beside, (VALIDATION, TEST))
+    return compute_gain(channel, before, after, joints, rng, shown)
 
 
 def select_supported(
@@ -210,7 +230,9 @@ def _reject_by_amplitude(hunt: StepwiseSelection, claims: Claims, bars: Waterfal
         why = why or find_implausible(effects, values, scales) or find_edge(effects, scene)
         why = why or find_inconsistent(effects, values, scene.step_s)
         others = build_effects([other for other in kept if other is not one])
-        if not (why or claims.tests[k].within or confirm(hunt.ground, hunt.columns(effects), others, TEST).share > 0):
+        if not (
+            why or claims.tests[k].within or confirm(hunt.ground, hunt.columns(effects), others, (TEST,)).share > 0
+        ):
             why = _VETO
         claims = claims.judge(k, why) if why else claims
     return claims
@@ -258,7 +280,13 @@ class Recommendation(NamedTuple):
     warnings: Sequence[str] = ()
 
 
-def recommend(hunt: StepwiseSelection, claims: Claims, bars: Waterfall, rng: np.random.Generator) -> Recommendation:
+def recommend(
+    hunt: StepwiseSelection,
+    claims: Claims,
+    bars: Waterfall,
+    rng: np.random.Generator,
+    physics: PhysicalConstraints | None = None,
+) -> Recommendation:
     """Return which model to use, given the causes with those that stand, and their waterfall."""
     channel = hunt.channel
     before, after = bars.fits[0], bars.fits[-1]
@@ -281,9 +309,7 @@ def recommend(hunt: StepwiseSelection, claims: Claims, bars: Waterfall, rng: np.
         listed = ", ".join(f"{joint} by {loss:.2g} %" for joint, loss in worse)
         return Recommendation("refitted", f"the confirmed causes increase the held-out error at {listed}")
     effects = build_effects(claims.kept)
-    joints = {joint for effect in effects for joint in effect.joints}
-    shown = confirm(hunt.ground, hunt.columns(effects), (), TEST, fitted_on=(TRAIN, VALIDATION))
-    gain = compute_gain(channel, before.residuals, after.residuals, sorted(joints), rng, shown)
+    gain = _measure_gain(hunt, (before, after), effects, (), rng, physics)
     low, high = gain.ci95
     if low <= 0:
         return Recommendation(

@@ -73,17 +73,22 @@ class Confirmation:
         """Whether these data neither show the effect nor could have been relied on to show it."""
         return not self.is_confirmed and not self.stderr < 1 / _MIN_EXPECTED_Z
 
+    @property
+    def leaves_gain_open(self) -> bool:
+        """Whether its 95 % interval holds both the whole of the effect and a share too small to lower the error."""
+        return not (self.share - Z95 * self.stderr > MIN_GAINING_SHARE or self.share + Z95 * self.stderr < 1)
+
 
 def confirm(
     ground: NullModel,
     columns: Sequence[Sequence[np.ndarray]],
     others: Sequence[Effect],
-    part: int = VALIDATION,
+    parts: tuple[int, ...] = (VALIDATION,),
     fitted_on: tuple[int, ...] = (TRAIN,),
 ) -> Confirmation:
-    """Test columns (lists over runs of (n, m, k)) beside other effects on a part of the data, under the ground's noise."""
+    """Test columns (lists over runs of (n, m, k)) beside other effects on parts of the data, under the ground's noise."""
     channel, beside = ground.channel, [ground.library.columns(effect) for effect in others]
-    train, held = (Whitener.of(channel.runs, channel.masks(*which), ground.noise) for which in (fitted_on, (part,)))
+    train, held = (Whitener.of(channel.runs, channel.masks(*which), ground.noise) for which in (fitted_on, parts))
     prior_rows, prior_y = channel.prior
     B_t, B_c = (np.concatenate([w(channel.free_columns), *(w(c) for c in beside)], axis=1) for w in (train, held))
     C_t, C_c = (np.concatenate([w(c) for c in columns], axis=1) for w in (train, held))
@@ -258,7 +263,7 @@ def _borne_out(hunt: StepwiseSelection, told: StructureTest) -> bool:
     """
     known = VALIDATION if _drifts_anew(hunt.channel, told.structure) else TRAIN
     others = build_effects(hunt.found)
-    shown = confirm(hunt.ground, [told.structure.columns], others, TEST, fitted_on=(known,))
+    shown = confirm(hunt.ground, [told.structure.columns], others, (TEST,), fitted_on=(known,))
     return shown.share - Z95 * shown.stderr > MIN_GAINING_SHARE
 
 

@@ -236,7 +236,7 @@ def _answer(
         sentence = describe_diagnosis(channel, verdict, findings, aliased, unexplained, errors)
     experiments = (f.experiment for f in aliased or findings if f.experiment and verdict == "cannot_tell")
     limits, untestable = compute_detection_limits(hunt, [f.cause for f in findings])
-    use = Recommendation("neither", spoiled) if spoiled else recommend(hunt, claims, bars, rng)
+    use = Recommendation("neither", spoiled) if spoiled else recommend(hunt, claims, bars, rng, case and case.physics)
     floor = estimate_noise_floor(channel, after, np.random.default_rng(seed))
     settings = {"noise_draws": N_NULL_DRAWS, "family_level": FAMILY_LEVEL, "causes_tried": len(hunt.last)}
     return Diagnosis(

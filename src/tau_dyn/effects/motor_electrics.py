@@ -32,8 +32,8 @@ VOLTAGE, PULSE_WIDTH = "voltage", "pwm"
 """Signals (N, na) that a log has where its forces are in proportion to them: voltages [V], shares of the supply."""
 _WITH_CURRENT = "log the current beside the voltage; identify then gives resistance, back-EMF and inductance"
 _COLD = 20.0  # degC; a reference only moves the masses
-_LAGS_S = (10.0, 20.0, 40.0, 80.0, 160.0)
-"""Time constants of windings tried [s]: 10 s in a hobby servo, some minutes in an industrial motor; refinement does the rest."""
+_LAGS_S = (2.5, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
+"""Time constants of windings tried [s]: a few seconds in a motor of 10 mm, some minutes in an industrial one."""
 _MAX_LAG_SHARE = 0.5
 """Share of the recording that a time constant may take; a longer one is a drift in time."""
 _BACK_EMF_SHARES = (0.0, 0.5, 1.0)
