@@ -75,8 +75,8 @@ class Confirmation:
 
     @property
     def leaves_gain_open(self) -> bool:
-        """Whether its 95 % interval holds both the whole of the effect and a share too small to lower the error."""
-        return not (self.share - Z95 * self.stderr > MIN_GAINING_SHARE or self.share + Z95 * self.stderr < 1)
+        """Whether its 95 % interval holds the share from which the effect lowers the error."""
+        return not abs(self.share - MIN_GAINING_SHARE) > Z95 * self.stderr
 
 
 def confirm(
