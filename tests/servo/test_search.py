@@ -212,3 +212,20 @@ def test_a_step_ends_before_bodies_that_cannot_exist():
     assert np.isinf(prior.compute_cost(pull)) and np.isfinite(prior.compute_cost(after)) and after[0] < -0.3
     moved = prior.enter(pull)
     assert np.isfinite(prior.compute_cost(moved)) and moved[0] < -0.3
+
+
+def test_causes_in_long_logs_are_looked_for_in_pieces_from_all_over_them(three):
+    """Of two logs of 170 s some 150 s are searched, half of each log, its end too; of commanded speeds all, of short logs too."""
+    arm = build_arm(1)
+    truth, law = build_truth(arm), build_law(arm)
+    logs = [replace(record(arm, truth, law, k, 170.0), name=name) for k, name in enumerate("ab")]
+    given = read_loop_logs(arm, logs, {"law": law})
+    data = prepare_loop(given, given.kept)
+    pieces = data.shorten().records
+    spans = {name: [(r.t[0], r.t[-1]) for r in pieces if r.name == name] for name in "ab"}
+    for one in spans.values():
+        assert sum(end - start for start, end in one) == pytest.approx(75, rel=0.25)
+    assert spans["a"][0][0] == 0 and spans["b"][-1][1] > 169
+    speed = replace(data, law=build_law(arm, command="speed"))
+    assert speed.shorten() is speed
+    assert three.shorten() is three

@@ -14,7 +14,7 @@ from tau_dyn.servo.prediction import SimulatedMotion, differentiate_coupled, sim
 from tau_dyn.servo.records import InertialSpace, LoadWaves, LoopRecord, build_waves, compute_load_waves, split_pieces
 from tau_dyn.servo.unknowns import LoopUnknowns
 from tau_dyn.servo.waves import MAX_STEP_S, SPRING_STEP_S, Trials
-from tau_dyn.simulate import ServoLaw
+from tau_dyn.simulate import COMMANDS, ServoLaw
 
 BASELINE = ("armature", "coulomb", "viscous", "offset")
 """What a simulation has before any cause, and is fitted first."""
@@ -31,11 +31,13 @@ LARGE_RESIDUAL_RAD = 1.6e-3
 MAX_SETTLINGS = 14
 """Fits in turn against exact motions of the last one's solution; three are usual, ten of long chains."""
 LOADS_ANEW = 2
-"""Such fits that take their loads along the last exact motions; later ones move too little for their sensitivities, unless"""
+"""Such fits that take their loads along the last exact motions; later ones move too little for their sensitivities."""
+STILL_FALLING = 0.05
+"""Share by which a joint's residual changed in the last such fit, from which later ones take their loads anew, too."""
 MAX_JOINT_SECONDS = 1500.0
 """Unknowns times joints times seconds of logs up to which springs are fitted with sensitivities of all joints: minutes."""
-STILL_FALLING = 0.05
-"""a joint's residual changed by this share in the last one."""
+SEARCH_S = 150.0
+"""Time of the logs on which causes are looked for [s], in pieces of at least 10 s: some 30 blocks of 4 s."""
 MIXED = 8
 """Solutions that are mixed into the next start, at most."""
 RMS_TOLERANCE = 1e-4
@@ -97,6 +99,16 @@ class LoopData:
         settled = self.settled and self.settled._replace(motions=tuple(self.settled.motions[k] for k in chosen))
         records, loads = ([rows[k] for k in chosen] for rows in (self.records, self.loads))
         return replace(self, records=records, loads=loads, settled=settled)
+
+    def shorten(self) -> LoopData:
+        """Return the data of pieces spread evenly over long logs; all of them where a loop never forgets where it began."""
+        total = sum(len(r.t) * r.dt for r in self.records)
+        if self.law.command != COMMANDS[0] or total <= SEARCH_S:
+            return self
+        pieces, loads = split_pieces(self.records, self.loads)
+        count = round(len(pieces) * SEARCH_S / total)
+        chosen = np.round(np.linspace(0, len(pieces) - 1, count)).astype(int)
+        return replace(self, records=[pieces[k] for k in chosen], loads=[loads[k] for k in chosen])
 
     @property
     def is_shaken(self) -> bool:

@@ -8,7 +8,7 @@ for nothing else. Both use the models as fitted to the search's data alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Unpack
 
@@ -21,7 +21,7 @@ from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 from tau_dyn.servo.cause_search import LoopSearch, check_steps, compute_limits, part_twins, search_causes
-from tau_dyn.servo.data import BASELINE, LoopData, fit_coupled, fit_precisely, keep_kinds
+from tau_dyn.servo.data import BASELINE, LoopData, fit_coupled, fit_precisely, keep_kinds, refit_again
 from tau_dyn.servo.diagnosis_result import LoopDiagnosis, LoopFinding, LoopLimit
 from tau_dyn.servo.doubts import list_loop_warnings
 from tau_dyn.servo.fit import LoopFit
@@ -86,7 +86,7 @@ def diagnose_loop(
     data = replace(data, unknowns=unknowns, whole=True)
     progress("baseline")
     base = fit_precisely(data.build_problem(), progress)
-    search = search_causes(data, base, progress)
+    search = _search(data, base, progress)
     progress("exact motions")
     data = replace(data, step=SPRING_STEP_S)
     settled, near = fit_coupled(replace(data, unknowns=search.unknowns), progress, search.fit)
@@ -130,6 +130,15 @@ def diagnose_loop(
         after.rms, floor, interval, choice, why, unexplained, limits, untestable,
         _build_model(replace(data, unknowns=search.unknowns), search.fit), tuple(dict.fromkeys(warnings)), seed,
     )  # fmt: skip
+
+
+def _search(data: LoopData, base: LoopFit, progress: Callable[[str], None]) -> LoopSearch:
+    """Return the causes found on pieces of long logs, fitted to all of these."""
+    short = data.shorten()
+    if short is data:
+        return search_causes(data, base, progress)
+    found = search_causes(short, refit_again(short.build_problem(), base, progress), progress)
+    return replace(found, fit=refit_again(data.build_problem(found.unknowns), found.fit, progress))
 
 
 def _judge(findings: Sequence[LoopFinding], unexplained: Sequence[object]) -> str:
