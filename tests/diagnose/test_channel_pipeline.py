@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tau_dyn.diagnose import Gain, confirmation, diagnose
-from tau_dyn.diagnose.channel import TEST
+from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION
 from tau_dyn.diagnose.claims import recommend, select_confirmed, select_supported
-from tau_dyn.diagnose.confirmation import Confirmation, confirm_cause
+from tau_dyn.diagnose.confirmation import Confirmation, confirm, confirm_cause
 from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap
 from tau_dyn.diagnose.plausibility import find_inconsistent
 from tau_dyn.diagnose.stepwise_selection import select_causes
@@ -104,6 +104,25 @@ def test_a_gain_that_may_be_zero_confirms_nothing(make, rng, monkeypatch):
     monkeypatch.setattr(module, "compute_gain", lambda *_: Gain(10.0, 9.0, 10.0, (-0.1, 20.0)))
     claims, _ = stand(channel, rng)
     assert "gain" in claims.why_not[0] and claims.kept == []
+
+
+@pytest.mark.parametrize(("last", "stands"), [(1.0, True), (-1.0, False)])
+def test_where_few_last_samples_leave_a_gain_open_the_confirming_part_counts_too(make, last: float, stands: bool):
+    """A drag whose gain three seconds cannot tell is confirmed by these and the confirming part, unless it pushes in the last."""
+    rng = np.random.default_rng(5)
+    turns = make.turns(8000)
+    turns[(turns == TEST) & (np.arange(8000) > 1000)] = -1
+
+    def hidden(motion):
+        return 40 * np.where(turns == TEST, last, 1.0)[:, None] * motion.v * np.abs(motion.v)
+
+    channel = make.bench(rng, hidden, n=8000, causes=(QuadraticDrag,))
+    channel = replace(channel, parts=(turns,))
+    hunt = select_causes(channel, rng, lambda step: None)
+    (one,) = hunt.found
+    shown = confirm(hunt.ground, hunt.columns(one.candidate.effects), (), (TEST,), fitted_on=(TRAIN, VALIDATION))
+    assert shown.leaves_gain_open or not stands
+    assert bool(stand(channel, rng)[0].kept) is stands
 
 
 def test_the_extended_model_is_recommended_where_the_error_falls(make, rng):

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION
-from tau_dyn.diagnose.confirmation import confirm
+from tau_dyn.diagnose.confirmation import Confirmation, confirm
 from tau_dyn.effects import PositionFriction, Stribeck, ViscousAsymmetry
 
 EFFECT = ViscousAsymmetry(("x",), ("N",))
@@ -83,6 +83,14 @@ def test_the_part_that_measures_the_gain_is_not_looked_at(make, rng):
     y = channel.runs[0].y.copy()
     y[channel.parts[0] == TEST] = 1e6
     assert confirmed(make, make.measuring(channel, y)) == confirmed(make, channel)
+
+
+@pytest.mark.parametrize(
+    ("share", "stderr", "leaves_open"), [(0.9, 0.3, True), (0.9, 0.1, False), (0.1, 0.1, False), (0, np.inf, True)]
+)
+def test_a_gain_is_open_where_half_of_the_effect_is_within_the_interval(share, stderr, leaves_open):
+    """From half of its predicted size on an effect lowers the error, which 0.9 +- 0.3 leaves open and 0.9 +- 0.1 does not."""
+    assert Confirmation(share, stderr, 0.01).leaves_gain_open is leaves_open
 
 
 def test_only_what_the_baseline_leaves_of_an_effect_counts(make, rng):

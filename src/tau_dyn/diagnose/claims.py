@@ -196,7 +196,7 @@ def select_supported(
     """Return the claims that all rules for a confirmed cause let stand, and their bars.
 
     A confirmed cause has an amplitude distinct from zero, within its plausible range, with settings off the edges of what was
-    searched; the last part shows some of it, and the error of its own joints falls there with the 95 % interval above zero. A
+    searched; it is not absent from the last part, and the error of its own joints falls with the 95 % interval above zero. A
     joint of several that becomes significantly worse is dropped, and the others stay. The last part has a veto and no vote. Rules
     that look at one cause alone come first, as what they turn down may be what makes another one worse.
     """
@@ -215,7 +215,7 @@ def select_supported(
 
 
 def _reject_by_amplitude(hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> Claims:
-    """Reject what is not distinct from zero, implausible, at an edge, or not shown by the last part; all at once."""
+    """Reject what is not distinct from zero, implausible, at an edge, or absent from the last part; all at once."""
     values, before = bars.fits[-1].parameters, bars.fits[0].parameters
     estimate, scene, kept = bars.fits[-1].estimate, hunt.channel.scene, claims.kept
     assert estimate is not None  # only the nominal bar has none
@@ -230,10 +230,9 @@ def _reject_by_amplitude(hunt: StepwiseSelection, claims: Claims, bars: Waterfal
         why = why or find_implausible(effects, values, scales) or find_edge(effects, scene)
         why = why or find_inconsistent(effects, values, scene.step_s)
         others = build_effects([other for other in kept if other is not one])
-        if not (
-            why or claims.tests[k].within or confirm(hunt.ground, hunt.columns(effects), others, (TEST,)).share > 0
-        ):
-            why = _VETO
+        if not (why or claims.tests[k].within):
+            shown = confirm(hunt.ground, hunt.columns(effects), others, (TEST,))
+            why = "" if shown.share > 0 or shown.leaves_gain_open else _VETO
         claims = claims.judge(k, why) if why else claims
     return claims
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from scipy.stats import chi2
 
 from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Regression
-from tau_dyn.identify.result import ForceErrors
+from tau_dyn.identify.result import ForceErrors, list_poorly_determined
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import INERTIAL
@@ -54,13 +55,18 @@ _MAX_INERTIA_RATIO = 30.0
 """Factor between identified and nominal inertia beyond which units are doubted; a robot file may be wrong by much less."""
 
 
-def list_estimate_warnings(estimate: Estimate) -> list[str]:
-    """Return a sentence for each thing about the estimate that a reader must know before using it."""
+def list_estimate_warnings(estimate: Estimate, sizes: Mapping[str, float] = MappingProxyType({})) -> list[str]:
+    """Return a sentence for each thing about the estimate that a reader must know before using it.
+
+    Args:
+        estimate: The fit.
+        sizes: What the robot file leaves open of the bodies' parameters, by name.
+    """
     return [
         *_moved(estimate),
         *_at_bound(estimate),
         *_unseen(estimate),
-        *_undetermined(estimate),
+        *_undetermined(estimate, sizes),
         *_conditioning(estimate),
     ]
 
@@ -237,8 +243,8 @@ def _unseen(estimate: Estimate) -> list[str]:
     return [f"not excited, nominal value kept: {', '.join(lost)}; to identify them, {remedy}"]
 
 
-def _undetermined(estimate: Estimate) -> list[str]:
-    weak = [n for n in estimate.base.names if estimate.parameters[n].stderr is not None and not estimate.determined(n)]
+def _undetermined(estimate: Estimate, sizes: Mapping[str, float]) -> list[str]:
+    weak = list_poorly_determined(estimate, sizes)
     if not weak:
         return []
     listed = ", ".join(

@@ -48,7 +48,7 @@ from tau_dyn.log import Log, Recording
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
-from tau_dyn.robot import Robot
+from tau_dyn.robot import Robot, list_body_stderr
 from tau_dyn.scale import count_cores
 
 
@@ -144,7 +144,8 @@ def identify(
     warnings += list_unjudged_joint_warnings(trained, errors.errors)
     warnings += list_held_out_warnings(trained, errors.errors if held else None)
     warnings += list_voltage_warnings(train, fitted.robot.actuated)
-    warnings += [*list_estimate_warnings(estimate), *list_inertia_scale_warnings(estimate, nominal)]
+    warnings += list_estimate_warnings(estimate, list_body_stderr(fitted.robot))
+    warnings += list_inertia_scale_warnings(estimate, nominal)
     return Identification(
         model=replace(_place(fitted, estimate), provenance=_list_provenance(train, held, seed)),
         estimate=estimate,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import inf
 from typing import Any
@@ -19,7 +20,10 @@ from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Z95, Shown
-from tau_dyn.robot import NOMINAL_MASS_STDERR
+from tau_dyn.robot import NOMINAL_MASS_STDERR, list_body_stderr
+
+SMALL_SHARE = 0.1
+"""Share of what the robot file leaves open of a number from which a standard error is small: 2.5 % of the body's size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +155,11 @@ class Identification(Shown):
             )
         return draw_samples(self.model, self.estimate, self.nominal, n, seed=seed)
 
+    @property
+    def poorly_determined(self) -> list[str]:
+        """Parameters with a standard error above 30 %; see `list_poorly_determined`."""
+        return list_poorly_determined(self.estimate, list_body_stderr(self.model.robot))
+
     def rows(self) -> list[dict[str, Any]]:
         """Return the parameter table in the contract's form.
 
@@ -233,6 +242,23 @@ class Identification(Shown):
 
     def _is_friction(self, name: str) -> bool:
         return name.partition("@")[0] in self.model.effect_parameters
+
+
+def list_poorly_determined(estimate: Estimate, sizes: Mapping[str, float]) -> list[str]:
+    """Return the parameters that the data show by themselves, with a standard error above 30 %.
+
+    A number near zero whose standard error is small against its body is known well.
+
+    Args:
+        estimate: The fit.
+        sizes: What a robot file leaves open of the bodies' parameters, by name.
+    """
+    shown = {n: estimate.parameters[n].stderr for n in estimate.base.names}
+    return [
+        name
+        for name, stderr in shown.items()
+        if stderr is not None and not estimate.determined(name) and stderr > SMALL_SHARE * sizes.get(name, 0.0)
+    ]
 
 
 def _build_motor_row(p: Parameter) -> dict[str, Any]:

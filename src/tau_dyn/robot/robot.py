@@ -319,6 +319,13 @@ def compute_body_stderr(link: LinkInertia, total: float) -> np.ndarray:
     return BODY_STDERR * mass * radius ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
 
 
+def list_body_stderr(robot: Robot) -> dict[str, float]:
+    """Return how far each body's parameter may be off the robot file, by name; see `compute_body_stderr`."""
+    total = sum(max(float(link.nominal[0]), 0.0) for link in robot.links)
+    sizes = [(link, compute_body_stderr(link, total)) for link in robot.links]
+    return {name: float(size[k]) for link, size in sizes for k, name in zip(link.own, link.names, strict=True)}
+
+
 def compute_inertia_matrix(pi: np.ndarray) -> np.ndarray:
     """Return the inertia matrix (3, 3) about the joint frame's origin of ten inertial numbers in Pinocchio's order [kg m^2]."""
     xx, xy, yy, xz, yz, zz = pi[4:]

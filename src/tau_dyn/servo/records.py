@@ -19,7 +19,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log, differentiate, lowpass
 from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.model import Model
-from tau_dyn.robot import compute_body_stderr
+from tau_dyn.robot import list_body_stderr
 from tau_dyn.servo.consistent_bodies import ConsistentBodies
 from tau_dyn.servo.waves import LoadRows, Waves
 from tau_dyn.simulate import COMMANDS, ServoLaw
@@ -173,13 +173,7 @@ class InertialSpace:
     @classmethod
     def of(cls, model: Model) -> InertialSpace:
         """Return the space of a model, without unknowns."""
-        parameters, links = model.robot.parameters, model.robot.links
-        total = sum(float(link.nominal[0]) for link in links)
-        sizes = {
-            name: float(compute_body_stderr(link, total)[k])
-            for link in links
-            for k, name in zip(link.own, link.names, strict=True)
-        }
+        parameters, sizes = model.robot.parameters, list_body_stderr(model.robot)
         nominal, prior = np.zeros((2, len(parameters)))
         for k, p in enumerate(parameters):
             if not p.name.endswith(".armature"):

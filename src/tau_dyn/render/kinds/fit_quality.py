@@ -1,8 +1,8 @@
 """Quality of a fit: forces over time, data used and left out, conditioning, friction curves, and what is left.
 
 A residual in which nothing is left looks like noise through the fit's own filter: measured forces and columns were low-passed
-together, so even pure noise is correlated over a few samples; `filter_memory` is that correlation, and what lies outside it is
-something the model misses.
+together, so even pure noise is correlated over a few samples. `compute_noise_correlation` is that of noise in forces and of noise
+in positions, differentiated once and twice; what lies outside it is something the model misses, or noise of another colour.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import binom
+from scipy.optimize import nnls
+from scipy.stats import binom, norm
 
 from tau_dyn import results as r
 from tau_dyn.effects import JointwiseEffect, Motion, TorqueOffset
@@ -26,7 +27,10 @@ MIN_REPORTED_CORRELATION = 0.9  # between two parameters; less leaves both reada
 LAGS = 20.0
 """Longest lag times the low-pass' cutoff; at least 0.3 s and at most 2 s are shown."""
 MAX_EXCESS_CORRELATION = 0.2
-"""Autocorrelation beyond the filter's that counts as something left."""
+"""Autocorrelation beyond that of noise that counts as something left."""
+CHANCE = 0.01
+"""Of a joint's noise to exceed its bound at any lag."""
+FILTER_ORDER = 4
 DOTS = 1200  # samples of a friction curve drawn at most
 
 
@@ -41,8 +45,8 @@ class ResidualSummary:
         lags: Time lags (m,) [s].
         correlation: Autocorrelation at the lags (m,).
         expected: That of noise through the same low-pass (m,).
-        bound: 95 % bound of the autocorrelation of noise.
-        lasts_s: Lag from which on it stays within 0.2 of what the filter leaves [s].
+        bound: What the autocorrelation of noise stays within at all lags, in 99 of 100 logs.
+        lasts_s: Lag from which on it stays within 0.2 of noise [s].
     """
 
     joint: str
@@ -82,8 +86,9 @@ def _residual(regression: Regression, errors: list[np.ndarray], k: int, cutoff_h
     covariance = products / np.maximum(pairs, 1)
     correlation = covariance / covariance[0] if covariance[0] > 0 else np.zeros(n_lags)
     lags = np.arange(n_lags) * step
-    expected = filter_memory(lags, cutoff_hz)
-    bound = r.Z95 * float(np.sqrt(np.sum(expected**2) * 2 / max(1, len(values))))
+    expected = compute_noise_correlation(correlation, lags, cutoff_hz)
+    z = float(norm.isf(CHANCE / (2 * n_lags)))
+    bound = z * float(np.sqrt(np.sum(expected**2) * 2 / max(1, len(values))))
     beyond = np.flatnonzero(np.abs(correlation - expected) > max(MAX_EXCESS_CORRELATION, bound))
     lasts = float(lags[beyond[-1]]) if beyond.size else 0.0
     return ResidualSummary(
@@ -91,11 +96,17 @@ def _residual(regression: Regression, errors: list[np.ndarray], k: int, cutoff_h
     )
 
 
-def filter_memory(lags: np.ndarray, cutoff_hz: float, order: int = 4) -> np.ndarray:
-    """Return the autocorrelation (m,) of white noise after the fit's zero-phase low-pass."""
+def compute_noise_correlation(correlation: np.ndarray, lags: np.ndarray, cutoff_hz: float) -> np.ndarray:
+    """Return the autocorrelation (m,) of noise after the fit's zero-phase low-pass that is nearest to one found (m,).
+
+    The noise is a sum of white noise of a force, and of a position differentiated once and twice: powers 0, 2 and 4 of frequency.
+    """
     f = np.linspace(0.0, 4 * cutoff_hz, 4001)
-    power = (1 / (1 + (f / cutoff_hz) ** (2 * order))) ** 2
-    return np.array([np.sum(power * np.cos(2 * np.pi * f * lag)) for lag in lags]) / np.sum(power)
+    passed = (1 / (1 + (f / cutoff_hz) ** (2 * FILTER_ORDER))) ** 2
+    waves = np.cos(2 * np.pi * np.outer(lags, f))
+    shapes = np.stack([waves @ power / power.sum() for power in (passed * f**p for p in (0, 2, 4))], axis=1)
+    weights, _ = nnls(shapes, correlation)
+    return shapes @ weights / weights.sum() if weights.any() else shapes[:, 0]
 
 
 def _lagged_sum(x: np.ndarray, n_lags: int) -> np.ndarray:
@@ -211,7 +222,7 @@ def build_residual_histogram(residual: ResidualSummary) -> r.Figure:
 
 
 def build_correlation_figure(residual: ResidualSummary) -> r.Figure:
-    """Return the residual's autocorrelation with what the filter alone would leave."""
+    """Return the residual's autocorrelation with that of noise."""
     ends = np.array([0, residual.lags[-1]])
     bounds = [r.Line(ends, np.full(2, side * residual.bound), "bound") for side in (1, -1)]
     curves = (
@@ -313,10 +324,10 @@ def describe_whiteness(residuals: list[ResidualSummary]) -> str:
     """Return what the autocorrelation says."""
     left = [f"{row.joint} ({r.format_number(row.lasts_s, 2)} s)" for row in residuals if not row.white]
     if not left:
-        return "Residuals are white within the filter band."
+        return "The residuals' autocorrelation is that of noise through the low-pass."
     return (
-        f"The residual of {r.format_list(left)} is correlated for longer than the low-pass filter explains: the model "
-        "lacks a force. The standard errors include the coloured noise, but not a bias."
+        f"The residual of {r.format_list(left)} is correlated for longer than noise through the low-pass: the model lacks a "
+        "force, or the noise is coloured. The standard errors include the coloured noise, but not a bias."
     )
 
 

@@ -234,13 +234,15 @@ def _list_motors(found: Identification) -> list[r.Chapter]:
 def _list_uncertain(found: Identification) -> Iterator[r.Element]:
     """Give what a terminal says below the table."""
     rows = found.rows()
-    weak = [row["name"] for row in rows if row["stderr"] is not None and not row["determined"]]
-    unseen = [row["name"] for row in rows if row["stderr"] is None and not row.get("depends_on")]
+    weak = found.poorly_determined
+    alone = [row for row in rows if row["stderr"] is None and not row.get("depends_on")]
+    unseen, hidden = ([row["name"] for row in alone if row["identifiable"] is known] for known in (True, False))
     others = len(found.equivalent) - 1
     alike = [*found.equivalent[:1], *([f"likewise for {others} more"] if others > 0 else [])]
     for title, items in (
         ("Poorly determined (standard error above 30 %)", [r.format_list(weak)] if weak else []),
         ("Not excited, nominal value kept", [r.format_list(unseen)] if unseen else []),
+        ("Not identifiable by any motion, nominal value kept", [r.format_list(hidden)] if hidden else []),
         ("Equivalent models", alike),
     ):
         if items:
@@ -309,7 +311,7 @@ def describe_both_errors(errors: ForceErrors) -> str:
 def describe_verdict(found: Identification, truth: Mapping[str, float] | None = None) -> r.Verdict:
     """Return how far the result may be used; estimates far from a known true value are named."""
     judged = found.holdout or found.train
-    error, weak = judged.relative_error_percent, [row for row in found.rows() if not row["determined"]]
+    error, weak = judged.relative_error_percent, found.poorly_determined
     if error > POOR_PERCENT:
         look = _LOOK if error > _HOPELESS_PERCENT else ""
         return _judge("poor", f"Do not use it: {r.format_percent(error)} of the force is unexplained.{look}")
@@ -334,9 +336,10 @@ def describe_verdict(found: Identification, truth: Mapping[str, float] | None = 
             f"Usable for force prediction; more than 3 standard errors off the true value: {r.format_list(off, 3)}.",
         )
     if weak:
+        shown = sum(row["stderr"] is not None for row in found.rows())
         return _judge(
             "care",
-            f"Usable for force prediction on similar motion; {len(weak)} of {r.count(len(found.rows()), 'parameter')} "
+            f"Usable for force prediction on similar motion; {len(weak)} of {r.count(shown, 'identified parameter')} "
             f"{'is' if len(weak) == 1 else 'are'} poorly determined.",
         )
     if found.warnings:
@@ -345,7 +348,7 @@ def describe_verdict(found: Identification, truth: Mapping[str, float] | None = 
         return _judge(
             "good", "Use it for feedforward and simulation; residuals are not white, so estimates may be biased."
         )
-    return _judge("good", "Use it for feedforward and simulation; every parameter is determined.")
+    return _judge("good", "Use it for feedforward and simulation; every identified parameter is determined.")
 
 
 _judge = partial(r.judge, badges=BADGES)

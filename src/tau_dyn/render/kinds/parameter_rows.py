@@ -175,11 +175,12 @@ def _round_up(x: float) -> float:
 def describe_row(entry: dict[str, Any], scale: float, group: str, note: str) -> ParameterRow:
     """Return a parameter of the contract's form in words."""
     seen, sigma = entry["stderr"] is not None, entry["stderr"]
+    held = entry.get("split_value", entry["value"])  # what the model file holds
     return ParameterRow(
         name=entry["name"],
         group=group,
         state="known" if entry["determined"] else "weak" if seen else "unseen",
-        estimate=r.format_with_uncertainty(entry["value"], sigma) if seen else r.format_number(entry["value"]),
+        estimate=r.format_with_uncertainty(entry["value"], sigma) if seen else r.format_number(held),
         interval=r.format_interval(entry["ci95"], sigma) if seen else "",
         unit=r.format_unit(entry["unit"]),
         nominal="" if entry["nominal"] is None else r.format_number(entry["nominal"]),
@@ -230,7 +231,7 @@ def _unseen(entry: dict[str, Any]) -> str:
     shares = entry.get("depends_on") or []
     if not shares:
         return "not excited, nominal value kept" if entry["identifiable"] else "not identifiable, nominal value kept"
-    return f"nominal value; identifiable only in combination with {r.format_list(shares, 3)}"
+    return f"one of many splits with the same forces; identifiable only in combination with {r.format_list(shares, 3)}"
 
 
 def compare_with_nominal(entry: dict[str, Any]) -> str:

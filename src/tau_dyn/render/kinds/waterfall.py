@@ -9,12 +9,13 @@ variance estimates recovery: Zou & Donner 2008).
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tau_dyn import results as r
 from tau_dyn.diagnose import Diagnosis, Finding, OutputErrors
+from tau_dyn.parameters import Parameter
 
 TEST_PART = 2
 """Which part of a trace the errors are of."""
@@ -186,10 +187,18 @@ def format_finding(finding: Finding, most: int = 3) -> tuple[str, ...]:
     parts = []
     for k, p in enumerate(finding.parameters[:most]):
         name = p.name if len(owners) > 1 else p.name.rsplit(".", 1)[-1]
-        parts.append(r.format_estimate(p) if not k and not several else f"{name} {r.format_estimate(p)}")
+        parts.append(_format_size(finding, p) if not k and not several else f"{name} {r.format_estimate(p)}")
     more = len(finding.parameters) - most
     joints = [r.format_list(finding.joints, 4)] if finding.joints else []
     return (*joints, *parts, *([f"{more} more"] if more > 0 else []))
+
+
+def _format_size(finding: Finding, p: Parameter) -> str:
+    """Return an estimate; of a body's mass whether it is all of it or what it differs by from the robot file."""
+    if p.name.endswith(".mass_error"):
+        return f"{r.format_estimate(replace(p, value=abs(p.value)))} {'more' if p.value > 0 else 'less'} than nominal"
+    whole = finding.status == "parameter" and p.name in {f"{link}.mass" for link in finding.joints}
+    return f"{r.format_estimate(p)} in all" if whole else r.format_estimate(p)
 
 
 def build_total_table(series: WaterfallSeries) -> r.ResultTable:
