@@ -60,6 +60,13 @@ def test_what_the_data_do_not_tell_is_listed(columns) -> None:
     assert said.endswith("and 2 more") and said.count("+-") == 8
 
 
+def test_a_zero_known_well_is_not_poorly_determined(columns) -> None:
+    """0.03 +- 0.022 is a zero known well where the robot file leaves 1 open, and not where it leaves 0.1 open."""
+    known = fitted(columns, [3, 0.03, 5, 4], "a b c d")
+    assert list_estimate_warnings(known, {"b": 1.0}) == []
+    assert len(list_estimate_warnings(known, {"b": 0.1})) == 1
+
+
 def test_columns_that_are_nearly_one_are_named_as_a_pair(columns) -> None:
     """A cosine of 0.9999 between two columns: correlated by -0.9999, with a condition of `sqrt(1.9999 / 0.0001)` = 141."""
     a, b = np.linalg.qr(columns[:, :2])[0].T * np.sqrt(N)

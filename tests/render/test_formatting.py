@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tau_dyn.render.chart import Chart, choose_power, label
-from tau_dyn.render.kinds.fit_quality import build_friction_curves
+from tau_dyn.render.kinds.fit_quality import build_friction_curves, compute_residuals
 from tau_dyn.render.kinds.identification import describe_headline, describe_verdict, name_mass_group
 from tau_dyn.render.kinds.parameter_rows import ParameterRow, group_rows
 from tau_dyn.render.sketch import draw_robot
@@ -131,3 +133,26 @@ def test_headings_of_the_parameter_table_stand_once():
         ("x", ["a", "c"]),
         ("y", ["b"]),
     ]
+
+
+@pytest.mark.parametrize(
+    ("power", "sine", "noise"), [(0, 0, True), (1, 0, True), (2, 0, True), (0, 1, False), (2, 1, False)]
+)
+def test_differentiated_noise_of_positions_is_no_missing_force(power, sine, noise):
+    """Noise of forces, and of positions differentiated once and twice, is told as noise; a slow sine as large as it is not."""
+    n, step, cutoff = 2000, 0.03, 10.0
+    f = np.fft.rfftfreq(n, step)
+    passed = 1 / (1 + (f / cutoff) ** 8)
+    for seed in range(5):
+        white = np.random.default_rng(seed).normal(size=n)
+        e = np.fft.irfft(np.fft.rfft(white) * passed * f**power, n)
+        t = np.arange(n) * step
+        e = e / e.std() + sine * np.sqrt(2) * np.sin(2 * np.pi * 0.5 * t)
+        run = SimpleNamespace(t=t, usable=np.ones((n, 1), bool))
+        preparation = SimpleNamespace(force_cutoff_hz=cutoff)
+        regression = SimpleNamespace(runs=[run], outputs=("x",), units=("N",), preparation=preparation)
+        found: Any = SimpleNamespace(
+            estimate=SimpleNamespace(regression=regression, residuals=lambda e=e: [e[:, None]])
+        )
+        (row,) = compute_residuals(found)
+        assert row.white is noise
