@@ -88,7 +88,7 @@ def diagnose_loop(
     base = fit_precisely(data.build_problem(), progress)
     search = _search(data, base, progress)
     progress("exact motions")
-    data = replace(data, step=SPRING_STEP_S)
+    data = data.with_fine_steps(search.fit)
     settled, near = fit_coupled(replace(data, unknowns=search.unknowns), progress, search.fit)
     data = replace(settled, unknowns=unknowns)
     base, search = check_steps(data, base, replace(search, fit=near) if settled.is_shaken else search, progress)
