@@ -30,7 +30,6 @@ from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
 from tau_dyn.servo.records import LoopRecord
 from tau_dyn.servo.residual_structure import compute_noise_floor, find_structure
 from tau_dyn.servo.unknowns import HIGHEST, LoopUnknowns, get_unit
-from tau_dyn.servo.waves import SPRING_STEP_S
 from tau_dyn.simulate import SERVO_ENTRIES
 
 CONFIRMED = 2.6
