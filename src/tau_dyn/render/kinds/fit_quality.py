@@ -31,6 +31,7 @@ MAX_EXCESS_CORRELATION = 0.2
 CHANCE = 0.01
 """Of a joint's noise to exceed its bound at any lag."""
 FILTER_ORDER = 4
+"""Of the fit's Butterworth low-pass, each way."""
 DOTS = 1200  # samples of a friction curve drawn at most
 
 
