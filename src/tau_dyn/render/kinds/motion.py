@@ -229,6 +229,7 @@ def _build_prediction(found: ExcitingMotion) -> Iterator[r.Element]:
         r.Column("standard error", "number", cell=lambda row: r.format_number(row["stderr"], 2)),
         r.Column("unit", "unit", "quiet", cell=lambda row: r.format_unit(row["unit"])),
         r.Column("of the value", "number", cell=share),
+        style="names-above",
         on=r.On.ALL,
     )
     yield r.explain("Predicted from the assumed noise. Friction of another law and tracking errors add to them.")
