@@ -8,7 +8,9 @@ import pytest
 
 from tau_dyn.cli import main
 from tau_dyn.compare import compare, read_side
+from tau_dyn.render.kinds.comparison import describe_headline
 from tau_dyn.render.kinds.fit_quality import list_combinations
+from tau_dyn.render.presentation import present
 
 
 def entry(name, value, stderr, unit="kg", **more):
@@ -121,6 +123,34 @@ def test_a_file_without_combinations_is_said(tmp_path):
     bare = replace(side, path=tmp_path / "b.json", combinations=type(side.combinations)())
     found = compare(side, bare)
     assert found.only_a == ("a.mass + b.mass",) and any("holds no combinations" in w for w in found.warnings)
+
+
+def test_the_headline_names_few_and_shows_no_algebra(tmp_path):
+    """A base parameter of five masses is named by the one that leads it, a sum of two is named whole."""
+    names = [f"{letter}_link.mass" for letter in "abcdef"]
+    long = " + ".join(["a_link.mass", *(f"0.425*{name}" for name in names[1:5])])
+    a, b = (
+        result(tmp_path / f"{n}.json", [("a_link.mass", long, x, 0.01), ("f_link.mass", "f_link.mass", 1.0, 0.01)],
+               members=names)
+        for n, x in (("a", 2.0), ("b", 3.0))
+    )  # fmt: skip
+    said = describe_headline(compared(a, b))
+    assert said.startswith("1 of 2 values with a standard error changed significantly: a_link.mass + …;")
+    assert "0.425" not in said
+
+
+def test_files_without_combinations_are_not_called_the_same(tmp_path):
+    """Where a heavier link may hide in a sum that a file does not hold, the verdict is no `Same`."""
+    whole = result(tmp_path / "a.json", [("a.mass", "a.mass + b.mass", 2.0, 0.1), ("c.mass", "c.mass", 1.0, 0.1)],
+                   members=("a.mass", "b.mass", "c.mass"))  # fmt: skip
+    bare = result(tmp_path / "b.json", [], members=("a.mass", "b.mass"))
+    content = json.loads(bare.read_text())
+    bare.write_text(json.dumps(content | {"parameters": [*content["parameters"], entry("c.mass", 1.0, 0.1)]}))
+    shown = present(compared(whole, bare))
+    assert (shown.verdict.level, shown.verdict.badge) == ("care", "Tested in part")
+    assert shown.headline.endswith("2 more values and all combinations are not tested.")
+    (tmp_path / "d.json").write_text(whole.read_text())
+    assert present(compared(whole, tmp_path / "d.json")).verdict.badge == "Same"
 
 
 def test_seen_only_together_begins_with_the_best_known():

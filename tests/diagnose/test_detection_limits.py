@@ -141,7 +141,7 @@ def test_absorbed_causes_are_untestable_and_say_why(make, rng):
     why = {u.cause: u.why for u in untestable}
     assert "absorbs" in why["cousin"]
     assert "temperature" in why["thermal_drift"]
-    assert "only one log" in why["friction_change"]
+    assert "only one training log" in why["friction_change"]
     assert "absorbs" in why["pinion_scale"]
     assert "no setting" in why["stribeck"]
     assert all(u.experiment for u in untestable)

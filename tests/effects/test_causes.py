@@ -193,7 +193,7 @@ def test_settings_worth_trying_are_admissible_and_finite(name: str, motion: Moti
 
 @pytest.mark.parametrize("name", CAUSES)
 def test_what_a_cause_needs_is_asked_for(name: str, motion: Motion) -> None:
-    """Without one of its signals a cause says why it cannot be tested and which experiment would; with all it can be."""
+    """Without one of its signals a cause says why and which experiment would help, none where the part is missing."""
     cls = EFFECTS[name]
     if cls.untestable(scene(motion)) is not None and name != "back_emf":  # forces alone never show it
         assert cls.untestable(scene(motion, "tool")) is None
@@ -204,7 +204,7 @@ def test_what_a_cause_needs_is_asked_for(name: str, motion: Motion) -> None:
         poor = Motion.of(JOINTS, motion.q, motion.v, motion.a, t=motion.t,
                          signals={k: x for k, x in motion.signals.items() if k != need})  # fmt: skip
         why = cls.untestable(scene(poor, campaigns=1))
-        assert why is not None and why[1] == cls.reveals
+        assert why is not None and why[1] == ("" if need == "passive" else cls.reveals)
 
 
 def test_settings_that_cannot_be_are_refused() -> None:

@@ -174,7 +174,7 @@ def test_friction_of_another_year_counts_in_its_log_alone() -> None:
     assert_allclose(force(cause("friction_change", number=1), motion, coulomb_change=15), [0, 0, 15, -15])
     cls = EFFECTS["friction_change"]
     one, two, three = (replace(scene(), signals=frozenset({"campaign"}), campaigns=n) for n in (1, 2, 3))
-    assert "only one log" in (cls.untestable(one) or ("",))[0] and cls.untestable(two) is None
+    assert "only one training log" in (cls.untestable(one) or ("",))[0] and cls.untestable(two) is None
     assert [[s["number"] for s in cls.grid(x, ("x",))] for x in (two, three)] == [[1], [0, 1, 2]]
 
 

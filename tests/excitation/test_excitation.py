@@ -19,6 +19,7 @@ from tau_dyn.excitation.design import _generic, _information
 from tau_dyn.excitation.search import MotionSearch, Series
 from tau_dyn.identify import build_model, build_regression
 from tau_dyn.model import Model
+from tau_dyn.results import format_percent
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import (
     Sensors,
@@ -208,7 +209,11 @@ def test_the_command_predicts(tmp_path, monkeypatch, capsys) -> None:
     found = json.loads((tmp_path / "r.json").read_text())
     assert {row["name"] for row in found["predicted"]} >= {"carriage_link.mass", "axis.coulomb_pos"}
     assert found["method"] == "optimal" and found["condition_number"] > 1 and found["noise"]["force"] == [5.0]
-    assert "Predicted standard errors" in (tmp_path / "r.html").read_text()
+    page, streams = (tmp_path / "r.html").read_text(), capsys.readouterr()
+    assert "Predicted standard errors" in page and "search: " in streams.out and "criterion 'worst'" not in streams.err
+    assert f"(largest relative error {100 * found['worst']['relative_stderr']:.3g} %; of the" in streams.out
+    worst = max(100 * row["stderr"] / abs(row["value"]) for row in found["predicted"] if row["value"])
+    assert f"predicted standard errors reach {format_percent(worst)} of the value" in page.replace("\u00a0", " ")
     assert main([*common, "--method", "random"]) == 0
     assert "predicted" not in json.loads((tmp_path / "r.json").read_text())
     for more, said in (

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from rich.console import Console
 
 from tau_dyn.cli import main
 from tau_dyn.effects import build_friction_model
@@ -14,6 +16,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError, UnknownNam
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.monitor import identify_payload
+from tau_dyn.render import build_page, print_result
 from tau_dyn.robot import Robot, load_robot
 from tau_dyn.simulate import build_fourier_motion
 
@@ -87,6 +90,10 @@ def test_mass_and_centre_come_back_in_the_tool_frame(arm) -> None:
     turned = pin.rpy.rpyToMatrix(0, 0, np.pi / 2).T @ (CENTRE - np.array([0.1, 0, 0.05]))
     told = np.isfinite(found.centre.stderr)
     assert told.any() and np.all(np.abs(found.centre.values - turned)[told] < 4 * found.centre.stderr[told])
+    stream = io.StringIO()
+    print_result(Console(file=stream, width=90), found)
+    assert "In the frame of tool; inertia about the centre." in stream.getvalue()
+    assert "<span></span>" not in build_page(found)  # no pill without words
 
 
 def test_two_equal_runs_carry_nothing(arm) -> None:

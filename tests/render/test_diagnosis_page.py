@@ -24,7 +24,12 @@ from tau_dyn.render.kinds.diagnosis_words import (
     format_p_value,
     format_value,
 )
-from tau_dyn.render.kinds.waterfall import build_output_series, build_total_series, find_step_finding
+from tau_dyn.render.kinds.waterfall import (
+    build_output_series,
+    build_total_series,
+    find_step_finding,
+    format_shares,
+)
 from tau_dyn.results import format_estimate, format_quantity
 
 
@@ -209,6 +214,7 @@ def test_terminal_is_plain_when_piped_and_says_what_is_uncertain(diagnosed):
     marks = [
         "nominal parameters",
         "noise floor",
+        "Confirmed:",
         "Differs from the robot file",
         "Unexplained",
         "These data cannot separate",
@@ -217,6 +223,19 @@ def test_terminal_is_plain_when_piped_and_says_what_is_uncertain(diagnosed):
     ]
     assert [text.index(m) for m in marks] == sorted(text.index(m) for m in marks)
     assert not [line for line in text.splitlines() if line != line.rstrip()]
+
+
+def test_the_terminal_gives_the_size_of_each_confirmed_cause(diagnosed):
+    """A ripple or a Stribeck peak is told with its force and unit at 80 columns, not by the joint alone."""
+    said = " ".join(_printed(diagnosed, 80).split("Confirmed:")[1].split("Differs from")[0].split())
+    for finding in (f for f in diagnosed.findings if f.status == "confirmed"):
+        assert format_estimate(finding.parameters[0]) in said
+
+
+def test_bars_that_differ_do_not_read_alike():
+    """0.262 and 0.258 % get the digit that tells them apart; 29 % keeps two, and equal bars stay as they are."""
+    assert format_shares([28.6, 0.2618, 0.2582, 0.2589]) == ["29 %", "0.262 %", "0.258 %", "0.259 %"]
+    assert format_shares([0.5, 0.5, np.nan]) == ["0.5 %", "0.5 %", ""]
 
 
 def test_written_whole(tmp_path, diagnosed):

@@ -11,7 +11,7 @@ from tau_dyn.log import check_log
 from tau_dyn.render import print_result
 from tau_dyn.render.kinds.parameter_rows import ParameterRow, build_parameter_table
 from tau_dyn.render.terminal import build_grids, put
-from tau_dyn.results import On, format_with_uncertainty
+from tau_dyn.results import Column, On, ResultTable, Row, format_with_uncertainty
 
 
 def _printed(width: int, show, *args) -> str:
@@ -49,6 +49,15 @@ def test_names_of_a_stock_arm_fit_into_80_columns():
         80, lambda console: put(console, build_grids(build_parameter_table([row], "5 %", on=On.ALL)[0], 80)[0])
     )
     assert "−0.001900 ± 0.000097" in text and "0.01714" in text and "…" not in text
+
+
+def test_a_name_breaks_between_its_parts():
+    """A name that is too long for its column breaks behind a dot or an underscore, not within a part."""
+    row = Row(["shoulder_pan_joint.coulomb_pos", "1.234567890123456789 ± 0.000000012345678901", "9" * 20])
+    table = ResultTable([Column("name"), Column("value", "number"), Column("second", "number")], [row], on=On.ALL)
+    lines = _printed(80, lambda console: put(console, build_grids(table, 80)[0])).split()
+    assert "".join(x for x in lines if x[0] in "sjcp")[-30:] == "shoulder_pan_joint.coulomb_pos"
+    assert all(x[-1] in "_." for x in lines if x.startswith("shoulder")) and max(map(len, lines)) <= 80
 
 
 def test_colour_only_for_people(found):

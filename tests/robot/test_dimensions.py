@@ -12,7 +12,7 @@ from raising import raises_code
 
 from tau_dyn.cli import main
 from tau_dyn.mechanism import build_rods, forward_kinematics
-from tau_dyn.robot import list_dimensions, list_robot_names, load_robot, read_dimensions_file
+from tau_dyn.robot import describe_robot, list_dimensions, list_robot_names, load_robot, read_dimensions_file
 
 ALIASES = [", ".join([f"*{letter}"] * 10) for letter in "abcdef"]
 BOMB = "a: &a [1]\n" + "\n".join(f"{n}: &{n} [{inside}]" for n, inside in zip("bcdefg", ALIASES, strict=True))
@@ -104,6 +104,22 @@ def test_robots_lists_what_may_be_set(capsys, tmp_path: Path) -> None:
         and float(rows[LENGTH]) == build_rods(load_robot("gantry_tau", prototype="d1")).lengths[0]
     )
     assert main(["robots", "--set", "prototype=d1"]) == 2
+
+
+def test_a_robot_is_listed_with_its_joints_and_bodies(capsys) -> None:
+    """A UR5 has no dimensions to set; each joint stands on one line with kind and limits, each body with its mass."""
+    assert main(["robots", "ur5"]) == 0
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert "shoulder_pan_joint revolute −6.28 … 6.28 rad 3.15 rad/s 150 N m" in lines
+    assert "upper_arm_link 8.393 kg" in lines
+
+
+def test_a_description_ends_with_its_sentence_and_keeps_brackets_whole() -> None:
+    """`(section III, Fig. 3, Table 2)` and `(.., Hovland 2007a; thesis 2.2)` are not cut at the dot and the semicolon."""
+    names = list_robot_names()
+    assert describe_robot(names["parallelogram"]).endswith("(section III, Fig. 3, Table 2)")
+    assert describe_robot(names["gantry_tau_queensland"]).endswith("Hovland 2007a; thesis 2.2)")
+    assert describe_robot(names["delta"]) == "Delta"
 
 
 @pytest.mark.parametrize(

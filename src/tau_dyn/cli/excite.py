@@ -123,15 +123,17 @@ def excite(
         known = noise.estimate(built)
         if method == "random":
             motion, result, said, prediction = _choose_random(built, known, duration, trials, output.seed, step)
+            search = ""
         else:
-            motion, result, said, prediction = _design(
+            motion, result, said, prediction, search = _design(
                 built, known, duration, trials, output.seed, noise.rate, given, step
             )
     condition_number = result["condition_number"]
     lines = [f"{motion.duration:.4g} s, condition number {condition_number:.3g} {said} -> {out}"]
+    lines += [f"search: {search}"] if search else []
     for row in () if prediction is None else prediction.rows():
         lines.append(f"  {row['expression']:44s} {row['value']:10.4g} ± {row['stderr']:.2g} {row['unit']}")
-    made = {"seed": str(output.seed), "trials": str(trials), "method": method}
+    made = {"seed": str(output.seed), "trials": str(trials), "method": method} | ({"search": search} if search else {})
     return Outcome(
         result=result | {"out": str(out)},
         warnings=[*machine.warnings, *motion.notes],
@@ -159,7 +161,7 @@ def _choose_random(model, noise, duration: float, trials: int, seed: int, step: 
 
 
 def _design(model, noise, duration: float, trials: int, seed: int, rate: float, given: dict[str, Any], step):
-    """Return the designed motion, its result, what is said of it, and the predicted errors."""
+    """Return the designed motion, its result, what is said of it, the predicted errors, and what the search did."""
     from tau_dyn.excitation import design_motion
     from tau_dyn.simulate import compute_base_condition
 
@@ -180,8 +182,8 @@ def _design(model, noise, duration: float, trials: int, seed: int, rate: float, 
         "predicted": design.prediction.rows(),
         "worst": {"name": name, "relative_stderr": error, "of_random_start": design.before.worst[1]},
     }
-    said = f"(the random start: largest relative error {100 * design.before.worst[1]:.3g} %)"
-    return design.motion, result, said, design.prediction
+    said = f"(largest relative error {100 * error:.3g} %; of the random start {100 * design.before.worst[1]:.3g} %)"
+    return design.motion, result, said, design.prediction, design.search
 
 
 def _describe_noise(noise) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from tau_dyn.cli.arguments import FolderOutput, RobotOptions, read_arguments
 from tau_dyn.cli.execute import Outcome
 from tau_dyn.cli.progress import show_progress
-from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.exceptions import InputError, TauDynError, UnknownName
 
 
 def robots(
@@ -22,10 +22,10 @@ def robots(
     no_xacro: bool = False,
     output: FolderOutput = FolderOutput(),
 ) -> Outcome:
-    """The robots that a command takes by name, and what `--set` takes for one of them.
+    """The robots that a command takes by name, and joints, masses and dimensions of one of them.
 
     Args:
-        robot: List what --set takes for it, with values
+        robot: List its joints, masses and what --set takes for it
         set: With other values, such as prototype=d1
         no_xacro: Refuse xacro files, for they run code
     """
@@ -45,15 +45,25 @@ def robots(
 
 
 def _list_dimensions(robot: str, given: tuple[str, ...], no_xacro: bool) -> Outcome:
-    """List arguments and dimensions of one robot."""
+    """List arguments and dimensions of one robot, its joints and its bodies, where its file holds a robot as it is."""
+    from tau_dyn.render import print_result
     from tau_dyn.robot import find_robot, list_dimensions
 
     found = list_dimensions(find_robot(robot), read_arguments(given), evaluate=not no_xacro)
     rows = [{"name": name, "value": value} for name, value in found.items()]
+    options = RobotOptions(set=given, no_xacro=no_xacro)
+    try:
+        machine, warnings = options.load(robot), ()
+    except TauDynError as fault:
+        machine, warnings = None, (str(fault),)
+
+    def show(console, written) -> None:
+        _show_dimensions(console, rows)
+        if machine is not None:
+            print_result(console, machine)
+
     return Outcome(
-        result={"robot": robot, "dimensions": rows},
-        inputs=RobotOptions(set=given).list_files(robot),
-        show=lambda console, written: _show_dimensions(console, rows),
+        result={"robot": robot, "dimensions": rows}, warnings=warnings, inputs=options.list_files(robot), show=show
     )
 
 

@@ -131,6 +131,7 @@ class Comparison(Shown):
         configuration: Options that differ; of run folders only.
         versions: Versions that differ; of run folders only.
         numbers: Plain numbers that differ, without uncertainty.
+        lacking: Sides that hold no combinations of parameters, so that a change in one stays unseen.
     """
 
     a: ComparedSide
@@ -145,6 +146,7 @@ class Comparison(Shown):
     configuration: tuple[CircumstanceDifference, ...] = ()
     versions: tuple[CircumstanceDifference, ...] = ()
     numbers: tuple[CircumstanceDifference, ...] = ()
+    lacking: tuple[ComparedSide, ...] = ()
 
     @property
     def changed(self) -> tuple[Change, ...]:
@@ -200,6 +202,7 @@ def compare(a: ComparedSide, b: ComparedSide) -> Comparison:
     single = [_change(n, a.quantities[n], other[n]) for n in shared]
     joint, joint_a, joint_b = _joint(a, b, [c.name for c in single if c.stderr is not None])
     changes = [*single, *joint]
+    lacking = _list_lacking(a, b, changes, [*joint_a, *joint_b])
     if not changes and not causes and not set(a.errors) & set(b.errors) and not runs:
         raise InputError(
             "mismatch", f"{a.path} ({a.kind}) and {b.path} ({b.kind}) have no quantity, error or finding in common"
@@ -215,7 +218,8 @@ def compare(a: ComparedSide, b: ComparedSide) -> Comparison:
             FindingChange(*key, a.findings.get(key), b.findings.get(key), a.gains.get(key), b.gains.get(key))
             for key in causes
         ),
-        warnings=(*_doubts(a, b), *_unmatched(a, b, changes, [*joint_a, *joint_b])),
+        warnings=(*_doubts(a, b), *_unmatched(a, b, changes, [*joint_a, *joint_b], lacking)),
+        lacking=lacking,
         inputs=list_input_changes(a.inputs, b.inputs),
         numbers=tuple(d for d in list_differences(a.numbers, b.numbers) if d.a is not None and d.b is not None),
         **_of_runs(a, b),
@@ -262,24 +266,32 @@ def _joint(a: ComparedSide, b: ComparedSide, known: list[str]) -> tuple[list[Cha
     return changes, only_a, only_b
 
 
-def _unmatched(a: ComparedSide, b: ComparedSide, changes: list[Change], alone: list[str]) -> Iterator[str]:
-    """Yield which combinations of parameters were not compared, and why."""
-    lacking = [side for side in (a, b) if not side.combinations.rows]
+def _list_lacking(
+    a: ComparedSide, b: ComparedSide, changes: list[Change], alone: list[str]
+) -> tuple[ComparedSide, ...]:
+    """Return the sides without combinations of parameters, where the other values may change only in some."""
     given = {*a.combinations.fixed, *b.combinations.fixed}  # no member of any combination
-    identified = {a.kind, b.kind} <= {"model", "identify"}
-    if not lacking:
-        if alone:
-            yield (
-                f"{a.place} and {b.place} determine different combinations of parameters; not compared, as only one of them "
-                f"determines {'it' if len(alone) == 1 else 'each'}: {'; '.join(alone)}"
-            )
-    elif identified and (alone or any(c.determined_by == "neither" and c.name not in given for c in changes)):
-        if any(c.stderr is not None for c in changes):
-            holds = f"{lacking[0].place} holds" if len(lacking) == 1 else f"{a.place} and {b.place} hold"
-            yield (
-                f"{holds} no combinations of parameters, in which a change may show though no single value tells it; "
-                "compare the --json results of identify"
-            )
+    open_ = alone or any(c.determined_by == "neither" and c.name not in given for c in changes)
+    if not open_ or not {a.kind, b.kind} <= {"model", "identify"}:
+        return ()
+    return tuple(side for side in (a, b) if not side.combinations.rows)
+
+
+def _unmatched(
+    a: ComparedSide, b: ComparedSide, changes: list[Change], alone: list[str], lacking: tuple[ComparedSide, ...]
+) -> Iterator[str]:
+    """Yield which combinations of parameters were not compared, and why."""
+    if alone and a.combinations.rows and b.combinations.rows:
+        yield (
+            f"{a.place} and {b.place} determine different combinations of parameters; not compared, as only one of them "
+            f"determines {'it' if len(alone) == 1 else 'each'}: {'; '.join(alone)}"
+        )
+    elif lacking and any(c.stderr is not None for c in changes):
+        holds = f"{lacking[0].place} holds" if len(lacking) == 1 else f"{a.place} and {b.place} hold"
+        yield (
+            f"{holds} no combinations of parameters, in which a change may show though no single value tells it; "
+            "compare the --json results of identify"
+        )
 
 
 def _change(name: str, a: MeasuredQuantity, b: MeasuredQuantity, *, combination: bool = False) -> Change:

@@ -273,7 +273,10 @@ class Effect(ABC):
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return why this motion cannot show the effect and the experiment that would, or None where it can."""
+        """Return why this motion cannot show the effect and the experiment that would, or None where it can.
+
+        The experiment is empty where the robot lacks the part.
+        """
         missing = [name for name in cls.needs if name not in scene.signals]
         return (f"the logs give no {missing[0]}", cls.reveals) if missing else None
 

@@ -74,4 +74,4 @@ class DirectionalEfficiency(JointwiseEffect):
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
         """Return what is missing: a torque that a hinge's gear transmits."""
-        return super().untestable(scene) if cls.groups(scene) else ("no joint is a hinge with a gear", cls.reveals)
+        return super().untestable(scene) if cls.groups(scene) else ("no joint is a hinge with a gear", "")

@@ -90,9 +90,7 @@ class ReducerCoupling(Effect):
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
         """Return that no motor can drive two joints, where none are neighbours."""
-        return (
-            super().untestable(scene) if list_joint_pairs(scene) else ("no two joints can share a motor", cls.reveals)
-        )
+        return super().untestable(scene) if list_joint_pairs(scene) else ("no two joints can share a motor", "")
 
     def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
         """Couple exactly two joints, whose forces are in these units."""

@@ -124,7 +124,7 @@ class FrictionChange(JointwiseEffect):
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
         """Return that one log has nothing to differ from."""
-        return ("there is only one log", cls.reveals) if scene.campaigns < 2 else super().untestable(scene)
+        return ("there is only one training log", cls.reveals) if scene.campaigns < 2 else super().untestable(scene)
 
 
 _DEGREES = (2, 5, 8, 12)
@@ -232,7 +232,7 @@ class PassiveJointFriction(Effect):
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
         """Return that there are no passive joints, where so."""
-        return None if "passive" in scene.signals else ("the robot has no loops and so no passive joints", cls.reveals)
+        return None if "passive" in scene.signals else ("the robot has no loops and so no passive joints", "")
 
     def columns(self, motion: Motion) -> np.ndarray:
         """Return force per unit parameter (N, na, 2)."""

@@ -114,6 +114,7 @@ class ExcitationDesign:
         seconds: How long the search took [s].
         finished: Whether the search ended by itself, not by time or by hand.
         noise: What was assumed.
+        search: What the search did, in a sentence.
     """
 
     motion: Trajectory
@@ -125,6 +126,7 @@ class ExcitationDesign:
     seconds: float
     finished: bool
     noise: Noise
+    search: str
 
 
 def design_motion(
@@ -210,7 +212,7 @@ def design_motion(
     except KeyboardInterrupt:  # who will not wait for the simulation
         told, before = (predict(model, motion, noise, seed) for motion in motions)
     return ExcitationDesign(
-        replace(motions[0], notes=_notes(search, criterion, value, finished, taken)),
+        motions[0] if finished else replace(motions[0], notes=(_STOPPED,)),
         told,
         before,
         criterion,
@@ -219,6 +221,7 @@ def design_motion(
         taken,
         finished,
         noise,
+        _describe_search(search, criterion, value, taken),
     )
 
 
@@ -311,13 +314,19 @@ def _per_joint(model: Model, name: str, given: Sequence[float] | None, default: 
     return np.broadcast_to(x, (model.robot.na,)).copy()
 
 
-def _notes(search: MotionSearch, criterion: str, before: float, finished: bool, seconds: float) -> tuple[str, ...]:
+_STOPPED = "the search was stopped before it had settled; the motion is the best so far"
+_MINIMISED = {
+    "worst": "log of the largest relative standard error",
+    "d": "minus the mean log information",
+    "condition": "half the log of the condition number",
+}
+"""What each criterion makes small."""
+
+
+def _describe_search(search: MotionSearch, criterion: str, before: float, seconds: float) -> str:
     series = search.series
-    said = (
-        f"{series.periods} periods of {series.period:.4g} s with {series.harmonics} harmonics up to "
-        f"{series.harmonics / series.period:.3g} Hz; criterion '{criterion}' from {before:.4g} to {search.value:.4g} in "
-        f"{search.evaluations} evaluations and {seconds:.0f} s"
-    )
     return (
-        (said,) if finished else (said, "the search was stopped before it had settled; the motion is the best so far")
+        f"{series.periods} periods of {series.period:.4g} s with {series.harmonics} harmonics up to "
+        f"{series.harmonics / series.period:.3g} Hz; criterion '{criterion}' ({_MINIMISED[criterion]}) from {before:.4g} to "
+        f"{search.value:.4g} in {search.evaluations} evaluations and {seconds:.0f} s"
     )

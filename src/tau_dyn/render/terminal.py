@@ -170,13 +170,25 @@ def _build_grid(
         justify = "right" if column.kind == "number" else "left"
         grid.add_column(head, justify=justify, no_wrap=not words, overflow="fold")
     left = room - _sum(wide, shown)
+    named = max(room - _sum(wide, shown[1:]) - GAP, MIN_BAR) if left < 0 and columns[0].kind == "text" else room
     longest = next(bar for least, bar in MAX_BAR.items() if room >= least)
     bar = int(np.clip(MIN_BAR + left, MIN_BAR, longest))
     left -= bar - MIN_BAR if any(c.kind in ("bar", "step") for c in columns) else 0
     for row in rows:
         cells = (_write(row.cells[k], c, bar, left, row) for k, c in zip(shown, columns, strict=True))
-        grid.add_row(*cells)
+        grid.add_row(*(_break_names(cell, named) if n == 0 else cell for n, cell in enumerate(cells)))
     return grid
+
+
+def _break_names(text: Said, columns: int) -> Said:
+    """Return text in which a word longer than so many columns breaks behind its last `.` or `_` that fits."""
+    words = []
+    for word in text.plain.split(" "):
+        lines = [word]
+        while len(lines[-1]) > columns and (at := max(lines[-1].rfind(c, 0, columns) for c in "._")) > 0:
+            lines[-1:] = [lines[-1][: at + 1], lines[-1][at + 1 :]]
+        words.append("\n".join(lines))
+    return Said(" ".join(words), text.style)
 
 
 def _write(cell: r.Cell, column: r.Column, bar: int, left: int, row: r.Row) -> Said:

@@ -55,10 +55,12 @@ def format_fixed_digits(value: float) -> str:
     )
 
 
-def format_percent(value: float) -> str:
-    """Return a percentage with two significant digits, such as `3.0 %`."""
+def format_percent(value: float, digits: int = 2) -> str:
+    """Return a percentage with two significant digits or more, such as `3.0 %`."""
     if not isfinite(value):
         return "more than 100 %"
+    if digits > 2:
+        return f"{format_number(value, digits)} %"
     return f"{value:.0f} %" if value >= 9.95 else f"{value:.1f} %" if value >= 0.995 else f"{value:.2g} %"
 
 

@@ -63,11 +63,12 @@ def list_robots() -> dict[str, Path]:
 
 
 def describe_robot(path: Path) -> str:
-    """Return the first sentence of the first comment in a robot file; empty where it has none."""
+    """Return the first sentence of the first comment in a robot file, its brackets whole; empty where it has none."""
     head = path.read_text(encoding="utf-8", errors="replace")[:4000]
     comment = re.search(r"<!--(.*?)-->", head, re.DOTALL)
     words = " ".join(comment.group(1).split()) if comment and path in list_robot_names().values() else ""
-    return re.split(r"[:;.](?= |$)", words, maxsplit=1)[0]
+    whole = re.match(r"(?:\([^()]*\)|[^:;.(]|[:;.](?! |$))*", words)
+    return whole.group().rstrip() if whole else words
 
 
 def find_robot(robot: str | Path) -> Path:

@@ -160,7 +160,7 @@ def _unseen(diagnosis: Diagnosis, signals: Collection[str]) -> DesignGoal:
         raise CannotAnswer(
             "nothing_to_do",
             "nothing is left open that a motion would show",
-            "; ".join(dict.fromkeys(u.experiment for u in diagnosis.untestable))
+            "; ".join(dict.fromkeys(u.experiment for u in diagnosis.untestable if u.experiment))
             or "record the motion that matters to you",
         )
     return DesignGoal(others=_sure(diagnosis, ()), causes=causes)

@@ -10,15 +10,20 @@ from tau_dyn.compare import Change, CircumstanceDifference, Comparison, ErrorCha
 from tau_dyn.render.presentation import flatten_rows, present_kind
 
 _MAX_ROWS = 40  # of a table on a terminal
+_MAX_NAME = 40  # characters of a combination in the headline
 
 
 @present_kind.register
 def present_comparison(found: Comparison) -> r.Presentation:
     """Return how a comparison is presented."""
     tested = len(found.compared)
-    badge = "Changed" if found.changed else "Same" if tested else "Not testable"
-    level = "care" if found.changed or not tested else "good"
+    badge = (
+        "Changed" if found.changed else "Not testable" if not tested else "Tested in part" if found.lacking else "Same"
+    )
+    level = "good" if badge == "Same" else "care"
     said = "A change is significant at a family-wise level of 5 % (Holm)."
+    if found.lacking:
+        said += " Combinations of parameters are not tested; compare the --json results of identify."
     more = [*list_findings(found), *(line for line in _list_only(found)), *found.warnings]
     different = bool(list_circumstances(found))
     sections = [
@@ -46,12 +51,12 @@ def _build_quantities(found: Comparison) -> Iterator[r.Element]:
     columns = [
         r.Column(""), r.Column("first", "number"), r.Column("second", "number"),
         r.Column("difference ±\nstandard error", "number"),
-        r.Column("unit", "unit"), r.Column("in standard errors", "number", on=r.On.PAGE),
-        r.Column("", "bar", "share", on=r.On.PAGE),
+        r.Column("unit", "unit"), r.Column("in standard errors", "number", "spare", on=r.On.PAGE),
+        r.Column("", "bar", "share spare", on=r.On.PAGE),
         r.Column("", on=r.On.PAGE),
     ]  # fmt: skip
     if rows:
-        yield r.ResultTable(columns, rows, most=_MAX_ROWS, on=r.On.ALL)
+        yield r.ResultTable(columns, rows, style="names-above", most=_MAX_ROWS, on=r.On.ALL)
         yield r.explain(
             "± is one standard error (1 σ) of the difference; the two results are taken as independent. A sum is a "
             "combination of parameters that the data of both determine, whatever its members are."
@@ -104,8 +109,10 @@ def describe_headline(found: Comparison) -> str:
         return "No value has a standard error in both results; changes cannot be tested."
     if not found.changed:
         text = f"No significant change (Holm, 5 %) in {r.count(tested, 'value')} with a standard error"
+        if found.lacking:
+            return f"{text}; {r.count(len(found.neither), 'more value')} and all combinations are not tested."
     else:
-        names = r.format_list(map(_name, found.changed), 4)
+        names = r.format_list(map(_name_briefly, found.changed), 4)
         text = (
             f"{len(found.changed)} of {r.count(tested, 'value')} with a standard error changed significantly: {names}"
         )
@@ -140,6 +147,12 @@ def list_undetermined(found: Comparison) -> list[str]:
 
 def _name(change: Change) -> str:
     return r.format_expression(change.name) if change.combination else change.name
+
+
+def _name_briefly(change: Change) -> str:
+    """Return a name; of a long combination, only the parameter that leads it."""
+    name = _name(change)
+    return name if len(name) <= _MAX_NAME else f"{name.split(' ')[0]} + …"
 
 
 def list_cells(change: Change) -> tuple[str, str, str, str, str]:

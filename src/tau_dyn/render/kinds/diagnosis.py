@@ -25,6 +25,7 @@ from tau_dyn.render.presentation import ZOOM, list_logs_used, pad_used, present_
 
 PARTS = {1: "confirm", 2: "held"}
 """How the time view shades what each part of the data served; what was trained on stays plain."""
+_LIMIT = "detection limit (95 % power, worst joint)"
 _MAX_PICTURED = 2
 """Findings whose signature a notebook shows."""
 
@@ -43,7 +44,7 @@ def present_diagnosis(found: Diagnosis) -> r.Presentation:
         *cards,
         *(_build_open_end(item, k) for k, item in enumerate(found.unexplained)),
         r.Chapter("time", "Measured, before and after", lambda: _build_time(found), when=bool(found.traces)),
-        r.Chapter("limits", "Not detected; detection limit (95 % power)", lambda: _build_limits(found)),
+        r.Chapter("limits", f"Not detected; {_LIMIT}", lambda: _build_limits(found)),
         r.Chapter("parameters", "Parameters of the extended model", lambda: _build_parameters(found)),
         r.Chapter("trust", "Quality of fit", lambda: _build_quality(found)),
         r.Chapter("uncertain", "", lambda: _list_uncertain(found), r.On.TERMINAL),
@@ -230,8 +231,8 @@ def _build_limits(found: Diagnosis) -> Iterator[r.Element]:
     if found.limits:
         yield r.Listing(words.list_limits(found.limits), style="limits")
         yield r.explain(
-            "The smallest effect that these logs would have shown in 95 of 100 cases. An effect below its limit may "
-            "exist."
+            "The smallest effect that these logs would have shown in 95 of 100 cases, at the joint where it shows least. An "
+            "effect below its limit may exist."
         )
     else:
         yield r.Text("No detection limits were computed.")
@@ -280,18 +281,20 @@ def _list_uncertain(found: Diagnosis) -> Iterator[r.Element]:
     limits = words.list_limits(found.limits)
     reasons = words.group_by_reason(found.untestable)
     for title, items in (
-        ("Suspected, not confirmed", [_doubt(f) for f in found.findings if f.status == "suspected"]),
-        ("Differs from the robot file", [_doubt(f) for f in found.findings if f.status == "parameter"]),
+        ("Confirmed", [_describe_finding(f) for f in found.findings if f.status == "confirmed"]),
+        ("Suspected, not confirmed", [_describe_finding(f) for f in found.findings if f.status == "suspected"]),
+        ("Differs from the robot file", [_describe_finding(f) for f in found.findings if f.status == "parameter"]),
         ("Unexplained", [words.describe_unexplained(u) for u in found.unexplained]),
         ("These data cannot separate", twins),
-        ("Not detected; detection limit (95 % power)", [f"{', '.join(limits)}."] if limits else []),
+        (f"Not detected; {_LIMIT}", [f"{', '.join(limits)}."] if limits else []),
         ("Not testable", [f"{r.format_list(causes, 9)}: {why}" for why, causes in reasons]),
     ):
         if items:
             yield r.Listing(items, title, on=r.On.TERMINAL)
 
 
-def _doubt(finding: Finding) -> str:
-    """Return a cause that is not confirmed, its figures, and why it is not."""
-    text = f"{words.format_title(finding)}: {', '.join(format_finding(finding))}"
+def _describe_finding(finding: Finding) -> str:
+    """Return a cause, its figures, and why it is not confirmed, where so."""
+    figures = format_finding(finding)[1 if finding.joints else 0 :]  # the title names the joints
+    text = f"{words.format_title(finding)}: {', '.join(figures)}"
     return f"{text}. Not confirmed: {finding.why_not_confirmed}" if finding.why_not_confirmed else text

@@ -19,8 +19,12 @@ def present_payload(found: PayloadEstimate) -> r.Presentation:
         said = r.format_with_uncertainty(float(mass.values[0]), float(mass.stderr[0]))
         headline = f"{found.link} carries {said} kg more in the loaded logs."
         missing = [name for name, part in (("centre", found.centre), ("inertia", found.inertia)) if not part.determined]
-        told = f"; not determined: {' and '.join(missing)}" if missing else ", centre and inertia"
-        verdict = r.Verdict("care" if missing or found.warnings else "good", f"The mass is determined{told}.")
+        told = (
+            f" is determined; not determined: {' and '.join(missing)}"
+            if missing
+            else ", centre and inertia are determined"
+        )
+        verdict = r.Verdict("care" if missing or found.warnings else "good", f"The mass{told}.")
     else:
         headline = f"No payload shows between empty and loaded logs; one of more than {limit} kg would."
         verdict = r.Verdict("good", f"A difference as large is chance (p = {r.format_number(found.p_value, 2)}).")
@@ -70,9 +74,10 @@ def _list_properties(found: PayloadEstimate) -> Iterator[r.Element]:
         r.Column(),
     ]
     yield r.ResultTable(columns, rows, on=r.On.ALL)
+    yield r.explain(f"In the frame of {found.frame}; inertia about the centre.", on=r.On.ALL)
     yield r.explain(
-        f"In the frame of {found.frame}; inertia about the centre. ± is one standard error; coloured noise and friction that "
-        "differs between the logs are allowed for. A drive gain that is off scales mass and inertia alike."
+        "± is one standard error; coloured noise and friction that differs between the logs are allowed for. A drive gain "
+        "that is off scales mass and inertia alike."
     )
 
 

@@ -172,12 +172,26 @@ def present_excitation(found: ExcitingMotion) -> r.Presentation:
     return r.Presentation(
         "Exciting motion", robot.name, f"{robot.name}: exciting motion",
         f"A motion of {r.format_number(motion.duration, 4)} s with condition number {r.format_number(condition, 3)}.",
-        r.Verdict(level, f"{r.capitalise(describe_separation(condition))}.", badge),
+        r.Verdict(level, f"{r.capitalise(describe_separation(condition))}{_describe_largest_error(found)}.", badge),
         f"{r.count(robot.na, 'joint')}: {r.format_list(robot.actuated)}; {r.count(free, 'free parameter')}; condition "
         f"numbers below {WELL:g} are good, above {FAIR:g} poor.",
         sections, motion.notes, r.RobotPicture(robot), r.Provenance(list(found.made.items()), robot=robot),
         lambda: _tabulate(motion, robot), found,
     )  # fmt: skip
+
+
+def _compute_error_percent(row: Mapping[str, Any]) -> float:
+    """Return a predicted standard error in percent of its value; of a value of zero, zero."""
+    return 100 * row["stderr"] / abs(row["value"]) if row["value"] else 0.0
+
+
+def _describe_largest_error(found: ExcitingMotion) -> str:
+    """Return what the predicted errors come to, as a clause; empty where none is predicted of a value."""
+    rows = [] if found.prediction is None else found.prediction.rows()
+    worst = max(rows, key=_compute_error_percent, default=None)
+    if worst is None or not worst["value"]:
+        return ""
+    return f"; predicted standard errors reach {r.format_percent(_compute_error_percent(worst))} of the value ({worst['name']})"
 
 
 def _tabulate(motion: Trajectory, robot: Robot) -> dict[str, np.ndarray]:
@@ -219,8 +233,8 @@ def _build_prediction(found: ExcitingMotion) -> Iterator[r.Element]:
     """Give name, value, error and unit of each base parameter, and the error as a share of the value."""
     prediction = found.prediction
 
-    def share(row: dict[str, Any]) -> str:
-        return r.format_percent(100 * row["stderr"] / abs(row["value"])) if row["value"] else ""
+    def share(row: Mapping[str, Any]) -> str:
+        return r.format_percent(_compute_error_percent(row)) if row["value"] else ""
 
     yield r.tabulate_things(
         [] if prediction is None else prediction.rows(),
@@ -229,6 +243,7 @@ def _build_prediction(found: ExcitingMotion) -> Iterator[r.Element]:
         r.Column("standard error", "number", cell=lambda row: r.format_number(row["stderr"], 2)),
         r.Column("unit", "unit", "quiet", cell=lambda row: r.format_unit(row["unit"])),
         r.Column("of the value", "number", cell=share),
+        style="names-above",
         on=r.On.ALL,
     )
     yield r.explain("Predicted from the assumed noise. Friction of another law and tracking errors add to them.")

@@ -26,6 +26,7 @@ def present_robot(robot: Robot) -> r.Presentation:
             lambda: [_build_joints(robot), r.Figures([r.RobotPicture(robot)], on=r.On.NOTEBOOK)],
             r.On.ALL,
         ),
+        r.Chapter("masses", "", lambda: [_build_masses(robot)], r.On.TERMINAL),
         r.Chapter("parameters", "Nominal parameters", lambda: [_build_table(robot.parameters, r.On.PAGE)]),
         *list_assumptions(robot.assumed),
     ]
@@ -53,18 +54,28 @@ def _build_joints(robot: Robot) -> r.ResultTable:
         r.Column("actuated joint", cell=lambda row: row["joint"]),
         r.Column(cell=lambda row: row["kind"]),
         r.Column("travel", cell=lambda row: f"{_limit(row['lower'])} … {_limit(row['upper'])} {row['position_unit']}"),
-        r.Column("speed", cell=lambda row: _up_to(row["velocity_limit"], f"{row['position_unit']}/s")),
-        r.Column("force", cell=lambda row: _up_to(row["effort_limit"], row["force_unit"])),
+        r.Column("speed limit", cell=lambda row: _format_bound(row["velocity_limit"], f"{row['position_unit']}/s")),
+        r.Column("force limit", cell=lambda row: _format_bound(row["effort_limit"], row["force_unit"])),
         on=r.On.ALL,
     )
+
+
+def _build_masses(robot: Robot) -> r.ResultTable:
+    """Return the nominal mass of each body that moves."""
+    rows = [
+        r.Row([p.name.removesuffix(".mass"), f"{r.format_number(p.value)} {p.unit}"])
+        for p in robot.parameters
+        if p.name.endswith(".mass")
+    ]
+    return r.ResultTable([r.Column("body"), r.Column("mass", "number")], rows, on=r.On.TERMINAL)
 
 
 def _limit(x: float) -> str:
     return r.format_number(x, 3) if np.isfinite(x) else "no limit"
 
 
-def _up_to(x: float, unit: str) -> str:
-    return f"up to {r.format_number(x, 3)} {unit}" if np.isfinite(x) else ""
+def _format_bound(x: float, unit: str) -> str:
+    return f"{r.format_number(x, 3)} {unit}" if np.isfinite(x) else ""
 
 
 @present_kind.register

@@ -9,6 +9,7 @@ variance estimates recovery: Zou & Donner 2008).
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -203,11 +204,12 @@ def _format_size(finding: Finding, p: Parameter) -> str:
 
 def build_total_table(series: WaterfallSeries) -> r.ResultTable:
     """Return the steps over all outputs as a table."""
+    shares = dict(zip(series.rungs, format_shares([step.left for step in series.rungs]), strict=True))
     return r.tabulate_things(
         series.rungs,
         r.Column(cell=lambda step: step.label),
         r.Column(kind="step", cell=series.draw),
-        r.Column(kind="number", style="strong", cell=lambda step: format_share(step.left)),
+        r.Column(kind="number", style="strong", cell=lambda step: shares[step]),
         r.Column(kind="number", style="quiet spread", on=r.On.PAGE, cell=format_spread),
         r.Column(style="about quiet", on=r.On.PRINTED, cell=lambda step: step.about),
         r.Column(on=r.On.NOTEBOOK, cell=lambda step: r.format_list(step.joints)),
@@ -243,6 +245,19 @@ def _link_finding(step: WaterfallStep) -> str:
 def format_share(share: float) -> str:
     """Return what a step leaves; empty where nothing tells how large the output is."""
     return r.format_percent(share) if np.isfinite(share) else ""
+
+
+def format_shares(shares: Sequence[float]) -> list[str]:
+    """Return what each step leaves, those that would read alike with as many digits, up to four, as tell them apart."""
+    texts = [format_share(x) for x in shares]
+    for text in {t for t in texts if t and texts.count(t) > 1}:
+        alike = [k for k, t in enumerate(texts) if t == text]
+        finer = {n: [r.format_percent(shares[k], n) for k in alike] for n in (3, 4)}
+        if len(set(finer[4])) > 1:
+            digits = 3 if len(set(finer[3])) == len(set(finer[4])) else 4
+            for k, new in zip(alike, finer[digits], strict=True):
+                texts[k] = new
+    return texts
 
 
 def format_spread(step: WaterfallStep) -> str:
