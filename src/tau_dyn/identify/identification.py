@@ -199,7 +199,11 @@ def _gather_data(
     """Return the data of the model that was asked for; nothing of it is computed yet."""
     fitted = choices.apply(model)
     if not fitted.parameters.free.any():
-        raise InputError("bad_option", "every parameter is fixed; nothing is left to estimate")
+        raise InputError(
+            "bad_option",
+            "every parameter is fixed; nothing is left to estimate. To judge a model on a new log, free its parameters, name "
+            "the logs that it was fitted to, and the new one with --holdout",
+        )
     gains = choices.gains(fitted.robot.actuated)
     train, held, doubled = drop_repeated_logs(given, judged)
     require_forces(fitted.robot, [*train, *held])
