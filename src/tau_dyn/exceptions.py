@@ -35,8 +35,16 @@ def suggest_nearest(word: str, known: Iterable[str]) -> str:
 
 
 def _sort_nearest(word: str, known: Iterable[str]) -> list[str]:
-    """Return all known words, the nearest first, capitals aside."""
-    return sorted(known, key=lambda k: -difflib.SequenceMatcher(None, k.lower(), word.lower()).ratio())
+    """Return all known words: those that are near first, capitals aside, then the others in their order."""
+
+    def likeness(name: str) -> float:
+        ratio = difflib.SequenceMatcher(None, name.lower(), word.lower()).ratio()
+        return ratio if ratio >= _MIN_LIKENESS else 0.0
+
+    return sorted(known, key=likeness, reverse=True)
+
+
+_MIN_LIKENESS = 0.6  # as difflib takes words for close
 
 
 def _digits(word: str) -> str:

@@ -59,6 +59,7 @@ def test_without_the_stock_robots_their_package_is_named(monkeypatch) -> None:
 def test_of_many_names_the_nearest_come_first() -> None:
     """A slip in a name is answered by the names that resemble it, capitals aside."""
     known = [f"robot_{k}" for k in range(40)] + ["panda", "ur5"]
+    assert "there are robot_0, robot_1, " in str(UnknownName("robot", "x", known))
     assert "there are ur5, " in str(UnknownName("robot", "UR55", known))
     assert "(did you mean panda?)" in str(UnknownName("robot", "Panda", known))
 
