@@ -25,9 +25,26 @@ def format_one_line(text: str) -> str:
 
 
 def suggest_nearest(word: str, known: Iterable[str]) -> str:
-    """Return a question about the nearest known word, in brackets; nothing where none is near, or only its number differs."""
-    near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.7)
-    return f" (did you mean {near[0]}?)" if near and _digits(near[0]) == _digits(word) else ""
+    """Return a question about the nearest known word, in brackets, capitals aside.
+
+    It is empty where none is near, or where only its number differs.
+    """
+    plain = {name.lower(): name for name in known}
+    near = difflib.get_close_matches(word.lower(), plain, n=1, cutoff=0.7)
+    return f" (did you mean {plain[near[0]]}?)" if near and _digits(near[0]) == _digits(word) else ""
+
+
+def _sort_nearest(word: str, known: Iterable[str]) -> list[str]:
+    """Return all known words: those that are near first, capitals aside, then the others in their order."""
+
+    def likeness(name: str) -> float:
+        ratio = difflib.SequenceMatcher(None, name.lower(), word.lower()).ratio()
+        return ratio if ratio >= _MIN_LIKENESS else 0.0
+
+    return sorted(known, key=likeness, reverse=True)
+
+
+_MIN_LIKENESS = 0.6  # as difflib takes words for close
 
 
 def _digits(word: str) -> str:
@@ -83,15 +100,16 @@ class InputError(TauDynError, ValueError):
 
 
 class UnknownName(InputError, KeyError):
-    """A name that does not exist; the message lists those that do."""
+    """A name that does not exist; the message lists those that do, of many the nearest first."""
 
-    def __init__(self, kind: str, name: object, known: Iterable[object], where: str = "") -> None:
-        """Build the sentence from the kind of thing, the name asked for, and the names that exist."""
+    def __init__(self, kind: str, name: object, known: Iterable[object], where: str = "", more: str = "") -> None:
+        """Build the sentence from the kind of thing, the name asked for, the names that exist, and what else would help."""
         names = [str(k) for k in known]
-        listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+        listed = ", ".join(names if len(names) <= 12 else _sort_nearest(str(name), names)[:12])
+        listed += f" and {len(names) - 12} more" if len(names) > 12 else ""
         there_are = f"there are {listed}" if names else "there are none"
         near = suggest_nearest(str(name), names)  # in a file a name may be a number
-        sentence = f"{where + ': ' if where else ''}no {kind} named '{name}'{near}; {there_are}"
+        sentence = f"{where + ': ' if where else ''}no {kind} named '{name}'{near}; {there_are}{more}"
         super().__init__("unknown_name", sentence)
 
 

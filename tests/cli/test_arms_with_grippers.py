@@ -9,8 +9,9 @@ import pytest
 
 from tau_dyn.cli import demo as demo_module, main
 from tau_dyn.cli.arguments import RobotOptions
-from tau_dyn.cli.demo import load_arm, make_arm
+from tau_dyn.cli.demo import hash_log, load_arm, make_arm
 from tau_dyn.exceptions import InputError
+from tau_dyn.log import Log, read_log
 from tau_dyn.robot import load_robot
 
 
@@ -96,6 +97,13 @@ def test_the_demo_holds_the_gripper_and_loads_the_arm(arm):
     weighed = bare.mechanism.inverse_dynamics(*np.zeros((3, 1, 2)))[0, 0]
     reach = 0.4 + demo_module.PAYLOAD_CENTRE[0]
     assert hanging - weighed == pytest.approx(-9.81 * payload * reach, rel=0.05)
+
+
+def test_the_demo_hashes_logs_as_their_files_are_written(tmp_path):
+    """The models' provenance names a log by the hash of the file that the demo writes."""
+    log = hash_log(Log(np.arange(20) / 3, {"q_axis": np.arange(20) / 7}, "monday.csv"))
+    log.to_csv(tmp_path / log.name)
+    assert read_log(tmp_path / log.name).sha256 == log.sha256 != ""
 
 
 def test_the_demo_asks_which_of_several_arms(write, tmp_path):

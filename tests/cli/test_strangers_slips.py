@@ -16,6 +16,10 @@ T = np.arange(0, 4, 0.004)
         ("identify log.csv linear_axis", "were robot and log exchanged?"),
         ("view log.csv", "were robot and log exchanged?"),
         ("identify absent.urdf log.csv", "or a short name such as gantry_tau"),
+        (
+            "simulate linear_axis --motion m.csv --duration 5 --out s.csv",
+            "--duration is the length of a named motion; m.csv has its own, so leave it out",
+        ),
         ("check log.csv linearaxis", "no robot named 'linearaxis' (did you mean linear_axis?)"),
         ("identify linear_axis log.csv --fix carriage.mass=90", "(did you mean carriage_link.mass?)"),
         (

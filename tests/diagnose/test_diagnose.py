@@ -89,6 +89,17 @@ def test_a_clean_log_has_no_confirmed_finding(clean):
     assert 1e-5 < limits["delay"].amplitude < 5e-3 and limits["delay"].unit == "s"
 
 
+def test_both_models_name_their_logs(clean):
+    """The refitted and the extended model say which logs their values come from, by name and hash."""
+    log, later = (replace(recorded(seed=k), name=f"{k}.csv", sha256=f"{k}" * 64) for k in (1, 2))
+    found = diagnose(axis, [log], holdout=[later], seed=3)
+    for model in (found.model, found.extended_model):
+        source = model.provenance
+        assert source["trained_on"] == [{"path": "1.csv", "sha256": "1" * 64}] and source["seed"] == 3
+        assert source["held_out"] == [{"path": "2.csv", "sha256": "2" * 64}]
+    assert [row["path"] for row in clean.extended_model.provenance["trained_on"]] == ["made.csv"]
+
+
 def test_a_gaussian_friction_peak_is_named_stribeck(stribeck):
     """Another exponent than the library's is the same cause; amplitude within a factor two, as the form is a choice."""
     first = named(stribeck, "stribeck")

@@ -128,6 +128,12 @@ def test_a_motor_constant_scales_the_answer_and_carries_its_error(l1, monday, fo
     assert_allclose(known.train.rms, 0.98 * found.train.rms, rtol=1e-6)
 
 
+def test_with_everything_fixed_the_sentence_says_how_a_model_is_judged(axis, axis_log):
+    """Nothing is left to estimate; held-out logs are the way to judge a model on new data."""
+    with raises_code("bad_option", "every parameter is fixed", "--holdout"):
+        identify(axis, axis_log, choices=Choices(fix=("*",)))
+
+
 def test_a_bound_holds_and_is_said(axis, axis_log, monkeypatch):
     """A viscous coefficient bounded below what the log says sits on its bound, and a warning names it with the plain value."""
     monkeypatch.setattr(

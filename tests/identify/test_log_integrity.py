@@ -71,7 +71,11 @@ def test_each_wrong_wiring_is_named_with_its_mend(l1, monday, spoil, code: str, 
 def test_a_lone_axis_that_turns_round_is_the_same_axis(axis, axis_log) -> None:
     """With q and tau both reversed a lone axis is the same axis; with the force alone friction would push."""
     assert codes(axis, scaled(axis_log, q_axis=-1.0, tau_axis=-1.0)) == set()
-    assert codes(axis, scaled(axis_log, tau_axis=-1.0)) == {"sign_reversed"}
+    turned = scaled(axis_log, tau_axis=-1.0)
+    assert codes(axis, turned) == {"sign_reversed"}
+    assert (
+        "of tau_axis, " in (said := str(check_integrity(axis, [turned]))) and "% less." in said and "nats" not in said
+    )
 
 
 @pytest.mark.parametrize("down", [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, -1.0), (1.0, 0.0, -1.0)])

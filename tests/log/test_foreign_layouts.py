@@ -223,6 +223,33 @@ def test_names_win_over_order(tmp_path):
     assert entries["q_hip"] == "position_hip" and entries["q_elbow"] == "position_elbow"
 
 
+def test_exact_names_are_kept_beside_one_of_other_words(tmp_path):
+    """One torque in other words and one joint by a part of its name are proposed with a doubt; the others keep theirs."""
+    joints = ("hip_joint", "knee_joint", "elbow_joint")
+    q, _ = make_motion(3)
+    names = ["q_hip_joint", "q_knee_joint", "q_elbow", "tau_hip_joint", "torque_knee_joint", "tau_elbow_joint"]
+    path = tmp_path / "a.csv"
+    pd.DataFrame(dict(zip(["t", *names], [T, *q.T, *q.T], strict=True))).to_csv(path, index=False)
+    proposal = propose_columns(path, make_arm(*joints))
+    wanted = [f"{signal}_{joint}" for signal in ("q", "tau") for joint in joints]
+    assert dict(proposal.entries) == dict(zip(["t", *wanted], ["t", *names], strict=True))
+    assert codes_of(proposal) == ["column_unsure"] * 2 and "torque_knee_joint" in proposal.warnings[1]
+
+
+def test_what_one_joint_lacks_is_named_and_the_rest_is_proposed(tmp_path):
+    """A position without a match and a torque with an empty cell: the map has the rest, the sentences name joint and columns."""
+    joints = ("hip_joint", "knee_joint")
+    q, _ = make_motion(2)
+    table = pd.DataFrame({"t": T, "q_hip_joint": q[:, 0], "foo": q[:, 1], "tau_hip_joint": T, "tau_knee_joint": T})
+    table.loc[5, "tau_knee_joint"] = np.nan
+    path = tmp_path / "a.csv"
+    table.to_csv(path, index=False)
+    proposal = propose_columns(path, make_arm(*joints))
+    assert list(proposal.entries) == ["t", "q_hip_joint", "tau_hip_joint", "tau_knee_joint"]
+    assert codes_of(proposal) == ["column_unsure", "column_missing"]
+    assert "knee_joint; not mapped: foo." in proposal.warnings[1]
+
+
 def test_proposals_agree_with_the_maps_of_the_data_sets():
     """Published logs: the columns and units of the maps kept here; torque constants, gears and couplings are left to people."""
     import os

@@ -138,10 +138,13 @@ def test_a_growing_file_is_read_line_by_line(tmp_path) -> None:
 
 
 def test_too_little_and_wrong_input_are_refused(tmp_path) -> None:
-    """A log shorter than the reference cannot answer, a short reference and a binary file to follow are refused."""
+    """Logs no longer than the reference cannot answer, a short reference and a binary file to follow are refused."""
     log = record().select_time(0, 30)
     with pytest.raises(CannotAnswer, match="reference"):
         watch_logs(MODEL, [log])
+    halves = [record().select_time(30 * k, 30 * (k + 1)) for k in range(2)]
+    with pytest.raises(CannotAnswer, match="hold 60 s .* first 60 s are the reference"):
+        watch_logs(MODEL, halves)
     with pytest.raises(InputError, match="40 s"):
         watch_logs(MODEL, [log], reference_s=10)
     with pytest.raises(InputError, match="CSV"):

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from raising import raises_code
 
-from tau_dyn.exceptions import InputError
-from tau_dyn.robot import load_robot, load_robot_from_urdf
+from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.robot import expand, load_robot, load_robot_from_urdf
 
 XACRO = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">{}<link name="base_link"/></robot>'
 BOMB = '<!DOCTYPE robot [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;">]><robot name="r"><link name="&b;"/></robot>'
@@ -45,8 +45,23 @@ def test_an_unknown_value_says_which_there_are() -> None:
 
 def test_an_unknown_short_name_lists_the_known_ones() -> None:
     """A bare word is a short name."""
-    with raises_code("unknown_name", "gantry_two", "gantry_tau", "linear_axis"):
+    with raises_code("unknown_name", "gantry_two", "gantry_tau", "gantry_tau_f1"):
         load_robot("gantry_two")
+
+
+def test_without_the_stock_robots_their_package_is_named(monkeypatch) -> None:
+    """Where the package of stock arms is not installed, the sentence says how to get it."""
+    monkeypatch.setattr(expand, "list_stock_robots", dict)
+    with pytest.raises(UnknownName, match="pip install example-robot-data"):
+        load_robot("ur5")
+
+
+def test_of_many_names_the_nearest_come_first() -> None:
+    """A slip in a name is answered by the names that resemble it, capitals aside."""
+    known = [f"robot_{k}" for k in range(40)] + ["panda", "ur5"]
+    assert "there are robot_0, robot_1, " in str(UnknownName("robot", "x", known))
+    assert "there are ur5, " in str(UnknownName("robot", "UR55", known))
+    assert "(did you mean panda?)" in str(UnknownName("robot", "Panda", known))
 
 
 def test_files_that_are_absent_or_no_robot_files(tmp_path: Path) -> None:

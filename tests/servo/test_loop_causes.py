@@ -47,6 +47,7 @@ def test_a_spring_and_a_delay_are_told_apart(spring):
     assert {f.cause for f in spring.findings if f.status == "confirmed"} == {"joint_compliance", "delay"}
     assert spring.extended[0] < 1.3 * spring.noise_floor[0] < 0.1 * spring.baseline[0]
     assert spring.recommendation == "extended"
+    assert len(spring.extended_model.provenance["trained_on"]) == 1
 
 
 def test_a_resonance_and_a_delay_are_known(spring):

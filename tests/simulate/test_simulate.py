@@ -1,9 +1,13 @@
 """The whole room: a log that repeats, shows the friction hidden in it, and refuses what the robot cannot do."""
 
+import re
+
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
+from tau_dyn.exceptions import InputError
 from tau_dyn.log import check_log, read_log
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
@@ -79,6 +83,21 @@ def test_a_motion_outside_the_limits_is_refused_by_name(gantry):
         simulate(gantry, move(joints, np.zeros(3), np.full(3, 0.8), 0.5))
     with raises_code("unreachable", "2000"):
         simulate(gantry, move(joints, np.zeros(3), np.full(3, 0.14), 0.135))
+
+
+def test_a_refused_motion_says_how_much_slower_it_would_pass(gantry):
+    """Slowed by the factor of the sentence the motion is taken; a range is not mended by time, so nothing is offered."""
+
+    def shift(seconds: float):
+        return move(gantry.robot.actuated, np.zeros(3), np.full(3, 0.14), seconds)
+
+    with pytest.raises(InputError, match="times slower.*--speed .* --acceleration ") as fault:
+        simulate(gantry, shift(0.135))
+    factor = float(re.search("; ([0-9.]+) times slower", str(fault.value))[1])
+    assert 1 < factor < 3 and simulate(gantry, shift(0.135 * factor)).n_samples > 100
+    with pytest.raises(InputError) as fault:
+        simulate(gantry, move(gantry.robot.actuated, np.zeros(3), np.array([0.5, 1.2, 0.5]), 5.0))
+    assert "slower" not in str(fault.value)
 
 
 def test_wrong_joints_and_feedback_are_refused(block, gantry):

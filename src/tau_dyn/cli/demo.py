@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import numpy as np
@@ -15,8 +16,10 @@ from tau_dyn.cli.execute import Outcome
 from tau_dyn.cli.progress import show_progress
 from tau_dyn.cli.run_folder import RunFolder
 from tau_dyn.exceptions import InputError
+from tau_dyn.files import compute_sha256
 
 if TYPE_CHECKING:
+    from tau_dyn.log import Log
     from tau_dyn.model import Model
     from tau_dyn.robot import LinkInertia, Robot
 
@@ -108,17 +111,16 @@ def demo(
         sensors, logs = Sensors(**made.sensors, log_rate_hz=RATE_HZ), []
         for k, (name, duration) in enumerate(SECONDS.items()):
             path = build_named_motion("fourier", made.truth, duration, seed + k)
-            logs.append(
-                simulate(
-                    made.truth,
-                    path,
-                    sensors=sensors,
-                    rate_hz=RATE_HZ,
-                    seed=seed + k,
-                    name=f"{name}.csv",
-                    progress=lambda share, day=name: step(f"simulating {day}: {100 * share:.0f} %"),
-                )
+            log = simulate(
+                made.truth,
+                path,
+                sensors=sensors,
+                rate_hz=RATE_HZ,
+                seed=seed + k,
+                name=f"{name}.csv",
+                progress=lambda share, day=name: step(f"simulating {day}: {100 * share:.0f} %"),
             )
+            logs.append(hash_log(log))
         fit = identify(made.robot, logs[0], holdout=logs[1], seed=seed, progress=step)
         found = diagnose(made.robot, logs[0], holdout=logs[1], seed=seed, progress=step)
         step("reports")
@@ -145,6 +147,14 @@ def demo(
         },
         report=lambda command_line: page,
     )
+
+
+def hash_log(log: Log) -> Log:
+    """Return a log with the hash that its file will have, by which models name it."""
+    with TemporaryDirectory() as room:
+        path = Path(room) / log.name
+        log.to_csv(path)
+        return replace(log, sha256=compute_sha256(path))
 
 
 def make_gantry(seed: int) -> Made:

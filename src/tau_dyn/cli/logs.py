@@ -88,6 +88,8 @@ def columns(
     )
 
 
+DEFAULT_DURATION_S = 60.0
+"""Length of a named motion, and of a vibration test, where none is given [s]."""
 DEFAULT_BUS_HZ = 50.0
 """Rate at which a servo's commands are sent and its positions logged, where none is given [Hz]."""
 _TRUTH = Group("What is true beside ROBOT", validator=validators.MutuallyExclusive())
@@ -149,7 +151,7 @@ def simulate(
     /,
     *,
     motion: Annotated[str, Parameter(metavar="M")] = "fourier",
-    duration: Annotated[args.Positive, Parameter(metavar="S")] = 60.0,
+    duration: Annotated[args.Positive | None, Parameter(metavar="S")] = None,
     out: Annotated[Path, args.build_destination("LOG.csv", "Write the log here", csv=True)],
     effects: Annotated[Path | None, Parameter(group=_TRUTH, metavar="E.yaml")] = None,
     model: Annotated[Path | None, Parameter(group=_TRUTH, metavar="FILE")] = None,
@@ -163,7 +165,7 @@ def simulate(
 
     Args:
         motion: fourier, slow, strokes, multisine, prbs, or a CSV with t and q_ref_JOINT
-        duration: Length of a named motion [s]
+        duration: Length of a named motion [s] (default 60)
         effects: Effects and parameter values of the true robot
         model: Put the effects and values of this model file on ROBOT
         controller: The controller file; a servo's law gives a log of commands and positions (cmd_J, q_J) without torque
@@ -172,7 +174,13 @@ def simulate(
         for option, given in (("--effects", effects), ("--model", model), ("--log-rate", sensors.log_rate)):
             if given:
                 raise InputError("bad_option", f"{option} does not go with --vibration")
-        return _simulate_vibration(robot, robot_options, duration, sensors, vibration, out, output)
+        return _simulate_vibration(
+            robot, robot_options, duration or DEFAULT_DURATION_S, sensors, vibration, out, output
+        )
+    if duration and Path(motion).suffix:
+        raise InputError(
+            "bad_option", f"--duration is the length of a named motion; {motion} has its own, so leave it out"
+        )
     with show_progress(output.quiet) as step:
         step("loading")
         from tau_dyn.render import SimulatedLog
@@ -189,7 +197,7 @@ def simulate(
         if Path(motion).suffix:
             path = Trajectory.from_csv(motion, true.robot.actuated)
         else:
-            path = build_named_motion(motion, true, duration, output.seed)
+            path = build_named_motion(motion, true, duration or DEFAULT_DURATION_S, output.seed)
         built = Sensors(
             encoder_noise=sensors.encoder_noise,
             encoder_resolution=sensors.encoder_resolution,

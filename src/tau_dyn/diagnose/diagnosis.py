@@ -30,6 +30,7 @@ from tau_dyn.identify import (
     build_model,
     drop_repeated_logs,
     get_log_list,
+    list_provenance,
     require_forces,
 )
 from tau_dyn.log import Log, Recording, estimate_encoder_noise
@@ -246,10 +247,18 @@ def diagnose(
             found.append(
                 diagnose_deflection(base.robot, train, holdout=held, seed=seed, progress=progress, warnings=doubts)
             )
-        return _forces_missed(merge_diagnoses(found), prepared.robot, train)
+        merged = _with_provenance(merge_diagnoses(found), train, held)
+        return _forces_missed(merged, prepared.robot, train)
     except CannotAnswer as fault:
         fault.warnings = tuple(dict.fromkeys((*warnings, *fault.warnings)))
         raise
+
+
+def _with_provenance(found: Diagnosis, train: Sequence[Log], held: Sequence[Log]) -> Diagnosis:
+    """Return a diagnosis both models of which name their logs."""
+    source = list_provenance(train, held, found.seed)
+    model, extended = (replace(one, provenance=source) for one in (found.model, found.extended_model))
+    return replace(found, model=model, extended_model=extended)
 
 
 def load_into_memory(logs: Sequence[Log | Recording]) -> list[Log]:

@@ -4,6 +4,7 @@ from .data import (
     Data as Data,
     drop_repeated_logs as drop_repeated_logs,
     get_log_list as get_log_list,
+    list_provenance as list_provenance,
     log_warnings as log_warnings,
     require_forces as require_forces,
 )

@@ -61,6 +61,14 @@ def get_log_list(logs: Log | Recording | Iterable[Log | Recording]) -> list[Log 
     return list(logs)
 
 
+def list_provenance(train: Sequence[Log | Recording], held: Sequence[Log | Recording], seed: int) -> dict[str, Any]:
+    """Return what a model file says of the logs behind its values: names and hashes, the version, the seed."""
+    from tau_dyn.version import __version__
+
+    trained_on, held_out = ([{"path": log.name, "sha256": log.sha256} for log in logs] for logs in (train, held))
+    return {"tool_version": __version__, "trained_on": trained_on, "held_out": held_out, "seed": seed}
+
+
 def drop_repeated_logs(train: Sequence[Kind], held: Sequence[Kind]) -> tuple[list[Kind], list[Kind], list[str]]:
     """Return logs to train on and held-out logs with no samples twice, and a warning about each log that is left out.
 

@@ -19,7 +19,7 @@ from tau_dyn.effects import FRICTION_MODELS
 from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Preparation, Regression
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.bands import PredictiveBands, build_predictive_bands
-from tau_dyn.identify.data import BuiltData, Data, drop_repeated_logs, get_log_list, require_forces
+from tau_dyn.identify.data import BuiltData, Data, drop_repeated_logs, get_log_list, list_provenance, require_forces
 from tau_dyn.identify.estimate_warnings import (
     list_equivalent_models,
     list_estimate_warnings,
@@ -147,7 +147,7 @@ def identify(
     warnings += list_estimate_warnings(estimate, list_body_stderr(fitted.robot))
     warnings += list_inertia_scale_warnings(estimate, nominal)
     return Identification(
-        model=replace(_place(fitted, estimate), provenance=_list_provenance(train, held, seed)),
+        model=replace(_place(fitted, estimate), provenance=list_provenance(train, held, seed)),
         estimate=estimate,
         train=trained,
         holdout=errors.errors,
@@ -200,7 +200,11 @@ def _gather_data(
     """Return the data of the model that was asked for; nothing of it is computed yet."""
     fitted = choices.apply(model)
     if not fitted.parameters.free.any():
-        raise InputError("bad_option", "every parameter is fixed; nothing is left to estimate")
+        raise InputError(
+            "bad_option",
+            "every parameter is fixed; nothing is left to estimate. To judge a model on a new log, free its parameters, name "
+            "the logs that it was fitted to, and the new one with --holdout",
+        )
     gains = choices.gains(fitted.robot.actuated)
     train, held, doubled = drop_repeated_logs(given, judged)
     require_forces(fitted.robot, [*train, *held])
@@ -339,12 +343,3 @@ def refuse_constant_forces(logs: Sequence[Log | Recording], regression: Regressi
 
 def _flat(log: Log, signal: str, joint: str) -> bool:
     return np.ptp(log.joint(signal, [joint])) == 0
-
-
-def _list_provenance(train: Sequence[Log | Recording], held: Sequence[Log | Recording], seed: int) -> dict:
-    from tau_dyn.version import __version__
-
-    def rows(logs: Sequence[Log | Recording]) -> list[dict[str, str]]:
-        return [{"path": log.name, "sha256": log.sha256} for log in logs]
-
-    return {"tool_version": __version__, "trained_on": rows(train), "held_out": rows(held), "seed": seed}

@@ -130,7 +130,7 @@ def _find_faults(judge: _Judge, name: str) -> list[CodedWarning]:
         found = judge.best(current, fit)
         if not found:
             break
-        warnings += [_say(robot, name, change, gain, fit, better) for change, better, gain in found]
+        warnings += [_say(robot, name, change, fit, better) for change, better, _ in found]
         current, fit, _ = found[0]
     return warnings
 
@@ -409,7 +409,7 @@ def _effective(r: np.ndarray) -> float:
     return float(n / (1 + 2 * rho[1:last].sum()))
 
 
-def _say(robot: Robot, name: str, change: Rewiring, gain: float, before: _Fit | None, after: _Fit) -> CodedWarning:
+def _say(robot: Robot, name: str, change: Rewiring, before: _Fit | None, after: _Fit) -> CodedWarning:
     """Return the warning about one wrong wiring, with its evidence."""
     evidence = "as logged, the robot cannot reach its positions."
     if before is not None:
@@ -417,6 +417,8 @@ def _say(robot: Robot, name: str, change: Rewiring, gain: float, before: _Fit | 
         k = int(np.argmin(np.where(before.power > 0, ratio, np.inf)))
         evidence = (
             f"so read, the model leaves {np.sqrt(after.power[k]):.3g} instead of {np.sqrt(before.power[k]):.3g} "
-            f"{robot.force_units[k]} of tau_{robot.actuated[k]}, a gain of {gain:.0f} nats."
+            f"{robot.force_units[k]} of tau_{robot.actuated[k]}, {100 * (1 - ratio[k]):.2g} % less."
+            if ratio[k] ** 2 < MIN_POWER_DROP
+            else "as logged, only bodies far from the robot file's explain the forces."
         )
     return CodedWarning(change.code, f"{name}: {change.words}. Evidence: {evidence}")

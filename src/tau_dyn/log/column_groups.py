@@ -1,7 +1,8 @@
 """Which columns of a log belong together, a joint each: told by the words and numbers in their names.
 
 A name is split into words. The joint's name or the last number says whose the column is; the words left say what it is and in
-which unit. Columns with the same words are a group, which counts if it has every joint.
+which unit. Columns with the same words are a group, which counts if it has every joint. Where no group of a kind does, the one
+with most joints counts, filled from columns that say the same in other words.
 """
 
 from __future__ import annotations
@@ -48,9 +49,10 @@ class ColumnGroup(NamedTuple):
 
     kind: str  # a signal, `q_ref`, `current`, `other`, or nothing
     stem: tuple[str, ...]
-    columns: tuple[str, ...]  # in the robot's order
+    columns: tuple[str, ...]  # in the robot's order; empty where a joint has none
     by_name: bool
     more: int = 0  # numbers beyond the joints
+    filled: tuple[str, ...] = ()  # columns of other words or of a shorter joint's name
 
     def score(self) -> tuple[bool, int]:
         """Return how likely it is to be what was measured."""
@@ -103,7 +105,43 @@ def find_groups(columns: Sequence[str], joints: Sequence[str], file: str) -> lis
             continue
         kind = _classify(stem) or ("" if not set(stem) <= {"joint", "axis", "j"} else _classify(split_words(file)))
         groups.append(ColumnGroup(kind, stem, order, by_name, more))
-    return groups
+    whole = {group.kind for group in groups}
+    return [*groups, *_find_partial_groups(stems, columns, joints, set(_PARTIAL) - whole)]
+
+
+_PARTIAL: tuple[str, ...] = ("q", "v", "tau", "q_ref")
+"""Kinds of which a map may lack a joint."""
+
+
+def _find_partial_groups(
+    stems: Mapping[tuple[str, ...], Mapping[int | str, str]],
+    columns: Sequence[str],
+    joints: Sequence[str],
+    kinds: set[str],
+) -> Iterator[ColumnGroup]:
+    """Yield the group with most joints of each of these kinds, filled from columns that say the same in other words."""
+    named = {stem: {j: found[j] for j in joints if j in found} for stem, found in stems.items()}
+    for kind in sorted(kinds):
+        alike = sorted((s for s in named if named[s] and _classify(s) == kind), key=lambda s: -len(named[s]))
+        if not alike:
+            continue
+        found = dict(named[alike[0]])
+        taken = {column for group in named.values() for column in group.values()}
+        left = [column for column in columns if column not in taken]
+        for joint in joints:
+            others = [named[s][joint] for s in alike[1:] if joint in named[s]]
+            near = others or [c for c in left if _nearly_names(c, joint, joints, kind)]
+            if joint not in found and len(near) == 1:
+                found[joint] = near[0]
+        filled = tuple(column for joint, column in found.items() if joint not in named[alike[0]])
+        yield ColumnGroup(kind, alike[0], tuple(found.get(j, "") for j in joints), True, filled=filled)
+
+
+def _nearly_names(column: str, joint: str, joints: Sequence[str], kind: str) -> bool:
+    """Tell whether a column is of a kind and has those words of a joint's name that not all joints share."""
+    words, own = split_words(column), set(split_words(joint))
+    mark = own - set.intersection(*(set(split_words(j)) for j in joints))
+    return bool(mark) and mark <= set(words) and _classify([w for w in words if w not in own]) == kind
 
 
 def _split_joint(column: str, joints: Sequence[str]) -> Iterator[tuple[tuple[str, ...], int | str]]:

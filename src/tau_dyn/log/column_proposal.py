@@ -112,9 +112,10 @@ def propose_columns(path: str | Path, robot: JointLimits) -> ColumnProposal:
         groups = find_groups([c for c in values if c not in named], robot.actuated, Path(path).stem)
     q, positions = _propose_positions(table, groups, values, robot)
     draft += positions
-    draft += _propose_velocities(groups, values, t, q)
+    draft += _propose_velocities(groups, values, t, q, robot)
     draft += _propose_forces(groups, robot)
-    draft += _propose_references(groups, q)
+    draft += _propose_references(groups, q, robot)
+    draft += _name_gaps(table, draft.entries, robot)
     return ColumnProposal(table.name, table.sha256, tuple(robot.actuated), draft.entries, tuple(draft.warnings))
 
 
@@ -128,6 +129,43 @@ class _Draft:
     def __add__(self, other: _Draft) -> _Draft:
         """Return both."""
         return _Draft({**self.entries, **other.entries}, [*self.warnings, *other.warnings])
+
+
+def _name_gaps(table: Table, entries: Mapping[str, Any], robot: JointLimits) -> _Draft:
+    """Return what is to be said of joints that lack a position or torque which others have, with the columns that are left.
+
+    A column with the right name is kept, whatever its cells hold.
+    """
+    used, kept, warnings = _list_named(entries), {}, []
+    wanted = {signal: [f"{signal}_{joint}" for joint in robot.actuated] for signal in ("q", "tau")}
+    missing = {s: [c for c in named if c not in entries] for s, named in wanted.items()}
+    missing = {s: gaps for s, gaps in missing.items() if len(gaps) < len(wanted[s])}
+    for column in (c for gaps in missing.values() for c in gaps if c in table.cells):
+        kept[column] = column
+        warnings.append(CodedWarning("column_unsure", f"Some cells of {column} are not finite numbers."))
+    left = [column for column in table.cells if column not in used and column not in kept]
+    for signal, gaps in missing.items():
+        if lost := [column for column in gaps if column not in kept]:
+            joints = format_names(column.removeprefix(f"{signal}_") for column in lost)
+            sentence = (
+                f"No column can be the {_WORDS[signal]} of {joints}; not mapped: {format_names(left)}. Add `{lost[0]}: COLUMN` "
+                "to the map, or log it."
+            )
+            warnings.append(CodedWarning("column_missing", sentence))
+    return _Draft(kept, warnings)
+
+
+_WORDS = {"q": "position", "tau": "torque"}
+
+
+def _pair(chosen: ColumnGroup | None, joints: Sequence[str]) -> tuple[dict[str, str], list[str]]:
+    """Return the column of each joint that a group has, and a doubt about each column of other words."""
+    if chosen is None:
+        return {}, []
+    found = {joint: column for joint, column in zip(joints, chosen.columns, strict=True) if column}
+    taken = [(joint, column) for joint, column in found.items() if column in chosen.filled]
+    sentences = [f"{column} is taken for {chosen.kind}_{joint} by its name alone." for joint, column in taken]
+    return found, [CodedWarning("column_unsure", sentence) for sentence in sentences]
 
 
 def _read(path: Path) -> Table:
@@ -259,31 +297,32 @@ def _propose_positions(
             f"{format_names(joints)} in this order{more}"
         )
         warnings.append(CodedWarning("column_unsure", sentence))
-    scales, doubts = _find_position_scales(chosen.columns, values, robot)
-    columns = dict(zip(joints, chosen.columns, strict=True))
-    entries = {f"q_{j}": _build_entry(columns[j], scale) for j, scale in zip(joints, scales, strict=True)}
-    return _Positions(columns, dict(zip(joints, scales, strict=True))), _Draft(entries, [*warnings, *doubts])
+    columns, taken = _pair(chosen, joints)
+    scales, doubts = _find_position_scales(columns, values, robot)
+    entries = {f"q_{j}": _build_entry(column, scales[j]) for j, column in columns.items()}
+    return _Positions(columns, scales), _Draft(entries, [*warnings, *taken, *doubts])
 
 
 def _find_position_scales(
-    columns: Sequence[str], values: Mapping[str, NDArray[np.float64]], robot: JointLimits
-) -> tuple[list[float], list[str]]:
+    columns: Mapping[str, str], values: Mapping[str, NDArray[np.float64]], robot: JointLimits
+) -> tuple[dict[str, float], list[str]]:
     """Return what brings each joint's positions to m or rad, and doubts; joints of a kind share a unit."""
-    scales, warnings = np.ones(len(columns)), []
+    scales, warnings = dict.fromkeys(columns, 1.0), []
+    pairs = list(zip(robot.actuated, robot.joint_kinds, strict=True))
     for kind, small, unit in (("revolute", DEGREE, "degrees"), ("prismatic", 1e-3, "mm")):
-        mine = [k for k, own in enumerate(robot.joint_kinds) if own == kind]
+        mine = {k: columns[joint] for k, (joint, own) in enumerate(pairs) if own == kind and joint in columns}
         if not mine:
             continue
-        named = find_named_scale(columns[mine[0]], "q")
+        named = find_named_scale(next(iter(mine.values())), "q")
         if named is not None:
-            scales[mine] = named
+            scales |= {robot.actuated[k]: named for k in mine}
             continue
-        outside = [k for k in mine if not _is_within(values[columns[k]], robot, k)]
+        outside = [k for k, column in mine.items() if not _is_within(values[column], robot, k)]
         if not outside:
             continue
-        column, joint = columns[outside[0]], robot.actuated[outside[0]]
-        if all(_is_within(values[columns[k]] * small, robot, k) for k in mine):
-            scales[mine] = small
+        column, joint = mine[outside[0]], robot.actuated[outside[0]]
+        if all(_is_within(values[column] * small, robot, k) for k, column in mine.items()):
+            scales |= {robot.actuated[k]: small for k in mine}
             sentence = (
                 f"{column} leaves the limits of {joint} in SI units and not in {unit}, and is taken for {unit}; a gear "
                 "ratio looks alike."
@@ -294,7 +333,7 @@ def _find_position_scales(
                 "give scale and offset by hand."
             )
         warnings.append(CodedWarning("unit_unsure", sentence))
-    return scales.tolist(), warnings
+    return scales, warnings
 
 
 def _is_within(q: NDArray[np.float64], robot: JointLimits, k: int) -> bool:
@@ -312,11 +351,14 @@ def _propose_velocities(
     values: Mapping[str, NDArray[np.float64]],
     t: NDArray[np.float64] | None,
     q: _Positions,
+    robot: JointLimits,
 ) -> _Draft:
     """Return lines of the velocities that are the positions' derivative."""
     chosen, warnings = choose_group(groups, "v")
     entries: dict[str, Any] = {}
-    for joint, column in zip(q.columns, chosen.columns if chosen else (), strict=chosen is not None):
+    for joint, column in _pair(chosen, robot.actuated)[0].items():
+        if joint not in q.columns:
+            continue
         position, named = q.columns[joint], find_named_scale(column, "v")
         if np.ptp(values[position]) == 0.0 or np.ptp(values[column]) == 0.0:  # at rest
             entries[f"v_{joint}"] = _build_entry(column, q.scales[joint] if named is None else named)
@@ -350,16 +392,18 @@ def _propose_forces(groups: Sequence[ColumnGroup], robot: JointLimits) -> _Draft
     joints = tuple(robot.actuated)
     chosen, warnings = choose_group(groups, "tau")
     if chosen is not None:
-        scales = [find_named_scale(column, "tau") for column in chosen.columns]
-        if chosen.columns[0] != f"tau_{joints[0]}":
-            unit = "" if scales[0] else " in N m (N of a sliding joint)"
+        columns, taken = _pair(chosen, joints)
+        scales = {joint: find_named_scale(column, "tau") for joint, column in columns.items()}
+        first = next(iter(columns))
+        if columns[first] != f"tau_{first}":
+            unit = "" if scales[first] else " in N m (N of a sliding joint)"
             sentence = (
-                f"{chosen.columns[0]} is taken for the torque behind the gear{unit}; one at the motor takes the gear ratio as "
+                f"{columns[first]} is taken for the torque behind the gear{unit}; one at the motor takes the gear ratio as "
                 "its scale."
             )
             warnings.append(CodedWarning("unit_unsure", sentence))
-        columns = zip(joints, chosen.columns, scales, strict=True)
-        return _Draft({f"tau_{j}": _build_entry(c, 1.0 if s is None else s) for j, c, s in columns}, warnings)
+        entries = {f"tau_{j}": _build_entry(c, scales[j] or 1.0) for j, c in columns.items()}
+        return _Draft(entries, [*warnings, *taken])
     current, doubts = choose_group(groups, "current")
     asked, _ = choose_group(groups, "tau_ref")
     if current is not None:
@@ -377,14 +421,15 @@ def _propose_forces(groups: Sequence[ColumnGroup], robot: JointLimits) -> _Draft
     return _Draft({}, doubts)
 
 
-def _propose_references(groups: Sequence[ColumnGroup], q: _Positions) -> _Draft:
+def _propose_references(groups: Sequence[ColumnGroup], q: _Positions, robot: JointLimits) -> _Draft:
     """Return lines of the positions that were asked for, in the unit of the positions unless their names say another."""
     chosen, warnings = choose_group(groups, "q_ref")
+    columns, taken = _pair(chosen, robot.actuated)
     entries = {}
-    for joint, column in zip(q.columns, chosen.columns if chosen else (), strict=chosen is not None):
+    for joint, column in columns.items():
         named = find_named_scale(column, "q")
-        entries[f"q_ref_{joint}"] = _build_entry(column, q.scales[joint] if named is None else named)
-    return _Draft(entries, warnings)
+        entries[f"q_ref_{joint}"] = _build_entry(column, q.scales.get(joint, 1.0) if named is None else named)
+    return _Draft(entries, [*warnings, *taken])
 
 
 def _build_entry(column: str, scale: float) -> Any:

@@ -189,22 +189,21 @@ class Watch:
         """Return what was found.
 
         Raises:
-            CannotAnswer: The logs are shorter than the reference.
+            CannotAnswer: The logs are not longer than the reference.
         """
-        if self.detector is None or (self.detector.normal is None and not self.detector.changes):
-            have = BLOCK_S * len(self._learning)
+        if self.detector is None or not self._watched:
+            have = BLOCK_S * (len(self._learning) if np.isnan(self._threshold) else self._wanted)
             raise CannotAnswer(
                 "too_little_data",
-                f"the logs hold {have:g} s of motion that can be used; the reference alone takes {self.reference_s:g} s",
-                "record the robot's daily motion for two minutes or more, the first of them in its normal state",
+                f"nothing was watched: the logs hold {have:g} s of motion that can be used, and the first {self.reference_s:g} s "
+                "are the reference",
+                f"name logs of the normal robot first, with {self.reference_s:g} s of motion or more, such as those that the "
+                "model was fitted to; then those to watch",
             )
         self.detector.settle()
-        said = list(self.warnings)
-        if not self._watched:
-            said.append(f"the logs end with the reference of {self.reference_s:g} s, so nothing was watched yet")
         return WatchResult(
             self.model, self.directions, self.unfelt, tuple(self.detector.changes), tuple(self.detector.trace),
-            tuple(self.logs), BLOCK_S * self._watched, self.reference_s, self.rate, self._threshold, tuple(said),
+            tuple(self.logs), BLOCK_S * self._watched, self.reference_s, self.rate, self._threshold, tuple(self.warnings),
         )  # fmt: skip
 
     def _cut(self, piece: Log, preparation: Preparation) -> Iterator[_Block]:
@@ -227,17 +226,21 @@ class Watch:
             if made.usable[rows].mean() >= _MIN_SHARE and t[rows][-1] - t[rows][0] > 0.8 * BLOCK_S:
                 yield _Block(piece.name, t[rows], e[rows], X[rows], made.usable[rows])
 
+    @property
+    def _wanted(self) -> int:
+        """Blocks of a reference."""
+        return int(np.ceil(self.reference_s / BLOCK_S))
+
     def _compute_forces(self, motion: Any) -> np.ndarray:
         return self.model.mechanism.inverse_dynamics(motion.q, motion.v, motion.a) + self.model.effect_force(motion)
 
     def _add(self, block: _Block) -> None:
         """Learn from a block, or watch it."""
-        wanted = int(np.ceil(self.reference_s / BLOCK_S))
         if self.detector is None:
-            self.detector = ChangeDetector(np.array([d.typical for d in self.directions]), wanted, self.rate)
+            self.detector = ChangeDetector(np.array([d.typical for d in self.directions]), self._wanted, self.rate)
         if self._noise is None or self.detector.normal is None:
             self._learning.append(block)
-            if len(self._learning) < wanted:
+            if len(self._learning) < self._wanted:
                 return
             self._noise = fit_noise(self._learning)
             for row in self._learning:
@@ -269,7 +272,7 @@ def watch_logs(
 
     Raises:
         InputError: A log is at fault.
-        CannotAnswer: The logs are shorter than the reference.
+        CannotAnswer: The logs are not longer than the reference.
     """
     watch = Watch(model, reference_s, exclude=exclude)
     for log in logs:

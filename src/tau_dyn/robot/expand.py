@@ -107,7 +107,8 @@ def find_robot(robot: str | Path) -> Path:
             "file_not_found",
             f"{robot}: robot_descriptions has it not in its cache; `python -m robot_descriptions pull {robot}` puts it there",
         )
-    raise UnknownName("robot", str(robot), [*ours, *stock])
+    more = "" if stock else "; `pip install example-robot-data` adds stock arms such as ur5"
+    raise UnknownName("robot", str(robot), [*ours, *stock], more=more)
 
 
 def expand(

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import norm
 
 from tau_dyn.effects import LOOP_CAUSES
-from tau_dyn.identify import MAX_HELD_OUT_RATIO, describe_foreign_joints
+from tau_dyn.identify import MAX_HELD_OUT_RATIO, describe_foreign_joints, list_provenance
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
@@ -124,10 +124,14 @@ def diagnose_loop(
     warnings = [*given.warnings, *describe_foreign_joints(foreign)]
     held = [] if parts.same_logs else parts.confirm
     warnings += list_loop_warnings(law, parts.train, held, [*given.train, *given.held], data, base)
+    extended = replace(
+        _build_model(replace(data, unknowns=search.unknowns), search.fit),
+        provenance=list_provenance(given.train, given.held, seed),
+    )
     return LoopDiagnosis(
         _judge(findings, unexplained), tuple(sorted(findings, key=lambda f: -f.score)), law.joints, nominal.rms, before.rms,
         after.rms, floor, interval, choice, why, unexplained, limits, untestable,
-        _build_model(replace(data, unknowns=search.unknowns), search.fit), tuple(dict.fromkeys(warnings)), seed,
+        extended, tuple(dict.fromkeys(warnings)), seed,
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from tau_dyn.identify import find_structural_base
+from tau_dyn.identify import find_structural_base, list_provenance
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
@@ -114,7 +114,7 @@ def _build_result(
     law = data.law.with_values(**{key: values[key] for key in SERVO_ENTRIES})
     law = replace(law, estimated=frozenset())
     identified = fill_model(data, values, theta, rows, bodies)
-    identified = replace(identified, provenance=_list_provenance(logs, held, more["seed"]), controller=law.to_dict())
+    identified = replace(identified, provenance=list_provenance(logs, held, more["seed"]), controller=law.to_dict())
     scale = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
     loose = np.diag(fit.covariance) > 0
     normal = fit.covariance[np.ix_(loose, loose)] / scale[loose][:, None] / scale[loose][None, :]
@@ -226,10 +226,3 @@ def fill_model(
         for p in model.parameters
     ]
     return model.with_parameters(Parameters(items))
-
-
-def _list_provenance(train: Sequence[Log], held: Sequence[Log], seed: int) -> dict[str, Any]:
-    from tau_dyn.version import __version__
-
-    rows = [[{"path": log.name, "sha256": log.sha256} for log in logs] for logs in (train, held)]
-    return {"tool_version": __version__, "trained_on": rows[0], "held_out": rows[1], "seed": seed}

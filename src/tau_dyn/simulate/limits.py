@@ -17,6 +17,8 @@ from tau_dyn.model import Model
 from tau_dyn.simulate.trajectory import Trajectory
 
 CHECKED_SAMPLES = 400  # samples checked, spread over the motion, beside its peaks
+_MAX_SLOWING = 10.0
+"""Times slower that a motion is tried; what it then exceeds are ranges and weights."""
 _SLACK = 1e-9  # relative; values that equal a limit but for rounding are within it
 
 
@@ -53,6 +55,27 @@ def describe_exceeded_limit(
     tau = model.steady().torque(few.q, few.v, few.a)
     excess = np.abs(tau) - share * robot.effort_limit
     return _sentence(model, few, excess, tau, "force", robot.effort_limit) if np.max(excess) > _SLACK else None
+
+
+def describe_slowing(model: Model, motion: Trajectory) -> str:
+    """Return a clause on how much slower a motion keeps the robot's limits, and what makes such a one; empty where none does."""
+
+    def is_within(factor: float) -> bool:
+        slow = replace(motion, t=motion.t * factor, v=motion.v / factor, a=motion.a / factor**2)
+        return describe_exceeded_limit(model, slow, condition=np.inf) is None
+
+    if not is_within(_MAX_SLOWING):
+        return ""
+    low, high = 1.0, _MAX_SLOWING
+    while high - low > 0.005:
+        middle = (low + high) / 2
+        low, high = (low, middle) if is_within(middle) else (middle, high)
+    factor = np.ceil(20 * high) / 20
+    speed, acceleration = np.abs(motion.v).max() / factor, np.abs(motion.a).max() / factor**2
+    return (
+        f"; {factor:.3g} times slower it would keep its limits: excite --speed {speed:.2g} --acceleration {acceleration:.2g} "
+        "designs such a motion"
+    )
 
 
 def scale_to_limits(model: Model, build: Callable[[float], Trajectory], name: str) -> Trajectory:

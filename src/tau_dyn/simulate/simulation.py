@@ -30,7 +30,7 @@ from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw, Controller
-from tau_dyn.simulate.limits import describe_exceeded_limit
+from tau_dyn.simulate.limits import describe_exceeded_limit, describe_slowing
 from tau_dyn.simulate.plant import run_plant
 from tau_dyn.simulate.plant_run import PlantRun, Progress
 from tau_dyn.simulate.sensors import EncoderReadings, Sensors, measure, record_run
@@ -107,7 +107,7 @@ def simulate_drive(
     reference = motion.resampled(rate_hz)
     fault = describe_exceeded_limit(model, reference, condition=np.inf)
     if fault:
-        raise InputError("unreachable", f"{motion.name}: {fault}")
+        raise InputError("unreachable", f"{motion.name}: {fault}{describe_slowing(model, reference)}")
     controller = controller or CascadeController(CascadeLaw.for_model(model), start=model.steady())
     if feedback == "ideal":
         return record_run(run_plant(model, reference, controller, progress=progress))
