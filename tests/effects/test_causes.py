@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.effects import EFFECTS, CartShift, Effect, Motion, Scene, describe_ranges
+from tau_dyn.effects import EFFECTS, NO_EXPERIMENT, CartShift, Effect, Motion, Scene, describe_ranges
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
@@ -204,7 +204,7 @@ def test_what_a_cause_needs_is_asked_for(name: str, motion: Motion) -> None:
         poor = Motion.of(JOINTS, motion.q, motion.v, motion.a, t=motion.t,
                          signals={k: x for k, x in motion.signals.items() if k != need})  # fmt: skip
         why = cls.untestable(scene(poor, campaigns=1))
-        assert why is not None and why[1] == ("" if need == "passive" else cls.reveals)
+        assert why is not None and why[1] == (NO_EXPERIMENT if need == "passive" else cls.reveals)
 
 
 def test_settings_that_cannot_be_are_refused() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.effects import EFFECTS, Scene
+from tau_dyn.effects import EFFECTS, NO_EXPERIMENT, Scene
 
 
 def scene(joints: str = "xyw", *signals: str, duration: float = 120.0, cutoff_hz: float = 60.0) -> Scene:
@@ -170,7 +170,7 @@ def test_what_is_missing_is_named_with_the_experiment_that_gives_it(
     if missing is None:
         assert why is None
     else:
-        experiment = "" if missing.startswith("the robot has no") else EFFECTS[name].reveals
+        experiment = NO_EXPERIMENT if missing.startswith("the robot has no") else EFFECTS[name].reveals
         assert why is not None and why[0].startswith(missing) and why[1] == experiment
 
 

@@ -178,7 +178,7 @@ def test_parameters_have_units_and_bounds(two_link) -> None:
         unit = "kg" if quantity == "mass" else "kg m" if quantity in ("mx", "my", "mz") else "kg m^2"
         lower = 0.0 if quantity in ("mass", "ixx", "iyy", "izz", "armature") else -np.inf
         assert (p.unit, p.lower, p.upper) == (unit, lower, np.inf)
-    with raises_code("unknown_name", "elbow_link.mx", "upper_link.mass"):
+    with raises_code("unknown_name", "elbow_link.mx", "lower_link.mx"):
         two_link.untied(["elbow_link.mx"])
 
 

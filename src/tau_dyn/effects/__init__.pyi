@@ -17,6 +17,7 @@ from .causes import (
 )
 from .cogging import Cogging as Cogging
 from .effect import (
+    NO_EXPERIMENT as NO_EXPERIMENT,
     Effect as Effect,
     PlausibleRange as PlausibleRange,
     describe_ranges as describe_ranges,

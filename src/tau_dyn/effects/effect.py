@@ -38,6 +38,9 @@ _PREFIXES = {
     "rad/(N m)": ((1.0, "rad/(N m)"), (1e-6, "µrad/(N m)"), (1e-9, "nrad/(N m)")),
 }
 
+NO_EXPERIMENT = "none: the robot lacks the part"
+"""What is said in the place of an experiment that would show an effect, where none can."""
+
 
 def format_amount(parameter: Parameter) -> str:
     """Return a parameter's value with its standard error, where it has one, and its unit."""
@@ -275,7 +278,7 @@ class Effect(ABC):
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
         """Return why this motion cannot show the effect and the experiment that would, or None where it can.
 
-        The experiment is empty where the robot lacks the part.
+        The experiment is `NO_EXPERIMENT` where the robot lacks the part.
         """
         missing = [name for name in cls.needs if name not in scene.signals]
         return (f"the logs give no {missing[0]}", cls.reveals) if missing else None

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.effects.effect import PlausibleRange
+from tau_dyn.effects.effect import NO_EXPERIMENT, PlausibleRange
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion, Scene
 
@@ -74,4 +74,4 @@ class DirectionalEfficiency(JointwiseEffect):
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
         """Return what is missing: a torque that a hinge's gear transmits."""
-        return super().untestable(scene) if cls.groups(scene) else ("no joint is a hinge with a gear", "")
+        return super().untestable(scene) if cls.groups(scene) else ("no joint is a hinge with a gear", NO_EXPERIMENT)

@@ -22,7 +22,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from tau_dyn.effects.effect import PlausibleRange, format_amount, format_quantity
+from tau_dyn.effects.effect import NO_EXPERIMENT, PlausibleRange, format_amount, format_quantity
 from tau_dyn.effects.jointwise import DisplacementEffect, JointParameters
 from tau_dyn.effects.motion import Motion, Scene
 from tau_dyn.parameters import Parameters
@@ -61,7 +61,7 @@ class CartShift(DisplacementEffect, JointParameters):
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
         """Return that a measured tool is missing, or carts, where so."""
         if not cls.groups(scene):
-            return "the robot has no carts", ""
+            return "the robot has no carts", NO_EXPERIMENT
         return None if SENSITIVITY in scene.signals else ("no measured tool positions are looked at here", cls.reveals)
 
 

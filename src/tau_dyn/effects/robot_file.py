@@ -18,7 +18,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from tau_dyn.effects.effect import Effect, PlausibleRange, format_amount, spell_unit
+from tau_dyn.effects.effect import NO_EXPERIMENT, Effect, PlausibleRange, format_amount, spell_unit
 from tau_dyn.effects.jointwise import JointwiseDisplacement, JointwiseEffect
 from tau_dyn.effects.motion import JointMotion, Motion, Scene, list_joint_pairs
 from tau_dyn.exceptions import InputError
@@ -90,7 +90,9 @@ class ReducerCoupling(Effect):
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
         """Return that no motor can drive two joints, where none are neighbours."""
-        return super().untestable(scene) if list_joint_pairs(scene) else ("no two joints can share a motor", "")
+        return (
+            super().untestable(scene) if list_joint_pairs(scene) else ("no two joints can share a motor", NO_EXPERIMENT)
+        )
 
     def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
         """Couple exactly two joints, whose forces are in these units."""

@@ -21,7 +21,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.polynomial import legendre
 
-from tau_dyn.effects.effect import Effect, PlausibleRange, format_amount, format_quantity, spell_unit
+from tau_dyn.effects.effect import NO_EXPERIMENT, Effect, PlausibleRange, format_amount, format_quantity, spell_unit
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion, Motion, Scene
 from tau_dyn.parameters import Parameter, Parameters
@@ -232,7 +232,9 @@ class PassiveJointFriction(Effect):
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
         """Return that there are no passive joints, where so."""
-        return None if "passive" in scene.signals else ("the robot has no loops and so no passive joints", "")
+        return (
+            None if "passive" in scene.signals else ("the robot has no loops and so no passive joints", NO_EXPERIMENT)
+        )
 
     def columns(self, motion: Motion) -> np.ndarray:
         """Return force per unit parameter (N, na, 2)."""

@@ -25,7 +25,7 @@ from tau_dyn.diagnose.proposal.design import (
     compute_imitating_amplitudes,
 )
 from tau_dyn.diagnose.result import Diagnosis, Finding
-from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
+from tau_dyn.effects import EFFECTS, NO_EXPERIMENT, Effect, Motion, Scene
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
 
@@ -160,7 +160,7 @@ def _unseen(diagnosis: Diagnosis, signals: Collection[str]) -> DesignGoal:
         raise CannotAnswer(
             "nothing_to_do",
             "nothing is left open that a motion would show",
-            "; ".join(dict.fromkeys(u.experiment for u in diagnosis.untestable if u.experiment))
+            "; ".join(dict.fromkeys(u.experiment for u in diagnosis.untestable if u.experiment != NO_EXPERIMENT))
             or "record the motion that matters to you",
         )
     return DesignGoal(others=_sure(diagnosis, ()), causes=causes)
