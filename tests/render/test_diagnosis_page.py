@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from tau_dyn.diagnose import Unexplained
+from tau_dyn.diagnose import Finding, Unexplained
+from tau_dyn.parameters import Parameter
 from tau_dyn.render import build_page, print_result, write_report
 from tau_dyn.render.chart import draw_figure
 from tau_dyn.render.kinds.diagnosis_words import (
@@ -28,6 +29,7 @@ from tau_dyn.render.kinds.waterfall import (
     build_output_series,
     build_total_series,
     find_step_finding,
+    format_finding,
     format_shares,
 )
 from tau_dyn.results import format_estimate, format_quantity
@@ -268,3 +270,19 @@ def test_sets_of_variables_that_explain_it_as_well_are_listed():
         "b", ("q_a", "v_b"), 0.1, "", 1e-4, "confirmed", indistinguishable_from=(("v_c",), ("q_c", "v_b"))
     )
     assert "depends on q_a and v_b (or equally on v_c; or on q_c and v_b); no known" in describe_unexplained(item)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("arm_link.mass_error", 1.1, "1.100 ± 0.045 kg more than nominal"),
+        ("arm_link.mass_error", -1.1, "1.100 ± 0.045 kg less than nominal"),
+        ("arm_link.mass", 10.1, "10.100 ± 0.045 kg in all"),
+        ("payload.mass", 2.0, "2.000 ± 0.045 kg"),
+    ],
+)
+def test_a_mass_is_told_from_a_difference(name, value, said):
+    """What a link is heavier or lighter by reads so, all of its mass reads so, and a payload is what is carried."""
+    p = Parameter(name, value, "kg", stderr=0.045)
+    finding = Finding("link_mass", ("arm_link",), "parameter", 9.0, 1e-6, (p,), None, (), "", "", "")
+    assert format_finding(finding)[-1] == said
