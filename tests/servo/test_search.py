@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from tau_dyn.servo import cause_search, fit
+from tau_dyn.servo import cause_search, data as servo_data, fit
 from tau_dyn.servo.cause_search import LoopSearch, TriedCause, search_causes
-from tau_dyn.servo.data import BASELINE, keep_kinds
+from tau_dyn.servo.data import BASELINE, LOADS_ANEW, MAX_SETTLINGS, fit_coupled, fit_precisely, keep_kinds
 from tau_dyn.servo.fit import LoopPrior, _step
 from tau_dyn.servo.preparation import prepare_loop, read_loop_logs
 from tau_dyn.servo.starts import RESONANCES_HZ, list_starts
@@ -97,7 +97,7 @@ def leave(monkeypatch: pytest.MonkeyPatch, sigmas: dict[str, float]) -> Callable
         return SimpleNamespace(sigma=np.array([sigmas.get(" ".join(sorted(causes)), 9.0)]), x=np.zeros(1), u=causes)
 
     replacements = {
-        "fit_precisely": lambda causes, progress: fit(causes),
+        "fit_precisely": lambda causes, *_: fit(causes),
         "refit_again": lambda causes, old, progress: fit(old.u),
         "start_best": lambda data, causes, old, starts, joints: Causes(causes | set(starts)),
         "_hold_null": lambda data, causes, old, places: (Causes(causes - {c for c, _ in places}), old),
@@ -196,6 +196,38 @@ def test_steps_of_a_search_are_as_short_as_its_residual_asks(three):
     one, two, three_ = (three.with_fine_steps(fit) for fit in fits)
     assert one.step == pytest.approx(2 * two.step) and three_.step == SPRING_STEP_S
     assert three_.with_fine_steps(fits[0]) is three_
+
+
+@pytest.mark.parametrize(("residual", "enough", "parts"), [(5e-3, True, 1), (5e-3, False, 2), (1e-4, True, 2)])
+def test_small_differences_are_spared_where_the_residual_is_large_and_the_answer_there(
+    monkeypatch, residual, enough, parts
+):
+    """Large differences miss less than a millirad: what they say of residuals of five stands, of a tenth it does not."""
+    ends: list = []
+    problem: Any = SimpleNamespace(with_finer_differences=lambda: "fine")
+    answer = SimpleNamespace(sigma=np.full(3, residual), x=np.zeros(1))
+    monkeypatch.setattr(servo_data, "fit_loop", lambda *_, **__: ends.append(1) or answer)
+    fit_precisely(problem, quiet, lambda near: enough)
+    assert len(ends) == parts
+
+
+@pytest.mark.parametrize(("residual", "fits"), [(5e-3, LOADS_ANEW), (1e-3, MAX_SETTLINGS)])
+def test_exact_motions_are_not_sought_beyond_what_a_model_misses(monkeypatch, residual, fits):
+    """Fits that never settle end after two where five millirad are missed, and only after all where one is."""
+    ends: list = []
+
+    def wander(*_: Any, **__: Any) -> Any:
+        ends.append(1)
+        return SimpleNamespace(sigma=residual * (1 + 0.01 * np.array([(-1) ** len(ends)])), x=np.array([9.0 * len(ends)]),
+                               covariance=np.eye(1))  # fmt: skip
+
+    monkeypatch.setattr(servo_data, "fit_loop", wander)
+    monkeypatch.setattr(servo_data, "replace", lambda fit, **_: fit)
+    problem: Any = SimpleNamespace(unknowns=SimpleNamespace(clip=lambda x: x), take_slopes=lambda last: problem)
+    data: Any = SimpleNamespace(unknowns=SimpleNamespace(is_flexible=True), is_shaken=False, whole=False)
+    data.build_problem, data.with_exact_motions = lambda: problem, lambda fit, with_loads: data
+    fit_coupled(data, quiet, SimpleNamespace(sigma=np.array([residual]), x=np.zeros(1)))  # type: ignore[arg-type]
+    assert len(ends) == fits
 
 
 def test_a_step_ends_before_bodies_that_cannot_exist():

@@ -137,9 +137,9 @@ def check_steps(
     u, again, _ = _drop_superfluous(data, u, again, taken, progress)
     for cause, j in sorted(taken, key=lambda place: taken[place][0]):
         if sum(k == j for _, k in taken) > 1:  # what others leave of it may be less than what it took off without them
-            left, without = _take_out(data, u, again, cause, j, progress)
-            if 1 - (again.sigma[j] / without.sigma[j]) ** 2 < MIN_SHARE:
-                u, again = left, without
+            found = _take_out(data, u, again, (cause, j), MIN_SHARE, progress)
+            if found is not None:
+                u, again = found
                 del taken[cause, j]
     return fine, replace(search, unknowns=u, fit=again, taken=taken)
 
@@ -159,13 +159,15 @@ def part_twins(data: LoopData, search: LoopSearch, progress: Callable[[str], Non
         progress(f"{cause.replace('_', ' ')} or {', '.join(twins).replace('_', ' ')}")
         tried = {cause: (search.unknowns, search.fit)}
         left, without = _hold_null(data, search.unknowns, search.fit, [(cause, j)])
+        clear = max(-np.log1p(-MIN_SHARE), 2 * APART / _count_independent(data, search.unknowns, search.fit, j))
+        most = search.fit.sigma[j] * np.exp(clear / 2)
         for twin in twins:
             wide = start_best(data, left, without, {twin: list_starts(data, left, without, twin)}, [j])
-            tried[twin] = wide, fit_precisely(data.build_problem(wide), progress)
+            problem = data.build_problem(wide)
+            tried[twin] = wide, fit_precisely(problem, progress, lambda near, j=j, most=most: near.sigma[j] > most)
         best = min(tried, key=lambda c: tried[c][1].sigma[j])
         u, fit = tried[best]
-        problem = data.build_problem(u)
-        count = problem.count / count_worth(problem.residuals(fit.x[:, None])[:, j, 0], problem.used)
+        count = _count_independent(data, u, fit, j)
         ratio = {c: count * 2 * np.log(one.sigma[j] / fit.sigma[j]) for c, (_, one) in tried.items()}
         same = tuple(c for c in tried if c != best and ratio[c] < APART)
         first = next(c for c in LOOP_CAUSES if c == best or c in same)  # the table begins with what is met most often
@@ -175,13 +177,30 @@ def part_twins(data: LoopData, search: LoopSearch, progress: Callable[[str], Non
     return search
 
 
+def _count_independent(data: LoopData, u: LoopUnknowns, fit: LoopFit, j: int) -> float:
+    """Return how many independent samples a joint's residual counts as."""
+    problem = data.build_problem(u)
+    return problem.count / count_worth(problem.residuals(fit.x[:, None])[:, j, 0], problem.used)
+
+
 def _take_out(
-    data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str, j: int, progress: Callable[[str], None]
-) -> tuple[LoopUnknowns, LoopFit]:
-    """Return unknowns and fit without a cause at a joint."""
+    data: LoopData,
+    u: LoopUnknowns,
+    fit: LoopFit,
+    place: tuple[str, int],
+    least: float,
+    progress: Callable[[str], None],
+) -> tuple[LoopUnknowns, LoopFit] | None:
+    """Return unknowns and fit without a cause at a joint; None where it takes off more than a share of the variance there."""
+    cause, j = place
     progress(f"without {cause.replace('_', ' ')}")
-    left, _ = _hold_null(data, u, fit, [(cause, j)])
-    return left, fit_precisely(data.build_problem(left), progress)
+    left, _ = _hold_null(data, u, fit, [place])
+
+    def is_missed(without: LoopFit) -> bool:
+        return 1 - (fit.sigma[j] / without.sigma[j]) ** 2 >= least
+
+    without = fit_precisely(data.build_problem(left), progress, is_missed)
+    return None if is_missed(without) else (left, without)
 
 
 def _hold_null(
@@ -325,11 +344,11 @@ def _drop_superfluous(
         if not weak:
             return u, fit, dropped
         _, cause, j = min(weak)
-        left, without = _take_out(data, u, fit, cause, j, progress)
-        if 1 - (fit.sigma[j] / without.sigma[j]) ** 2 > MAIN_SHARE:
+        found = _take_out(data, u, fit, (cause, j), MAIN_SHARE, progress)
+        if found is None:
             needed.add((cause, j))
         else:
-            u, fit = left, without
+            u, fit = found
             del taken[cause, j]
             dropped.add((cause, j))
 

@@ -27,7 +27,8 @@ by the square of it, so that this one is off by a hundredth of the residual."""
 STEP_RATIO = 4.0
 """Step of the fits over that of exact motions."""
 LARGE_RESIDUAL_RAD = 1.6e-3
-"""Residual from which what a model misses outweighs the errors of long steps and of loads along the measured motion."""
+"""Median residual of the joints from which what a model misses outweighs the errors of long steps, of large differences and of
+loads along the measured motion."""
 MAX_SETTLINGS = 14
 """Fits in turn against exact motions of the last one's solution; three are usual, ten of long chains."""
 LOADS_ANEW = 2
@@ -201,6 +202,11 @@ class Mixing:
         return answers[-1] - share @ np.array(self._ways)
 
 
+def is_large(fit: LoopFit) -> bool:
+    """Return whether what a model misses outweighs the errors of long steps, large differences and measured loads."""
+    return float(np.median(fit.sigma)) > LARGE_RESIDUAL_RAD
+
+
 def fit_coupled(
     data: LoopData,
     progress: Callable[[str], None] = lambda step: None,
@@ -213,15 +219,15 @@ def fit_coupled(
     The first fit, unless one is given, takes what joints do to each other along the measured motion, whose accelerations
     are filtered and noisy. Each next one adds what finer steps, and loads along the motion that the last one simulates, change
     there. Where a model misses much more than that, the first fit is the last, except of springs: accelerations of a link that
-    swings are what filters miss, and links shake each other, so that a last fit (Gauss-Newton) takes sensitivities of all joints.
-    It is kept where every joint's residual is less.
+    swings are what filters miss. Two such fits follow there, and they are kept where every joint's residual is less. Links on
+    springs shake each other, so that a last fit (Gauss-Newton) takes sensitivities of all joints.
     Reference: Stetter 1978.
     """
     last = None
     if fit is None:
         last = data.build_problem()
         fit = fit_loop(last, progress)
-    large = float(np.median(fit.sigma)) > LARGE_RESIDUAL_RAD
+    large = is_large(fit)
     if large and not data.unknowns.is_flexible:
         return data, fit
     measured, before = (data, fit), fit
@@ -238,6 +244,8 @@ def fit_coupled(
         sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
         if np.all(np.abs(fit.x - x) <= settled * sigma + 1e-12) or _is_alike(fit.sigma, before.sigma, RMS_TOLERANCE):
             break
+        if k + 1 == LOADS_ANEW and is_large(fit):
+            break
         points, answers = [*points, x], [*answers, fit.x]
         x = last.unknowns.clip(mixing.mix(points, answers, sigma))
     if data.is_shaken:
@@ -251,9 +259,13 @@ def _is_alike(sigma: np.ndarray, before: np.ndarray, share: float) -> bool:
     return bool(np.all(np.abs(sigma - before) < share * before))
 
 
-def fit_precisely(problem: LoopProblem, progress: Callable[[str], None]) -> LoopFit:
-    """Return a fit whose last part takes small differences."""
+def fit_precisely(
+    problem: LoopProblem, progress: Callable[[str], None], is_enough: Callable[[LoopFit], bool] = lambda near: False
+) -> LoopFit:
+    """Return a fit whose last part takes small differences, unless the first part answers and its residual is large."""
     near = fit_loop(problem, progress)
+    if is_large(near) and is_enough(near):
+        return near
     return fit_loop(problem.with_finer_differences(), progress, first=near.x)
 
 
