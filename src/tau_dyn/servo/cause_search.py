@@ -39,8 +39,8 @@ wait, as what a joint misses shakes its neighbours."""
 WHITE_LAGS = 20  # samples over which residuals are compared
 _CHANCE = 4.0  # standard errors of an autocorrelation
 MAIN_SHARE = 0.5
-"""Share of a joint's residual variance from which a cause counts, however uncertain its number: on a ridge with others, such as
-gain and mass, or far from its end, a number moves without a change of the simulation."""
+"""Share of a joint's residual variance from which a cause is taken in, however uncertain its number, and from which it stays
+however small."""
 POWER_Z = 1.645
 """Standard errors above the threshold that a number must have to be found in 95 of 100 logs."""
 
@@ -128,10 +128,10 @@ def check_steps(
 
     A cause that stood for an error of these is superfluous beside them.
     """
-    fine = refit_again(data.build_problem(), base, progress)
-    if not search.taken:
-        return fine, replace(search, unknowns=data.unknowns, fit=fine)
     u, again, taken = search.unknowns, search.fit, dict(search.taken)
+    if not taken:
+        fine = _refit_baseline(data, base, search, progress)
+        return fine, replace(search, unknowns=data.unknowns, fit=fine)
     if not replace(data, unknowns=u).is_shaken:  # that fit is of exact motions already
         again = refit_again(data.build_problem(u), search.fit, progress)
     u, again, _ = _drop_superfluous(data, u, again, taken, progress)
@@ -141,7 +141,21 @@ def check_steps(
             if found is not None:
                 u, again = found
                 del taken[cause, j]
-    return fine, replace(search, unknowns=u, fit=again, taken=taken)
+    search = replace(search, unknowns=u, fit=again, taken=taken)
+    return _refit_baseline(data, base, search, progress), search
+
+
+def _refit_baseline(data: LoopData, base: LoopFit, search: LoopSearch, progress: Callable[[str], None]) -> LoopFit:
+    """Return the baseline's fit, again from its end and from the extended model's without causes: the one that leaves less.
+
+    A cause's gain is held against the best that can be had without it, not against the end of a search that was stuck.
+    """
+    fine = refit_again(data.build_problem(), base, progress)
+    if search.unknowns is data.unknowns:
+        return fine
+    _, start = _hold_null(data, search.unknowns, search.fit, search.taken)
+    other = fit_loop(data.build_problem().with_finer_differences(), progress, first=start.x)
+    return min(fine, other, key=lambda fit: float(np.log(fit.sigma).sum()))
 
 
 def part_twins(data: LoopData, search: LoopSearch, progress: Callable[[str], None]) -> LoopSearch:
@@ -181,6 +195,15 @@ def _count_independent(data: LoopData, u: LoopUnknowns, fit: LoopFit, j: int) ->
     """Return how many independent samples a joint's residual counts as."""
     problem = data.build_problem(u)
     return problem.count / count_worth(problem.residuals(fit.x[:, None])[:, j, 0], problem.used)
+
+
+def _compute_distinct_share(count: float) -> float:
+    """Return the share of a joint's variance from which the likelihood ratio of independent samples shows a cause.
+
+    On a ridge with other unknowns a number's standard error is wide, though nothing else explains what the cause takes off.
+    Reference: Hauck & Donner 1977.
+    """
+    return max(MIN_SHARE, float(-np.expm1(-(MIN_SCORE**2) / count)))
 
 
 def _take_out(
@@ -339,12 +362,14 @@ def _drop_superfluous(
             away = abs(value[j] - data.law.values[entry][j])
             score = float(away / sigma[j]) if sigma[j] > 0 else 0.0
             taken[cause, j] = (score, twins)
-            if (cause, j) not in needed and (score < MIN_SCORE or away < MIN_CHANGE * abs(data.law.values[entry][j])):
-                weak.append((score, cause, j))
+            small = away < MIN_CHANGE * abs(data.law.values[entry][j])
+            if (cause, j) not in needed and (score < MIN_SCORE or small):
+                weak.append((score, cause, j, small))
         if not weak:
             return u, fit, dropped
-        _, cause, j = min(weak)
-        found = _take_out(data, u, fit, (cause, j), MAIN_SHARE, progress)
+        _, cause, j, small = min(weak)
+        least = MAIN_SHARE if small else _compute_distinct_share(_count_independent(data, u, fit, j))
+        found = _take_out(data, u, fit, (cause, j), least, progress)
         if found is None:
             needed.add((cause, j))
         else:
