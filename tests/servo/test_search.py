@@ -139,22 +139,6 @@ def test_a_cause_that_others_leave_little_of_is_taken_out_at_the_end(monkeypatch
     assert sorted(cause for cause, _ in after.taken) == sorted(after.unknowns) == left.split()  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("count", "stays"), [(400, True), (40, False)])
-def test_a_cause_on_a_ridge_stays_where_the_likelihood_shows_it(monkeypatch, count, stays):
-    """A number of two standard errors whose cause takes off a third of the variance: of 400 samples no chance, of 40 perhaps."""
-    fit, without = (SimpleNamespace(sigma=np.array([x]), x=None) for x in (0.81, 1.0))
-    for name, instead in {
-        "fit_precisely": lambda *_: without,
-        "read_kind": lambda *_: (np.array([0.02]), np.array([0.01])),
-        "_hold_null": lambda data, causes, old, places: (Causes(), old),
-        "_count_independent": lambda *_: count,
-    }.items():
-        monkeypatch.setattr(cause_search, name, instead)
-    taken: dict = {("delay", 0): (9.0, ())}
-    cause_search._drop_superfluous(Data(), Causes(["delay"]), fit, taken, quiet)  # type: ignore[arg-type]
-    assert bool(taken) == stays
-
-
 @pytest.mark.parametrize(("beside", "least"), [(1.0, 1.0), (9.0, 2.0)])
 def test_a_gain_is_held_against_the_best_that_a_baseline_reaches(monkeypatch, beside, least):
     """A baseline that was stuck is fitted from the extended model's end, too, and the one that leaves less counts."""

@@ -39,8 +39,8 @@ wait, as what a joint misses shakes its neighbours."""
 WHITE_LAGS = 20  # samples over which residuals are compared
 _CHANCE = 4.0  # standard errors of an autocorrelation
 MAIN_SHARE = 0.5
-"""Share of a joint's residual variance from which a cause is taken in, however uncertain its number, and from which it stays
-however small."""
+"""Share of a joint's residual variance from which a cause counts, however uncertain its number: on a ridge with others, such as
+gain and mass, or far from its end, a number moves without a change of the simulation."""
 POWER_Z = 1.645
 """Standard errors above the threshold that a number must have to be found in 95 of 100 logs."""
 
@@ -195,15 +195,6 @@ def _count_independent(data: LoopData, u: LoopUnknowns, fit: LoopFit, j: int) ->
     """Return how many independent samples a joint's residual counts as."""
     problem = data.build_problem(u)
     return problem.count / count_worth(problem.residuals(fit.x[:, None])[:, j, 0], problem.used)
-
-
-def _compute_distinct_share(count: float) -> float:
-    """Return the share of a joint's variance from which the likelihood ratio of independent samples shows a cause.
-
-    On a ridge with other unknowns a number's standard error is wide, though nothing else explains what the cause takes off.
-    Reference: Hauck & Donner 1977.
-    """
-    return max(MIN_SHARE, float(-np.expm1(-(MIN_SCORE**2) / count)))
 
 
 def _take_out(
@@ -362,14 +353,12 @@ def _drop_superfluous(
             away = abs(value[j] - data.law.values[entry][j])
             score = float(away / sigma[j]) if sigma[j] > 0 else 0.0
             taken[cause, j] = (score, twins)
-            small = away < MIN_CHANGE * abs(data.law.values[entry][j])
-            if (cause, j) not in needed and (score < MIN_SCORE or small):
-                weak.append((score, cause, j, small))
+            if (cause, j) not in needed and (score < MIN_SCORE or away < MIN_CHANGE * abs(data.law.values[entry][j])):
+                weak.append((score, cause, j))
         if not weak:
             return u, fit, dropped
-        _, cause, j, small = min(weak)
-        least = MAIN_SHARE if small else _compute_distinct_share(_count_independent(data, u, fit, j))
-        found = _take_out(data, u, fit, (cause, j), least, progress)
+        _, cause, j = min(weak)
+        found = _take_out(data, u, fit, (cause, j), MAIN_SHARE, progress)
         if found is None:
             needed.add((cause, j))
         else:
