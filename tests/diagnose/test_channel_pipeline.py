@@ -67,6 +67,13 @@ def test_an_amplitude_that_no_machine_has_is_not_confirmed(make, rng, monkeypatc
     assert "plausible" in claims.why_not[0] and recommendation.choice == "refitted"
 
 
+def test_what_no_force_is_measured_to_is_no_cause(make, rng, monkeypatch):
+    """A drag that takes off less of the force than any force is measured to is suspected for that."""
+    monkeypatch.setattr(import_module("tau_dyn.diagnose.claims"), "EXACT", 1.0)
+    claims, recommendation = stand(make.bench(rng, drag, n=8000, causes=(QuadraticDrag,)), rng)
+    assert "measured to that" in claims.why_not[0] and recommendation.choice == "refitted"
+
+
 def test_a_setting_at_the_edge_of_its_grid_is_not_confirmed(make, rng, monkeypatch):
     """A friction peak narrower than the narrowest that is tried says that the grid ends, not where the peak does."""
 

@@ -44,11 +44,14 @@ MIN_AMPLITUDE_Z = 2.0
 """Standard errors that the amplitudes of a claimed cause must be off zero in the extended model, all in one Wald test."""
 MAX_RELATIVE_RMS_INCREASE = 0.005
 """By how much a cause may raise the error on the confirmation part; a weak one changes it by less, either way."""
+EXACT = 1e-5
+"""Share of a joint's force that no force is measured to: what filters leave of exact data is no cause."""
 _NOT_SHOWN = "held-out data do not show it"
 _SILENT = "held-out data cannot show it"
 _WORSE = "held-out data are predicted worse with it"
 _ZERO = "no amplitude of it is distinct from zero beside the other causes"
 _VETO = "the last part of the data does not show it"
+_EXACT = "it takes off less than a hundred-thousandth of the force there, and no force is measured to that"
 _NO_GAIN = "its gain is not above zero (95 % interval {:.2g} to {:.2g} %)"
 
 
@@ -208,7 +211,7 @@ def select_supported(
         if judged_again is claims:
             judged_again = _drop_worse_joints(hunt.channel, claims, bars, rng)
         if judged_again is claims:
-            judged_again = _reject_without_gain(claims, bars)
+            judged_again = _reject_without_gain(hunt.channel, claims, bars)
         if judged_again is claims:
             return claims, bars
         claims = judged_again
@@ -261,14 +264,24 @@ def is_worse(gain: Gain) -> bool:
     return gain.ci95[1] < 0 and gain.reduction_percent < -100 * MAX_RELATIVE_RMS_INCREASE
 
 
-def _reject_without_gain(claims: Claims, bars: Waterfall) -> Claims:
-    """Reject the cause with the lowest gain where its interval is not above zero."""
+def _reject_without_gain(channel: Channel, claims: Claims, bars: Waterfall) -> Claims:
+    """Reject the cause with the lowest gain where its interval is not above zero, and one whose gain is no measurable force."""
+    for one, gain in zip(claims.kept, bars.gains, strict=True):
+        if channel.name == "force" and gain.rms_before - gain.rms_after < EXACT * _measure_force(channel, one):
+            return claims.judge(claims.found.index(one), _EXACT)
     low = [gain.ci95[0] for gain in bars.gains]
     if not low or min(low) > 0:
         return claims
     n = int(np.argmin(low))
     why = _NO_GAIN.format(*bars.gains[n].ci95)
     return claims.judge(claims.found.index(claims.kept[n]), why)
+
+
+def _measure_force(channel: Channel, one: SelectedCause) -> float:
+    """Return the rms of the measured force at a cause's joints; of all joints where it is at none."""
+    joints = {joint for effect in one.candidate.effects for joint in effect.joints}
+    which = [k for k, output in enumerate(channel.outputs) if output in joints] or list(range(len(channel.outputs)))
+    return float(np.sqrt(np.mean(np.concatenate([run.y[:, which] for run in channel.runs]) ** 2)))
 
 
 class Recommendation(NamedTuple):
