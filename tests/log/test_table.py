@@ -80,6 +80,11 @@ def test_a_column_that_nobody_relies_on_may_have_holes(blank: object) -> None:
     assert table(x=np.array(["1", blank, "three"], object)).numbers_or_none("x") is None
 
 
+def test_bytes_are_no_numbers() -> None:
+    """A column of bytes, such as an image, is no column of numbers."""
+    assert table(x=np.array([b"\xff", b"\x00"], object)).numbers_or_none("x") is None
+
+
 def test_the_first_rows_keep_their_places_and_say_why() -> None:
     """A table that ends earlier, with one sentence more."""
     first = table(x=[1.0, 2.0, 3.0], y=[4.0, 5.0, 6.0]).first_rows(2, "cut")

@@ -16,6 +16,7 @@ from recordings import DAMPING, DT, HZ, structure
 
 from tau_dyn.modes import Mode, ModelFile, StateSpace, load_state_space, save_state_space
 from tau_dyn.modes.modal import build_stabilisation_diagram, find_resonances, list_poles, list_zeros
+from tau_dyn.modes.record import stack_lags
 from tau_dyn.modes.residuals import fit_noise_model
 
 
@@ -98,3 +99,11 @@ def test_a_model_comes_back_from_its_file(tmp_path):
     path.write_text("a: 1\n")
     with raises_code("file_format"):
         load_state_space(path)
+
+
+@pytest.mark.parametrize("n", [0, 3, 9, 10, 12])
+def test_records_shorter_than_the_lags_give_no_rows(n):
+    """Ten lags of n samples are max(n - 10, 0) rows, the latest sample first."""
+    rows = stack_lags(np.arange(n)[:, None], 10)
+    assert rows.shape == (max(n - 10, 0), 10)
+    assert_allclose(rows, np.arange(len(rows))[:, None] + np.arange(9, -1, -1))

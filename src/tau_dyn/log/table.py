@@ -122,8 +122,12 @@ class Table:
     def numbers_or_none(self, column: str) -> NDArray[np.float64] | None:
         """Return a column (N,) that nobody relies on, empty cells as NaN, true as 1, or None where it holds text."""
         cells = self.cells[column]
-        if cells.dtype.kind == "b" or cells.size and set(cells.astype(str)) <= {"True", "False"}:
-            return (cells.astype(str) == "True").astype(np.float64)
+        try:
+            text = cells.astype(str)
+        except UnicodeDecodeError:  # bytes
+            return None
+        if cells.dtype.kind == "b" or cells.size and set(text) <= {"True", "False"}:
+            return (text == "True").astype(np.float64)
         values = _to_float(cells)
         missing = np.flatnonzero(np.isnan(values))
         return values if all(_is_blank(cells[row]) for row in missing) else None

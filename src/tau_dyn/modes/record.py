@@ -99,8 +99,9 @@ def truncate_records(records: Sequence[Record], longest: int, least: int = 40) -
 
 
 def stack_lags(x: np.ndarray, lags: int, first: int = 1) -> np.ndarray:
-    """Return x_{t-first}, .., x_{t-lags} (N - lags, .) side by side for t = lags .. N-1."""
-    return np.hstack([x[lags - k : len(x) - k] for k in range(first, lags + 1)])
+    """Return x_{t-first}, .., x_{t-lags} (N - lags, .) side by side for t = lags .. N-1; no row of N up to lags."""
+    n = max(len(x) - lags, 0)
+    return np.hstack([x[lags - k : lags - k + n] for k in range(first, lags + 1)])
 
 
 def check_alike(records: Sequence[Record]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from raising import raises_code
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -172,3 +173,11 @@ def test_points_that_tell_no_line_are_refused(q: np.ndarray, points: np.ndarray,
     """Too few points, wrong shapes, missing numbers and a cart at rest end in one sentence."""
     with pytest.raises(InputError, match=words):
         fit_guideway("cart1", q, points)
+
+
+def test_a_cart_at_two_places_has_no_line(rng):
+    """Thirty points of which one lies far beyond a travel are two places, and no shape of a guideway is fitted to them."""
+    q = np.linspace(-0.4, 0.4, 30)
+    far = np.where(np.arange(30) == 9, -5e13, q)
+    with raises_code("too_little_data", "2 places"):
+        fit_guideway("cart1", far, cart(rng, q))

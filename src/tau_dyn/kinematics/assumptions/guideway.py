@@ -23,6 +23,7 @@ from tau_dyn.exceptions import InputError
 
 MIN_CYCLE_POINTS = 12
 """Points below which no cycle is sought."""
+_PLACE_DIGITS = 6  # of a position in its travel, beyond which two are one place
 _FINE = 8
 """Frequencies tried per independent one."""
 
@@ -258,9 +259,12 @@ def _check(joint: str, q: np.ndarray, points: np.ndarray) -> None:
             "too_little_data",
             f"{joint}: {len(q)} points cannot tell a line from its errors; measure at least {MIN_POINTS}",
         )
-    if np.ptp(q) < 10 * np.finfo(float).eps * max(1.0, np.abs(q).max()) or len(np.unique(q)) < SHAPE_DEGREE + 1:
+    travel = float(np.ptp(q))
+    moved = travel >= 10 * np.finfo(float).eps * max(1.0, np.abs(q).max())
+    places = len(np.unique(np.round((q - q.min()) / travel, _PLACE_DIGITS))) if moved else 1
+    if places < SHAPE_DEGREE + 1:
         raise InputError(
-            "too_little_data", f"{joint}: the cart stands at {len(np.unique(q))} places; measure it along its guideway"
+            "too_little_data", f"{joint}: the cart stands at {places} places; measure it along its guideway"
         )
 
 
