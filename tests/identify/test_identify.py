@@ -4,13 +4,14 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.identify import Choices, build_regression, identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
-from tau_dyn.robot import load_robot
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 from tau_dyn.simulate import Trajectory, build_named_motion
 
 PARAMETER_KEYS = {
@@ -421,3 +422,22 @@ def test_parts_of_one_file_may_be_held_out(axis, axis_log):
     train, rest = whole.split(0.7)
     found = identify(axis, train, holdout=rest)
     assert found.holdout is not None and not any("both trained on" in w for w in found.warnings)
+
+
+def test_a_robot_file_without_masses_is_identified():
+    """Of a sliding body that its file gives no mass, forces of 12 kg and 3 N of friction say both."""
+    robot = load_robot_from_urdf(
+        '<robot name="slider"><link name="base_link"/><link name="cart_link"/>'
+        '<joint name="cart" type="prismatic"><parent link="base_link"/><child link="cart_link"/><axis xyz="1 0 0"/>'
+        '<limit lower="-1" upper="1" velocity="9" effort="99"/></joint>'
+        '<transmission name="t"><joint name="cart"/></transmission></robot>',
+        "slider",
+    )
+    t, rng = np.arange(0, 30, 0.004), np.random.default_rng(8)
+    q = sum(0.2 / k * np.sin(2 * np.pi * f * t + k) for k, f in enumerate((0.3, 0.71, 1.3), 1))
+    v, a = (np.gradient(q, t), np.gradient(np.gradient(q, t), t))
+    force = 12 * a + 3 * np.sign(v) + 2 * v + 0.2 * rng.standard_normal(len(t))
+    found = identify(robot, Log(t, {"q_cart": q, "tau_cart": force}, "log.csv"))
+    told = {p.name: p for p in found.parameters}
+    moved = [p for name, p in told.items() if name.endswith((".mass", ".armature")) and p.stderr]
+    assert sum(p.value for p in moved) == pytest.approx(12, abs=0.1)

@@ -320,8 +320,13 @@ def compute_body_stderr(link: LinkInertia, total: float) -> np.ndarray:
 
 
 def list_body_stderr(robot: Robot) -> dict[str, float]:
-    """Return how far each body's parameter may be off the robot file, by name; see `compute_body_stderr`."""
+    """Return how far each body's parameter may be off the robot file, by name; none where the file holds no mass at all.
+
+    See `compute_body_stderr`.
+    """
     total = sum(max(float(link.nominal[0]), 0.0) for link in robot.links)
+    if total == 0:
+        return {}
     sizes = [(link, compute_body_stderr(link, total)) for link in robot.links]
     return {name: float(size[k]) for link, size in sizes for k, name in zip(link.own, link.names, strict=True)}
 
