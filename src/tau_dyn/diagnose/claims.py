@@ -44,14 +44,14 @@ MIN_AMPLITUDE_Z = 2.0
 """Standard errors that the amplitudes of a claimed cause must be off zero in the extended model, all in one Wald test."""
 MAX_RELATIVE_RMS_INCREASE = 0.005
 """By how much a cause may raise the error on the confirmation part; a weak one changes it by less, either way."""
-EXACT = 1e-5
+MIN_FORCE_SHARE = 1e-5
 """Share of a joint's force that no force is measured to: what filters leave of exact data is no cause."""
 _NOT_SHOWN = "held-out data do not show it"
 _SILENT = "held-out data cannot show it"
 _WORSE = "held-out data are predicted worse with it"
 _ZERO = "no amplitude of it is distinct from zero beside the other causes"
 _VETO = "the last part of the data does not show it"
-_EXACT = "it takes off less than a hundred-thousandth of the force there, and no force is measured to that"
+_NO_FORCE = "it takes off less than a hundred-thousandth of the force there, and no force is measured to that"
 _NO_GAIN = "its gain is not above zero (95 % interval {:.2g} to {:.2g} %)"
 
 
@@ -266,15 +266,15 @@ def is_worse(gain: Gain) -> bool:
 
 def _reject_without_gain(channel: Channel, claims: Claims, bars: Waterfall) -> Claims:
     """Reject the cause with the lowest gain where its interval is not above zero, and one whose gain is no measurable force."""
-    for one, gain in zip(claims.kept, bars.gains, strict=True):
-        if channel.name == "force" and gain.rms_before - gain.rms_after < EXACT * _measure_force(channel, one):
-            return claims.judge(claims.found.index(one), _EXACT)
     low = [gain.ci95[0] for gain in bars.gains]
-    if not low or min(low) > 0:
-        return claims
-    n = int(np.argmin(low))
-    why = _NO_GAIN.format(*bars.gains[n].ci95)
-    return claims.judge(claims.found.index(claims.kept[n]), why)
+    if low and min(low) <= 0:
+        n = int(np.argmin(low))
+        return claims.judge(claims.found.index(claims.kept[n]), _NO_GAIN.format(*bars.gains[n].ci95))
+    for one, gain in zip(claims.kept, bars.gains, strict=True):
+        least = MIN_FORCE_SHARE * _measure_force(channel, one)
+        if channel.name == "force" and gain.rms_before - gain.rms_after < least:
+            return claims.judge(claims.found.index(one), _NO_FORCE)
+    return claims
 
 
 def _measure_force(channel: Channel, one: SelectedCause) -> float:
