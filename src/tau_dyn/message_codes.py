@@ -159,6 +159,9 @@ WARNING_CODES: dict[str, MessageCode] = {
         "forces are a constant times `voltage_J` or `pwm_J`",
         "log the current as well; `back_emf` in [causes](causes.md)",
     ),
+    "force_at_limit": MessageCode(
+        "forces are too often at the drives' limits", "a gentler motion; other limits in the file"
+    ),
     "force_lowpassed": MessageCode(
         "a first-order lag explains the force better than a delay", "log the force before the filter"
     ),

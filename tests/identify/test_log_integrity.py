@@ -169,3 +169,15 @@ def test_real_sound_logs_are_not_doubted(place: str, columns: str, robot: str) -
         pytest.skip("the real logs are not here (TAU_DYN_DATA)")
     log = read_log(DATA / place, HERE / "identification" / "columns" / f"{columns}.yaml")
     assert check_integrity(load_robot(DATA / robot if "/" in robot else robot), [log]) == []
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.3, {"force_at_limit"}), (0.01, set())])
+def test_forces_that_swing_between_the_drives_limits_are_told(l1, monday, share: float, told: set[str]) -> None:
+    """Samples at the limit, spread over the log, leave nothing between; a hundredth of them in one stretch does no harm."""
+    tau, limit = monday.channels["tau_cart2"].copy(), float(l1.effort_limit[1])
+    n = len(tau)
+    shut = np.random.default_rng(1).random(n) < share if share > 0.1 else np.arange(n) < share * n
+    log = monday.with_channels(tau_cart2=np.where(shut, np.copysign(limit, tau), tau))
+    found = [w for w in check_integrity(l1, [log]) if get_code(w) == "force_at_limit"]
+    assert {get_code(w) for w in found} == told
+    assert all("cart2 is at its limit" in w for w in found)

@@ -11,7 +11,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from hashlib import blake2b
 
+import numpy as np
+
 from tau_dyn.identify.excerpt import make_excerpt
+from tau_dyn.identify.preparation import find_excluded_samples, widen
 from tau_dyn.identify.timing import check_timing
 from tau_dyn.identify.wiring import check_wiring
 from tau_dyn.log import Log, list_data_warnings, mend_log, resample_segments
@@ -26,6 +29,12 @@ SPOILING = frozenset(
 MAX_LOGS = 5
 """So many logs are held against the robot file; the columns of a campaign are wired alike."""
 
+
+LIMIT_REACH_S = 0.1
+"""Time about a force at its drive's limit within which filters mix it with its neighbours [s]."""
+
+MAX_NEAR_LIMIT = 0.5
+"""Share of such samples above which a log is doubted: the rest are fragments."""
 
 MAX_FOUND = 100
 """Logs whose faults are remembered; the first goes first."""
@@ -53,10 +62,11 @@ def check_against_robot(robot: Robot, logs: Sequence[Log], exclude: tuple[str, .
 def _against_robot(
     robot: Robot, logs: Sequence[Log], told: Sequence[Sequence[str]], exclude: tuple[str, ...]
 ) -> list[CodedWarning]:
-    """Return faults of wiring and timing of logs, given what each tells by itself."""
+    """Return forces at their limits and faults of wiring and timing of logs, given what each tells by itself."""
+    at_limits = [warning for log in logs for warning in _list_at_limits(robot, log)]
     if not sum(float(link.nominal[0]) for link in robot.links) > 0:
-        return []
-    found: list[CodedWarning] = []
+        return at_limits
+    found: list[CodedWarning] = at_limits
     longest = sorted(zip(logs, told, strict=True), key=lambda pair: -pair[0].duration)[:MAX_LOGS]
     for log, warnings in longest:
         sound = log
@@ -66,6 +76,25 @@ def _against_robot(
                 continue
         found += _against_columns(robot, sound, log.name, exclude)
     return list(dict.fromkeys(found))
+
+
+def _list_at_limits(robot: Robot, log: Log) -> list[CodedWarning]:
+    """Return the joints whose forces are at their drives' limits so often that little is left between."""
+    if not log.has("tau", robot.actuated):
+        return []
+    shut = find_excluded_samples(log, robot.actuated, robot.effort_limit, ())
+    near = widen(shut, int(np.ceil(LIMIT_REACH_S * log.rate_hz))).mean(axis=0)
+    told = zip(robot.actuated, robot.effort_limit, robot.force_units, 100 * shut.mean(axis=0), near, strict=True)
+    return [
+        CodedWarning(
+            "force_at_limit",
+            f"{log.name}: the force of {joint} is at its limit of {limit:g} {unit} in {share:.0f} % of the samples, and "
+            f"{100 * part:.0f} % are within {LIMIT_REACH_S:g} s of one; these are left out. Record a gentler motion, or "
+            "mend the limit in the robot file",
+        )
+        for joint, limit, unit, share, part in told
+        if part > MAX_NEAR_LIMIT
+    ]
 
 
 def _against_columns(robot: Robot, log: Log, name: str, exclude: tuple[str, ...]) -> tuple[CodedWarning, ...]:
