@@ -8,7 +8,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from tau_dyn.diagnose import Gain, confirmation, diagnose
+from tau_dyn.diagnose import Gain, confirmation, diagnose, plausibility
 from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION
 from tau_dyn.diagnose.claims import recommend, select_confirmed, select_supported
 from tau_dyn.diagnose.confirmation import Confirmation, confirm, confirm_cause
@@ -69,7 +69,7 @@ def test_an_amplitude_that_no_machine_has_is_not_confirmed(make, rng, monkeypatc
 
 def test_what_no_force_is_measured_to_is_no_cause(make, rng, monkeypatch):
     """A drag that takes off less of the force than any force is measured to is suspected for that."""
-    monkeypatch.setattr(import_module("tau_dyn.diagnose.claims"), "MIN_FORCE_SHARE", 1.0)
+    monkeypatch.setattr(plausibility, "MIN_FORCE_SHARE", 1.0)
     claims, recommendation = stand(make.bench(rng, drag, n=8000, causes=(QuadraticDrag,)), rng)
     assert "measured to that" in claims.why_not[0] and recommendation.choice == "refitted"
 

@@ -11,7 +11,7 @@ import pytest
 from tau_dyn.diagnose import Unexplained, plausibility
 from tau_dyn.diagnose.claims import select_confirmed, select_supported
 from tau_dyn.diagnose.confirmation import confirm_cause
-from tau_dyn.diagnose.plausibility import demote_companions, find_companion
+from tau_dyn.diagnose.plausibility import MAX_LAW_ERROR, compute_least_forces, demote_small, find_companion
 from tau_dyn.diagnose.stepwise_selection import select_causes
 from tau_dyn.effects import Stribeck, ViscousCurvature
 from tau_dyn.parameters import Parameter, Parameters
@@ -68,5 +68,15 @@ def test_two_curves_of_friction_are_two_causes(monkeypatch, knee: float, peak: f
 def test_a_structure_far_smaller_than_a_named_cause_is_suspected(largest, status):
     """A quarter of a residual of 2 N is 1 N; beside a cause of 30 N it may be that cause's inexactness."""
     item = Unexplained("b", ("v_b",), 0.25, "", 1e-9, "confirmed")
-    (found,) = demote_companions([item], ("a", "b"), np.array([9.0, 2.0]), np.array([500.0, largest]))
+    (found,) = demote_small([item], ("a", "b"), np.array([9.0, 2.0]), MAX_LAW_ERROR * np.array([500.0, largest]))
     assert found.status == status
+
+
+def test_what_filters_leave_of_exact_forces_is_no_structure():
+    """Of 300 N forces are told to 3 mN: a structure of 2 mN is suspected, one of 4 mN stands."""
+    runs = [SimpleNamespace(y=np.full((10, 1), -300.0)), SimpleNamespace(y=np.full((30, 1), 300.0))]
+    least = compute_least_forces(cast(Any, SimpleNamespace(runs=runs)))
+    assert least == pytest.approx([3e-3])
+    item = Unexplained("a", ("v_a",), 0.25, "", 1e-9, "confirmed")
+    told = [demote_small([item], ("a",), np.array([rms]), least)[0].status for rms in (4e-3, 8e-3)]
+    assert told == ["suspected", "confirmed"]

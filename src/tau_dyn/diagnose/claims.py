@@ -26,6 +26,7 @@ from tau_dyn.diagnose.extended_fit import (
     solve_with_fallback,
 )
 from tau_dyn.diagnose.plausibility import (
+    compute_least_forces,
     find_companion,
     find_edge,
     find_implausible,
@@ -44,8 +45,6 @@ MIN_AMPLITUDE_Z = 2.0
 """Standard errors that the amplitudes of a claimed cause must be off zero in the extended model, all in one Wald test."""
 MAX_RELATIVE_RMS_INCREASE = 0.005
 """By how much a cause may raise the error on the confirmation part; a weak one changes it by less, either way."""
-MIN_FORCE_SHARE = 1e-5
-"""Share of a joint's force that no force is measured to: what filters leave of exact data is no cause."""
 _NOT_SHOWN = "held-out data do not show it"
 _SILENT = "held-out data cannot show it"
 _WORSE = "held-out data are predicted worse with it"
@@ -270,18 +269,15 @@ def _reject_without_gain(channel: Channel, claims: Claims, bars: Waterfall) -> C
     if low and min(low) <= 0:
         n = int(np.argmin(low))
         return claims.judge(claims.found.index(claims.kept[n]), _NO_GAIN.format(*bars.gains[n].ci95))
+    if channel.name != "force":
+        return claims
     for one, gain in zip(claims.kept, bars.gains, strict=True):
-        least = MIN_FORCE_SHARE * _measure_force(channel, one)
-        if channel.name == "force" and gain.rms_before - gain.rms_after < least:
+        joints = {joint for effect in one.candidate.effects for joint in effect.joints}
+        felt = [k for k, output in enumerate(channel.outputs) if output in joints] or slice(None)
+        least = float(np.sqrt(np.mean(compute_least_forces(channel)[felt] ** 2)))
+        if gain.rms_before - gain.rms_after < least:
             return claims.judge(claims.found.index(one), _NO_FORCE)
     return claims
-
-
-def _measure_force(channel: Channel, one: SelectedCause) -> float:
-    """Return the rms of the measured force at a cause's joints; of all joints where it is at none."""
-    joints = {joint for effect in one.candidate.effects for joint in effect.joints}
-    which = [k for k, output in enumerate(channel.outputs) if output in joints] or list(range(len(channel.outputs)))
-    return float(np.sqrt(np.mean(np.concatenate([run.y[:, which] for run in channel.runs]) ** 2)))
 
 
 class Recommendation(NamedTuple):

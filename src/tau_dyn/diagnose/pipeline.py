@@ -26,7 +26,7 @@ from tau_dyn.diagnose.findings import build_findings, describe_diagnosis
 from tau_dyn.diagnose.force_baseline import FittedBaseline, Progress
 from tau_dyn.diagnose.noise_only_bootstrap import N_BOOTSTRAP_DRAWS, NoiseOnlyBootstrap
 from tau_dyn.diagnose.nominal import find_parameter_changes
-from tau_dyn.diagnose.plausibility import demote_companions, measure_net_forces
+from tau_dyn.diagnose.plausibility import MAX_LAW_ERROR, compute_least_forces, demote_small, measure_net_forces
 from tau_dyn.diagnose.preparation import compute_border_gap_s
 from tau_dyn.diagnose.resonances import add_band_note, add_resonances
 from tau_dyn.diagnose.result import Diagnosis, Finding, Step, TimeTrace, Unexplained, Untestable, Verdict
@@ -207,7 +207,8 @@ def _tell(
             changed = [replace(f, status="suspected", why_not_confirmed=found.spoiled) for f in changed]
         findings = [*(add_band_note(finding, case.clear_hz) for finding in findings), *changed]
         sizes = measure_net_forces(hunt.library, found.claims.kept, after.parameters)
-        unexplained = demote_companions(unexplained, channel.outputs, after.errors.rms, sizes.max(axis=0, initial=0.0))
+        least = np.maximum(MAX_LAW_ERROR * sizes.max(axis=0, initial=0.0), compute_least_forces(channel))
+        unexplained = demote_small(unexplained, channel.outputs, after.errors.rms, least)
     if found.spoiled:
         unexplained = tuple(replace(u, status="suspected") for u in unexplained)
     return findings, unexplained

@@ -18,7 +18,7 @@ from itertools import product
 import numpy as np
 from scipy import stats
 
-from tau_dyn.diagnose.channel import TRAIN, VALIDATION, ColumnCache
+from tau_dyn.diagnose.channel import TRAIN, VALIDATION, Channel, ColumnCache
 from tau_dyn.diagnose.result import Unexplained
 from tau_dyn.diagnose.stepwise_selection import SelectedCause
 from tau_dyn.effects import Effect, JointScales, Motion, Scene, format_quantity, spell_unit
@@ -146,6 +146,8 @@ def is_distinct_from_zero(effects: Sequence[Effect], estimate: Estimate, min_z: 
     return bool(found > stats.chi2.isf(2 * stats.norm.sf(min_z), len(rows)))
 
 
+MIN_FORCE_SHARE = 1e-5
+"""Share of a joint's force that no force is measured to: what filters leave of exact data is no cause."""
 MAX_LAW_ERROR = 0.05
 """Share of a force by which its law may be inexact: textbook laws of friction meet measured curves to five to ten per cent."""
 _SPEEDS = 40
@@ -262,21 +264,23 @@ def _compute_curve(effect: Effect, speed: np.ndarray) -> np.ndarray:
     return effect.columns(Motion.of(effect.joints, still, speed[:, None], still))[:, 0]
 
 
-def demote_companions(
-    items: Sequence[Unexplained], outputs: Sequence[str], rms: np.ndarray, largest: np.ndarray
+def compute_least_forces(channel: Channel) -> np.ndarray:
+    """Return the rms (m,) below which nothing at an output is told from what filters leave of the measured force."""
+    return np.asarray(MIN_FORCE_SHARE * np.sqrt(np.mean(np.concatenate([run.y for run in channel.runs]) ** 2, axis=0)))
+
+
+def demote_small(
+    items: Sequence[Unexplained], outputs: Sequence[str], rms: np.ndarray, least: np.ndarray
 ) -> tuple[Unexplained, ...]:
-    """Return the structures, those as suspected that are no larger than the law of a confirmed cause is inexact.
+    """Return the structures, those as suspected that are smaller than confirmed laws and measured forces are exact.
 
     Args:
         items: Structures.
         outputs: Names of the outputs (m,).
         rms: Residual's rms (m,), all causes in the model.
-        largest: Rms force of the largest confirmed cause at each output (m,), net of the baseline.
+        least: Rms force that a structure needs at each output (m,).
     """
-    found = []
-    for item in items:
-        k = list(outputs).index(item.joint)
-        size = np.sqrt(item.share_of_residual_variance) * rms[k]
-        is_companion = size < MAX_LAW_ERROR * largest[k]
-        found.append(replace(item, status="suspected") if is_companion else item)
-    return tuple(found)
+    known = {output: least[k] / rms[k] if rms[k] else np.inf for k, output in enumerate(outputs)}
+    return tuple(
+        replace(u, status="suspected") if np.sqrt(u.share_of_residual_variance) < known[u.joint] else u for u in items
+    )
