@@ -18,6 +18,7 @@ from raising import raises_code
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import MAX_MAGNITUDE, Table, read_table
 from tau_dyn.log.delimited import MAX_COLUMNS
+from tau_dyn.log.table import read_parquet_column
 
 
 def table(**cells: object) -> Table:
@@ -80,9 +81,13 @@ def test_a_column_that_nobody_relies_on_may_have_holes(blank: object) -> None:
     assert table(x=np.array(["1", blank, "three"], object)).numbers_or_none("x") is None
 
 
-def test_bytes_are_no_numbers() -> None:
-    """A column of bytes, such as an image, is no column of numbers."""
-    assert table(x=np.array([b"\xff", b"\x00"], object)).numbers_or_none("x") is None
+@pytest.mark.parametrize("cells", [[b"\xff", b"\x00"], [[1.0, 2.0], [3.0, 4.0]], [[1.0], [3.0, 4.0]], [{"a": 1}, None]])
+def test_bytes_and_lists_are_no_numbers(cells: list[object]) -> None:
+    """A column of bytes, such as an image, of lists or of records is no column of numbers; it is text by its type's name."""
+    column = read_parquet_column("log.parquet", "x", pa.chunked_array([pa.array(cells)]))
+    assert table(x=column).numbers_or_none("x") is None
+    with pytest.raises(InputError, match="x"):
+        table(x=column).numbers("x")
 
 
 def test_the_first_rows_keep_their_places_and_say_why() -> None:

@@ -122,10 +122,7 @@ class Table:
     def numbers_or_none(self, column: str) -> NDArray[np.float64] | None:
         """Return a column (N,) that nobody relies on, empty cells as NaN, true as 1, or None where it holds text."""
         cells = self.cells[column]
-        try:
-            text = cells.astype(str)
-        except UnicodeDecodeError:  # bytes
-            return None
+        text = cells.astype(str)
         if cells.dtype.kind == "b" or cells.size and set(text) <= {"True", "False"}:
             return (text == "True").astype(np.float64)
         values = _to_float(cells)
@@ -267,11 +264,13 @@ def _spread_lists(name: str, cells: dict[str, NDArray[Any]]) -> dict[str, NDArra
 
 
 def read_parquet_column(name: str, column: str, cells: pa.ChunkedArray) -> NDArray[Any]:
-    """Return a Parquet file's column (N,) as numbers or text.
+    """Return a Parquet file's column (N,) as numbers or text; bytes and what nests, such as lists, as their type's name.
 
     Raises:
         InputError: Its values cannot be had, such as a date far from ours, or text that is no UTF-8.
     """
+    if pa.types.is_nested(cells.type) or "binary" in str(cells.type):
+        return np.full(len(cells), str(cells.type), dtype=object)
     try:
         return cells.to_pandas().to_numpy()
     except (pa.ArrowException, ValueError, OverflowError, TypeError) as fault:
