@@ -26,7 +26,7 @@ from tau_dyn.log import Log
 def stroke(tmp_path_factory):
     """A log of the linear axis that moves for two seconds."""
     t = np.arange(0, 2, 0.002)
-    q, tau = 0.2 * np.sin(7 * t), 20 * np.sign(np.cos(7 * t)) - 900 * np.sin(7 * t)
+    q, tau = 0.2 * np.sin(5 * t), 20 * np.sign(np.cos(5 * t)) - 450 * np.sin(5 * t)
     path = tmp_path_factory.mktemp("stroke") / "stroke.csv"
     Log(t, {"q_axis": q, "tau_axis": tau}, "stroke.csv").to_csv(path)
     return str(path)

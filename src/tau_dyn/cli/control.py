@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from cyclopts import Group, Parameter
 
 from tau_dyn.cli.arguments import (
@@ -99,6 +98,8 @@ def learn(
         not_monotone: Allow convergence that is not monotone
         largest_correction: Refuse a larger one [m or rad] (default: the size of the motion)
     """
+    import numpy as np
+
     with show_progress(output.quiet) as step:
         step("loading")
         from tau_dyn.control.interface import (
@@ -203,6 +204,8 @@ def observe(
         model: From computed to true tool positions, as modes --out writes it: Kalman filter
         cutoff: Complementary filter, one or one an axis
     """
+    import numpy as np
+
     if (model is None) == (cutoff is None):
         raise InputError("bad_option", "observe takes either --model MODEL.yaml or --cutoff HZ")
     if bool(kinematic) == (robot is not None):
@@ -281,6 +284,8 @@ def lead_through(
         damping: Of the handle [N s/m]
         hand: Stiffness of the stiffest hand
     """
+    import numpy as np
+
     if (log is None) == (stiffness is None):
         raise InputError("bad_option", "lead-through takes either a LOG of one touch or --stiffness N/m")
     with show_progress(output.quiet) as step:

@@ -8,7 +8,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
-import numpy as np
 from cyclopts import Parameter
 
 from tau_dyn.cli.arguments import Output, RobotOptions, build_destination
@@ -174,6 +173,8 @@ def make_gantry(seed: int) -> Made:
 
 def build_true_model(robot: Robot, seed: int) -> Model:
     """Return the simulated Gantry-Tau: Table 6.1's friction, and masses up to 10 % off the nominal ones."""
+    import numpy as np
+
     rng = np.random.default_rng(seed)
     values = {p.name: p.value * rng.uniform(0.9, 1.1) for p in robot.parameters if p.name.endswith(".mass")}
     for joint, row in zip(robot.actuated, TABLE_6_1, strict=True):
@@ -213,6 +214,8 @@ def make_arm(robot: Robot, call: str, seed: int) -> Made:
     Raises:
         InputError: The robot has no effort limits to scale its drives by.
     """
+    import numpy as np
+
     from tau_dyn.effects import Stribeck
     from tau_dyn.robot import NOT_GIVEN
 
@@ -253,6 +256,8 @@ def make_arm(robot: Robot, call: str, seed: int) -> Made:
 
 def _with_payload(link: LinkInertia, mass: float, values: dict[str, float]) -> dict[str, float]:
     """Return a link's ten numbers with a payload's of this mass [kg] added (Huygens-Steiner)."""
+    import numpy as np
+
     names, c = link.names, np.array(PAYLOAD_CENTRE)
     about = mass * (PAYLOAD_GYRATION_M**2 * np.eye(3) + (c @ c) * np.eye(3) - np.outer(c, c))
     more = [mass, *(mass * c), *(about[i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))]

@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from cyclopts import Group, Parameter
 
 from tau_dyn.cli import arguments as args
@@ -390,6 +389,8 @@ def export_feedforward(
         shape: Of the smoothed sign
         steady: Leave out effects that need a history, and say which
     """
+    import numpy as np
+
     ending = _ENDINGS[to]
     if out.suffix != ending:
         raise InputError("cannot_write", f"{out}: what --to {to} writes ends in {ending}")

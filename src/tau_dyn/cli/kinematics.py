@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from cyclopts import Parameter
 
 from tau_dyn.cli import arguments as args
@@ -33,6 +32,8 @@ def fk(
             starts
         poses: A table of positions q_<joint>, one a row
     """
+    import numpy as np
+
     if bool(q) == (poses is not None):
         raise InputError("bad_option", "give --q VALUE ... or --poses POSES.csv")
     with show_progress(output.quiet) as step:
@@ -75,6 +76,8 @@ def ik(
             found
         poses: A table of poses x_tool y_tool z_tool [qx_tool qy_tool qz_tool qw_tool], one a row
     """
+    import numpy as np
+
     if (position is None) == (poses is None):
         raise InputError("bad_option", "give --position X Y Z or --poses POSES.csv")
     if quaternion is not None and position is None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from cyclopts import Group, Parameter, Token, validators
 
 from tau_dyn.cli import arguments as args
@@ -47,6 +46,8 @@ class Ends:
         Raises:
             InputError: They are given twice, or not at all.
         """
+        import numpy as np
+
         if self.start and self.end and not (self.start_joints or self.end_joints):
             return np.array(self.start), np.array(self.end), False
         if self.start_joints and self.end_joints and not (self.start or self.end):
@@ -216,6 +217,8 @@ def plan_poses(
         resume: Progress file: written if it does not exist; otherwise nothing is chosen anew and --out and --rapid get what
             is left of it
     """
+    import numpy as np
+
     demands = _build_demands(obstacles, no_collisions)
     if resume is not None and resume.exists():
         return _go_on(robot, robot_options, resume, demands, out, rapid)

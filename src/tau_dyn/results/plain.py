@@ -10,8 +10,6 @@ from math import isfinite
 from pathlib import PurePath
 from typing import Any
 
-import numpy as np
-
 
 def to_plain(value: Any, *, leave_out: Iterable[str] = ()) -> Any:
     """Return a value as dicts, lists, strings, numbers and None.
@@ -44,7 +42,7 @@ def _inner(value: Any) -> Any:
         return _inner(value._asdict())
     if isinstance(value, Mapping):
         return {str(key): _inner(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
+    if hasattr(value, "dtype") and hasattr(value, "tolist"):  # of numpy, which the command line starts without
         return _inner(value.tolist())
     if isinstance(value, complex):
         return {"re": _inner(value.real), "im": _inner(value.imag)}

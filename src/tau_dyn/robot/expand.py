@@ -18,7 +18,7 @@ from xml.dom.minidom import Document
 from xml.parsers.expat import ExpatError
 
 from defusedxml.common import DefusedXmlException
-from defusedxml.minidom import parseString
+from defusedxml.expatbuilder import parseString  # as minidom's, without its network modules
 
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import format_yaml, read_bytes
