@@ -1,5 +1,7 @@
 """Refitted masses against trusted nominal ones: a payload, a wrong link mass, a wrong motor constant, or nothing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -71,6 +73,16 @@ def test_all_masses_off_by_one_factor_are_a_drive_gain(l1):
     assert_allclose(factor.value, 1.08, rtol=1e-9)
     assert_allclose(factor.stderr, np.hypot(0.02, 0.005) / np.sqrt(n), rtol=1e-6)
     assert found.p_value <= 1.0
+
+
+@pytest.mark.parametrize(("factor", "status"), [(1.003, "suspected"), (1.01, "parameter")])
+def test_a_gain_nearer_to_one_than_forces_are_calibrated_is_suspected(l1, factor, status):
+    """Of masses weighed to 1 ppm, 0.3 % on all forces is significant; no torque constant is known to that."""
+    weighed = Parameters(replace(p, stderr=1e-6 * p.value) if p.name.endswith(".mass") else p for p in l1.parameters)
+    masses = [replace(p, value=factor * p.value) for p in weighed if p.name.endswith(".mass")]
+    (found,) = find_parameter_changes(l1, weighed, Parameters(masses))
+    assert found.cause == "drive_gain" and found.status == status
+    assert ("calibrated" in found.why_not_confirmed) is (status == "suspected")
 
 
 def test_two_masses_off_by_different_factors_are_no_gain(l1):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,6 +66,14 @@ def search_of(model: Model, criterion: str, box: np.ndarray | None = None) -> Mo
     information = _information(model, Noise.given(model.robot, [5.0], [5e-6]), 1.0, path)
     prior = information.prior
     return MotionSearch(series, information, bounds, CRITERIA[criterion], prior, 1000.0, 48, time.monotonic() + 60)
+
+
+def test_a_log_of_twice_the_periods_tells_twice_as_much(axis) -> None:
+    """Information counts the samples of the whole log, of which the search evaluates one period."""
+    search = search_of(axis, "d")
+    longer = replace(search, series=replace(search.series, periods=2 * search.series.periods))
+    x = search.series.random(np.random.default_rng(1))
+    assert_allclose(longer.matrix(x) - longer.added, 2 * (search.matrix(x) - search.added), rtol=1e-12)
 
 
 def test_a_series_starts_and_ends_every_period_at_rest_at_home(rng) -> None:

@@ -30,6 +30,8 @@ from tau_dyn.robot import NOMINAL_MASS_STDERR, Robot
 SIGNIFICANCE_LEVEL = 0.01  # over all parameters together (Bonferroni)
 MAX_GAIN_RANGE = (0.5, 2.0)
 """Factor of a logged force: a torque constant is off by 30 % at most, a wrong pulley or winding by two; more is a unit."""
+MIN_GAIN_ERROR = 5e-3
+"""Deviation of a logged force's factor from one that no torque sensor or torque constant is calibrated to."""
 MAX_MASS_SHARE = 2.0
 """Payload or mass over the mass of all bodies; no robot carries more than twice its own mass."""
 
@@ -70,17 +72,20 @@ def _find_deviations(model: Model, nominal: Parameters, fitted: Parameters, esti
 
 
 def _suspect_implausible(finding: Finding, robot: Robot, nominal: Parameters) -> Finding:
-    """Return a finding as `suspected` where no machine has its first amplitude, with the reason."""
+    """Return a finding as `suspected` where no machine has its first amplitude, or none is known so well, with the reason."""
     first = finding.parameters[0]
     total = sum(nominal[f"{link.link}.mass"].value for link in robot.links if f"{link.link}.mass" in nominal)
     ranges = {"drive_gain": MAX_GAIN_RANGE, "force_scale": MAX_GAIN_RANGE}
     if first.unit == "kg" and total > 0:
         ranges |= {"payload": (0.0, MAX_MASS_SHARE * total), "link_mass": (-total, MAX_MASS_SHARE * total)}
     low, high = ranges.get(finding.cause, (-np.inf, np.inf))
-    if low <= first.value <= high:
-        return finding
-    why = f"{first.name} = {format_quantity(first.value, first.unit)} is outside of its plausible range ({low:.3g} to {high:.3g})"
-    return replace(finding, status="suspected", why_not_confirmed=why)
+    why = ""
+    if not low <= first.value <= high:
+        value = format_quantity(first.value, first.unit)
+        why = f"{first.name} = {value} is outside of its plausible range ({low:.3g} to {high:.3g})"
+    elif ranges.get(finding.cause) is MAX_GAIN_RANGE and abs(first.value - 1) < MIN_GAIN_ERROR:
+        why = f"{first.name} is within {100 * MIN_GAIN_ERROR:g} % of one, and no force is calibrated to that"
+    return replace(finding, status="suspected", why_not_confirmed=why) if why else finding
 
 
 def _is_known(p: Parameter, nominal: Parameters) -> bool:

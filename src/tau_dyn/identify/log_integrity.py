@@ -22,7 +22,15 @@ from tau_dyn.message_codes import CodedWarning, get_code
 from tau_dyn.robot import Robot
 
 SPOILING = frozenset(
-    {"sign_reversed", "joints_exchanged", "scale_wrong", "gravity_direction", "lost_samples", "repeated_samples"}
+    {
+        "sign_reversed",
+        "joints_exchanged",
+        "scale_wrong",
+        "gravity_direction",
+        "lost_samples",
+        "repeated_samples",
+        "force_at_limit",
+    }
 )
 """Codes of what makes false physics: no cause may be confirmed beside them."""
 
@@ -34,7 +42,7 @@ LIMIT_REACH_S = 0.1
 """Time about a force at its drive's limit within which filters mix it with its neighbours [s]."""
 
 MAX_NEAR_LIMIT = 0.5
-"""Share of such samples above which a log is doubted: the rest are fragments."""
+"""Share of such samples above which a log is doubted: which fragments are left depends on the force's own noise, a bias."""
 
 MAX_FOUND = 100
 """Logs whose faults are remembered; the first goes first."""
