@@ -50,7 +50,7 @@ def test_velocity_and_acceleration_are_derivatives_of_the_closure(robots, rng, k
     """`v = G v_a` and `a = G a_a + g0` against central differences along a parabola in actuated space."""
     robot = robots(kind)
     solver = LoopSolver(robot)
-    h = 1e-4  # second differences: truncation 1e-8, rounding 1e-15 / h^2 = 1e-7
+    h = 2e-4  # second differences: truncation 4e-8, closures to 1e-14 m: 1e-14 / h^2 = 2.5e-7
     for _ in range(5):
         q0 = robot.home + rng.uniform(-0.2, 0.2, robot.na)
         v, a = rng.standard_normal((2, robot.na))
@@ -223,3 +223,27 @@ def test_a_rods_free_spin_moves_nothing_we_report(write, rng) -> None:
     assert (
         abs(G[spun.robot.model.joints[spun.robot.model.getJointId("spin")].idx_v, 0]) < 1e-9
     )  # the least motion that does
+
+
+@pytest.mark.parametrize("depth", [1e-1, 1e-2, 1e-3, 1e-4, 1e-6])
+def test_beside_a_dead_centre_the_assembly_mode_is_homes_whatever_came_before(write, depth: float) -> None:
+    """A four-bar driven at its rocker, `depth` before crank and coupler are in line: a step back keeps its branch."""
+    robot = load_robot_from_urdf(write.four_bar(driven="rocker"), "four_bar")
+    d, a, b, c = write.sizes.base, write.sizes.crank, write.sizes.coupler, write.sizes.rocker
+    joint = a * np.exp(1j * np.pi / 3) - d  # of crank and coupler at home, from the rocker's pivot
+    home = np.angle(joint) - np.arccos((c**2 + abs(joint) ** 2 - b**2) / (2 * c * abs(joint)))
+    in_line = np.arccos(((b - a) ** 2 - d**2 - c**2) / (2 * d * c))
+    solver, near = LoopSolver(robot), robot.home + in_line - home - depth
+    for back in (0.05, 0.03, 0.01, 1e-3):
+        solver.close(near)
+        assert_allclose(solver.close(near - back), LoopSolver(robot).close(near - back), atol=1e-7)
+
+
+def test_beyond_a_dead_centre_many_samples_are_refused_as_one_is(write) -> None:
+    """Forty positions of the four-bar at once, one 10 mrad beyond the rocker's dead centre: no other mode answers."""
+    robot = load_robot_from_urdf(write.four_bar(driven="rocker"), "four_bar")
+    mechanism = build_mechanism(robot)
+    within = robot.home + np.linspace(0.0, 1.06, 40)[:, None]
+    assert np.isfinite(mechanism.inertia(within)).all()
+    with raises_code("loop_not_closed", "rocker"):
+        mechanism.inertia(np.vstack([within, robot.home + 1.0724]))

@@ -26,14 +26,13 @@ from tau_dyn.mechanism.frames import (
     transform_point,
     yield_columns,
 )
-from tau_dyn.mechanism.loops import LoopSolver
+from tau_dyn.mechanism.loops import MAX_CORRECTION, LoopSolver
 from tau_dyn.mechanism.small_systems import ILL, CellStarts, Elimination, Entries, Known, invert_matrices
 from tau_dyn.robot import Robot
 
 _CELL = 0.05  # [m or rad] as far as one-by-one closures step
 _DONE = 1e-6  # [m or rad] Newton's last step may be this large; what is left after it is of the order of its square
 _MAX_ITERATIONS = 12  # Newton steps from a neighbour's pose; quadratic convergence needs three to five
-_MAX_PASSIVE_STEP = 0.5  # [m or rad] of a passive joint from its guess; more may be another assembly mode
 _MAX_CELLS_FROM_HOME = 2000  # cells from home beyond which positions are taken for a mistake of units
 _MAX_GEOMETRIES = 4  # whose cells are kept
 _TRUSTED = 1e-12  # relative residual up to which elimination is as good as LAPACK
@@ -129,8 +128,7 @@ class LoopArrays:
         """
         if not self._ends or not len(q):
             return self._without_loops(q)
-        x = self._started(q)
-        x, found = self._newton(x)
+        x, found = self._newton(*self._started(q))
         for k in np.flatnonzero(~found):
             x[:, k] = self.positions(self.solver.close(q[k]))
         return self._linearised(x)
@@ -148,10 +146,11 @@ class LoopArrays:
         G = np.broadcast_to(self._share[:, :, None], (*self._share.shape, len(q)))
         return ClosedLoops(x, compute_frames(self.joints, x), Dense(np.zeros((len(q), 0, 0))), G)
 
-    def _started(self, q: np.ndarray) -> np.ndarray:
-        """Return a first guess of all positions (nv, N): the cell's middle, moved along its `G`."""
+    def _started(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return a first guess of all positions (nv, N), the cell's middle moved along its `G`, and how far they moved (N,)."""
         _, x, G = self._cells.find(self._reduced(q - self.solver.robot.home).T)
-        return x + np.einsum("van,an->vn", G, self._reduced(q - x[self.active].T / self.scale).T)
+        step = np.einsum("van,an->vn", G, self._reduced(q - x[self.active].T / self.scale).T)
+        return x + step, np.abs(step).max(axis=0)
 
     def _reduced(self, away: np.ndarray) -> np.ndarray:
         """Return distances (N, na), without whole turns of joints that turn forever."""
@@ -168,25 +167,27 @@ class LoopArrays:
             for step in range(steps + 1):
                 G = self._linearised(x).G
                 if step < steps:
-                    x, found = self._newton(x + np.einsum("van,an->vn", G, _CELL / steps * cells.T))
+                    move = np.einsum("van,an->vn", G, _CELL / steps * cells.T)
+                    x, found = self._newton(x + move, np.abs(move).max(axis=0))
                     x[:, ~found] = np.nan
         return [(x[:, k], G[:, :, k]) for k in range(len(cells))]
 
-    def _newton(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return closed positions (nv, N), started at `x`, and where that worked (N,)."""
+    def _newton(self, x: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return closed positions (nv, N), started at `x` after a step of at most `step` (N,), and where that worked (N,)."""
         guess, x, found = x, x.copy(), np.zeros(x.shape[1], bool)
+        most = MAX_CORRECTION * step + _DONE
         left = np.flatnonzero(np.isfinite(x).all(axis=0))
         for _ in range(_MAX_ITERATIONS):
             if not left.size:
                 break
             now = x[:, left]
             at = compute_frames(self.joints, now)
-            step = -self._inverse(self.entries(at))[0].solve(self.gap(at))
-            now[self.passive] += step
+            change = -self._inverse(self.entries(at))[0].solve(self.gap(at))
+            now[self.passive] += change
             x[:, left] = now
-            done = np.abs(step).max(axis=0) < _DONE
+            astray = ~(np.abs(now - guess[:, left]).max(axis=0) <= most[left])
+            done = ~astray & (np.abs(change).max(axis=0) < _DONE)
             found[left[done]] = True
-            astray = ~(np.abs(now - guess[:, left]).max(axis=0) < _MAX_PASSIVE_STEP)
             left = left[~done & ~astray]
         return x, found
 

@@ -81,6 +81,12 @@ class Constraints:
 _TOLERANCE = 1e-14  # [m] a step is the last one when it should leave no more than this
 _ROUNDED = 1e-10  # [m] what rounding may leave in a large robot
 _STEP = 0.05  # [m or rad] largest actuated step taken at once when coming from afar
+MAX_CORRECTION = (
+    0.5  # of a step along `G`; near a dead centre the other assembly mode is at least as far away as the step
+)
+_LONG = 0.5  # [m or rad] step of a joint along `G` that is halved
+_SHORT, _SLIGHT = 0.02, 0.1  # the same for an older `G`, as samples in turn have; and the correction there
+_HALVINGS = 40  # of a step whose correction is larger, before the position counts as out of reach
 
 
 @dataclass
@@ -220,9 +226,21 @@ class LoopSolver:
             at = there
         return q
 
-    def _step_to(self, q_a: np.ndarray, last_a: np.ndarray, last: np.ndarray) -> np.ndarray | None:
-        """Return the closure at `q_a`, started where `G` points from the last one."""
-        return self._newton(self._with_active(pin.integrate(self.model, last, self._G @ (q_a - last_a)), q_a))
+    def _step_to(self, q_a: np.ndarray, last_a: np.ndarray, last: np.ndarray, halvings: int = 0) -> np.ndarray | None:
+        """Return the closure at `q_a`, started where `G` points from the last one; by two halves where that misses by much."""
+        for longest, share in ((_SHORT, _SLIGHT), (_LONG, MAX_CORRECTION)):
+            if longest == _LONG:
+                self._linearise(last)
+            guess = self._with_active(pin.integrate(self.model, last, self._G @ (q_a - last_a)), q_a)
+            step = np.abs(pin.difference(self.model, last, guess)).max()
+            q = self._newton(guess) if step <= longest else None
+            if q is not None and np.abs(pin.difference(self.model, guess, q)).max() <= share * step + _ROUNDED:
+                return q
+        if halvings == _HALVINGS:
+            return None
+        half = 0.5 * (q_a + last_a)
+        middle = self._step_to(half, last_a, last, halvings + 1)
+        return None if middle is None else self._step_to(q_a, half, middle, halvings + 1)
 
     def _newton(self, q: np.ndarray) -> np.ndarray | None:
         step, before, error, fresh = np.zeros(self.model.nv), np.inf, np.inf, False
