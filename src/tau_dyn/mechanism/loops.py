@@ -85,7 +85,8 @@ MAX_CORRECTION = (
     0.5  # of a step along `G`; near a dead centre the other assembly mode is at least as far away as the step
 )
 _LONG = 0.5  # [m or rad] step of a joint along `G` that is halved
-_SHORT, _SLIGHT = 0.02, 0.1  # the same for an older `G`, as samples in turn have; and the correction there
+_SHORT = 0.02  # [m or rad] the same for an older `G`, as samples in turn have
+_SLIGHT = 0.1  # of such a step, its largest correction
 _HALVINGS = 40  # of a step whose correction is larger, before the position counts as out of reach
 
 
