@@ -81,9 +81,7 @@ class Constraints:
 _TOLERANCE = 1e-14  # [m] a step is the last one when it should leave no more than this
 _ROUNDED = 1e-10  # [m] what rounding may leave in a large robot
 _STEP = 0.05  # [m or rad] largest actuated step taken at once when coming from afar
-MAX_CORRECTION = (
-    0.5  # of a step along `G`; near a dead centre the other assembly mode is at least as far away as the step
-)
+MAX_CORRECTION = 0.5  # of a step along `G`; near a dead centre the other assembly mode is as far away as the step
 _LONG = 0.5  # [m or rad] step of a joint along `G` that is halved
 _SHORT = 0.02  # [m or rad] the same for an older `G`, as samples in turn have
 _SLIGHT = 0.1  # of such a step, its largest correction
