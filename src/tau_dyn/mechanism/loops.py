@@ -86,6 +86,7 @@ _LONG = 0.5  # [m or rad] step of a joint along `G` that is halved
 _SHORT = 0.02  # [m or rad] the same for an older `G`, as samples in turn have
 _SLIGHT = 0.1  # of such a step, its largest correction
 _HALVINGS = 40  # of a step whose correction is larger, before the position counts as out of reach
+_UNSOLVED = 8  # halvings for which a step without any closure counts: mostly there is none
 
 
 @dataclass
@@ -235,11 +236,12 @@ class LoopSolver:
             q = self._newton(guess) if step <= longest else None
             if q is not None and np.abs(pin.difference(self.model, guess, q)).max() <= share * step + _ROUNDED:
                 return q
-        if halvings == _HALVINGS:
+        halvings += _UNSOLVED if q is None else 1
+        if halvings > _HALVINGS:
             return None
         half = 0.5 * (q_a + last_a)
-        middle = self._step_to(half, last_a, last, halvings + 1)
-        return None if middle is None else self._step_to(q_a, half, middle, halvings + 1)
+        middle = self._step_to(half, last_a, last, halvings)
+        return None if middle is None else self._step_to(q_a, half, middle, halvings)
 
     def _newton(self, q: np.ndarray) -> np.ndarray | None:
         step, before, error, fresh = np.zeros(self.model.nv), np.inf, np.inf, False
