@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.diagnose import Finding, diagnose
+from tau_dyn.diagnose import Finding, diagnose, nominal
 from tau_dyn.diagnose.nominal import find_parameter_changes
 from tau_dyn.diagnose.payload import compare_with_trusted, compute_body_properties
 from tau_dyn.identify import Identification, identify
@@ -105,6 +105,31 @@ def test_an_arm_as_its_file_says_has_no_payload(robot, judged) -> None:
     """With and without rotors that the file leaves out: their inertia is no body's."""
     assert judged(recorded(robot, 1)) == []
     assert judged(recorded(robot, 2, rotor=0.4)) == []
+
+
+def test_bodies_that_need_the_nominal_force_are_suspected_at_most(robot, monkeypatch) -> None:
+    """The size is the payload's force beside friction and rotors, as Pinocchio gives it, over the measured force's."""
+    log = recorded(robot, 3, payload=MASS)
+    fit = identify(robot, [log], model="asymmetric")
+    share = compare_with_trusted(fit.model.robot, fit.nominal, fit.estimate).force_share
+    q, tau = (np.column_stack([log.channels[f"{c}_{j}"] for j in JOINTS]) for c in ("q", "tau"))
+    loaded = pin.Model(robot.model)
+    loaded.inertias[4] = loaded.inertias[4] + pin.Inertia(MASS, CENTRE, 2e-3 * MASS * np.eye(3))
+    v = np.gradient(q, log.t, axis=0)
+    a = np.gradient(v, log.t, axis=0)
+    with_it, without = (
+        np.array([pin.rnea(m, m.createData(), *x) for x in zip(q, v, a, strict=True)]) for m in (loaded, robot.model)
+    )
+    left = np.zeros(4)
+    for k in range(4):
+        more, speed = with_it[:, k] - without[:, k], v[:, k]
+        free = np.column_stack([speed > 0, speed < 0, np.maximum(speed, 0), np.minimum(speed, 0), a[:, k]])
+        left[k] = np.sum((more - free @ np.linalg.lstsq(free, more)[0]) ** 2)
+    assert share == pytest.approx(np.sqrt(left.sum() / np.sum(tau**2)), rel=0.05)
+    for level, status in ((0.9 * share, "parameter"), (1.1 * share, "suspected")):
+        monkeypatch.setattr(nominal, "MIN_FORCE_SHARE", level)
+        (found,) = find_parameter_changes(fit.model, fit.nominal, fit.parameters, fit.estimate)
+        assert (found.cause, found.status) == ("payload", status)
 
 
 @pytest.mark.parametrize("rotor", [0.0, 0.4])

@@ -20,6 +20,7 @@ from tau_dyn.diagnose.payload import (
     find_end_link,
     find_explanation,
 )
+from tau_dyn.diagnose.plausibility import MIN_FORCE_SHARE
 from tau_dyn.diagnose.result import Finding
 from tau_dyn.effects import PARAMETER_CAUSES, format_quantity
 from tau_dyn.estimate import Estimate
@@ -56,7 +57,8 @@ def _find_deviations(model: Model, nominal: Parameters, fitted: Parameters, esti
         difference = compare_with_trusted(model.robot, nominal, estimate)
         explanation = find_explanation(model.robot, difference)
         if explanation is not None:
-            return [_build_finding(model, explanation, difference.misfit - explanation.left)]
+            finding = _build_finding(model, explanation, difference.misfit - explanation.left)
+            return [_suspect_small(finding, difference.force_share)]
     rows = [(p, nominal[p.name]) for p in fitted if _is_known(p, nominal)]
     if not rows:
         return []
@@ -69,6 +71,14 @@ def _find_deviations(model: Model, nominal: Parameters, fitted: Parameters, esti
     if len(off) > 1 and _is_common_factor(ratio, sigma):
         return [_build_gain_finding(ratio, sigma, float(p_values.min()))]
     return [_build_mass_finding(model, *rows[k], float(z[k]), float(p_values[k]), len(rows) == 1) for k in off]
+
+
+def _suspect_small(finding: Finding, share: float) -> Finding:
+    """Return a finding as `suspected` where nominal bodies need the same force, to what filters leave of exact data."""
+    if share >= MIN_FORCE_SHARE:
+        return finding
+    why = f"nominal bodies need the same force to {100 * share:.1g} %, and no force is measured to that"
+    return replace(finding, status="suspected", why_not_confirmed=why)
 
 
 def _suspect_implausible(finding: Finding, robot: Robot, nominal: Parameters) -> Finding:

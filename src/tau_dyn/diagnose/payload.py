@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
+from scipy.linalg import solve_triangular
 
 from tau_dyn.estimate import Estimate
 from tau_dyn.parameters import Parameter, Parameters
@@ -72,6 +73,18 @@ class BaseParameterDifference:
     def misfit(self) -> float:
         """Squared difference in units of its covariance."""
         return float(self.d @ np.linalg.solve(self.S, self.d))
+
+    @property
+    def force_share(self) -> float:
+        """Rms of the force that it makes beside a refit of all other parameters, over the measured force's."""
+        estimate = self.estimate
+        names, base = estimate.regression.parameters.names, estimate.base
+        kept = [names.index(base.names[c]) for c in base.kept]
+        W, y, output = estimate.regression.stacked()
+        sigma = estimate.sigma[output]
+        triangle = np.linalg.qr(W[:, kept] / sigma[:, None], mode="r")
+        least = np.linalg.lstsq(solve_triangular(triangle, self.select.T, trans=1).T, self.d)[0]
+        return float(np.linalg.norm(least) / np.linalg.norm(y / sigma))
 
 
 @dataclass(frozen=True, eq=False)
