@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.diagnose import Finding, diagnose, nominal
 from tau_dyn.diagnose.nominal import find_parameter_changes
 from tau_dyn.diagnose.payload import compare_with_trusted, compute_body_properties
-from tau_dyn.identify import Identification, identify
+from tau_dyn.identify import Choices, Identification, identify
 from tau_dyn.log import Log
 from tau_dyn.robot import Robot, load_robot
 
@@ -126,6 +126,10 @@ def test_bodies_that_need_the_nominal_force_are_suspected_at_most(robot, monkeyp
         free = np.column_stack([speed > 0, speed < 0, np.maximum(speed, 0), np.minimum(speed, 0), a[:, k]])
         left[k] = np.sum((more - free @ np.linalg.lstsq(free, more)[0]) ** 2)
     assert share == pytest.approx(np.sqrt(left.sum() / np.sum(tau**2)), rel=0.05)
+    weighed = identify(robot, [log], model="asymmetric", choices=Choices(fix=("column_link.mass=4+-0.1",)))
+    assert compare_with_trusted(weighed.model.robot, weighed.nominal, weighed.estimate).force_share == pytest.approx(
+        share, rel=1e-6
+    )
     for level, status in ((0.9 * share, "parameter"), (1.1 * share, "suspected")):
         monkeypatch.setattr(nominal, "MIN_FORCE_SHARE", level)
         (found,) = find_parameter_changes(fit.model, fit.nominal, fit.parameters, fit.estimate)

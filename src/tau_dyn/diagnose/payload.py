@@ -78,13 +78,10 @@ class BaseParameterDifference:
     def force_share(self) -> float:
         """Rms of the force that it makes beside a refit of all other parameters, over the measured force's."""
         estimate = self.estimate
-        names, base = estimate.regression.parameters.names, estimate.base
-        kept = [names.index(base.names[c]) for c in base.kept]
-        W, y, output = estimate.regression.stacked()
-        sigma = estimate.sigma[output]
-        triangle = np.linalg.qr(W[:, kept] / sigma[:, None], mode="r")
+        triangle = np.linalg.qr(estimate.stack_rows(), mode="r")
         least = np.linalg.lstsq(solve_triangular(triangle, self.select.T, trans=1).T, self.d)[0]
-        return float(np.linalg.norm(least) / np.linalg.norm(y / sigma))
+        measured = [(run.y / estimate.sigma)[run.usable] for run in estimate.regression.runs]
+        return float(np.linalg.norm(least) / np.linalg.norm(np.concatenate(measured)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -95,14 +95,18 @@ class Estimate(Brief):
 
         Parameters measured beforehand are held as they are in the estimate.
         """
-        base, parameters, rows, targets = self.base, self.regression.parameters, [], []
+        rows = self.stack_rows()
+        targets = [(x / self.sigma)[run.usable] for run, x in zip(self.regression.runs, outputs, strict=True)]
+        y = np.concatenate(targets)
+        return solve_scaled(rows, np.concatenate([y, np.zeros(len(rows) - len(y))]), _REFIT_TOLERANCE)
+
+    def stack_rows(self) -> np.ndarray:
+        """Return the weighted base columns of usable samples, then rows of what was measured beforehand (N + k, r)."""
+        base, parameters = self.base, self.regression.parameters
         kept = [parameters.names.index(base.names[c]) for c in base.kept]
-        for run, x in zip(self.regression.runs, outputs, strict=True):
-            rows.append((run.W[:, :, kept] / self.sigma[:, None])[run.usable])
-            targets.append((x / self.sigma)[run.usable])
+        rows = [(run.W[:, :, kept] / self.sigma[:, None])[run.usable] for run in self.regression.runs]
         known, _ = build_prior_rows(parameters.select(base.names))
-        y = np.concatenate([*targets, np.zeros(len(known))])
-        return solve_scaled(np.concatenate([*rows, known[:, base.kept]]), y, _REFIT_TOLERANCE)
+        return np.concatenate([*rows, known[:, base.kept]])
 
     def identifiable(self, name: str) -> bool:
         """Return whether some motion could show this parameter by itself."""
