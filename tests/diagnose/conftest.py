@@ -12,10 +12,10 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
-from tau_dyn.diagnose.channel import TRAIN, Channel, ColumnCache
-from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion, Scene
 from tau_dyn.estimate import Autoregression, RegressionRun
+from tau_dyn.evidence.channel import TRAIN, Channel, ColumnCache
+from tau_dyn.evidence.null_model import NullModel
 from tau_dyn.parameters import Parameter, Parameters
 
 RATE_HZ = 50.0

@@ -7,7 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import (
+from tau_dyn.effects import Delay, PositionFriction, QuadraticDrag, ReducerCoupling, Stribeck, ThermalDrift
+from tau_dyn.evidence.candidate_scan import (
     N_NULL_DRAWS,
     GroupTest,
     combine_group_tests,
@@ -15,8 +16,7 @@ from tau_dyn.diagnose.candidate_scan import (
     list_joint_groups,
     scan_causes,
 )
-from tau_dyn.diagnose.channel import TRAIN, VALIDATION
-from tau_dyn.effects import Delay, PositionFriction, QuadraticDrag, ReducerCoupling, Stribeck, ThermalDrift
+from tau_dyn.evidence.channel import TRAIN, VALIDATION
 
 CLEAN = 300
 

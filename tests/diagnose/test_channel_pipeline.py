@@ -8,14 +8,15 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from tau_dyn.diagnose import Gain, confirmation, diagnose, plausibility
-from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION
-from tau_dyn.diagnose.claims import recommend, select_confirmed, select_supported
-from tau_dyn.diagnose.confirmation import Confirmation, confirm, confirm_cause
-from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap
-from tau_dyn.diagnose.plausibility import find_inconsistent
-from tau_dyn.diagnose.stepwise_selection import select_causes
+from tau_dyn.diagnose import diagnose
 from tau_dyn.effects import Delay, PlausibleRange, QuadraticDrag, Stribeck, build_friction_model
+from tau_dyn.evidence import Gain, confirmation, plausibility
+from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION
+from tau_dyn.evidence.claims import recommend, select_confirmed, select_supported
+from tau_dyn.evidence.confirmation import Confirmation, confirm, confirm_cause
+from tau_dyn.evidence.noise_only_bootstrap import NoiseOnlyBootstrap
+from tau_dyn.evidence.plausibility import find_inconsistent
+from tau_dyn.evidence.stepwise_selection import select_causes
 from tau_dyn.message_codes import get_code
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
@@ -107,7 +108,7 @@ def test_one_recording_has_one_delay():
 def test_a_gain_that_may_be_zero_confirms_nothing(make, rng, monkeypatch):
     """The interval of the gain decides, not its value."""
     channel = make.bench(rng, drag, n=8000, causes=(QuadraticDrag,))
-    module = import_module("tau_dyn.diagnose.claims")  # `tau_dyn.diagnose` itself is the function
+    module = import_module("tau_dyn.evidence.claims")  # `tau_dyn.diagnose` itself is the function
     monkeypatch.setattr(module, "compute_gain", lambda *_: Gain(10.0, 9.0, 10.0, (-0.1, 20.0)))
     claims, _ = stand(channel, rng)
     assert "gain" in claims.why_not[0] and claims.kept == []

@@ -5,9 +5,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION
-from tau_dyn.diagnose.confirmation import Confirmation, confirm
 from tau_dyn.effects import PositionFriction, Stribeck, ViscousAsymmetry
+from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION
+from tau_dyn.evidence.confirmation import Confirmation, confirm
 
 EFFECT = ViscousAsymmetry(("x",), ("N",))
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION, split_by_blocks
 from tau_dyn.estimate import RegressionRun
+from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION, split_by_blocks
 
 RATE_HZ = 100.0
 

@@ -8,11 +8,11 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 from scipy.interpolate import CubicSpline
 
-from tau_dyn.diagnose.channel import ColumnCache
 from tau_dyn.diagnose.deflection_channel import build_deflection_channel, estimate_stiffness
-from tau_dyn.diagnose.null_model import NullModel, fit_noise_models
 from tau_dyn.diagnose.pipeline import diagnose_deflection
 from tau_dyn.effects import EFFECTS
+from tau_dyn.evidence.channel import ColumnCache
+from tau_dyn.evidence.null_model import NullModel, fit_noise_models
 from tau_dyn.log import ColumnMap, Log
 from tau_dyn.log.column_names import split_column_name
 from tau_dyn.robot import load_robot_from_urdf

@@ -9,9 +9,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS, scan_causes
-from tau_dyn.diagnose.detection_limits import compute_detection_limits, select_median_setting, solve_noncentrality
-from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, adjust_p_value_bonferroni
 from tau_dyn.effects import (
     CoulombAsymmetry,
     FrictionChange,
@@ -21,6 +18,9 @@ from tau_dyn.effects import (
     ThermalDrift,
     ViscousAsymmetry,
 )
+from tau_dyn.evidence.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS, scan_causes
+from tau_dyn.evidence.detection_limits import compute_detection_limits, select_median_setting, solve_noncentrality
+from tau_dyn.evidence.stepwise_selection import StepwiseSelection, adjust_p_value_bonferroni
 
 
 def searched(make, channel, rng) -> StepwiseSelection:

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.diagnose.channel import TEST, TRAIN
-from tau_dyn.diagnose.extended_fit import (
+from tau_dyn.effects import ViscousAsymmetry
+from tau_dyn.evidence.channel import TEST, TRAIN
+from tau_dyn.evidence.extended_fit import (
     build_extended_regression,
     compute_errors,
     compute_gain,
     estimate_noise_floor,
     fit_extended_model,
 )
-from tau_dyn.effects import ViscousAsymmetry
 
 EFFECT = ViscousAsymmetry(("x",), ("N",))
 

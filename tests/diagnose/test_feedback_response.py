@@ -13,18 +13,14 @@ from numpy.testing import assert_allclose
 from scipy.signal import csd, welch
 
 from tau_dyn.diagnose import diagnose
-from tau_dyn.diagnose.candidate_scan import CandidateCause, GroupTest
-from tau_dyn.diagnose.claims import MIN_AMPLITUDE_Z
-from tau_dyn.diagnose.noise_only_bootstrap import (
-    NoiseOnlyLog,
-    apply_feedback_taps,
-    estimate_feedback_taps,
-    estimate_noncentrality,
-)
-from tau_dyn.diagnose.plausibility import is_distinct_from_zero
+from tau_dyn.diagnose.noise_only_log import NoiseOnlyLog, apply_feedback_taps, estimate_feedback_taps
 from tau_dyn.diagnose.preparation import decimate_log
 from tau_dyn.effects import CyclicRipple, build_friction_model
 from tau_dyn.estimate import BaseParameters
+from tau_dyn.evidence.candidate_scan import CandidateCause, GroupTest
+from tau_dyn.evidence.claims import MIN_AMPLITUDE_Z
+from tau_dyn.evidence.noise_only_bootstrap import estimate_noncentrality
+from tau_dyn.evidence.plausibility import is_distinct_from_zero
 from tau_dyn.log import Log, lowpass
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
@@ -241,7 +237,7 @@ def test_motion_that_fades_into_the_noise_is_not_taken_for_an_answer():
 
 def test_a_joint_on_which_encoder_noise_makes_the_cause_is_left_out(monkeypatch):
     """Noise makes 50 of 22 on one joint and 1 of 60 on the other: the cause stands on the other; the first is chance."""
-    noise_only_bootstrap = importlib.import_module("tau_dyn.diagnose.noise_only_bootstrap")
+    noise_only_bootstrap = importlib.import_module("tau_dyn.evidence.noise_only_bootstrap")
     made = {("a",): 50.0, ("b",): 1.0}
     monkeypatch.setattr(
         noise_only_bootstrap, "ColumnCache", lambda clean: SimpleNamespace(columns=lambda effect: effect.joints)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.diagnose.findings import estimate_uncertainty, format_reduction
 from tau_dyn.effects import JointwiseEffect
+from tau_dyn.evidence.findings import estimate_uncertainty, format_reduction
 from tau_dyn.parameters import Parameters
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tau_dyn.diagnose.channel import ColumnCache
-from tau_dyn.diagnose.null_model import NullModel, fit_noise_models
 from tau_dyn.estimate import Autoregression
+from tau_dyn.evidence.channel import ColumnCache
+from tau_dyn.evidence.null_model import NullModel, fit_noise_models
 
 
 def test_the_noise_model_is_not_fooled_by_what_hides(make):

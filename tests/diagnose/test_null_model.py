@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 from scipy import linalg, stats
 from scipy.optimize import nnls
 
-from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, compute_score_statistics, orthonormalise
 from tau_dyn.effects import QuadraticDrag, Stribeck, ViscousAsymmetry
+from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, compute_score_statistics, orthonormalise
 
 
 def explained(ground, C, nonnegative=None):

@@ -11,9 +11,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.diagnose import Finding, diagnose, nominal
+from tau_dyn.diagnose import diagnose, nominal
 from tau_dyn.diagnose.nominal import find_parameter_changes
 from tau_dyn.diagnose.payload import compare_with_trusted, compute_body_properties
+from tau_dyn.evidence import Finding
 from tau_dyn.identify import Choices, Identification, identify
 from tau_dyn.log import Log
 from tau_dyn.robot import Robot, load_robot

@@ -8,9 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tau_dyn.diagnose.candidate_scan import GroupTest
-from tau_dyn.diagnose.channel import build_scene
-from tau_dyn.diagnose.stepwise_selection import SEARCH_MARGIN, select_causes
 from tau_dyn.effects import (
     CyclicRipple,
     Motion,
@@ -21,6 +18,9 @@ from tau_dyn.effects import (
     TransmissionError,
     ViscousAsymmetry,
 )
+from tau_dyn.evidence.candidate_scan import GroupTest
+from tau_dyn.evidence.channel import build_scene
+from tau_dyn.evidence.stepwise_selection import SEARCH_MARGIN, select_causes
 
 
 @pytest.mark.parametrize("seed", [1, 6])
@@ -91,7 +91,7 @@ def test_an_artefact_is_passed_over_while_the_search_goes_on(make, rng):
 
 def test_what_stays_is_weighed_again_when_another_cause_is_dropped(make, monkeypatch):
     """A cause that a mimic had left little to explain shows all that it explains once the mimic is dropped."""
-    module = importlib.import_module("tau_dyn.diagnose.stepwise_selection")
+    module = importlib.import_module("tau_dyn.evidence.stepwise_selection")
     channel = make.bench(np.random.default_rng(2), lambda m: 80 * m.v * np.abs(m.v), n=6000, causes=(QuadraticDrag,))
     (plain,) = select_causes(channel, np.random.default_rng(1), lambda step: None).found
 
@@ -169,7 +169,7 @@ def test_what_no_drive_has_is_passed_over(make, rng, monkeypatch):
 @pytest.mark.parametrize(("other", "inflation", "outshone"), [(145, 1, False), (155, 1, True), (155, 2, False)])
 def test_a_look_alike_takes_a_name_only_by_far(monkeypatch, other, inflation, outshone):
     """Explaining 12 more in twice the log-likelihood, of rows that scatter as they should, a law without a name is likelier."""
-    module = importlib.import_module("tau_dyn.diagnose.stepwise_selection")
+    module = importlib.import_module("tau_dyn.evidence.stepwise_selection")
     fit = GroupTest(PositionFriction(("x",), ("N",)), 143.0, 1.0, 2, False, inflation, np.zeros(1))
     monkeypatch.setattr(module, "rescore_group", lambda fit, ground: replace(fit, statistic=float(other)))
     assert module._is_outshone(fit, None) is outshone

@@ -8,14 +8,14 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.diagnose import diagnose
-from tau_dyn.diagnose.candidate_scan import compute_explained
-from tau_dyn.diagnose.channel import ColumnCache
-from tau_dyn.diagnose.detection_limits import compute_alias_periods
-from tau_dyn.diagnose.null_model import NullModel, fit_noise_models
 from tau_dyn.diagnose.pipeline import diagnose_tool
 from tau_dyn.diagnose.preparation import choose_diagnosis_preparation
 from tau_dyn.diagnose.tool_channel import build_tool_channel, build_tool_segment
 from tau_dyn.effects import EFFECTS
+from tau_dyn.evidence.candidate_scan import compute_explained
+from tau_dyn.evidence.channel import ColumnCache
+from tau_dyn.evidence.detection_limits import compute_alias_periods
+from tau_dyn.evidence.null_model import NullModel, fit_noise_models
 from tau_dyn.log import Log
 from tau_dyn.mechanism import GantryTauMechanism
 from tau_dyn.model import Model

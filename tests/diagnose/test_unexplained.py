@@ -8,14 +8,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS
-from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION
-from tau_dyn.diagnose.confirmation import Confirmation, build_unexplained, discriminate_structures
 from tau_dyn.diagnose.force_channel import ForceChannel
-from tau_dyn.diagnose.null_model import WHOLE_TIME
-from tau_dyn.diagnose.stepwise_selection import StepwiseSelection
-from tau_dyn.diagnose.unknown_structure import Dependence, find_structure, list_dependences
 from tau_dyn.effects import Motion
+from tau_dyn.evidence.candidate_scan import N_NULL_DRAWS
+from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION
+from tau_dyn.evidence.confirmation import Confirmation, build_unexplained, discriminate_structures
+from tau_dyn.evidence.null_model import WHOLE_TIME
+from tau_dyn.evidence.stepwise_selection import StepwiseSelection
+from tau_dyn.evidence.unknown_structure import Dependence, find_structure, list_dependences
 
 JOINTS = ("one", "two", "three")
 
@@ -121,7 +121,7 @@ def test_another_log_drifts_its_own_way_in_all_its_parts(make, last, status):
 
 def test_as_many_sets_as_are_tried_count_in_the_chance(make, monkeypatch):
     """Confirming the best of k sets of variables is k times as likely by chance as confirming one."""
-    module = importlib.import_module("tau_dyn.diagnose.confirmation")
+    module = importlib.import_module("tau_dyn.evidence.confirmation")
     monkeypatch.setattr(module, "confirm_structure", lambda *parts: Confirmation(1.0, 0.3, 1e-3))
     rng = np.random.default_rng(7)
     found, said, _ = told(make, rng, together(make, rng, (VALIDATION,)), by_third)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS
-from tau_dyn.diagnose.stepwise_selection import select_causes
-from tau_dyn.diagnose.unknown_structure import find_structure
 from tau_dyn.effects import PositionFriction
+from tau_dyn.evidence.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS
+from tau_dyn.evidence.stepwise_selection import select_causes
+from tau_dyn.evidence.unknown_structure import find_structure
 
 JOINTS = ("one", "two", "three")
 

@@ -9,7 +9,6 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.diagnose.plausibility import find_edge
 from tau_dyn.effects import (
     EFFECTS,
     GUIDE_ACROSS,
@@ -22,6 +21,7 @@ from tau_dyn.effects import (
     Scene,
     apply_first_order_lowpass,
 )
+from tau_dyn.evidence.plausibility import find_edge
 from tau_dyn.mechanism import GantryTauMechanism, TreeMechanism, build_mechanism
 from tau_dyn.mechanism.mechanism import compute_perpendicular_axes
 from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf

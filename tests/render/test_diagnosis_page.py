@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from tau_dyn.diagnose import Finding, Unexplained
+from tau_dyn.evidence import Finding, Unexplained
 from tau_dyn.parameters import Parameter
 from tau_dyn.render import build_page, print_result, write_report
 from tau_dyn.render.chart import draw_figure

@@ -11,16 +11,4 @@ from .payload import (
     find_end_link as find_end_link,
 )
 from .proposal.propose import propose_motion as propose_motion
-from .result import (
-    Diagnosis as Diagnosis,
-    Finding as Finding,
-    Gain as Gain,
-    Limit as Limit,
-    OutputErrors as OutputErrors,
-    Signature as Signature,
-    Status as Status,
-    Step as Step,
-    TimeTrace as TimeTrace,
-    Unexplained as Unexplained,
-    Untestable as Untestable,
-)
+from .result import Diagnosis as Diagnosis

@@ -18,8 +18,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.diagnose.channel import TRAIN, VALIDATION, name_by_joint
-from tau_dyn.diagnose.extended_fit import build_extended_regression, fit_extended_model, restrict_to_parts
 from tau_dyn.diagnose.measured_channel import (
     MeasuredChannel,
     MeasuredSegment,
@@ -28,7 +26,6 @@ from tau_dyn.diagnose.measured_channel import (
     cut_stretches,
     find_directions,
 )
-from tau_dyn.diagnose.null_model import scan_periods
 from tau_dyn.diagnose.preparation import choose_diagnosis_preparation
 from tau_dyn.effects import (
     EFFECTS,
@@ -43,6 +40,15 @@ from tau_dyn.effects import (
     format_amount,
 )
 from tau_dyn.estimate import Whitener, solve_least_squares
+from tau_dyn.evidence import (
+    TRAIN,
+    VALIDATION,
+    build_extended_regression,
+    fit_extended_model,
+    name_by_joint,
+    restrict_to_parts,
+    scan_periods,
+)
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify import Preparation, get_measured_signals
 from tau_dyn.log import Log, differentiate, lowpass, resample_segments

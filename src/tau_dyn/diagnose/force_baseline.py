@@ -15,7 +15,6 @@ from functools import cached_property
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from tau_dyn.diagnose.channel import TRAIN, Channel
 from tau_dyn.diagnose.force_channel import (
     ForceChannel,
     build_force_channel,
@@ -24,8 +23,9 @@ from tau_dyn.diagnose.force_channel import (
     prepare_segments,
     replace_measurements,
 )
-from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyLog
-from tau_dyn.diagnose.null_model import build_force_terms, compute_period_statistics
+from tau_dyn.diagnose.noise_only_log import (
+    NoiseOnlyLog,
+)
 from tau_dyn.diagnose.preparation import (
     choose_diagnosis_preparation,
     clear_cutoff,
@@ -35,6 +35,12 @@ from tau_dyn.diagnose.preparation import (
 )
 from tau_dyn.effects import TransmissionError
 from tau_dyn.estimate import PhysicalConstraints, Regression, solve_least_squares
+from tau_dyn.evidence import (
+    TRAIN,
+    Channel,
+    build_force_terms,
+    compute_period_statistics,
+)
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify import (
     EXPERIMENT,

@@ -9,25 +9,23 @@ from functools import cache, partial
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from tau_dyn.diagnose.channel import (
-    TRAIN,
-    Channel,
-    build_scene,
-    find_shared_signals,
-    name_by_joint,
-    refuse_scarce,
-    split_by_blocks,
-)
-from tau_dyn.diagnose.null_model import (
-    LONG,
-    WHOLE_TIME,
-    build_displacement_terms,
-    scan_periods,
-)
-from tau_dyn.diagnose.plausibility import measure_scales
 from tau_dyn.diagnose.preparation import ForceTiming, compute_border_gap_s, find_timing
 from tau_dyn.effects import EFFECTS, GRAVITY_TURN, DisplacementEffect, Effect, LazySignals, Motion, Scene
 from tau_dyn.estimate import Regression, RegressionRun, Whitener
+from tau_dyn.evidence import (
+    LONG,
+    TRAIN,
+    WHOLE_TIME,
+    Channel,
+    build_displacement_terms,
+    build_scene,
+    find_shared_signals,
+    measure_scales,
+    name_by_joint,
+    refuse_scarce,
+    scan_periods,
+    split_by_blocks,
+)
 from tau_dyn.identify import Preparation, PreparedSegment, prepare_segment
 from tau_dyn.log import Log, decimate, lowpass
 from tau_dyn.model import COMPUTED, Model

@@ -11,10 +11,16 @@ from typing import TypeVar
 
 import numpy as np
 
-from tau_dyn.diagnose.channel import Channel, build_scene, find_shared_signals, refuse_scarce, split_by_blocks
 from tau_dyn.diagnose.preparation import compute_border_gap_s
 from tau_dyn.effects import Effect, Motion, Scene
 from tau_dyn.estimate import RegressionRun
+from tau_dyn.evidence import (
+    Channel,
+    build_scene,
+    find_shared_signals,
+    refuse_scarce,
+    split_by_blocks,
+)
 from tau_dyn.log import Log, compute_edge_samples, decimate, lowpass_and_decimate
 from tau_dyn.parameters import Parameters
 

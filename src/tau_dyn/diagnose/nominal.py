@@ -20,10 +20,12 @@ from tau_dyn.diagnose.payload import (
     find_end_link,
     find_explanation,
 )
-from tau_dyn.diagnose.plausibility import MIN_FORCE_SHARE
-from tau_dyn.diagnose.result import Finding
 from tau_dyn.effects import PARAMETER_CAUSES, format_quantity
 from tau_dyn.estimate import Estimate
+from tau_dyn.evidence import (
+    MIN_FORCE_SHARE,
+    Finding,
+)
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import NOMINAL_MASS_STDERR, Robot

@@ -15,25 +15,58 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS
-from tau_dyn.diagnose.channel import EVERY, Channel, divide_training
-from tau_dyn.diagnose.claims import Claims, Recommendation, Waterfall, recommend, select_confirmed, select_supported
-from tau_dyn.diagnose.confirmation import ConfirmationResults, build_unexplained, confirm_all, confirm_within_training
 from tau_dyn.diagnose.deflection_channel import build_deflection_channel
-from tau_dyn.diagnose.detection_limits import compute_detection_limits, find_alias_periods, leave_period_open
-from tau_dyn.diagnose.extended_fit import EvaluatedFit, estimate_noise_floor
-from tau_dyn.diagnose.findings import build_findings, describe_diagnosis
 from tau_dyn.diagnose.force_baseline import FittedBaseline, Progress
-from tau_dyn.diagnose.noise_only_bootstrap import N_BOOTSTRAP_DRAWS, NoiseOnlyBootstrap
 from tau_dyn.diagnose.nominal import find_parameter_changes
-from tau_dyn.diagnose.plausibility import MAX_LAW_ERROR, compute_least_forces, demote_small, measure_net_forces
 from tau_dyn.diagnose.preparation import compute_border_gap_s
 from tau_dyn.diagnose.resonances import add_band_note, add_resonances
-from tau_dyn.diagnose.result import Diagnosis, Finding, Step, TimeTrace, Unexplained, Untestable, Verdict
-from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, build_effects, select_causes
+from tau_dyn.diagnose.result import (
+    Diagnosis,
+)
 from tau_dyn.diagnose.tool_channel import build_tool_channel
-from tau_dyn.diagnose.unknown_structure import Structure, compute_structure_p_value, find_structure
 from tau_dyn.effects import EFFECTS, Effect
+from tau_dyn.evidence import (
+    EVERY,
+    FAMILY_LEVEL,
+    MAX_LAW_ERROR,
+    N_BOOTSTRAP_DRAWS,
+    N_NULL_DRAWS,
+    Channel,
+    Claims,
+    ConfirmationResults,
+    EvaluatedFit,
+    Finding,
+    NoiseOnlyBootstrap,
+    Recommendation,
+    Step,
+    StepwiseSelection,
+    Structure,
+    TimeTrace,
+    Unexplained,
+    Untestable,
+    Verdict,
+    Waterfall,
+    build_effects,
+    build_findings,
+    build_unexplained,
+    compute_detection_limits,
+    compute_least_forces,
+    compute_structure_p_value,
+    confirm_all,
+    confirm_within_training,
+    demote_small,
+    describe_diagnosis,
+    divide_training,
+    estimate_noise_floor,
+    find_alias_periods,
+    find_structure,
+    leave_period_open,
+    measure_net_forces,
+    recommend,
+    select_causes,
+    select_confirmed,
+    select_supported,
+)
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify import drop_repeated_logs, is_diagnosis_invalid
 from tau_dyn.log import Log

@@ -18,9 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from tau_dyn.diagnose.channel import compute_fast_speeds
-from tau_dyn.diagnose.null_model import orthonormalise
 from tau_dyn.estimate import RegressionRun
+from tau_dyn.evidence import (
+    compute_fast_speeds,
+    orthonormalise,
+)
 from tau_dyn.identify import (
     CODE,
     NOISE_FACTOR,

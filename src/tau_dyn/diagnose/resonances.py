@@ -18,12 +18,15 @@ from typing import TypeVar
 
 import numpy as np
 
-from tau_dyn.diagnose.channel import TRAIN, Channel
 from tau_dyn.diagnose.force_channel import ForceChannel
-from tau_dyn.diagnose.result import Finding
 from tau_dyn.diagnose.tool_channel import ToolChannel, restrict_to_group
 from tau_dyn.effects import StructuralCompliance
 from tau_dyn.estimate import scale_columns, solve_scaled
+from tau_dyn.evidence import (
+    TRAIN,
+    Channel,
+    Finding,
+)
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.log import find_true_runs
 from tau_dyn.modes import (

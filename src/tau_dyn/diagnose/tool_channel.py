@@ -18,7 +18,6 @@ from functools import cached_property
 
 import numpy as np
 
-from tau_dyn.diagnose.channel import name_by_joint
 from tau_dyn.diagnose.measured_channel import (
     POSE_S,
     MeasuredChannel,
@@ -30,6 +29,9 @@ from tau_dyn.diagnose.measured_channel import (
 )
 from tau_dyn.diagnose.preparation import choose_diagnosis_preparation
 from tau_dyn.effects import EFFECTS, GUIDE_ACROSS, SENSITIVITY, SIDE_FORCE, DisplacementEffect, Effect, Motion, Scene
+from tau_dyn.evidence import (
+    name_by_joint,
+)
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import MIN_RATE_HZ, Preparation, get_measured_signals
 from tau_dyn.log import Log, compute_attenuation, differentiate, lowpass, resample_segments

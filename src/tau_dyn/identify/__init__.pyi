@@ -8,11 +8,7 @@ from .data import (
     log_warnings as log_warnings,
     require_forces as require_forces,
 )
-from .estimate_warnings import (
-    MAX_HELD_OUT_RATIO as MAX_HELD_OUT_RATIO,
-    describe_foreign_joints as describe_foreign_joints,
-    list_resting_warnings as list_resting_warnings,
-)
+from .estimate_warnings import list_resting_warnings as list_resting_warnings
 from .fitted_model import (
     Choices as Choices,
     build_model as build_model,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
 from scipy.stats import chi2
 
 from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Regression
+from tau_dyn.evidence import MAX_HELD_OUT_RATIO, describe_foreign_joints
 from tau_dyn.identify.result import ForceErrors, list_poorly_determined
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.parameters import Parameters
@@ -48,9 +49,6 @@ _CORRELATED = 0.99  # correlation from which two estimates are named together
 _OBJECTS = 3.0
 """Standard errors outside of what is physical from which the data object; nearer is noise."""
 
-MAX_HELD_OUT_RATIO = 3.0
-"""Held-out over training rms of a joint above which the two are not of one machine: another motion changes it by less than two
-(EMPS, TX40, KR300, SO-101), a tool of a kilogram by ten."""
 _MAX_INERTIA_RATIO = 30.0
 """Factor between identified and nominal inertia beyond which units are doubted; a robot file may be wrong by much less."""
 
@@ -93,18 +91,6 @@ def list_held_out_warnings(train: ForceErrors, holdout: ForceErrors | None) -> l
     pairs = zip(train.joints, train.rms, holdout.rms, strict=True)
     ratios = {joint: held / trained for joint, trained, held in pairs if trained > 0}
     return describe_foreign_joints([(joint, x) for joint, x in ratios.items() if x > MAX_HELD_OUT_RATIO])
-
-
-def describe_foreign_joints(ratios: Sequence[tuple[str, float]]) -> list[str]:
-    """Return the warning that the held-out logs are of another machine, from joints and their ratio of rms; none for none."""
-    if not ratios:
-        return []
-    listed = ", ".join(f"{joint} ({ratio:.1f} times)" for joint, ratio in ratios)
-    sentence = (
-        f"the held-out error is many times the training error at {listed}; the held-out log probably belongs to another "
-        "machine or tool"
-    )
-    return [CodedWarning("holdout_differs", sentence)]
 
 
 def list_inertia_scale_warnings(estimate: Estimate, nominal: Parameters) -> list[str]:

@@ -16,7 +16,8 @@ import numpy as np
 from scipy.stats import norm
 
 from tau_dyn.effects import LOOP_CAUSES
-from tau_dyn.identify import MAX_HELD_OUT_RATIO, describe_foreign_joints, list_provenance
+from tau_dyn.evidence import MAX_HELD_OUT_RATIO, describe_foreign_joints
+from tau_dyn.identify import list_provenance
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot

@@ -22,12 +22,18 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import solve_toeplitz
 
-from tau_dyn.diagnose.candidate_scan import find_nonnegative
-from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, compute_score_statistics
 from tau_dyn.diagnose.preparation import smooth_cutoff
-from tau_dyn.diagnose.result import Diagnosis, TimeTrace
+from tau_dyn.diagnose.result import (
+    Diagnosis,
+)
 from tau_dyn.effects import Effect, Motion
 from tau_dyn.estimate import Autoregression, RegressionRun, Whitener, fit_autoregression
+from tau_dyn.evidence import (
+    MIN_UNABSORBED_SHARE,
+    TimeTrace,
+    compute_score_statistics,
+    find_nonnegative,
+)
 from tau_dyn.identify import find_unsure_samples, get_measured_signals, widen
 from tau_dyn.log import (
     Log,

@@ -12,8 +12,6 @@ from itertools import permutations
 
 import numpy as np
 
-from tau_dyn.diagnose.channel import build_scene
-from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE
 from tau_dyn.diagnose.proposal.design import (
     AlternativeCause,
     DesignMotion,
@@ -24,8 +22,15 @@ from tau_dyn.diagnose.proposal.design import (
     compute_gram_matrix,
     compute_imitating_amplitudes,
 )
-from tau_dyn.diagnose.result import Diagnosis, Finding
+from tau_dyn.diagnose.result import (
+    Diagnosis,
+)
 from tau_dyn.effects import EFFECTS, NO_EXPERIMENT, Effect, Motion, Scene
+from tau_dyn.evidence import (
+    MIN_UNABSORBED_SHARE,
+    Finding,
+    build_scene,
+)
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
 

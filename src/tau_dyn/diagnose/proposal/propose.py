@@ -17,7 +17,6 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL
 from tau_dyn.diagnose.proposal.design import DesignMotion, Setting, build_measured_motions, build_planned_motion
 from tau_dyn.diagnose.proposal.plan import (
     Contrast,
@@ -32,8 +31,13 @@ from tau_dyn.diagnose.proposal.plan import (
     find_other_experiment,
     get_required_signals,
 )
-from tau_dyn.diagnose.result import Diagnosis
-from tau_dyn.diagnose.unknown_structure import MIN_2LOGL_DIFFERENCE
+from tau_dyn.diagnose.result import (
+    Diagnosis,
+)
+from tau_dyn.evidence import (
+    FAMILY_LEVEL,
+    MIN_2LOGL_DIFFERENCE,
+)
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.excitation import choose_by_exchange
 from tau_dyn.log import Log

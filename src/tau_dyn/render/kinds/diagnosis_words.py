@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from tau_dyn import results as r
-from tau_dyn.diagnose import Diagnosis, Finding, Gain, Limit, Signature, Status, Unexplained, Untestable
+from tau_dyn.diagnose import Diagnosis
+from tau_dyn.evidence import Finding, Gain, Limit, Signature, Status, Unexplained, Untestable
 
 BADGE: dict[str, tuple[r.Level, str]] = {
     "named": ("good", "Cause named"),

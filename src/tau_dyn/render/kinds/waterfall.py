@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn import results as r
-from tau_dyn.diagnose import Diagnosis, Finding, OutputErrors
+from tau_dyn.diagnose import Diagnosis
+from tau_dyn.evidence import Finding, OutputErrors
 from tau_dyn.parameters import Parameter
 
 TEST_PART = 2

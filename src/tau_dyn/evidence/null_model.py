@@ -29,9 +29,9 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy import fft, linalg, ndimage, sparse
 
-from tau_dyn.diagnose.channel import Channel, ColumnCache
 from tau_dyn.effects import Effect, StructuralCompliance
 from tau_dyn.estimate import Autoregression, Whitener, fit_autoregression, solve_scaled
+from tau_dyn.evidence.channel import Channel, ColumnCache
 from tau_dyn.log import compute_attenuation, find_true_runs
 
 WHOLE_TIME = "t_whole"

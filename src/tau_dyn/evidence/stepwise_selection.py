@@ -15,7 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import (
+from tau_dyn.effects import Effect
+from tau_dyn.estimate import scale_columns
+from tau_dyn.evidence.candidate_scan import (
     FAMILY_LEVEL,
     MIN_SHARE_OF_STRONGEST,
     N_NULL_DRAWS,
@@ -29,11 +31,9 @@ from tau_dyn.diagnose.candidate_scan import (
     rescore_group,
     scan_causes,
 )
-from tau_dyn.diagnose.channel import TRAIN, Channel, ColumnCache
-from tau_dyn.diagnose.null_model import NullModel, fit_noise_models
-from tau_dyn.diagnose.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, find_structure
-from tau_dyn.effects import Effect
-from tau_dyn.estimate import scale_columns
+from tau_dyn.evidence.channel import TRAIN, Channel, ColumnCache
+from tau_dyn.evidence.null_model import NullModel, fit_noise_models
+from tau_dyn.evidence.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, find_structure
 
 _STEPS = 3  # Gauss-Newton steps of the settings
 _TERM_LEVEL = 1e-4

@@ -11,10 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.diagnose.channel import EVERY, TEST, TRAIN, VALIDATION, Channel
-from tau_dyn.diagnose.confirmation import Confirmation
-from tau_dyn.diagnose.null_model import build_smooth_columns
-from tau_dyn.diagnose.result import Gain, OutputErrors, WholeErrors
 from tau_dyn.effects import Effect
 from tau_dyn.estimate import (
     Estimate,
@@ -24,6 +20,10 @@ from tau_dyn.estimate import (
     scale_columns,
     solve_least_squares,
 )
+from tau_dyn.evidence.channel import EVERY, TEST, TRAIN, VALIDATION, Channel
+from tau_dyn.evidence.confirmation import Confirmation
+from tau_dyn.evidence.null_model import build_smooth_columns
+from tau_dyn.evidence.result import Gain, OutputErrors, WholeErrors
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameters
 from tau_dyn.results import Z95

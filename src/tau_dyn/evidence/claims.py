@@ -14,9 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION, Channel
-from tau_dyn.diagnose.confirmation import Confirmation, confirm
-from tau_dyn.diagnose.extended_fit import (
+from tau_dyn.effects import Effect
+from tau_dyn.estimate import PhysicalConstraints
+from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION, Channel
+from tau_dyn.evidence.confirmation import Confirmation, confirm
+from tau_dyn.evidence.extended_fit import (
     EvaluatedFit,
     build_extended_regression,
     compute_gain,
@@ -25,7 +27,7 @@ from tau_dyn.diagnose.extended_fit import (
     restrict_to_parts,
     solve_with_fallback,
 )
-from tau_dyn.diagnose.plausibility import (
+from tau_dyn.evidence.plausibility import (
     compute_least_forces,
     find_companion,
     find_edge,
@@ -35,12 +37,13 @@ from tau_dyn.diagnose.plausibility import (
     measure_friction,
     widen_scales,
 )
-from tau_dyn.diagnose.result import Choice, Gain, Step
-from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
-from tau_dyn.effects import Effect
-from tau_dyn.estimate import PhysicalConstraints
-from tau_dyn.identify import MAX_HELD_OUT_RATIO, describe_foreign_joints
+from tau_dyn.evidence.result import Choice, Gain, Step
+from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
+from tau_dyn.message_codes import CodedWarning
 
+MAX_HELD_OUT_RATIO = 3.0
+"""Held-out over training rms of a joint above which the two are not of one machine: another motion changes it by less than two
+(EMPS, TX40, KR300, SO-101), a tool of a kilogram by ten."""
 MIN_AMPLITUDE_Z = 2.0
 """Standard errors that the amplitudes of a claimed cause must be off zero in the extended model, all in one Wald test."""
 MAX_RELATIVE_RMS_INCREASE = 0.005
@@ -340,3 +343,15 @@ def find_foreign_joints(channel: Channel, fit: EvaluatedFit) -> list[tuple[str, 
         if trained > 0 and held > MAX_HELD_OUT_RATIO * trained:
             found.append((output, held / trained))
     return found
+
+
+def describe_foreign_joints(ratios: Sequence[tuple[str, float]]) -> list[str]:
+    """Return the warning that the held-out logs are of another machine, from joints and their ratio of rms; none for none."""
+    if not ratios:
+        return []
+    listed = ", ".join(f"{joint} ({ratio:.1f} times)" for joint, ratio in ratios)
+    sentence = (
+        f"the held-out error is many times the training error at {listed}; the held-out log probably belongs to another "
+        "machine or tool"
+    )
+    return [CodedWarning("holdout_differs", sentence)]

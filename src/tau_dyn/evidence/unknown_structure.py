@@ -15,8 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap, compute_artefact_chance
-from tau_dyn.diagnose.null_model import (
+from tau_dyn.effects import Effect
+from tau_dyn.evidence.noise_only_bootstrap import NoiseOnlyBootstrap, compute_artefact_chance
+from tau_dyn.evidence.null_model import (
     SMOOTH_DEGREE,
     WHOLE_TIME,
     JoinedVariables,
@@ -25,7 +26,6 @@ from tau_dyn.diagnose.null_model import (
     compute_statistics_of_rows,
     count_effective_tests,
 )
-from tau_dyn.effects import Effect
 
 Values = Mapping[str, np.ndarray]
 """Variable -> its values (n,) in one run, such as `v_cart1` or `t`."""

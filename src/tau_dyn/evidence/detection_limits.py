@@ -17,14 +17,13 @@ from dataclasses import replace
 import numpy as np
 from scipy import special
 
-from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, CandidateCause, GroupTest, compute_explained
-from tau_dyn.diagnose.channel import EVERY, Channel
-from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
-from tau_dyn.diagnose.result import Finding, Limit, Untestable
-from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection
-from tau_dyn.diagnose.tool_channel import ToolChannel
-from tau_dyn.diagnose.unknown_structure import MIN_2LOGL_DIFFERENCE
 from tau_dyn.effects import Effect, format_quantity
+from tau_dyn.evidence.candidate_scan import FAMILY_LEVEL, CandidateCause, GroupTest, compute_explained
+from tau_dyn.evidence.channel import EVERY, Channel
+from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel
+from tau_dyn.evidence.result import Finding, Limit, Untestable
+from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection
+from tau_dyn.evidence.unknown_structure import MIN_2LOGL_DIFFERENCE
 
 POWER = 0.95  # of the test at the detection limit, by convention
 OWNED = 1e-9  # share of a column's power left beside the null model; less is rounding
@@ -159,7 +158,7 @@ _MIN_EXPLAINED_SHARE = 0.8  # share of the best that a grid point explains where
 
 def find_alias_periods(hunt: StepwiseSelection) -> list[tuple[float, ...]]:
     """Return the periods [m or rad] that each cyclic error found may have; none for other causes and motion sampled in time."""
-    poses = isinstance(hunt.channel, ToolChannel) and hunt.channel.poses
+    poses = hunt.channel.poses
     found: list[tuple[float, ...]] = []
     for one in hunt.found:
         effect = one.candidate.effects[0]

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize, stats
 
-from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.null_model import NullModel, compute_overdispersion, compute_score_test, count_effective_tests
 from tau_dyn.effects import Effect
+from tau_dyn.evidence.channel import Channel
+from tau_dyn.evidence.null_model import NullModel, compute_overdispersion, compute_score_test, count_effective_tests
 
 FAMILY_LEVEL = 0.05
 """Chance of any cause on clean data on the training part; confirmation on other data multiplies it by its own level."""

@@ -28,20 +28,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS
-from tau_dyn.diagnose.channel import TEST, TRAIN, VALIDATION, Channel, divide_training
-from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap
-from tau_dyn.diagnose.null_model import (
+from tau_dyn.effects import Effect
+from tau_dyn.estimate import Whitener, scale_columns
+from tau_dyn.evidence.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS
+from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION, Channel, divide_training
+from tau_dyn.evidence.noise_only_bootstrap import NoiseOnlyBootstrap
+from tau_dyn.evidence.null_model import (
     MIN_UNABSORBED_SHARE,
     PRIOR_WEIGHT_BLOCKS,
     NullModel,
     compute_score_test,
 )
-from tau_dyn.diagnose.result import Unexplained
-from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects, select_causes
-from tau_dyn.diagnose.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, find_structure, list_indistinguishable
-from tau_dyn.effects import Effect
-from tau_dyn.estimate import Whitener, scale_columns
+from tau_dyn.evidence.result import Unexplained
+from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection, build_effects, select_causes
+from tau_dyn.evidence.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, find_structure, list_indistinguishable
 from tau_dyn.results import Z95
 
 SIGNIFICANCE_LEVEL = 0.02  # of a confirmation, one test on data not used by the selection

@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.diagnose.candidate_scan import differentiate_settings
-from tau_dyn.diagnose.channel import EVERY, TRAIN, VALIDATION, Channel
-from tau_dyn.diagnose.claims import Claims, Waterfall
-from tau_dyn.diagnose.extended_fit import fit_extended_model
-from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
-from tau_dyn.diagnose.result import Finding, Gain, OutputErrors, Signature, Unexplained, Verdict
-from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, build_effects
 from tau_dyn.effects import EFFECTS, VOLTAGE, Effect, format_quantity, spell_unit
 from tau_dyn.estimate import scale_columns
+from tau_dyn.evidence.candidate_scan import differentiate_settings
+from tau_dyn.evidence.channel import EVERY, TRAIN, VALIDATION, Channel
+from tau_dyn.evidence.claims import Claims, Waterfall
+from tau_dyn.evidence.extended_fit import fit_extended_model
+from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel
+from tau_dyn.evidence.result import Finding, Gain, OutputErrors, Signature, Unexplained, Verdict
+from tau_dyn.evidence.stepwise_selection import StepwiseSelection, build_effects
 from tau_dyn.parameters import Parameter, Parameters
 
 _MAX_LISTED = 3  # causes that a sentence names

@@ -18,11 +18,11 @@ from itertools import product
 import numpy as np
 from scipy import stats
 
-from tau_dyn.diagnose.channel import TRAIN, VALIDATION, Channel, ColumnCache
-from tau_dyn.diagnose.result import Unexplained
-from tau_dyn.diagnose.stepwise_selection import SelectedCause
 from tau_dyn.effects import Effect, JointScales, Motion, Scene, format_quantity, spell_unit
 from tau_dyn.estimate import Estimate, solve_scaled
+from tau_dyn.evidence.channel import TRAIN, VALIDATION, Channel, ColumnCache
+from tau_dyn.evidence.result import Unexplained
+from tau_dyn.evidence.stepwise_selection import SelectedCause
 from tau_dyn.parameters import Parameters
 
 INCONSISTENT_LEVEL = 1e-3

@@ -160,6 +160,11 @@ class Channel(ABC):
         """
         return None
 
+    @property
+    def poses(self) -> bool:
+        """Whether some of the logs are poses held still, of which several periods of a cyclic error may fit equally."""
+        return False
+
     @abstractmethod
     def variables(self) -> list[Mapping[str, np.ndarray]]:
         """Return what an unknown force might depend on: for each run, name -> (n,), such as `v_cart1` or `t`."""

@@ -1,32 +1,20 @@
-r"""What encoder noise alone would make of a cause, found by making the same mistake on purpose.
-
-Encoder noise sits in the columns and, times a mass, in the residual; whitening cannot cure what both share. So the fitted
-baseline is run along the measured motion without noise, its positions get fresh noise of the level seen in the logs, its forces
-what the controller answers to that noise, and the whole preparation is repeated. What a cause explains of that misfit, in the
-mean of several draws, is the noncentrality that its score would have on a clean log: chance is then judged by a noncentral
-chi-square, with twice that noncentrality, as it is an estimate itself.
+r"""A log that holds the fitted baseline and encoder noise alone, for the parametric bootstrap of encoder noise.
 
 A drive that closes its loop through a noisy encoder answers with force: `tau = ... + sum_l H_l n(t - l dt)`. Far above the
 motion's band the measured position is noise and the force is the answer to it, so `H` is fitted there, by least squares on
 high-passed signals; how many lags there are, or none, is chosen by BIC. A few taps, as a discrete cascade has them, are the same
-below that band, at the log's own rate. That a loop follows slow noise, so that less of it is read, is not computed; nor is what a
-log that holds every fourth sample aliases.
+below that band, at the log's own rate. That a loop follows slow noise, so that less of it is read, is not computed; nor is the
+aliasing of a log that holds every fourth sample.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
-from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import FAMILY_LEVEL, GROUP_LEVEL, CandidateCause, find_nonnegative
-from tau_dyn.diagnose.channel import TRAIN, Channel, ColumnCache
-from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_score_test
 from tau_dyn.diagnose.preparation import decimate_log
-from tau_dyn.effects import Effect
 from tau_dyn.identify import PreparedSegment
 from tau_dyn.log import Log, estimate_encoder_noise, estimate_quantisation_step, lowpass
 from tau_dyn.model import Model
@@ -83,9 +71,6 @@ def _bic(e: np.ndarray, freedom: int, samples: float) -> float:
     return float(samples * np.sum(np.log(power)) + e.shape[1] * freedom * np.log(samples))
 
 
-N_BOOTSTRAP_DRAWS = 4
-"""Draws of encoder noise; what it makes of a cause on one of them may be near nothing, or four times the mean."""
-NONCENTRALITY_SAFETY_FACTOR = 2.0  # on an estimate from few draws, which is off by up to a factor of two
 _WIDEST_CUTOFF_SHARE = 0.45
 """Low-pass of a motion that fills the whole band, as a share of the rate."""
 
@@ -155,88 +140,3 @@ class NoiseOnlyLog:
         """Return a log with these positions and forces (n, na), and its other channels."""
         signals = {f"{key}_{j}": x[:, k] for key, x in (("q", q), ("tau", tau)) for k, j in enumerate(self.joints)}
         return replace(log, channels={**log.channels, **signals})
-
-
-class NoiseOnlyBootstrap:
-    """Channels of logs that hold nothing but the baseline and encoder noise, made when first needed."""
-
-    def __init__(self, make: Callable[[], Sequence[Channel]]) -> None:
-        """`make` returns the channels, a draw of noise each."""
-        self._make = make
-
-    @cached_property
-    def channels(self) -> Sequence[Channel]:
-        """The channels, draw by draw."""
-        return self._make()
-
-    @cached_property
-    def libraries(self) -> list[ColumnCache]:
-        """Columns of effects on each."""
-        return [ColumnCache(channel) for channel in self.channels]
-
-    def within(self, parts: tuple[np.ndarray, ...]) -> NoiseOnlyBootstrap:
-        """Return the same channels divided otherwise."""
-        return NoiseOnlyBootstrap(lambda: [replace(channel, parts=parts) for channel in self.channels])
-
-    def fit_null_models(self, ground: NullModel, effects: Sequence[Effect]) -> list[NullModel]:
-        """Return the training part of each channel with effects accounted for, white as `ground` is."""
-        return [NullModel.of(library, (TRAIN,), ground.noise, effects) for library in self.libraries]
-
-    def reject_artefacts(
-        self, ground: NullModel, candidate: CandidateCause, others: Sequence[Effect], n: int
-    ) -> CandidateCause | None:
-        """Return a candidate without the groups that encoder noise could have made; None if it could have made the strongest.
-
-        Args:
-            ground: The training part of the measured channel, for its noise model and scale.
-            candidate: The cause, on measured data.
-            others: The other causes.
-            n: Number of causes tried, which count in the chance as the candidate's groups and settings do.
-        """
-        blanks = self.fit_null_models(ground, others)
-        chances = []
-        for fit in candidate.fits:
-            columns = [library.columns(fit.effect) for library in self.libraries]
-            T, sided = fit.statistic / fit.overdispersion, find_nonnegative(fit.effect)
-            tail = compute_artefact_chance(T, blanks, ground, columns, sided)
-            chances.append(min(1.0, fit.n_effective_tests * tail))
-        least = min(chances)
-        if least * len(candidate.tested) * n >= FAMILY_LEVEL:
-            return None
-        kept = tuple(f for f, chance in zip(candidate.fits, chances, strict=True) if chance <= max(GROUP_LEVEL, least))
-        return replace(candidate, fits=kept)
-
-
-def compute_artefact_chance(
-    statistic: float,
-    blanks: Sequence[NullModel],
-    ground: NullModel,
-    columns: Sequence[Sequence[np.ndarray]],
-    sided: np.ndarray,
-    absorbed: float = MIN_UNABSORBED_SHARE,
-) -> float:
-    """Return the chance that encoder noise makes a statistic of these columns on each blank, by a noncentral chi-square."""
-    bias = NONCENTRALITY_SAFETY_FACTOR * estimate_noncentrality(blanks, ground, columns, sided, absorbed)
-    return float(stats.ncx2.sf(statistic, len(sided), bias) if bias > 0 else stats.chi2.sf(statistic, len(sided)))
-
-
-def estimate_noncentrality(
-    blanks: Sequence[NullModel],
-    ground: NullModel,
-    columns: Sequence[Sequence[np.ndarray]],
-    sided: np.ndarray,
-    absorbed: float = MIN_UNABSORBED_SHARE,
-) -> float:
-    """Return what columns explain of the misfit that encoder noise makes, in units of the measured noise.
-
-    It is the mean over draws of the noise, less what the draws' own chance adds to the mean of squares. More than the measured
-    noise it cannot have made. Where it seems so, a loop followed it: the misfit is `|S|^2` of what the made logs have, in power,
-    and so is what columns find in it.
-    """
-    T = [
-        compute_score_test(b, b.whiten_columns(c), np.zeros_like(sided), absorbed)[0]
-        for b, c in zip(blanks, columns, strict=True)
-    ]
-    share = [min(1.0, b.scale / ground.scale) ** 2 for b in blanks]
-    chance = len(sided) * (1 - 1 / len(T))
-    return max(0.0, float(np.mean(T)) - chance) * float(np.mean(share))

@@ -1,0 +1,111 @@
+r"""Encoder noise as a hypothesis: the part of a statistic that encoder noise alone explains, by a parametric bootstrap.
+
+Encoder noise is in the columns and, times a mass, in the residual; whitening cannot remove noise that both share. The fitted
+baseline is run along the measured motion without noise, its positions get fresh noise of the level seen in the logs, its forces
+the controller's answer to that noise, and the whole preparation is repeated. The mean statistic of a cause on several draws is
+the noncentrality that its statistic would have on a clean log: the p-value is that of a noncentral chi-square, with twice that
+noncentrality, as it is an estimate itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from scipy import stats
+
+from tau_dyn.effects import Effect
+from tau_dyn.evidence.candidate_scan import FAMILY_LEVEL, GROUP_LEVEL, CandidateCause, find_nonnegative
+from tau_dyn.evidence.channel import TRAIN, Channel, ColumnCache
+from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_score_test
+
+N_BOOTSTRAP_DRAWS = 4
+"""Draws of encoder noise; what it makes of a cause on one of them may be near nothing, or four times the mean."""
+NONCENTRALITY_SAFETY_FACTOR = 2.0  # on an estimate from few draws, which is off by up to a factor of two
+
+
+class NoiseOnlyBootstrap:
+    """Channels of logs that hold nothing but the baseline and encoder noise, made when first needed."""
+
+    def __init__(self, make: Callable[[], Sequence[Channel]]) -> None:
+        """`make` returns the channels, a draw of noise each."""
+        self._make = make
+
+    @cached_property
+    def channels(self) -> Sequence[Channel]:
+        """The channels, draw by draw."""
+        return self._make()
+
+    @cached_property
+    def libraries(self) -> list[ColumnCache]:
+        """Columns of effects on each."""
+        return [ColumnCache(channel) for channel in self.channels]
+
+    def within(self, parts: tuple[np.ndarray, ...]) -> NoiseOnlyBootstrap:
+        """Return the same channels divided otherwise."""
+        return NoiseOnlyBootstrap(lambda: [replace(channel, parts=parts) for channel in self.channels])
+
+    def fit_null_models(self, ground: NullModel, effects: Sequence[Effect]) -> list[NullModel]:
+        """Return the training part of each channel with effects accounted for, white as `ground` is."""
+        return [NullModel.of(library, (TRAIN,), ground.noise, effects) for library in self.libraries]
+
+    def reject_artefacts(
+        self, ground: NullModel, candidate: CandidateCause, others: Sequence[Effect], n: int
+    ) -> CandidateCause | None:
+        """Return a candidate without the groups that encoder noise could have made; None if it could have made the strongest.
+
+        Args:
+            ground: The training part of the measured channel, for its noise model and scale.
+            candidate: The cause, on measured data.
+            others: The other causes.
+            n: Number of causes tried, which count in the chance as the candidate's groups and settings do.
+        """
+        blanks = self.fit_null_models(ground, others)
+        chances = []
+        for fit in candidate.fits:
+            columns = [library.columns(fit.effect) for library in self.libraries]
+            T, sided = fit.statistic / fit.overdispersion, find_nonnegative(fit.effect)
+            tail = compute_artefact_chance(T, blanks, ground, columns, sided)
+            chances.append(min(1.0, fit.n_effective_tests * tail))
+        least = min(chances)
+        if least * len(candidate.tested) * n >= FAMILY_LEVEL:
+            return None
+        kept = tuple(f for f, chance in zip(candidate.fits, chances, strict=True) if chance <= max(GROUP_LEVEL, least))
+        return replace(candidate, fits=kept)
+
+
+def compute_artefact_chance(
+    statistic: float,
+    blanks: Sequence[NullModel],
+    ground: NullModel,
+    columns: Sequence[Sequence[np.ndarray]],
+    sided: np.ndarray,
+    absorbed: float = MIN_UNABSORBED_SHARE,
+) -> float:
+    """Return the chance that encoder noise makes a statistic of these columns on each blank, by a noncentral chi-square."""
+    bias = NONCENTRALITY_SAFETY_FACTOR * estimate_noncentrality(blanks, ground, columns, sided, absorbed)
+    return float(stats.ncx2.sf(statistic, len(sided), bias) if bias > 0 else stats.chi2.sf(statistic, len(sided)))
+
+
+def estimate_noncentrality(
+    blanks: Sequence[NullModel],
+    ground: NullModel,
+    columns: Sequence[Sequence[np.ndarray]],
+    sided: np.ndarray,
+    absorbed: float = MIN_UNABSORBED_SHARE,
+) -> float:
+    """Return what columns explain of the misfit that encoder noise makes, in units of the measured noise.
+
+    It is the mean over draws of the noise, less what the draws' own chance adds to the mean of squares. More than the measured
+    noise it cannot have made. Where it seems so, a loop followed it: the misfit is `|S|^2` of what the made logs have, in power,
+    and so is what columns find in it.
+    """
+    T = [
+        compute_score_test(b, b.whiten_columns(c), np.zeros_like(sided), absorbed)[0]
+        for b, c in zip(blanks, columns, strict=True)
+    ]
+    share = [min(1.0, b.scale / ground.scale) ** 2 for b in blanks]
+    chance = len(sided) * (1 - 1 / len(T))
+    return max(0.0, float(np.mean(T)) - chance) * float(np.mean(share))

@@ -1,0 +1,251 @@
+"""Results of tested hypotheses: errors, gains, findings, detection limits, and their JSON form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from tau_dyn.effects import Effect
+from tau_dyn.parameters import Parameter
+from tau_dyn.results import Z95, Brief, to_plain
+
+
+@dataclass(frozen=True, eq=False)
+class WholeErrors:
+    """Errors without masks: reversals and rests included.
+
+    Attributes:
+        rms: Residual rms of each output (m,) [unit of the output].
+        relative_error_percent: `100 norm(residual) / norm(measured)` over all outputs.
+    """
+
+    rms: np.ndarray
+    relative_error_percent: float
+
+
+@dataclass(frozen=True, eq=False)
+class OutputErrors:
+    """How far a model is from measurements that were used for nothing else.
+
+    Attributes:
+        outputs: What was measured: joints' forces, joints' deflections, or the tool's axes.
+        rms: Residual rms of each output (m,) [unit of the output].
+        ci95: Its 95 % interval (m, 2), from blocks.
+        relative_error_percent: `100 norm(residual) / norm(measured)` over all outputs.
+        relative_ci95: Its 95 % interval, from blocks.
+        all_samples: Rms of each output and relative error of the same stretches without masks; None where not known.
+        used_shares: Share of these stretches' samples that the masks leave, for each output; empty where not known.
+    """
+
+    outputs: tuple[str, ...]
+    rms: np.ndarray
+    ci95: np.ndarray
+    relative_error_percent: float
+    relative_ci95: tuple[float, float] = (float("nan"), float("nan"))
+    all_samples: WholeErrors | None = None
+    used_shares: tuple[float, ...] = ()
+
+    @property
+    def used_share(self) -> float:
+        """Share of the samples of all outputs that the masks leave; all of them where nothing else is known."""
+        return float(np.mean(self.used_shares)) if self.used_shares else 1.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        found = self._told(self.rms, self.relative_error_percent) | {"relative_ci95": list(self.relative_ci95)}
+        if self.all_samples is None:
+            return found
+        return found | {
+            "used_share": self.used_share,
+            "used_share_per_joint": dict(zip(self.outputs, self.used_shares, strict=True)),
+            "all_samples": self._told(self.all_samples.rms, self.all_samples.relative_error_percent),
+        }
+
+    def _told(self, rms: np.ndarray, percent: float) -> dict[str, Any]:
+        rows = dict(zip(self.outputs, map(float, rms), strict=True))
+        return {"rms_per_joint": rows, "relative_error_percent": percent}
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One bar of the waterfall: `nominal`, `refitted`, a cause with its joints, or `noise_floor`."""
+
+    step: str
+    errors: OutputErrors
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        ci95 = dict(zip(self.errors.outputs, self.errors.ci95.tolist(), strict=True))
+        return {"step": self.step, **self.errors.to_dict(), "ci95": ci95}
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What a cause is worth on data used for nothing else: rms over its outputs before and after, and their ratio."""
+
+    rms_before: float
+    rms_after: float
+    reduction_percent: float
+    ci95: tuple[float, float]
+
+
+Verdict = Literal["named", "nothing_found", "cannot_tell", "unexplained"]
+Choice = Literal["extended", "refitted", "neither"]
+Status = Literal["confirmed", "suspected", "parameter"]
+
+
+@dataclass(frozen=True, eq=False)
+class Signature(Brief):
+    """A plot that shows a cause at a glance: the residual of one output against the variable that matters.
+
+    Attributes:
+        output: The joint or axis shown.
+        x_label: What is on the horizontal axis, in words with its unit, such as `speed of cart1 [m/s]`.
+        y_label: What is on the vertical axis, in words with its unit.
+        x: Horizontal values of samples (n,), thinned to at most 2000.
+        y: Residual of the model without this cause but with all others (n,).
+        fitted: What the cause contributes at each sample (n,).
+    """
+
+    output: str
+    x_label: str
+    y_label: str
+    x: np.ndarray
+    y: np.ndarray
+    fitted: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Finding(Brief):
+    """A cause that the data show.
+
+    Attributes:
+        cause: Its name in the contract.
+        joints: Joints it acts on.
+        status: `confirmed` on held-out data, `suspected`, or `parameter` (a refit off its trusted nominal).
+        score: Twice the gain in log-likelihood on the training part; large is strong.
+        p_value: Chance of such a score on clean data, all causes and settings tried taken into account.
+        parameters: Amplitudes and settings with their standard errors.
+        gain: What it is worth on data used for nothing else; None where the baseline's refit absorbs it.
+        indistinguishable_from: Causes that these data cannot tell from it.
+        equation: The law in one line.
+        sentence: What a colleague would say.
+        experiment: What would separate it from its twins; empty where there are none.
+        effects: The effects that extend the model; empty for `parameter`.
+        signature: Its plot; None for `parameter`.
+        channel: `force`, `tool` or `deflection`.
+        confirmation: Share of the predicted effect that the held-out part shows, with its standard error; 1 is all of it.
+        why_not_confirmed: Why it is `suspected` only; empty where it is not.
+    """
+
+    cause: str
+    joints: tuple[str, ...]
+    status: Status
+    score: float
+    p_value: float
+    parameters: tuple[Parameter, ...]
+    gain: Gain | None
+    indistinguishable_from: tuple[str, ...]
+    equation: str
+    sentence: str
+    experiment: str = ""
+    effects: tuple[Effect, ...] = ()
+    signature: Signature | None = None
+    channel: str = "force"
+    confirmation: tuple[float, float] | None = None
+    why_not_confirmed: str = ""
+
+    @property
+    def rank(self) -> tuple[bool, bool, float]:
+        """Its place: confirmed ones first, by how much they take off the held-out error; the rest by score."""
+        worth = self.score if self.gain is None else self.gain.rms_before**2 - self.gain.rms_after**2
+        return self.status == "parameter", self.status == "suspected", -worth
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        shown = self.confirmation and dict(zip(("share", "stderr"), self.confirmation, strict=True))
+        changed = {"why_not_confirmed": self.why_not_confirmed or None, "confirmation": shown}
+        changed["parameters"] = [_row(p) for p in self.parameters]
+        return to_plain(self, leave_out=("effects", "signature")) | changed
+
+
+@dataclass(frozen=True, eq=False)
+class Unexplained:
+    """Structure in the residual that no named cause explains.
+
+    Attributes:
+        joint: The joint whose force shows it.
+        depends_on: Variables it depends on, such as `v_cart1`, `q_cart2`, `t`.
+        share_of_residual_variance: Its part of the residual's variance, 0 to 1.
+        suggested_formula: A simple expression that fits, or empty.
+        p_value: Chance of it on clean data.
+        signature: Its plot.
+        status: `confirmed` on held-out data or `suspected`.
+        indistinguishable_from: Other sets of variables that explain it as well.
+    """
+
+    joint: str
+    depends_on: tuple[str, ...]
+    share_of_residual_variance: float
+    suggested_formula: str
+    p_value: float
+    status: Status
+    signature: Signature | None = None
+    indistinguishable_from: tuple[tuple[str, ...], ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        return to_plain(self, leave_out=("signature",)) | {"suggested_formula": self.suggested_formula or None}
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The smallest amplitude that would have been seen with 95 % power; `phrase` says it for people."""
+
+    cause: str
+    amplitude: float
+    unit: str
+    phrase: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        return to_plain(self, leave_out=("cause",))
+
+
+@dataclass(frozen=True)
+class Untestable:
+    """A cause that these logs cannot show, why, and the experiment that would."""
+
+    cause: str
+    why: str
+    experiment: str
+
+
+@dataclass(frozen=True, eq=False)
+class TimeTrace(Brief):
+    """One run for the time view, all at the regression's rate.
+
+    Attributes:
+        log: The log's name.
+        t: Time (n,) [s].
+        measured: Measured outputs (n, m).
+        before: Predicted by the refitted baseline (n, m).
+        after: Predicted by the extended model (n, m).
+        usable: Samples that count (n, m).
+        part: 0 trained, 1 confirmed, 2 gain measured, -1 neither (n,).
+    """
+
+    log: str
+    t: np.ndarray
+    measured: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    usable: np.ndarray
+    part: np.ndarray
+
+
+def _row(p: Parameter) -> dict[str, Any]:
+    ci95 = None if p.stderr is None else [p.value - Z95 * p.stderr, p.value + Z95 * p.stderr]
+    return {"name": p.name, "value": p.value, "unit": p.unit, "stderr": p.stderr, "ci95": ci95}
