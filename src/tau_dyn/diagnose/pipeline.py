@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -33,39 +32,27 @@ from tau_dyn.evidence import (
     N_NULL_DRAWS,
     Channel,
     Claims,
-    ConfirmationResults,
     EvaluatedFit,
+    Examination,
+    ExaminationOptions,
     Finding,
     NoiseOnlyBootstrap,
     Recommendation,
     Step,
-    StepwiseSelection,
-    Structure,
     TimeTrace,
     Unexplained,
     Untestable,
-    Verdict,
     Waterfall,
     build_effects,
-    build_findings,
-    build_unexplained,
     compute_detection_limits,
     compute_least_forces,
-    compute_structure_p_value,
-    confirm_all,
-    confirm_within_training,
+    decide_verdict,
     demote_small,
     describe_diagnosis,
-    divide_training,
     estimate_noise_floor,
-    find_alias_periods,
-    find_structure,
-    leave_period_open,
+    examine_channel,
     measure_net_forces,
     recommend,
-    select_causes,
-    select_confirmed,
-    select_supported,
 )
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify import drop_repeated_logs, is_diagnosis_invalid
@@ -170,100 +157,46 @@ def diagnose_channel(
         case: Of forces, the fitted baseline behind the channel.
     """
     rng = np.random.default_rng(seed)
-    physics, nominal = (case.physics, model.parameters.values) if case else (None, None)
-    spoiled = _describe_spoiled(warnings) if case else ""
-    progress("looking for causes")
-    noise = case and NoiseOnlyBootstrap(lambda: [case.noise_only(rng) for _ in range(N_BOOTSTRAP_DRAWS)])
-    hunt, structure = _search(channel, rng, progress, noise)
-    progress("confirming")
-    tests = confirm_all(hunt, structure)
-    aside: Sequence[np.ndarray] = ()
-    if case and noise:
-        gap_s = compute_border_gap_s(case.preparation.force_cutoff_hz, case.channel.prepared[0].log.rate_hz)
-        tests = confirm_within_training(hunt, tests, gap_s, rng, noise)
-        aside = divide_training(channel.runs, channel.parts, gap_s)
-    periods = find_alias_periods(hunt)
-    claims = _doubt(select_confirmed(hunt, tests.causes, physics), periods, spoiled)
-    progress("measuring the gain")
-    claims, bars = select_supported(hunt, claims, rng, nominal, physics, aside)
-    found = _Found(hunt, claims, bars, tests, periods, spoiled)
-    findings, unexplained = _tell(found, model, case, rng)
-    return _answer(found, findings, unexplained, model, case, rng, seed=seed, how=how, warnings=warnings)
-
-
-class _Found(NamedTuple):
-    """What search, confirmation and measurement left: `spoiled` says why nothing of it may be confirmed, or is empty."""
-
-    hunt: StepwiseSelection
-    claims: Claims
-    bars: Waterfall
-    tests: ConfirmationResults
-    periods: Sequence[tuple[float, ...]]
-    spoiled: str
-
-
-def _search(
-    channel: Channel, rng: np.random.Generator, progress: Progress, noise: NoiseOnlyBootstrap | None
-) -> tuple[StepwiseSelection, Structure | None]:
-    """Return the causes that the training part shows, and a structure without a name beside them."""
-    hunt = select_causes(channel, rng, progress, sift=noise.reject_artefacts if noise else None)
-    structure = None
-    if channel.has_unnamed_structures:
-        draws = hunt.ground.draw_null_residuals(N_NULL_DRAWS, rng)
-        structure = find_structure(hunt.ground, draws, FAMILY_LEVEL)
-    return _reject_artefacts(noise, hunt, structure) if noise else (hunt, structure)
-
-
-def _doubt(claims: Claims, periods: Sequence[tuple[float, ...]], spoiled: str) -> Claims:
-    """Return the claims without what a spoiled log or an open period forbids."""
-    claims = claims.reject_all(spoiled) if spoiled else claims
-    for k, fitting in enumerate(periods):
-        claims = claims.judge(k, "several periods fit alike") if len(fitting) > 1 else claims
-    return claims
-
-
-def _tell(
-    found: _Found, model: Model, case: FittedBaseline | None, rng: np.random.Generator
-) -> tuple[list[Finding], tuple[Unexplained, ...]]:
-    """Return what is said of every cause, of parameters off their nominal values, and of what has no name."""
-    hunt, channel, after = found.hunt, found.hunt.channel, found.bars.fits[-1]
-    findings = [
-        leave_period_open(channel, one, finding, fitting) if len(fitting) > 1 else finding
-        for one, finding, fitting in zip(
-            hunt.found, build_findings(hunt, found.claims, found.bars, rng), found.periods, strict=True
-        )
-    ]
-    unexplained = build_unexplained(hunt, found.tests.structure)
+    options = ExaminationOptions(rng, progress)
     if case:
-        changed = find_parameter_changes(model, model.parameters, after.parameters, after.estimate)
-        if found.spoiled:
-            changed = [replace(f, status="suspected", why_not_confirmed=found.spoiled) for f in changed]
-        findings = [*(add_band_note(finding, case.clear_hz) for finding in findings), *changed]
-        sizes = measure_net_forces(hunt.library, found.claims.kept, after.parameters)
-        least = np.maximum(MAX_LAW_ERROR * sizes.max(axis=0, initial=0.0), compute_least_forces(channel))
-        unexplained = demote_small(unexplained, channel.outputs, after.errors.rms, least)
-    if found.spoiled:
-        unexplained = tuple(replace(u, status="suspected") for u in unexplained)
-    return findings, unexplained
+        gap_s = compute_border_gap_s(case.preparation.force_cutoff_hz, case.channel.prepared[0].log.rate_hz)
+        noise = NoiseOnlyBootstrap(lambda: [case.noise_only(rng) for _ in range(N_BOOTSTRAP_DRAWS)])
+        nominal, doubt = model.parameters.values, _describe_spoiled(warnings)
+        options = ExaminationOptions(rng, progress, noise, case.physics, nominal, gap_s, doubt)
+    found = examine_channel(channel, options)
+    if case:
+        found = _with_parameters(found, model, case, options.doubt)
+    return _answer(found, options, model, case, seed=seed, how=how, warnings=warnings)
+
+
+def _with_parameters(found: Examination, model: Model, case: FittedBaseline, doubt: str) -> Examination:
+    """Return the examination of forces with the parameters that differ from their nominal values."""
+    channel, after = found.hunt.channel, found.bars.fits[-1]
+    changed = find_parameter_changes(model, model.parameters, after.parameters, after.estimate)
+    if doubt:
+        changed = [replace(f, status="suspected", why_not_confirmed=doubt) for f in changed]
+    findings = (*(add_band_note(finding, case.clear_hz) for finding in found.findings), *changed)
+    sizes = measure_net_forces(found.hunt.library, found.claims.kept, after.parameters)
+    least = np.maximum(MAX_LAW_ERROR * sizes.max(axis=0, initial=0.0), compute_least_forces(channel))
+    unexplained = demote_small(found.unexplained, channel.outputs, after.errors.rms, least)
+    return replace(found, findings=findings, unexplained=unexplained)
 
 
 def _answer(
-    found: _Found,
-    findings: Sequence[Finding],
-    unexplained: tuple[Unexplained, ...],
+    found: Examination,
+    options: ExaminationOptions,
     model: Model,
     case: FittedBaseline | None,
-    rng: np.random.Generator,
     *,
     seed: int,
     how: str,
     warnings: Sequence[str],
 ) -> Diagnosis:
-    """Return the diagnosis: its verdict, what it rests on, and which model to use."""
-    hunt, claims, bars, spoiled = found.hunt, found.claims, found.bars, found.spoiled
+    """Return the diagnosis: its verdict with the evidence, and the recommended model."""
+    hunt, claims, bars, spoiled, rng = found.hunt, found.claims, found.bars, options.doubt, options.rng
+    findings, unexplained, aliased = found.findings, found.unexplained, found.aliased
     channel, before, after = hunt.channel, bars.fits[0], bars.fits[-1]
-    aliased = [finding for finding, fitting in zip(findings, found.periods, strict=False) if len(fitting) > 1]
-    verdict = "cannot_tell" if spoiled else _judge(findings, unexplained, aliased)
+    verdict = "cannot_tell" if spoiled else decide_verdict(findings, unexplained, aliased)
     sentence = f"These data name no cause: {spoiled}."
     if not spoiled:
         errors = before.errors, after.errors
@@ -308,21 +241,6 @@ def _describe_spoiled(warnings: Sequence[str]) -> str:
     return f"the log is not what it claims to be ({', '.join(codes)}); mend it first" if codes else ""
 
 
-def _reject_artefacts(
-    noise: NoiseOnlyBootstrap, hunt: StepwiseSelection, structure: Structure | None
-) -> tuple[StepwiseSelection, Structure | None]:
-    """Leave out what encoder noise alone could have made, beside all that was found."""
-    kept = []
-    for one in hunt.found:
-        left = noise.reject_artefacts(hunt.ground, one.candidate, hunt.others(one), len(hunt.last))
-        if left is not None:
-            kept.append(replace(one, candidate=left))
-    if structure is not None:
-        chance = compute_structure_p_value(noise, hunt.ground, structure, build_effects(hunt.found))
-        structure = structure if chance <= FAMILY_LEVEL else None
-    return replace(hunt, found=tuple(kept)), structure
-
-
 def _with_drift(untestable: Sequence[Untestable], unexplained: Sequence[Unexplained]) -> list[Untestable]:
     """Say that a residual that drifts in time may be warmth, where no temperature was logged."""
     drifts = [u.joint for u in unexplained if "t" in u.depends_on]
@@ -331,17 +249,6 @@ def _with_drift(untestable: Sequence[Untestable], unexplained: Sequence[Unexplai
     why = f"the residual of {drifts[0]} drifts in time, and the logs give no temperature"
     experiment = "log temp_JOINT or temp_room [degC] and repeat the motion from cold to warm"
     return [replace(u, why=why, experiment=experiment) if u.cause == "thermal_drift" else u for u in untestable]
-
-
-def _judge(findings: Sequence[Finding], unexplained: Sequence[Unexplained], aliased: Sequence[Finding]) -> Verdict:
-    if any(f.status == "confirmed" for f in findings):
-        return "named"
-    parameters = [f for f in findings if f.status == "parameter"]
-    if aliased or any("drive_gain" in f.indistinguishable_from for f in parameters):
-        return "cannot_tell"
-    if parameters:
-        return "named"
-    return "unexplained" if any(u.status == "confirmed" for u in unexplained) else "nothing_found"
 
 
 def _build_extended_model(model: Model, claims: Claims, bars: Waterfall, findings: Sequence[Finding]) -> Model:

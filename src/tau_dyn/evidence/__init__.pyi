@@ -12,7 +12,6 @@ from .channel import (
     Channel as Channel,
     build_scene as build_scene,
     compute_fast_speeds as compute_fast_speeds,
-    divide_training as divide_training,
     find_shared_signals as find_shared_signals,
     name_by_joint as name_by_joint,
     refuse_scarce as refuse_scarce,
@@ -20,24 +19,16 @@ from .channel import (
 )
 from .claims import (
     MAX_HELD_OUT_RATIO as MAX_HELD_OUT_RATIO,
+    MAX_OUTPUT_LOSS_PERCENT as MAX_OUTPUT_LOSS_PERCENT,
+    PRINTED_DIGITS as PRINTED_DIGITS,
     Claims as Claims,
     Recommendation as Recommendation,
     Waterfall as Waterfall,
     describe_foreign_joints as describe_foreign_joints,
     recommend as recommend,
-    select_confirmed as select_confirmed,
-    select_supported as select_supported,
-)
-from .confirmation import (
-    ConfirmationResults as ConfirmationResults,
-    build_unexplained as build_unexplained,
-    confirm_all as confirm_all,
-    confirm_within_training as confirm_within_training,
 )
 from .detection_limits import (
     compute_detection_limits as compute_detection_limits,
-    find_alias_periods as find_alias_periods,
-    leave_period_open as leave_period_open,
 )
 from .extended_fit import (
     EvaluatedFit as EvaluatedFit,
@@ -47,8 +38,13 @@ from .extended_fit import (
     restrict_to_parts as restrict_to_parts,
 )
 from .findings import (
-    build_findings as build_findings,
     describe_diagnosis as describe_diagnosis,
+)
+from .judge import (
+    Examination as Examination,
+    ExaminationOptions as ExaminationOptions,
+    decide_verdict as decide_verdict,
+    examine_channel as examine_channel,
 )
 from .noise_only_bootstrap import (
     N_BOOTSTRAP_DRAWS as N_BOOTSTRAP_DRAWS,
@@ -89,13 +85,8 @@ from .result import (
     WholeErrors as WholeErrors,
 )
 from .stepwise_selection import (
-    StepwiseSelection as StepwiseSelection,
     build_effects as build_effects,
-    select_causes as select_causes,
 )
 from .unknown_structure import (
     MIN_2LOGL_DIFFERENCE as MIN_2LOGL_DIFFERENCE,
-    Structure as Structure,
-    compute_structure_p_value as compute_structure_p_value,
-    find_structure as find_structure,
 )

@@ -280,6 +280,24 @@ def confirm_cause(hunt: StepwiseSelection, one: SelectedCause) -> Confirmation:
     return confirm(hunt.ground, hunt.columns(one.candidate.effects), hunt.others(one))
 
 
+def drop_unconfirmed_joints(hunt: StepwiseSelection, one: SelectedCause) -> SelectedCause:
+    """Return a confirmed cause without the joints at which the validation data contradict it.
+
+    Each joint is tested with all other causes and the cause's other joints in the model. A joint whose validation data have too
+    little power to show the effect stays: its cause is confirmed elsewhere.
+    """
+    fits = one.candidate.fits
+    if len(fits) < 2:
+        return one
+    kept = []
+    for fit in fits:
+        rest = [other.effect for other in fits if other is not fit]
+        test = confirm(hunt.ground, hunt.columns([fit.effect]), [*hunt.others(one), *rest])
+        if test.is_confirmed or test.is_inconclusive:
+            kept.append(fit)
+    return replace(one, candidate=replace(one.candidate, fits=tuple(kept) or fits))
+
+
 def confirm_all(hunt: StepwiseSelection, structure: Structure | None) -> ConfirmationResults:
     """Test everything found on the confirmation part."""
     causes = tuple(confirm_cause(hunt, one) for one in hunt.found)

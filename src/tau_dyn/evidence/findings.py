@@ -12,10 +12,11 @@ from tau_dyn.estimate import scale_columns
 from tau_dyn.evidence.candidate_scan import differentiate_settings
 from tau_dyn.evidence.channel import EVERY, TRAIN, VALIDATION, Channel
 from tau_dyn.evidence.claims import Claims, Waterfall
-from tau_dyn.evidence.extended_fit import fit_extended_model
+from tau_dyn.evidence.confirmation import Confirmation
+from tau_dyn.evidence.extended_fit import EvaluatedFit, fit_extended_model
 from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.evidence.result import Finding, Gain, OutputErrors, Signature, Unexplained, Verdict
-from tau_dyn.evidence.stepwise_selection import StepwiseSelection, build_effects
+from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
 from tau_dyn.parameters import Parameter, Parameters
 
 _MAX_LISTED = 3  # causes that a sentence names
@@ -34,17 +35,38 @@ _EQUIVALENT = "no log of this kind separates it from {twins}; the force is the s
 def build_findings(hunt: StepwiseSelection, claims: Claims, bars: Waterfall, rng: np.random.Generator) -> list[Finding]:
     """Return what is said of every cause found, confirmed or not, with all others accounted for."""
     hunt = replace(hunt, found=claims.found)
-    return [_build_finding(hunt, claims, bars, k, rng) for k in range(len(claims.found))]
+    found = []
+    for one, test, why_not in zip(claims.found, claims.tests, claims.why_not, strict=True):
+        if why_not:
+            found.append(build_rejected_finding(hunt, claims, one, why_not, test, rng))
+        else:
+            found.append(_build_finding(hunt, one, test, bars.fits[-1], bars.gains[claims.kept.index(one)]))
+    return found
+
+
+def build_rejected_finding(
+    hunt: StepwiseSelection,
+    claims: Claims,
+    one: SelectedCause,
+    why_not: str,
+    test: Confirmation,
+    rng: np.random.Generator,
+) -> Finding:
+    """Return a suspected finding: its parameters are of a fit of the confirmed causes and this one."""
+    fit = fit_extended_model(hunt.channel, [*build_effects(claims.kept), *one.candidate.effects], None, rng)
+    return _build_finding(hunt, one, test, fit, None, why_not)
 
 
 def _build_finding(
-    hunt: StepwiseSelection, claims: Claims, bars: Waterfall, k: int, rng: np.random.Generator
+    hunt: StepwiseSelection,
+    one: SelectedCause,
+    test: Confirmation,
+    fit: EvaluatedFit,
+    gain: Gain | None,
+    why_not: str = "",
 ) -> Finding:
-    """Return the finding of the cause at place k."""
-    channel, one, test, why_not = hunt.channel, claims.found[k], claims.tests[k], claims.why_not[k]
-    fit, gain = bars.fits[-1], None if why_not else bars.gains[claims.kept.index(one)]
-    if why_not:  # it is not in the extended model
-        fit = fit_extended_model(channel, [*build_effects(claims.kept), *one.candidate.effects], None, rng)
+    """Return the finding of one cause, confirmed or not."""
+    channel = hunt.channel
     names = {n for e in one.candidate.effects for n in e.parameters.names}
     values = Parameters([p for p in fit.parameters if p.name in names])
     place = channel.scene.joints.index
@@ -77,7 +99,8 @@ def _build_finding(
         signature=build_signature(channel, one.candidate.effects, fit.residuals, values),
         channel=channel.name,
         confirmation=(test.share, test.stderr),
-        why_not_confirmed=why_not,
+        why_not_confirmed=str(why_not),
+        is_shown=test.is_confirmed,
     )
 
 
@@ -218,15 +241,22 @@ def _describe_forces(
         if verdict == "cannot_tell":
             text += f" Indistinguishable with these data: {f.cause} and {', '.join(f.indistinguishable_from)}."
     elif verdict == "nothing_found":
-        text = f"{missed}. No model error was detected."
+        text = f"{missed}. No model error was detected: the residual is consistent with the noise at the 1 % level."
     else:
-        text = f"{missed}."
+        text = f"{missed}. No cause is confirmed, and the residual is not consistent with the noise."
+        text += "".join(f" {_describe_rejection(f)}" for f in findings if f.is_shown)
     if any(u.status == "confirmed" for u in unexplained):
-        u = unexplained[0]
+        u = next(u for u in unexplained if u.status == "confirmed")
         what = ", ".join(u.depends_on)
         share = f"{100 * u.share_of_residual_variance:.0f} % of its residual"
         text += f" Significant unexplained structure at {u.joint} depends on {what} ({share})."
     return text
+
+
+def _describe_rejection(finding: Finding) -> str:
+    """Return a rejected cause that the validation data show, with the reason, as a sentence."""
+    name, joints = finding.cause.replace("_", " "), ", ".join(finding.joints)
+    return f"The data show {name} ({joints}), which is not confirmed: {finding.why_not_confirmed}."
 
 
 def _listed(findings: Sequence[Finding]) -> str:

@@ -18,7 +18,7 @@ from scipy import stats
 
 from tau_dyn.effects import Effect
 from tau_dyn.evidence.candidate_scan import FAMILY_LEVEL, GROUP_LEVEL, CandidateCause, find_nonnegative
-from tau_dyn.evidence.channel import TRAIN, Channel, ColumnCache
+from tau_dyn.evidence.channel import Channel, ColumnCache
 from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_score_test
 
 N_BOOTSTRAP_DRAWS = 4
@@ -48,8 +48,8 @@ class NoiseOnlyBootstrap:
         return NoiseOnlyBootstrap(lambda: [replace(channel, parts=parts) for channel in self.channels])
 
     def fit_null_models(self, ground: NullModel, effects: Sequence[Effect]) -> list[NullModel]:
-        """Return the training part of each channel with effects accounted for, white as `ground` is."""
-        return [NullModel.of(library, (TRAIN,), ground.noise, effects) for library in self.libraries]
+        """Return the same parts of each channel with effects in the model, whitened as `ground` is."""
+        return [NullModel.of(library, ground.parts, ground.noise, effects) for library in self.libraries]
 
     def reject_artefacts(
         self, ground: NullModel, candidate: CandidateCause, others: Sequence[Effect], n: int

@@ -25,6 +25,11 @@ from tau_dyn.evidence.result import Unexplained
 from tau_dyn.evidence.stepwise_selection import SelectedCause
 from tau_dyn.parameters import Parameters
 
+
+class Implausible(str):
+    """The reason why no machine has a cause as it was fitted: an amplitude, a setting, or a difference between joints."""
+
+
 INCONSISTENT_LEVEL = 1e-3
 """Significance level of a difference between joints; standard errors of amplitudes may be some tens of per cent too small."""
 EDGE_TOLERANCE = 1e-3

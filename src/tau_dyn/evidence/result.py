@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -91,6 +92,7 @@ class Gain:
     ci95: tuple[float, float]
 
 
+Progress = Callable[[str], None]
 Verdict = Literal["named", "nothing_found", "cannot_tell", "unexplained"]
 Choice = Literal["extended", "refitted", "neither"]
 Status = Literal["confirmed", "suspected", "parameter"]
@@ -138,6 +140,7 @@ class Finding(Brief):
         channel: `force`, `tool` or `deflection`.
         confirmation: Share of the predicted effect that the held-out part shows, with its standard error; 1 is all of it.
         why_not_confirmed: Why it is `suspected` only; empty where it is not.
+        is_shown: Whether the validation data show it; a suspected cause that they show is a residual above the noise.
     """
 
     cause: str
@@ -156,6 +159,7 @@ class Finding(Brief):
     channel: str = "force"
     confirmation: tuple[float, float] | None = None
     why_not_confirmed: str = ""
+    is_shown: bool = False
 
     @property
     def rank(self) -> tuple[bool, bool, float]:
@@ -168,7 +172,7 @@ class Finding(Brief):
         shown = self.confirmation and dict(zip(("share", "stderr"), self.confirmation, strict=True))
         changed = {"why_not_confirmed": self.why_not_confirmed or None, "confirmation": shown}
         changed["parameters"] = [_row(p) for p in self.parameters]
-        return to_plain(self, leave_out=("effects", "signature")) | changed
+        return to_plain(self, leave_out=("effects", "signature", "is_shown")) | changed
 
 
 @dataclass(frozen=True, eq=False)

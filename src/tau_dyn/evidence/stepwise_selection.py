@@ -9,7 +9,7 @@ more beside it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -141,19 +141,19 @@ def choose_next_cause(
         own, more = _drop_shadowed_joints(strongest, left, ground)
         best = refine_settings(own, ground)
         genuine = sift(ground, best, others, n) if sift else best
-        if genuine is not None and _is_believable(genuine, ground):
+        if genuine is not None and not _find_unbelievable(genuine, ground):
             return genuine, tuple(dict.fromkeys((*twins, *more)))
         left = [c for c in left if c is not strongest]
     return None
 
 
-def _is_believable(candidate: CandidateCause, ground: NullModel) -> bool:
-    """Return whether amplitudes lie near their plausible ranges; far beyond them a law only mimics something else."""
+def _find_unbelievable(candidate: CandidateCause, ground: NullModel) -> str:
+    """Return which amplitude is far beyond its plausible range, as a phrase; empty where all are near it."""
     for fit in candidate.fits:
         values = fit.effect.parameters.with_values(estimate_amplitudes(fit.effect, ground))
-        if fit.effect.find_implausible(values, ground.channel.scene.scales, SEARCH_MARGIN):
-            return False
-    return True
+        if why := fit.effect.find_implausible(values, ground.channel.scene.scales, SEARCH_MARGIN):
+            return why
+    return ""
 
 
 def _strongest(significant: Sequence[CandidateCause]) -> tuple[CandidateCause, tuple[str, ...]]:
@@ -221,18 +221,33 @@ class SelectedCause:
 
 
 @dataclass(frozen=True, eq=False)
-class StepwiseSelection:
-    """What the training part shows.
+class RejectedCause:
+    """A significant candidate that the search did not select.
 
     Attributes:
-        found: Causes in the order found.
-        ground: The training part with baseline and causes accounted for.
-        last: All causes that could be tried, beside those found, none significant.
+        selected: The candidate with its family-wise p-value.
+        why: The reason, as a phrase.
+    """
+
+    selected: SelectedCause
+    why: str
+
+
+@dataclass(frozen=True, eq=False)
+class StepwiseSelection:
+    """Causes selected on the training data.
+
+    Attributes:
+        found: Causes in the order of their selection.
+        ground: The training data with baseline and causes accounted for.
+        last: All causes of the last scan, with those found in the model.
+        rejected: Candidates that are significant in the last scan and were not selected.
     """
 
     found: tuple[SelectedCause, ...]
     ground: NullModel
     last: tuple[CandidateCause, ...]
+    rejected: tuple[RejectedCause, ...] = ()
 
     @property
     def channel(self) -> Channel:
@@ -265,17 +280,25 @@ def select_causes(
     *,
     level: float = FAMILY_LEVEL,
     sift: ArtefactFilter | None = None,
+    excluded: Collection[tuple[str, tuple[str, ...]]] = (),
 ) -> StepwiseSelection:
-    """Look for causes on the training part.
+    """Select causes on the training data by forward selection and backward elimination.
 
-    What `sift` rejects is passed over at once: beside an artefact, which resembles all sorts of things, a true cause would be
-    judged by what little is left of it.
+    A candidate that `sift` rejects is passed over at once: in the model, an artefact would take a part of a true cause's effect.
+
+    Args:
+        channel: The measurements.
+        rng: For noise draws.
+        progress: Called with a word for each step.
+        level: Family-wise significance level.
+        sift: Removes artefacts of encoder noise from a candidate.
+        excluded: Causes with their joints that are not tried.
     """
     library = ColumnCache(channel)
     found: list[SelectedCause] = []
     pending: list[tuple[str, ...]] = []  # rivals of each; the next round shows whether they still explain anything
     while True:
-        ground, candidates = _scan_beside(library, found, rng, progress)
+        ground, candidates = _scan_beside(library, found, rng, progress, excluded)
         significant = [c for c in candidates if adjust_p_value_bonferroni(c, candidates) < level]
         if pending and len(pending) == len(found):
             still = {c.cause for c in significant}
@@ -293,8 +316,34 @@ def select_causes(
     kept = _reject_lack_of_fit(ground, kept, ground.draw_null_residuals(N_NULL_DRAWS, rng))
     if kept != found:
         kept = _refine_again(ground, kept)
-        ground, candidates = _scan_beside(library, kept, rng, progress)
-    return StepwiseSelection(tuple(kept), ground, tuple(candidates))
+        ground, candidates = _scan_beside(library, kept, rng, progress, excluded)
+    rejected = _list_rejected(ground, candidates, build_effects(kept), level, sift)
+    return StepwiseSelection(tuple(kept), ground, tuple(candidates), rejected)
+
+
+MAX_REJECTED = 3
+"""Rejected candidates that are examined: the strongest ones; weaker ones mostly resemble these."""
+
+
+def _list_rejected(
+    ground: NullModel,
+    candidates: Sequence[CandidateCause],
+    others: Sequence[Effect],
+    level: float,
+    sift: ArtefactFilter | None,
+) -> tuple[RejectedCause, ...]:
+    """Return the significant candidates of the last scan that are no artefacts, with the reason of their rejection."""
+    found = []
+    ranked = sorted(candidates, key=lambda c: -c.penalised_statistic)
+    significant = [c for c in ranked if adjust_p_value_bonferroni(c, candidates) < level]
+    for candidate in significant[:MAX_REJECTED]:
+        refined = refine_settings(drop_redundant_groups(candidate, ground), ground)
+        why = _find_unbelievable(refined, ground)
+        if why and (sift is None or sift(ground, refined, others, len(candidates)) is not None):
+            found.append(
+                RejectedCause(SelectedCause(refined, adjust_p_value_bonferroni(candidate, candidates), ()), why)
+            )
+    return tuple(found)
 
 
 def _join(found: list[SelectedCause], last: SelectedCause) -> list[SelectedCause]:
@@ -316,12 +365,13 @@ def _scan_beside(
     found: Sequence[SelectedCause],
     rng: np.random.Generator,
     progress: Callable[[str], None],
+    excluded: Collection[tuple[str, tuple[str, ...]]],
 ) -> tuple[NullModel, list[CandidateCause]]:
-    """Return the training part with the causes found accounted for, and all causes tried beside them."""
+    """Return the training data with the causes found accounted for, and all other causes tested next to them."""
     effects = build_effects(found)
     noise = fit_noise_models(library.channel, (TRAIN,), [library.columns(effect) for effect in effects])
     ground = NullModel.of(library, (TRAIN,), noise, effects)
-    taken = {(effect.name, effect.joints) for effect in effects}
+    taken = {(effect.name, effect.joints) for effect in effects} | set(excluded)
     draws = ground.draw_null_residuals(N_NULL_DRAWS, rng)
     return ground, scan_causes(ground, draws, library.channel.causes, taken, progress)
 

@@ -204,7 +204,7 @@ def _structure(
         tries,
         shape.penalised_statistic,
         min(1.0, shape.statistic / max(float(ground.e[rows] @ ground.e[rows]), 1e-300)),
-        [_placed(b, k, len(ground.channel.outputs)) for b in shape.on.bases(ground.channel.variables())],
+        [place_columns(b, k, len(ground.channel.outputs)) for b in shape.on.bases(ground.channel.variables())],
         _formula(ground, shape),
         alike,
     )
@@ -251,7 +251,7 @@ def compute_structure_p_value(
     columns = []
     for clean in noise.channels:
         bases = structure.on.bases(clean.variables())
-        columns.append([_placed(b, clean.outputs.index(structure.output), len(clean.outputs)) for b in bases])
+        columns.append([place_columns(b, clean.outputs.index(structure.output), len(clean.outputs)) for b in bases])
     nonnegative = np.zeros(columns[0][0].shape[-1], bool)
     blanks = noise.fit_null_models(ground, others)
     tail = compute_artefact_chance(structure.statistic, blanks, ground, columns, nonnegative, _LEFT)
@@ -290,7 +290,8 @@ def _formula(ground: NullModel, shape: _StructureCandidate) -> str:
     return text
 
 
-def _placed(basis: np.ndarray, output: int, n_outputs: int) -> np.ndarray:
+def place_columns(basis: np.ndarray, output: int, n_outputs: int) -> np.ndarray:
+    """Return columns (n, m, k) that act on one output, from functions (n, k)."""
     out = np.zeros((len(basis), n_outputs, basis.shape[1]))
     out[:, output] = basis
     return out

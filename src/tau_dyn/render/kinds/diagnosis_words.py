@@ -10,7 +10,17 @@ import numpy as np
 
 from tau_dyn import results as r
 from tau_dyn.diagnose import Diagnosis
-from tau_dyn.evidence import Finding, Gain, Limit, Signature, Status, Unexplained, Untestable
+from tau_dyn.evidence import (
+    MAX_OUTPUT_LOSS_PERCENT,
+    PRINTED_DIGITS,
+    Finding,
+    Gain,
+    Limit,
+    Signature,
+    Status,
+    Unexplained,
+    Untestable,
+)
 
 BADGE: dict[str, tuple[r.Level, str]] = {
     "named": ("good", "Cause named"),
@@ -43,8 +53,12 @@ def recommend_model(diagnosis: Diagnosis) -> r.Verdict:
     if diagnosis.recommendation == "neither":
         return r.Verdict("poor", f"Use neither model: {diagnosis.recommendation_why}.")
     if diagnosis.recommendation == "extended":
+        before, after = (
+            r.format_percent(e.relative_error_percent, PRINTED_DIGITS) for e in (diagnosis.baseline, diagnosis.extended)
+        )
         text = f"Use the extended model: its error on held-out data is {after} of the {what} instead of {before}"
-        return r.Verdict(level, f"{text}; noise floor: {floor_}. No joint becomes worse.")
+        limit = f"No output loses more than {MAX_OUTPUT_LOSS_PERCENT:g} %."
+        return r.Verdict(level, f"{text}; noise floor: {floor_}. {limit}")
     if diagnosis.verdict == "named" and any(f.status == "confirmed" for f in diagnosis.findings):
         return r.Verdict("care", f"Use the refitted model: {diagnosis.recommendation_why}.")
     if diagnosis.verdict == "cannot_tell":

@@ -1,0 +1,247 @@
+"""The judge: hypotheses about one channel are selected, confirmed, measured, and given a status and a verdict.
+
+    channel -> null model, candidate scan, stepwise selection -> confirmation -> claims with their gain -> findings, verdict
+
+A selected cause that the validation data show, but whose amplitude or setting no machine has, is listed as rejected, and the
+selection is repeated without it: another cause may explain the same residual. That other cause has to leave a residual that is
+consistent with the noise, since the better fit was turned down.
+
+`nothing_found` is a test result. The residual of every output is consistent with its noise (`noise_consistency.py`), and no
+rejected candidate is shown by the validation data; else the verdict is `unexplained`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from tau_dyn.estimate import PhysicalConstraints
+from tau_dyn.evidence.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS
+from tau_dyn.evidence.channel import Channel, divide_training
+from tau_dyn.evidence.claims import Claims, Waterfall, select_confirmed, select_supported
+from tau_dyn.evidence.confirmation import (
+    Confirmation,
+    ConfirmationResults,
+    build_unexplained,
+    confirm,
+    confirm_all,
+    confirm_within_training,
+)
+from tau_dyn.evidence.detection_limits import find_alias_periods, leave_period_open
+from tau_dyn.evidence.findings import build_findings, build_rejected_finding
+from tau_dyn.evidence.noise_consistency import NoiseConsistency, assess_noise_consistency, list_inconsistent
+from tau_dyn.evidence.noise_only_bootstrap import NoiseOnlyBootstrap
+from tau_dyn.evidence.plausibility import Implausible
+from tau_dyn.evidence.result import Finding, Progress, Unexplained, Verdict
+from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection, build_effects, select_causes
+from tau_dyn.evidence.unknown_structure import Structure, compute_structure_p_value, find_structure
+
+MAX_SEARCHES = 3
+"""Selections of one channel: each one after the first leaves out the causes that no machine has."""
+_LEAVES_STRUCTURE = "a cause outside of its plausible range fits better, and this one leaves a residual above the noise"
+
+
+@dataclass(frozen=True, eq=False)
+class ExaminationOptions:
+    """Circumstances of an examination.
+
+    Attributes:
+        rng: For noise draws and intervals.
+        progress: Called with a word for each step.
+        noise: Encoder noise alone, of forces.
+        physics: Physical consistency of the baseline's values.
+        nominal: The baseline's values before any fit (p,); by default its parameters' own.
+        gap_s: Memory of the filters [s], if causes may be confirmed within the training logs.
+        doubt: The reason why no cause may be confirmed; empty where there is none.
+    """
+
+    rng: np.random.Generator
+    progress: Progress = lambda step: None
+    noise: NoiseOnlyBootstrap | None = None
+    physics: PhysicalConstraints | None = None
+    nominal: np.ndarray | None = None
+    gap_s: float | None = None
+    doubt: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Examination:
+    """Selected causes of a channel with their evidence.
+
+    Attributes:
+        hunt: The selection.
+        claims: The selected causes with their status.
+        bars: The waterfall with the gains.
+        tests: Tests on the validation data.
+        periods: Periods that fit each selected cause equally, for poses held still.
+        consistency: Test of each output's residual against its noise; empty if a cause is confirmed.
+        findings: The selected and the rejected causes as findings.
+        unexplained: Structure without a name.
+    """
+
+    hunt: StepwiseSelection
+    claims: Claims
+    bars: Waterfall
+    tests: ConfirmationResults
+    periods: tuple[tuple[float, ...], ...]
+    consistency: tuple[NoiseConsistency, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    unexplained: tuple[Unexplained, ...] = ()
+    aliased: tuple[Finding, ...] = field(default=())
+
+
+def examine_channel(channel: Channel, options: ExaminationOptions) -> Examination:
+    """Select, confirm and measure causes on a channel, and test its residual against the noise."""
+    excluded: set[tuple[str, tuple[str, ...]]] = set()
+    turned_down: list[Finding] = []
+    for search in range(MAX_SEARCHES):
+        found = _examine_once(channel, options, excluded)
+        if search:
+            found = _require_consistency(found, options)
+        lost = _list_implausible(found)
+        if not lost or options.doubt or search + 1 == MAX_SEARCHES:
+            break
+        findings = build_findings(found.hunt, found.claims, found.bars, options.rng)
+        turned_down += [findings[k] for k in lost]
+        excluded |= {(e.name, e.joints) for k in lost for e in found.claims.found[k].candidate.effects}
+    return _with_findings(found, options, turned_down)
+
+
+def _examine_once(
+    channel: Channel, options: ExaminationOptions, excluded: set[tuple[str, tuple[str, ...]]]
+) -> Examination:
+    """Select causes, confirm them and measure their gain."""
+    noise, rng = options.noise, options.rng
+    options.progress("looking for causes")
+    hunt, structure = _search(channel, options, excluded)
+    options.progress("confirming")
+    tests = confirm_all(hunt, structure)
+    aside: Sequence[np.ndarray] = ()
+    if noise and options.gap_s is not None:
+        tests = confirm_within_training(hunt, tests, options.gap_s, rng, noise)
+        aside = divide_training(channel.runs, channel.parts, options.gap_s)
+    periods = tuple(find_alias_periods(hunt))
+    claims = _doubt(select_confirmed(hunt, tests.causes, options.physics), periods, options.doubt)
+    options.progress("measuring the gain")
+    claims, bars = select_supported(hunt, claims, rng, options.nominal, options.physics, aside)
+    return Examination(hunt, claims, bars, tests, periods)
+
+
+def _search(
+    channel: Channel, options: ExaminationOptions, excluded: set[tuple[str, tuple[str, ...]]]
+) -> tuple[StepwiseSelection, Structure | None]:
+    """Return the causes that the training data show, and a structure without a name with these in the model."""
+    noise = options.noise
+    sift = noise.reject_artefacts if noise else None
+    hunt = select_causes(channel, options.rng, options.progress, sift=sift, excluded=excluded)
+    structure = None
+    if channel.has_unnamed_structures:
+        draws = hunt.ground.draw_null_residuals(N_NULL_DRAWS, options.rng)
+        structure = find_structure(hunt.ground, draws, FAMILY_LEVEL)
+    return _reject_artefacts(noise, hunt, structure) if noise else (hunt, structure)
+
+
+def _reject_artefacts(
+    noise: NoiseOnlyBootstrap, hunt: StepwiseSelection, structure: Structure | None
+) -> tuple[StepwiseSelection, Structure | None]:
+    """Leave out the causes and the structure that encoder noise alone may have made, all others in the model."""
+    kept = []
+    for one in hunt.found:
+        left = noise.reject_artefacts(hunt.ground, one.candidate, hunt.others(one), len(hunt.last))
+        if left is not None:
+            kept.append(replace(one, candidate=left))
+    if structure is not None:
+        chance = compute_structure_p_value(noise, hunt.ground, structure, build_effects(hunt.found))
+        structure = structure if chance <= FAMILY_LEVEL else None
+    return replace(hunt, found=tuple(kept)), structure
+
+
+def _doubt(claims: Claims, periods: Sequence[tuple[float, ...]], doubt: str) -> Claims:
+    """Return the claims without those that a doubt about the data or an open period forbids."""
+    claims = claims.reject_all(doubt) if doubt else claims
+    for k, fitting in enumerate(periods):
+        claims = claims.judge(k, "several periods fit equally") if len(fitting) > 1 else claims
+    return claims
+
+
+def _list_implausible(found: Examination) -> list[int]:
+    """Return the places of the causes that the validation data show and no machine has."""
+    claims = zip(found.claims.why_not, found.tests.causes, strict=True)
+    return [k for k, (why, test) in enumerate(claims) if isinstance(why, Implausible) and test.is_confirmed]
+
+
+def _require_consistency(found: Examination, options: ExaminationOptions) -> Examination:
+    """Reject confirmed causes of a repeated selection at whose joints the residual is not consistent with the noise."""
+    claims = found.claims
+    if not claims.kept:
+        return found
+    tests = assess_noise_consistency(found.hunt, build_effects(claims.kept), options.noise)
+    inconsistent = {test.output for test in tests if not test.is_consistent}
+    for k, one in enumerate(claims.found):
+        joints = {joint for effect in one.candidate.effects for joint in effect.joints}
+        if not claims.why_not[k] and joints & inconsistent:
+            claims = claims.judge(k, _LEAVES_STRUCTURE)
+    if claims is found.claims:
+        return found
+    claims, bars = select_supported(found.hunt, claims, options.rng, options.nominal, options.physics)
+    return replace(found, claims=claims, bars=bars)
+
+
+def _with_findings(found: Examination, options: ExaminationOptions, turned_down: Sequence[Finding]) -> Examination:
+    """Return the examination with its findings, the structure without a name, and the test of the residual."""
+    hunt, claims, rng = found.hunt, found.claims, options.rng
+    findings = [
+        leave_period_open(hunt.channel, one, finding, fitting) if len(fitting) > 1 else finding
+        for one, finding, fitting in zip(
+            claims.found, build_findings(hunt, claims, found.bars, rng), found.periods, strict=True
+        )
+    ]
+    aliased = tuple(f for f, fitting in zip(findings, found.periods, strict=True) if len(fitting) > 1)
+    for one in hunt.rejected:
+        test = _confirm_rejected(hunt, one.selected)
+        findings.append(build_rejected_finding(hunt, claims, one.selected, one.why, test, rng))
+    known = {(f.cause, f.joints) for f in findings}
+    findings += [f for f in turned_down if (f.cause, f.joints) not in known]
+    unexplained = build_unexplained(hunt, found.tests.structure)
+    if options.doubt:
+        unexplained = tuple(replace(u, status="suspected") for u in unexplained)
+    if claims.kept or options.doubt:
+        return replace(found, findings=tuple(findings), unexplained=unexplained, aliased=aliased)
+    consistency = assess_noise_consistency(hunt, build_effects(claims.kept), options.noise)
+    known_outputs = {u.joint for u in unexplained if u.status == "confirmed"}
+    more = tuple(u for u in list_inconsistent(consistency, hunt.channel) if u.joint not in known_outputs)
+    return replace(
+        found,
+        consistency=consistency,
+        findings=tuple(findings),
+        unexplained=(*unexplained, *more),
+        aliased=aliased,
+    )
+
+
+def _confirm_rejected(hunt: StepwiseSelection, one: SelectedCause) -> Confirmation:
+    """Test a rejected candidate on the validation data, all selected causes in the model."""
+    return confirm(hunt.ground, hunt.columns(one.candidate.effects), build_effects(hunt.found))
+
+
+def decide_verdict(
+    findings: Sequence[Finding], unexplained: Sequence[Unexplained], aliased: Sequence[Finding] = ()
+) -> Verdict:
+    """Return the verdict.
+
+    Args:
+        findings: All findings, parameters that differ from their nominal values included.
+        unexplained: Structure without a name; its confirmed entries forbid `nothing_found`.
+        aliased: Findings whose period is open.
+    """
+    if any(f.status == "confirmed" for f in findings):
+        return "named"
+    parameters = [f for f in findings if f.status == "parameter"]
+    if aliased or any("drive_gain" in f.indistinguishable_from for f in parameters):
+        return "cannot_tell"
+    if parameters:
+        return "named"
+    shown = any(f.status == "suspected" and f.is_shown for f in findings)
+    return "unexplained" if shown or any(u.status == "confirmed" for u in unexplained) else "nothing_found"
