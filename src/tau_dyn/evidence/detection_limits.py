@@ -63,6 +63,13 @@ def compute_detection_limits(
     return tuple(limits), tuple(untestable)
 
 
+def compute_finding_limit(search: StepwiseSelection, one: SelectedCause) -> Limit | None:
+    """Return the detection limit of a selected cause with all others in the model; None where the baseline absorbs it."""
+    ground = search.ground.beside(search.others(one))
+    limit = _limit(ground, one.candidate, len(search.last) + len(search.found))
+    return limit if isinstance(limit, Limit) else None
+
+
 _MAX_LISTED_JOINTS = 3
 """Joints of an effect that are named one by one where it acts on all."""
 

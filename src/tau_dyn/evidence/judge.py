@@ -29,7 +29,7 @@ from tau_dyn.evidence.confirmation import (
     confirm_all,
     confirm_within_training,
 )
-from tau_dyn.evidence.detection_limits import find_alias_periods, leave_period_open
+from tau_dyn.evidence.detection_limits import compute_finding_limit, find_alias_periods, leave_period_open
 from tau_dyn.evidence.findings import build_findings, build_rejected_finding
 from tau_dyn.evidence.noise_consistency import NoiseConsistency, assess_noise_consistency, list_inconsistent
 from tau_dyn.evidence.noise_only_bootstrap import NoiseOnlyBootstrap
@@ -193,7 +193,7 @@ def _with_findings(found: Examination, options: ExaminationOptions, turned_down:
     """Return the examination with its findings, the structure without a name, and the test of the residual."""
     hunt, claims, rng = found.hunt, found.claims, options.rng
     findings = [
-        leave_period_open(hunt.channel, one, finding, fitting) if len(fitting) > 1 else finding
+        leave_period_open(hunt.channel, one, finding, fitting) if len(fitting) > 1 else _with_limit(hunt, one, finding)
         for one, finding, fitting in zip(
             claims.found, build_findings(hunt, claims, found.bars, rng), found.periods, strict=True
         )
@@ -219,6 +219,13 @@ def _with_findings(found: Examination, options: ExaminationOptions, turned_down:
         unexplained=(*unexplained, *more),
         aliased=aliased,
     )
+
+
+def _with_limit(hunt: StepwiseSelection, one: SelectedCause, finding: Finding) -> Finding:
+    """Return a confirmed finding with its detection limit; a rejected candidate has none."""
+    if finding.why_not_confirmed:
+        return finding
+    return replace(finding, detection_limit=compute_finding_limit(hunt, one))
 
 
 def _confirm_rejected(hunt: StepwiseSelection, one: SelectedCause) -> Confirmation:

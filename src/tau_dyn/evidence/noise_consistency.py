@@ -100,8 +100,9 @@ def _build_columns(channel: Channel, output: int) -> list[np.ndarray]:
 
 
 def list_inconsistent(tests: Sequence[NoiseConsistency], channel: Channel) -> tuple[Unexplained, ...]:
-    """Return the outputs whose residual is not consistent with the noise, as unexplained structure over their own variables."""
+    """Return the outputs with a residual above the noise as unexplained structure over their variables, largest share first."""
     names = [name for name in channel.variables()[0] if name != WHOLE_TIME]
+    inconsistent = sorted((test for test in tests if not test.is_consistent), key=lambda test: -test.share)
     return tuple(
         Unexplained(
             test.output,
@@ -111,6 +112,5 @@ def list_inconsistent(tests: Sequence[NoiseConsistency], channel: Channel) -> tu
             test.p_value,
             "confirmed",
         )
-        for test in tests
-        if not test.is_consistent
+        for test in inconsistent
     )

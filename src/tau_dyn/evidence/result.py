@@ -119,6 +119,20 @@ class Signature(Brief):
     fitted: np.ndarray
 
 
+@dataclass(frozen=True)
+class Limit:
+    """The smallest amplitude that would have been seen with 95 % power; `phrase` says it for people."""
+
+    cause: str
+    amplitude: float
+    unit: str
+    phrase: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        return to_plain(self, leave_out=("cause",))
+
+
 @dataclass(frozen=True, eq=False)
 class Finding(Brief):
     """A cause that the data show.
@@ -141,6 +155,7 @@ class Finding(Brief):
         confirmation: Share of the predicted effect that the held-out part shows, with its standard error; 1 is all of it.
         why_not_confirmed: Why it is `suspected` only; empty where it is not.
         is_shown: Whether the validation data show it; a suspected cause that they show is a residual above the noise.
+        detection_limit: The smallest amplitude that these data show with 95 % power; None for a rejected candidate.
     """
 
     cause: str
@@ -160,6 +175,7 @@ class Finding(Brief):
     confirmation: tuple[float, float] | None = None
     why_not_confirmed: str = ""
     is_shown: bool = False
+    detection_limit: Limit | None = None
 
     @property
     def rank(self) -> tuple[bool, bool, float]:
@@ -202,20 +218,6 @@ class Unexplained:
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
         return to_plain(self, leave_out=("signature",)) | {"suggested_formula": self.suggested_formula or None}
-
-
-@dataclass(frozen=True)
-class Limit:
-    """The smallest amplitude that would have been seen with 95 % power; `phrase` says it for people."""
-
-    cause: str
-    amplitude: float
-    unit: str
-    phrase: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the contract's form."""
-        return to_plain(self, leave_out=("cause",))
 
 
 @dataclass(frozen=True)
