@@ -251,7 +251,7 @@ def test_a_joint_on_which_encoder_noise_makes_the_cause_is_left_out(monkeypatch)
         effect = SimpleNamespace(joints=(joint,), parameters=[SimpleNamespace(lower=-np.inf)])
         return GroupTest(cast(Any, effect), T, 1.0, 1, False, 1.0, np.zeros(1))
 
-    a, b, ground = fit("a", 22.0), fit("b", 60.0), cast(Any, SimpleNamespace(noise=()))
+    a, b, ground = fit("a", 22.0), fit("b", 60.0), cast(Any, SimpleNamespace(noise=(), parts=()))
     noise = noise_only_bootstrap.NoiseOnlyBootstrap(lambda: [None])
     left = noise.reject_artefacts(ground, CandidateCause("spring", (b, a), 0.0, (a, b)), [], 20)
     assert left is not None and left.fits == (b,)

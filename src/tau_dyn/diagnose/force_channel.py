@@ -87,10 +87,13 @@ class ForceChannel(Channel):
         return found
 
     def variables(self) -> list[Mapping[str, np.ndarray]]:
-        """Return positions, speeds, accelerations, time and temperature of each run."""
+        """Return positions, speeds, accelerations, predicted forces, time and temperature of each run.
+
+        Forces are predicted by the fitted baseline: measured ones would share their noise with the residual.
+        """
         found, begin = [], self._begins()
         for motion, start in zip(self.thinned, begin, strict=True):
-            row = name_by_joint(motion.joints, q=motion.q, v=motion.v, a=motion.a)
+            row = name_by_joint(motion.joints, q=motion.q, v=motion.v, a=motion.a, tau=motion.signals["force"])
             row["t"] = np.asarray(motion.t)
             if max(begin) > 0:
                 row[WHOLE_TIME] = row["t"] + start

@@ -28,7 +28,7 @@ from tau_dyn.evidence.null_model import (
 )
 
 Values = Mapping[str, np.ndarray]
-"""Variable -> its values (n,) in one run, such as `v_cart1` or `t`."""
+"""Variable -> its values (n,) in one run, such as `v_cart1`, `tau_cart1` (the predicted force) or `t`."""
 
 _SHAPES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "{}": lambda x: x,
@@ -98,14 +98,23 @@ class Dependence(NamedTuple):
 
 
 def list_dependences(values: Sequence[Values], output: str) -> list[Dependence]:
-    """Return what an output is tried against: each variable with every joint's direction or none, each pair with its own."""
+    """Return the hypotheses of an output: each variable with every joint's direction or none, each pair with its own.
+
+    Predicted forces of other joints are tried alone; the output's own force is tried in pairs with its own variables as well.
+    """
     common = [n for n in values[0] if n != WHOLE_TIME and all(n in v for v in values)]
     names = [n for n in common if np.ptp(np.concatenate([v[n] for v in values])) > 0]
-    pairs = [p for p in combinations(names, 2) if "t" not in p]
+    pairs = [p for p in combinations(names, 2) if "t" not in p and _is_force_pair_own(p, output)]
     own = ("", output) if f"v_{output}" in common else ("",)
     every = (*own, *(n[2:] for n in names if n.startswith("v_") and n != f"v_{output}"))
     single = [Dependence(output, (n,), turns) for n in names for turns in every]
     return single + [Dependence(output, p, turns) for p in pairs for turns in own]
+
+
+def _is_force_pair_own(pair: tuple[str, str], output: str) -> bool:
+    """Return whether a pair holds no predicted force, or only variables of the output itself."""
+    forces = any(name.startswith("tau_") for name in pair)
+    return not forces or all(name.split("_", 1)[-1] == output for name in pair)
 
 
 MIN_2LOGL_DIFFERENCE = 8.0
