@@ -20,9 +20,10 @@ from scipy.linalg import eigh
 from scipy.signal import cont2discrete, lfilter
 from thesis_6_3_parts.robots import with_wrist
 
-from tau_dyn.diagnose import Diagnosis, diagnose
+from tau_dyn.diagnose import diagnose
 from tau_dyn.diagnose.resonances import propose_resonances
 from tau_dyn.diagnose.tool_channel import build_tool_channel
+from tau_dyn.evidence import Diagnosis
 from tau_dyn.log import Log
 from tau_dyn.mechanism import Linearised
 from tau_dyn.model import Model

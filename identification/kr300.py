@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tau_dyn.diagnose import Diagnosis
 from tau_dyn.diagnose.deflection_channel import build_deflection_channel, estimate_stiffness
 from tau_dyn.diagnose.pipeline import diagnose_deflection
+from tau_dyn.evidence import Diagnosis
 from tau_dyn.log import read_log
 from tau_dyn.robot import load_robot
 

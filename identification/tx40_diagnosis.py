@@ -11,7 +11,8 @@ import os
 import sys
 from pathlib import Path
 
-from tau_dyn.diagnose import Diagnosis, diagnose
+from tau_dyn.diagnose import diagnose
+from tau_dyn.evidence import Diagnosis
 from tau_dyn.identify import Choices
 from tau_dyn.log import read_log
 from tau_dyn.robot import load_robot

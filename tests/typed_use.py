@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 import tau_dyn as td
 from tau_dyn.calibrate import Calibration, PoseSet
-from tau_dyn.diagnose import Diagnosis
 from tau_dyn.estimate import Regression
-from tau_dyn.evidence import Finding
+from tau_dyn.evidence import Diagnosis, Finding
 from tau_dyn.identify import Identification
 from tau_dyn.log import CheckFinding, LogCheck
 from tau_dyn.mechanism import ForwardResult, InverseResult, Mechanism, Poses

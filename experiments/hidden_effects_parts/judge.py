@@ -10,8 +10,8 @@ import numpy as np
 from hidden_effects_parts.oracle import gain_ratio
 from hidden_effects_parts.recording import Recording
 from hidden_effects_parts.sets import Hidden, HiddenSet, hidden_force
-from tau_dyn.diagnose import Diagnosis, diagnose
-from tau_dyn.evidence import Finding
+from tau_dyn.diagnose import diagnose
+from tau_dyn.evidence import Diagnosis, Finding
 
 
 def row_of(one: HiddenSet) -> dict[str, Any]:

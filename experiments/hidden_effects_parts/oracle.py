@@ -17,7 +17,7 @@ import numpy as np
 
 from hidden_effects_parts.recording import Recording
 from hidden_effects_parts.strength import base_columns
-from tau_dyn.diagnose import Diagnosis
+from tau_dyn.evidence import Diagnosis
 from tau_dyn.log import Log, decimate, lowpass
 
 FAITHFUL = 0.2

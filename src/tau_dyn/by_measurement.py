@@ -6,7 +6,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Unpack, overload
 
-from tau_dyn.diagnose import Diagnosis, diagnose as diagnose_forces
+from tau_dyn.diagnose import diagnose as diagnose_forces
+from tau_dyn.evidence import Diagnosis
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify import Identification, get_log_list, identify as identify_forces
 from tau_dyn.log import Log, Recording

@@ -104,6 +104,7 @@ DEPRECATED: dict[str, dict[str, str]] = {
         "extended": "extend_model",
     },
     "tau_dyn.diagnose": {
+        "Diagnosis": "tau_dyn.evidence.Diagnosis",
         "Finding": "tau_dyn.evidence.Finding",
         "Gain": "tau_dyn.evidence.Gain",
         "Limit": "tau_dyn.evidence.Limit",

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.cli import main
-from tau_dyn.diagnose import Diagnosis
-from tau_dyn.evidence import OutputErrors, Step
+from tau_dyn.evidence import Diagnosis, OutputErrors, Step
 from tau_dyn.identify import build_model
 from tau_dyn.log import Log
 from tau_dyn.model import Model

@@ -9,9 +9,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tau_dyn.diagnose import Diagnosis, diagnose
+from tau_dyn.diagnose import diagnose
 from tau_dyn.diagnose.force_baseline import detect_position_periodicity
 from tau_dyn.effects import build_friction_model
+from tau_dyn.evidence import Diagnosis
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot

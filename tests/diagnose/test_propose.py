@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.diagnose import Diagnosis, diagnose, propose_motion
+from tau_dyn.diagnose import diagnose, propose_motion
 from tau_dyn.diagnose.proposal.design import (
     Setting,
     build_planned_motion,
@@ -26,7 +26,7 @@ from tau_dyn.diagnose.proposal.plan import (
 from tau_dyn.diagnose.proposal.propose import build_candidate_pieces
 from tau_dyn.effects import DriveGain, QuadraticDrag, Stribeck
 from tau_dyn.estimate import Autoregression, fit_autoregression
-from tau_dyn.evidence import Finding
+from tau_dyn.evidence import Diagnosis, Finding
 from tau_dyn.excitation import choose_by_exchange
 from tau_dyn.identify import build_model
 from tau_dyn.log import Log, lowpass

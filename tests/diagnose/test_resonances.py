@@ -14,11 +14,12 @@ from raising import raises_code
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
 import structural_resonances as study
 
-from tau_dyn.diagnose import Diagnosis, diagnose
+from tau_dyn.diagnose import diagnose
 from tau_dyn.diagnose.force_baseline import fit_baseline
 from tau_dyn.diagnose.force_channel import ForceChannel
 from tau_dyn.diagnose.resonances import add_band_note, add_resonances, propose_resonances
 from tau_dyn.effects import Motion, Scene, StructuralCompliance
+from tau_dyn.evidence import Diagnosis
 from tau_dyn.evidence.null_model import fit_noise_models
 from tau_dyn.identify import build_model
 from tau_dyn.log import lowpass

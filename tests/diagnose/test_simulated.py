@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.diagnose import Diagnosis, add_simulation
+from tau_dyn.diagnose import add_simulation
 from tau_dyn.effects import TorqueOffset, build_friction_model
-from tau_dyn.evidence import OutputErrors
+from tau_dyn.evidence import Diagnosis, OutputErrors
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import CascadeController, CascadeLaw, Sensors, build_fourier_motion, simulate

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.calibrate import PoseSet, fit_geometry_to_poses
 from tau_dyn.calibrate.simulated import simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
-from tau_dyn.diagnose import Diagnosis, diagnose
+from tau_dyn.diagnose import diagnose
+from tau_dyn.evidence import Diagnosis
 from tau_dyn.log import Log
 from tau_dyn.modes import find_modes
 from tau_dyn.robot import load_robot, load_robot_from_urdf

@@ -10,9 +10,19 @@ import pytest
 
 from tau_dyn.compare import ComparedSide, compare
 from tau_dyn.compare.read import MeasuredQuantity
-from tau_dyn.diagnose import Diagnosis
 from tau_dyn.effects import Stribeck, build_friction_model
-from tau_dyn.evidence import Finding, Gain, Limit, OutputErrors, Signature, Step, TimeTrace, Unexplained, Untestable
+from tau_dyn.evidence import (
+    Diagnosis,
+    Finding,
+    Gain,
+    Limit,
+    OutputErrors,
+    Signature,
+    Step,
+    TimeTrace,
+    Unexplained,
+    Untestable,
+)
 from tau_dyn.identify import Identification, identify
 from tau_dyn.kinematics import build_forward_table
 from tau_dyn.kinematics.accuracy import AccuracyResult, Measured

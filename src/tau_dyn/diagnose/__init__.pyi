@@ -11,4 +11,3 @@ from .payload import (
     find_end_link as find_end_link,
 )
 from .proposal.propose import propose_motion as propose_motion
-from .result import Diagnosis as Diagnosis

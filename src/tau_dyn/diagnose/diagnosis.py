@@ -19,13 +19,11 @@ from threadpoolctl import threadpool_limits
 
 from tau_dyn.diagnose.force_baseline import Progress, fit_baseline
 from tau_dyn.diagnose.pipeline import diagnose_deflection, diagnose_forces, diagnose_tool
-from tau_dyn.diagnose.result import (
-    Diagnosis,
-)
 from tau_dyn.diagnose.tool_channel import OUTPUTS
 from tau_dyn.effects import Effect, JointwiseEffect
 from tau_dyn.evidence import (
     Choice,
+    Diagnosis,
     Verdict,
 )
 from tau_dyn.exceptions import CannotAnswer, InputError

@@ -19,9 +19,6 @@ from tau_dyn.diagnose.force_baseline import FittedBaseline, Progress
 from tau_dyn.diagnose.nominal import find_parameter_changes
 from tau_dyn.diagnose.preparation import compute_border_gap_s
 from tau_dyn.diagnose.resonances import add_band_note, add_resonances
-from tau_dyn.diagnose.result import (
-    Diagnosis,
-)
 from tau_dyn.diagnose.tool_channel import build_tool_channel
 from tau_dyn.effects import EFFECTS, Effect
 from tau_dyn.evidence import (
@@ -32,6 +29,7 @@ from tau_dyn.evidence import (
     N_NULL_DRAWS,
     Channel,
     Claims,
+    Diagnosis,
     EvaluatedFit,
     Examination,
     ExaminationOptions,

@@ -30,6 +30,9 @@ from .claims import (
 from .detection_limits import (
     compute_detection_limits as compute_detection_limits,
 )
+from .diagnosis import (
+    Diagnosis as Diagnosis,
+)
 from .extended_fit import (
     EvaluatedFit as EvaluatedFit,
     build_extended_regression as build_extended_regression,

@@ -23,13 +23,11 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import solve_toeplitz
 
 from tau_dyn.diagnose.preparation import smooth_cutoff
-from tau_dyn.diagnose.result import (
-    Diagnosis,
-)
 from tau_dyn.effects import Effect, Motion
 from tau_dyn.estimate import Autoregression, RegressionRun, Whitener, fit_autoregression
 from tau_dyn.evidence import (
     MIN_UNABSORBED_SHARE,
+    Diagnosis,
     TimeTrace,
     compute_score_statistics,
     find_nonnegative,

@@ -22,12 +22,10 @@ from tau_dyn.diagnose.proposal.design import (
     compute_gram_matrix,
     compute_imitating_amplitudes,
 )
-from tau_dyn.diagnose.result import (
-    Diagnosis,
-)
 from tau_dyn.effects import EFFECTS, NO_EXPERIMENT, Effect, Motion, Scene
 from tau_dyn.evidence import (
     MIN_UNABSORBED_SHARE,
+    Diagnosis,
     Finding,
     build_scene,
 )

@@ -31,12 +31,10 @@ from tau_dyn.diagnose.proposal.plan import (
     find_other_experiment,
     get_required_signals,
 )
-from tau_dyn.diagnose.result import (
-    Diagnosis,
-)
 from tau_dyn.evidence import (
     FAMILY_LEVEL,
     MIN_2LOGL_DIFFERENCE,
+    Diagnosis,
 )
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.excitation import choose_by_exchange

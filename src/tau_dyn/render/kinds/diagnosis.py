@@ -11,8 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from tau_dyn import results as r
-from tau_dyn.diagnose import Diagnosis
-from tau_dyn.evidence import Finding, TimeTrace, Unexplained
+from tau_dyn.evidence import Diagnosis, Finding, TimeTrace, Unexplained
 from tau_dyn.render.kinds import diagnosis_words as words
 from tau_dyn.render.kinds.parameter_rows import build_extended_rows, build_parameter_table
 from tau_dyn.render.kinds.waterfall import (

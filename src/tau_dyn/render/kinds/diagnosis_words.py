@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from tau_dyn import results as r
-from tau_dyn.diagnose import Diagnosis
 from tau_dyn.evidence import (
     MAX_OUTPUT_LOSS_PERCENT,
     PRINTED_DIGITS,
+    Diagnosis,
     Finding,
     Gain,
     Limit,

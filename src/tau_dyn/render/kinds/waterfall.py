@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn import results as r
-from tau_dyn.diagnose import Diagnosis
-from tau_dyn.evidence import Finding, OutputErrors
+from tau_dyn.evidence import Diagnosis, Finding, OutputErrors
 from tau_dyn.parameters import Parameter
 
 TEST_PART = 2

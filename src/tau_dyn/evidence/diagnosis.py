@@ -6,8 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from tau_dyn.evidence import Choice, Finding, Limit, OutputErrors, Step, TimeTrace, Unexplained, Untestable, Verdict
-from tau_dyn.identify import Preparation
+from tau_dyn.estimate import Preparation
+from tau_dyn.evidence.result import (
+    Choice,
+    Finding,
+    Limit,
+    OutputErrors,
+    Step,
+    TimeTrace,
+    Unexplained,
+    Untestable,
+    Verdict,
+)
 from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.results import Shown, to_plain
