@@ -12,7 +12,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.identify import Identification, get_log_list, identify as identify_forces
 from tau_dyn.log import Log, Recording
 from tau_dyn.robot import Robot
-from tau_dyn.servo import LoopDiagnosis, LoopIdentification, LoopOptions, diagnose_loop, identify_loop, is_loop_log
+from tau_dyn.servo import LoopIdentification, LoopOptions, diagnose_loop, identify_loop, is_loop_log
 from tau_dyn.simulate import ServoLaw, read_servo_law
 
 Logs = Log | Recording | Iterable[Log | Recording]
@@ -60,7 +60,7 @@ def diagnose(robot: Robot | Identification, logs: Logs = (), **options: Any) -> 
 @overload
 def diagnose(
     robot: Robot | LoopIdentification, logs: Logs = (), *, controller: Controller, **options: Unpack[LoopOptions]
-) -> LoopDiagnosis: ...
+) -> Diagnosis: ...
 def diagnose(
     robot: Robot | Identification | LoopIdentification,
     logs: Logs = (),

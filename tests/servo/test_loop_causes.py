@@ -7,8 +7,9 @@ import pytest
 
 import tau_dyn as td
 from tau_dyn.effects import LOOP_CAUSES, build_friction_model, list_causes
+from tau_dyn.evidence import Diagnosis
 from tau_dyn.model import Model
-from tau_dyn.servo import LoopDiagnosis, LoopIdentification, diagnose_loop, identify_loop, simulate_loop_log
+from tau_dyn.servo import LoopIdentification, diagnose_loop, identify_loop, simulate_loop_log
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw, Trajectory
 
 from .arms import build_arm, build_law, build_link, build_truth, record
@@ -45,7 +46,7 @@ def spring():
 def test_a_spring_and_a_delay_are_told_apart(spring):
     """Both are confirmed, nothing else is, and the model with them is down to the encoder."""
     assert {f.cause for f in spring.findings if f.status == "confirmed"} == {"joint_compliance", "delay"}
-    assert spring.extended[0] < 1.3 * spring.noise_floor[0] < 0.1 * spring.baseline[0]
+    assert spring.extended.rms[0] < 1.3 * spring.noise_floor.rms[0] < 0.1 * spring.baseline.rms[0]
     assert spring.recommendation == "extended"
     assert len(spring.extended_model.provenance["trained_on"]) == 1
 
@@ -75,7 +76,7 @@ def test_a_play_is_named_with_its_width():
     )
     best = answer.findings[0]
     assert (best.cause, best.status) == ("backlash", "confirmed")
-    assert best.value == pytest.approx(0.03, rel=0.05)
+    assert best.parameters[0].value == pytest.approx(0.03, rel=0.05)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -145,7 +146,7 @@ def test_the_face_sends_logs_where_they_belong():
     log = record(ARM, TRUTH, plain, 3, 16.0)
     found = td.identify(ARM, log, controller=plain, model="symmetric")
     assert isinstance(found, LoopIdentification)
-    assert isinstance(td.diagnose(found, controller=plain), LoopDiagnosis)
+    assert isinstance(td.diagnose(found, controller=plain), Diagnosis)
     with pytest.raises(td.InputError, match="controller"):
         td.identify(ARM, log.with_channels(tau_j1=np.zeros(log.n_samples)), controller=plain)
 

@@ -47,6 +47,7 @@ from tau_dyn.evidence import (
     decide_verdict,
     demote_small,
     describe_diagnosis,
+    describe_split,
     estimate_noise_floor,
     examine_channel,
     measure_net_forces,
@@ -60,8 +61,6 @@ from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 
-HELD_OUT = "the blocks of the held-out {what} alternate: half are validation data, half are test data"
-SHARED = "the blocks of the {what} alternate: 60 % training, 20 % validation and 20 % test data"
 _MEND = "mend the log or its column map as the first warning says, or record it again"
 
 
@@ -70,7 +69,7 @@ def diagnose_forces(
 ) -> Diagnosis:
     """Find causes of what a fitted baseline leaves of the forces."""
     progress("looking for resonances")
-    channel, how = add_resonances(case.channel), (HELD_OUT if any(case.held) else SHARED).format(what="logs")
+    channel, how = add_resonances(case.channel), describe_split(any(case.held), "logs")
     warnings = (*warnings, *case.warnings)
     return diagnose_channel(channel, case.nominal, how, seed=seed, progress=progress, warnings=warnings, case=case)
 
@@ -97,7 +96,7 @@ def diagnose_tool(
     train, held = list(logs), list(holdout)
     progress("columns")
     channel = add_resonances(build_tool_channel(model, train, held))
-    how = (HELD_OUT if held else SHARED).format(what="poses" if channel.poses else "logs")
+    how = describe_split(bool(held), "poses" if channel.poses else "logs")
     return diagnose_channel(channel, model, how, seed=seed, progress=progress, warnings=warnings)
 
 
@@ -129,7 +128,7 @@ def diagnose_deflection(
         raise InputError("missing_input", "no log was given")
     progress("columns")
     channel = build_deflection_channel(robot, train, held, causes)
-    how = (HELD_OUT if held else SHARED).format(what="logs")
+    how = describe_split(bool(held), "logs")
     return diagnose_channel(channel, Model.of(robot), how, seed=seed, progress=progress, warnings=said)
 
 

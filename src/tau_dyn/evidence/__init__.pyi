@@ -12,6 +12,7 @@ from .channel import (
     Channel as Channel,
     build_scene as build_scene,
     compute_fast_speeds as compute_fast_speeds,
+    describe_split as describe_split,
     find_shared_signals as find_shared_signals,
     name_by_joint as name_by_joint,
     refuse_scarce as refuse_scarce,

@@ -67,6 +67,13 @@ def _divided(
     return tuple(found)
 
 
+def describe_split(held: bool, what: str) -> str:
+    """Return how data of a kind `what` ("logs", "poses") are divided, with held-out ones or without."""
+    if held:
+        return f"the blocks of the held-out {what} alternate: half are validation data, half are test data"
+    return f"the blocks of the {what} alternate: 60 % training, 20 % validation and 20 % test data"
+
+
 def divide_training(runs: Sequence[RegressionRun], parts: Sequence[np.ndarray], gap_s: float) -> tuple[np.ndarray, ...]:
     """Return parts in which the training logs alone are trained on and confirmed on, 3 : 1 in blocks; the rest is left out."""
     found, turn = [], 0

@@ -30,7 +30,7 @@ class Diagnosis(Shown):
     Attributes:
         verdict: `named`, `nothing_found`, `cannot_tell` or `unexplained`.
         sentence: The answer in one or two sentences, for the top of the page.
-        channel: `force`, `tool` or `deflection`.
+        channel: `force`, `tool`, `deflection` or `position` (of servo loops).
         outputs: What was measured.
         units: Units of the outputs.
         baseline: Errors of the refitted model.
@@ -54,6 +54,7 @@ class Diagnosis(Shown):
         simulation: Closed-loop simulation against the measured log, before and after, where a controller was given.
         preparation: Filters and masks of forces; None for other channels.
         settings: How the data were prepared and tests calibrated, for the page's foot.
+        further: Keys that a channel adds to the JSON result.
     """
 
     verdict: Verdict
@@ -82,6 +83,7 @@ class Diagnosis(Shown):
     simulation: Mapping[str, Any] | None = None
     preparation: Preparation | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
+    further: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def exit_status(self) -> int:
@@ -98,7 +100,7 @@ class Diagnosis(Shown):
             "detection_limits": {limit.cause: limit for limit in self.limits},
             "divided": {"how": self.how, "seconds": self.n_parts},
         }
-        return to_plain(told | {key: getattr(self, key) for key in _TOLD})
+        return to_plain(told | {key: getattr(self, key) for key in _TOLD} | dict(self.further))
 
 
 _TOLD = (

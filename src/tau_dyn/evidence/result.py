@@ -121,16 +121,26 @@ class Signature(Brief):
 
 @dataclass(frozen=True)
 class Limit:
-    """The smallest amplitude that would have been seen with 95 % power; `phrase` says it for people."""
+    """The smallest amplitude that is detected with 95 % power.
+
+    Attributes:
+        cause: Its name.
+        amplitude: The amplitude at the joint where the cause is hardest to detect.
+        unit: Its unit.
+        phrase: The same in words.
+        per_joint: The amplitude at each joint, where it is known.
+    """
 
     cause: str
     amplitude: float
     unit: str
     phrase: str
+    per_joint: tuple[tuple[str, float], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
-        return to_plain(self, leave_out=("cause",))
+        found = to_plain(self, leave_out=("cause", "per_joint"))
+        return found | {"per_joint": dict(self.per_joint)} if self.per_joint else found
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,10 +2,8 @@
 
 from .contact import Contact as Contact
 from .diagnosis import diagnose_loop as diagnose_loop
-from .diagnosis_result import LoopDiagnosis as LoopDiagnosis, LoopFinding as LoopFinding, LoopLimit as LoopLimit
 from .identification import identify_loop as identify_loop
 from .preparation import LoopOptions as LoopOptions, is_loop_log as is_loop_log
-from .residual_structure import LoopStructure as LoopStructure
 from .result import (
     LoopIdentification as LoopIdentification,
     LoopParameter as LoopParameter,

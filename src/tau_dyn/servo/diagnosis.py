@@ -16,14 +16,27 @@ import numpy as np
 from scipy.stats import norm
 
 from tau_dyn.effects import LOOP_CAUSES
-from tau_dyn.evidence import MAX_HELD_OUT_RATIO, describe_foreign_joints
+from tau_dyn.evidence import (
+    MAX_HELD_OUT_RATIO,
+    Diagnosis,
+    Finding,
+    Gain,
+    Limit,
+    OutputErrors,
+    Status,
+    Step,
+    Untestable,
+    decide_verdict,
+    describe_foreign_joints,
+    describe_split,
+)
 from tau_dyn.identify import list_provenance
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
+from tau_dyn.parameters import Parameter
 from tau_dyn.robot import Robot
 from tau_dyn.servo.cause_search import LoopSearch, check_steps, compute_limits, part_twins, search_causes
 from tau_dyn.servo.data import BASELINE, LoopData, fit_coupled, fit_precisely, keep_kinds, refit_again
-from tau_dyn.servo.diagnosis_result import LoopDiagnosis, LoopFinding, LoopLimit
 from tau_dyn.servo.doubts import list_loop_warnings
 from tau_dyn.servo.fit import LoopFit
 from tau_dyn.servo.identification import fill_model
@@ -66,7 +79,7 @@ class _Residuals(NamedTuple):
 
 def diagnose_loop(
     robot: Robot, logs: Log | Recording | Iterable[Log | Recording], **options: Unpack[LoopOptions]
-) -> LoopDiagnosis:
+) -> Diagnosis:
     """Say what servo loops' simulation misses, from logs of commands and positions.
 
     Args:
@@ -125,15 +138,89 @@ def diagnose_loop(
     warnings = [*given.warnings, *describe_foreign_joints(foreign)]
     held = [] if parts.same_logs else parts.confirm
     warnings += list_loop_warnings(law, parts.train, held, [*given.train, *given.held], data, base)
-    extended = replace(
-        _build_model(replace(data, unknowns=search.unknowns), search.fit),
-        provenance=list_provenance(given.train, given.held, seed),
+    provenance = list_provenance(given.train, given.held, seed)
+    model, extended = (
+        replace(_build_model(replace(data, unknowns=u), fit), provenance=provenance)
+        for u, fit in ((data.unknowns, base), (search.unknowns, search.fit))
     )
-    return LoopDiagnosis(
-        _judge(findings, unexplained), tuple(sorted(findings, key=lambda f: -f.score)), law.joints, nominal.rms, before.rms,
-        after.rms, floor, interval, choice, why, unexplained, limits, untestable,
-        extended, tuple(dict.fromkeys(warnings)), seed,
-    )  # fmt: skip
+    size = np.concatenate([record.q[record.used] for record in parts.gain]).std(axis=0)
+    names = ("nominal", "refitted", "extended")
+    steps = [_measure(law.joints, x, size, seed) for x in (nominal, before, after)]
+    bottom = OutputErrors(law.joints, floor, np.column_stack([floor, floor]), _compute_percent(floor, size))
+    findings = sorted(findings, key=lambda f: f.rank)
+    verdict = decide_verdict(findings, unexplained, _list_aliased(findings))
+    return Diagnosis(
+        verdict=verdict,
+        sentence=_describe(findings, *steps[1:]),
+        channel="position",
+        outputs=law.joints,
+        units=data.model.robot.position_units,
+        baseline=steps[1],
+        extended=steps[2],
+        noise_floor=bottom,
+        waterfall=(*map(Step, names, steps), Step("noise_floor", bottom)),
+        findings=tuple(findings),
+        unexplained=unexplained,
+        limits=limits,
+        untestable=untestable,
+        model=model,
+        extended_model=extended,
+        traces=(),
+        n_parts=_measure_parts(parts),
+        how=describe_split(not parts.same_logs, "logs"),
+        warnings=tuple(dict.fromkeys(warnings)),
+        seed=seed,
+        recommendation=choice,
+        recommendation_why=why,
+        further={
+            "measured": "position",
+            "gain_percent_ci95": interval,
+            "controller": dict(extended.controller),
+        },
+    )
+
+
+def _list_aliased(findings: Sequence[Finding]) -> Sequence[Finding]:
+    """Return the findings if none is confirmed and each one has an indistinguishable cause: the data cannot tell."""
+    open_ = all(f.indistinguishable_from and f.status != "confirmed" for f in findings)
+    return findings if open_ else ()
+
+
+def _measure_parts(parts: _Parts) -> tuple[float, float, float]:
+    """Return the length of training, validation and test data [s]."""
+    train, confirm, gain = (
+        sum(float(record.used.sum()) * record.dt for record in records)
+        for records in (parts.train, parts.confirm, parts.gain)
+    )
+    return train, confirm, gain
+
+
+def _compute_percent(rms: np.ndarray, size: np.ndarray) -> float:
+    """Return the norm of errors (na,) over that of the motion (na,) [%]."""
+    return 100 * float(np.linalg.norm(rms) / max(float(np.linalg.norm(size)), 1e-12))
+
+
+def _measure(joints: tuple[str, ...], found: _Residuals, size: np.ndarray, seed: int) -> OutputErrors:
+    """Return errors on the test data, with intervals from blocks."""
+    flat, rng = found.blocks.reshape(-1), np.random.default_rng(seed)
+    squares = np.array([np.bincount(flat, (found.r[:, j] ** 2).reshape(-1)) for j in range(len(joints))])
+    counts = np.bincount(flat, found.used.reshape(-1).astype(float))
+    there = np.flatnonzero(counts)
+    pick = rng.choice(there, (DRAWS, len(there)))
+    drawn = squares[:, pick].sum(axis=2) / np.maximum(counts[pick].sum(axis=1), 1)
+    ci95 = np.percentile(np.sqrt(drawn), [2.5, 97.5], axis=1).T
+    return OutputErrors(joints, found.rms, ci95, _compute_percent(found.rms, size))
+
+
+def _describe(findings: Sequence[Finding], before: OutputErrors, after: OutputErrors) -> str:
+    """Return the answer in a sentence."""
+    named = ", ".join(f"{f.cause.replace('_', ' ')} at {f.joints[0]}" for f in findings if f.status == "confirmed")
+    one, other = (f"{1e3 * float(np.sqrt(np.mean(e.rms**2))):.1f}" for e in (before, after))
+    if named:
+        return (
+            f"The simulated loop lacks {named}; with it the held-out position error is {other} instead of {one} mrad."
+        )
+    return f"No cause is confirmed; the held-out position error of the simulated loop is {one} mrad."
 
 
 def _search(data: LoopData, base: LoopFit, progress: Callable[[str], None]) -> LoopSearch:
@@ -143,14 +230,6 @@ def _search(data: LoopData, base: LoopFit, progress: Callable[[str], None]) -> L
         return search_causes(data, base, progress)
     found = search_causes(short, refit_again(short.build_problem(), base, progress), progress)
     return replace(found, fit=refit_again(data.build_problem(found.unknowns), found.fit, progress))
-
-
-def _judge(findings: Sequence[LoopFinding], unexplained: Sequence[object]) -> str:
-    if any(f.status == "confirmed" for f in findings):
-        return "named"
-    if findings and all(f.twins for f in findings):
-        return "cannot_tell"
-    return "unexplained" if unexplained else "nothing_found"
 
 
 def _split(train: Sequence[LoopRecord], held: Sequence[LoopRecord]) -> _Parts:
@@ -193,7 +272,7 @@ def _predict(data: LoopData, u: LoopUnknowns, x: np.ndarray, records: Sequence[L
     return _Residuals(problem.residuals(x[:, None])[:, :, 0], problem.blocks, problem.used)
 
 
-def _confirm(data: LoopData, search: LoopSearch, parts: _Parts, seed: int) -> list[LoopFinding]:
+def _confirm(data: LoopData, search: LoopSearch, parts: _Parts, seed: int) -> list[Finding]:
     """Return the causes taken in, each confirmed or suspected by what it predicts on data that the search did not see."""
     findings, u, fit = [], search.unknowns, search.fit
     where = np.full(u.free.shape, -1)
@@ -211,14 +290,43 @@ def _confirm(data: LoopData, search: LoopSearch, parts: _Parts, seed: int) -> li
         share, t = _regress_on(d, one.r[:, j].reshape(-1), one.blocks.reshape(-1))
         interval = _bootstrap(g0.r[:, j], g1.r[:, j], g0.blocks, seed)
         ok = t > CONFIRMED and 0.3 < share < 3.0 and interval[0] > 0
+        joint = data.law.joints[j]
+        number = Parameter(
+            f"{joint}.{kind}", float(u.with_values(fit.x)[kind][j]), get_unit(kind), stderr=float(sigma[at])
+        )
+        gain = Gain(float(g0.rms[j]), float(g1.rms[j]), 100 * (1 - float(g1.rms[j] / max(g0.rms[j], 1e-12))), interval)
+        shown = (share, share / t if t else np.inf)
+        status: Status = "confirmed" if ok else "suspected"
+        row = LOOP_CAUSES[cause]
         findings.append(
-            LoopFinding(
-                cause, data.law.joints[j], "confirmed" if ok else "suspected", score, float(norm.sf(t)),
-                float(u.with_values(fit.x)[kind][j]), float(sigma[at]), get_unit(kind), float(g0.rms[j]), float(g1.rms[j]),
-                interval, twins,
+            Finding(
+                cause,
+                (joint,),
+                status,
+                score,
+                float(norm.sf(t)),
+                (number,),
+                gain,
+                twins,
+                row.equation,
+                f"{joint}: {cause.replace('_', ' ')}.",
+                row.reveals if twins else "",
+                channel="position",
+                confirmation=shown,
+                why_not_confirmed="" if ok else _explain_rejection(t, share, interval),
+                is_shown=t > CONFIRMED,
             )
-        )  # fmt: skip
+        )
     return findings
+
+
+def _explain_rejection(t: float, share: float, interval: tuple[float, float]) -> str:
+    """Return why a cause is suspected only."""
+    if t <= CONFIRMED:
+        return "held-out data do not show it"
+    if not 0.3 < share < 3.0:
+        return f"held-out data show {100 * share:.0f} % of the predicted effect"
+    return f"its gain is not above zero (95 % interval {interval[0]:.2g} to {interval[1]:.2g} %)"
 
 
 def _compare(before: _Residuals, after: _Residuals, seed: int) -> tuple[float, float]:
@@ -235,9 +343,9 @@ def _find_foreign(joints: Sequence[str], fit: LoopFit, held: np.ndarray) -> list
 
 
 def _recommend(
-    joints: Sequence[str], findings: Sequence[LoopFinding], steps: tuple[_Residuals, _Residuals, _Residuals],
+    joints: Sequence[str], findings: Sequence[Finding], steps: tuple[_Residuals, _Residuals, _Residuals],
     interval: tuple[float, float], foreign: Sequence[tuple[str, float]], seed: int,
-) -> tuple[str, str]:  # fmt: skip
+) -> tuple[Choice, str]:
     """Return which model to use, and why, as a diagnosis of forces does."""
     nominal, before, after = steps
     if foreign:
@@ -259,8 +367,8 @@ def _recommend(
 
 
 def _list_limits(
-    data: LoopData, base: LoopFit, findings: Sequence[LoopFinding]
-) -> tuple[tuple[LoopLimit, ...], tuple[dict[str, str], ...]]:
+    data: LoopData, base: LoopFit, findings: Sequence[Finding]
+) -> tuple[tuple[Limit, ...], tuple[Untestable, ...]]:
     """Return what would have been found of the causes that were not, and what these logs cannot show."""
     limits, untestable = [], []
     for cause, row in LOOP_CAUSES.items():
@@ -273,10 +381,12 @@ def _list_limits(
         amplitudes = zip(data.law.joints, compute_limits(data, base, cause), most, strict=True)
         shown = {joint: float(x) for joint, x, high in amplitudes if np.isfinite(x) and x < high}
         if shown:
-            limits.append(LoopLimit(cause, get_unit(entry), shown))
+            joint, unit = max(shown, key=lambda j: shown[j]), get_unit(entry)
+            phrase = f"{cause.replace('_', ' ')} of {shown[joint]:.2g} {unit} at {joint}"
+            limits.append(Limit(cause, shown[joint], unit, phrase, tuple(shown.items())))
         else:
             why = "these logs hardly move with it beside the masses and friction of the refit"
-            untestable.append({"cause": cause, "why": why, "experiment": row.reveals})
+            untestable.append(Untestable(cause, why, row.reveals))
     return tuple(limits), tuple(untestable)
 
 

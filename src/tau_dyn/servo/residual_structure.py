@@ -9,12 +9,11 @@ depend on none of these, but are far above the floor and coloured, are told as s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.stats import chi2, norm
 
+from tau_dyn.evidence import Unexplained
 from tau_dyn.log import estimate_encoder_noise
 from tau_dyn.servo.records import LoopRecord
 
@@ -29,25 +28,6 @@ MAX_LAG_S = 0.5  # over which autocorrelations are tested
 _MOVING = 0.02  # rad/s; below it a joint has no direction
 
 
-@dataclass(frozen=True)
-class LoopStructure:
-    """Structure in one joint's residual that no cause explains; `depends_on` is empty for colour alone."""
-
-    joint: str
-    depends_on: tuple[str, ...]
-    share_of_residual_variance: float
-    p_value: float
-    status: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the contract's form."""
-        return {
-            "joint": self.joint, "depends_on": list(self.depends_on), "suggested_formula": None,
-            "share_of_residual_variance": self.share_of_residual_variance, "p_value": self.p_value, "status": self.status,
-            "indistinguishable_from": [],
-        }  # fmt: skip
-
-
 def compute_noise_floor(records: Sequence[LoopRecord]) -> np.ndarray:
     """Return the rms of the encoders' noise and rounding (na,) [rad], which no simulation gets below."""
     return np.sqrt(np.mean([estimate_encoder_noise(r.q) ** 2 for r in records], axis=0))
@@ -57,7 +37,7 @@ def find_structure(
     joints: Sequence[str],
     parts: Sequence[tuple[Sequence[LoopRecord], np.ndarray, np.ndarray]],
     floor: np.ndarray,
-) -> tuple[LoopStructure, ...]:
+) -> tuple[Unexplained, ...]:
     """Return what is left at each joint.
 
     Args:
@@ -97,7 +77,7 @@ def _gather(part, table: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray, np
     return r, table, np.where(np.abs(v) > _MOVING, np.sign(v), 0.0), b
 
 
-def _find_dependence(joint: str, names: Sequence[str], rows) -> LoopStructure | None:  # noqa: ANN001
+def _find_dependence(joint: str, names: Sequence[str], rows) -> Unexplained | None:  # noqa: ANN001
     best = None
     for k, name in enumerate(names):
         low, high = np.percentile(rows[0][1][:, k], [0.5, 99.5])
@@ -109,7 +89,7 @@ def _find_dependence(joint: str, names: Sequence[str], rows) -> LoopStructure | 
         p = float(norm.sf(min(t for t, _ in told))) * len(names)
         share = min(s for _, s in told)
         if p < FAMILY_LEVEL and share > MIN_SHARE and (best is None or share > best.share_of_residual_variance):
-            best = LoopStructure(joint, (name,), share, p, "confirmed")
+            best = Unexplained(joint, (name,), share, "", p, "confirmed")
     return best
 
 
@@ -126,7 +106,7 @@ def _test(predicted: np.ndarray, r: np.ndarray, blocks: np.ndarray) -> tuple[flo
     return float(gained.sum()) / max(spread, 1e-300), float(gained.sum() / max((r**2).sum(), 1e-300))
 
 
-def _find_colour(joint: str, part, j: int, floor: float) -> LoopStructure | None:  # noqa: ANN001
+def _find_colour(joint: str, part, j: int, floor: float) -> Unexplained | None:  # noqa: ANN001
     """Return colour of a residual that is far above the floor, by a portmanteau test of samples in order (Ljung & Box 1978)."""
     records, residual, _ = part
     x = residual[:, j] * np.stack([np.pad(r.used, (0, len(residual) - len(r.t))) for r in records], axis=1)
@@ -137,4 +117,4 @@ def _find_colour(joint: str, part, j: int, floor: float) -> LoopStructure | None
     lags = int(np.clip(MAX_LAG_S / records[0].dt, 5, 100))
     rho = np.array([(x[lag:] * x[:-lag]).sum() for lag in range(1, lags + 1)]) / (x**2).sum()
     p = float(chi2.sf(count * (count + 2) * (rho**2 / np.maximum(count - np.arange(1, lags + 1), 1)).sum(), lags))
-    return LoopStructure(joint, (), 1 - (floor / rms) ** 2, p, "confirmed") if p < FAMILY_LEVEL else None
+    return Unexplained(joint, (), 1 - (floor / rms) ** 2, "", p, "confirmed") if p < FAMILY_LEVEL else None

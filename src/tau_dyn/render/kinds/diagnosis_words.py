@@ -29,7 +29,12 @@ BADGE: dict[str, tuple[r.Level, str]] = {
     "unexplained": ("care", "Unexplained"),
 }
 STATUS_LEVEL: dict[Status, r.Level] = {"confirmed": "good", "suspected": "care", "parameter": "care"}
-MEASURED = {"force": "measured force", "tool": "measured tool position", "deflection": "measured deflection"}
+MEASURED = {
+    "force": "measured force",
+    "tool": "measured tool position",
+    "deflection": "measured deflection",
+    "position": "range of motion",
+}
 FULL_EFFECT_SHARE = 0.8
 """Share of the predicted effect from which held-out data are said to show it all."""
 FINE = 90
@@ -57,8 +62,8 @@ def recommend_model(diagnosis: Diagnosis) -> r.Verdict:
             r.format_percent(e.relative_error_percent, PRINTED_DIGITS) for e in (diagnosis.baseline, diagnosis.extended)
         )
         text = f"Use the extended model: its error on held-out data is {after} of the {what} instead of {before}"
-        limit = f"No output loses more than {MAX_OUTPUT_LOSS_PERCENT:g} %."
-        return r.Verdict(level, f"{text}; noise floor: {floor_}. {limit}")
+        limit = "" if diagnosis.channel == "position" else f" No output loses more than {MAX_OUTPUT_LOSS_PERCENT:g} %."
+        return r.Verdict(level, f"{text}; noise floor: {floor_}.{limit}")
     if diagnosis.verdict == "named" and any(f.status == "confirmed" for f in diagnosis.findings):
         return r.Verdict("care", f"Use the refitted model: {diagnosis.recommendation_why}.")
     if diagnosis.verdict == "cannot_tell":

@@ -1,4 +1,4 @@
-"""Identification and diagnosis through the closed loop: headline, error by joint, positions, parameters, causes."""
+"""Identification through the closed loop: headline, error by joint, positions, parameters."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from tau_dyn import results as r
 from tau_dyn.render.presentation import ZOOM, flatten_rows, list_logs_used, pad_used, present_kind, warn
-from tau_dyn.servo import LoopDiagnosis, LoopIdentification, LoopParameter
+from tau_dyn.servo import LoopIdentification, LoopParameter
 
 BADGES = {"good": "Ready to use", "care": "Use with care", "poor": "Not usable"}
 """Verdicts in a word or three."""
@@ -123,95 +123,3 @@ def _build_row(p: LoopParameter) -> r.Row:
     text = "" if interval is None else f"{r.format_number(interval[0], 3)} to {r.format_number(interval[1], 3)}"
     remark = "at its bound" if p.at_bound else "" if row["determined"] else "poorly determined"
     return r.Row([p.name, f"{r.format_number(p.value, 3)} ± {r.format_number(wide, 2)}", text, p.unit, remark])
-
-
-@present_kind.register
-def present_loop_diagnosis(found: LoopDiagnosis) -> r.Presentation:
-    """Return how a diagnosis through the closed loop is presented."""
-    robot = found.extended_model.robot
-    confirmed = [f for f in found.findings if f.status == "confirmed"]
-    named = ", ".join(f"{f.cause.replace('_', ' ')} at {f.joint}" for f in confirmed)
-    before, after = (1e3 * float(np.sqrt(np.mean(x**2))) for x in (found.baseline, found.extended))
-    headline = (
-        f"The simulated loop misses {named}; with it held-out positions are {after:.1f} instead of {before:.1f} mrad off."
-        if confirmed
-        else f"No cause is confirmed; the simulated loop is {before:.1f} mrad off held-out positions."
-    )
-    told = f"Use the {found.recommendation} model: {found.recommendation_why}."
-    if found.recommendation == "neither":
-        told = f"Use neither model: {found.recommendation_why}."
-    level = "good" if found.verdict == "named" or not found.findings else "care"
-    verdict = r.Verdict(level, told, found.verdict.replace("_", " "))
-    sections = [
-        *warn(found.warnings),
-        r.Chapter("findings", "Causes", lambda: _build_findings(found), r.On.ALL, when=bool(found.findings)),
-        r.Chapter("joints", "Held-out positions", lambda: _build_falls(found), r.On.ALL),
-        r.Chapter(
-            "unexplained", "What is left", lambda: _build_structure(found), r.On.ALL, when=bool(found.unexplained)
-        ),
-        r.Chapter("limits", "What would have been found", lambda: _build_limits(found), when=bool(found.limits)),
-        r.Chapter(
-            "untestable", "What these logs cannot tell", lambda: _build_untestable(found), when=bool(found.untestable)
-        ),
-    ]
-    return r.Presentation(
-        "Diagnosis through the loop", robot.name, f"{robot.name}: diagnosis through the loop", headline, verdict,
-        "Commands and positions, without torque.", sections, found.warnings, r.RobotPicture(robot),
-        r.Provenance([("seed", str(found.seed))], [], robot), lambda: [f.to_dict() for f in found.findings], found,
-    )  # fmt: skip
-
-
-def _build_findings(found: LoopDiagnosis) -> Iterator[r.Element]:
-    columns = [
-        r.Column("cause"), r.Column("joint"), r.Column("status"), r.Column("value ± standard error", "number", "strong"),
-        r.Column("unit", "unit"), r.Column("held-out rms falls by", "number"), r.Column("may as well be", style="remark"),
-    ]  # fmt: skip
-    rows = [
-        r.Row(
-            [
-                f.cause.replace("_", " "),
-                f.joint,
-                f.status,
-                f"{r.format_number(f.value, 3)} ± {r.format_number(f.stderr, 2)}",
-                f.unit,
-                r.format_percent(max(f.reduction, 0.0)),
-                ", ".join(f.twins),
-            ]
-        )  # fmt: skip
-        for f in found.findings
-    ]
-    yield r.ResultTable(columns, rows, on=r.On.ALL)
-
-
-def _build_falls(found: LoopDiagnosis) -> Iterator[r.Element]:
-    columns = [
-        r.Column("joint"),
-        r.Column("baseline [mrad]", "number"),
-        r.Column("with causes [mrad]", "number", "strong"),
-        r.Column("encoder [mrad]", "number"),
-    ]
-    rows = [
-        r.Row([joint, *(f"{1e3 * x:.2f}" for x in row)])
-        for joint, *row in zip(found.joints, found.baseline, found.extended, found.noise_floor, strict=True)
-    ]
-    yield r.ResultTable(columns, rows, on=r.On.ALL)
-
-
-def _build_structure(found: LoopDiagnosis) -> Iterator[r.Element]:
-    yield r.Listing(
-        [
-            f"{u.joint}: {r.format_percent(100 * u.share_of_residual_variance)} of the residual's variance "
-            + (f"depends on {', '.join(u.depends_on)}" if u.depends_on else "is neither the encoder's nor any cause's")
-            for u in found.unexplained
-        ]
-    )
-
-
-def _build_limits(found: LoopDiagnosis) -> Iterator[r.Element]:
-    yield r.Listing([limit.to_dict()["phrase"] for limit in found.limits])
-
-
-def _build_untestable(found: LoopDiagnosis) -> Iterator[r.Element]:
-    yield r.Listing(
-        [f"{u['cause'].replace('_', ' ')}: {u['why']}; {u['experiment']} would tell." for u in found.untestable]
-    )
