@@ -1,11 +1,12 @@
-r"""Every cause tried on every group of joints with every setting: how much each would explain, and what noise alone would.
+r"""The scan of candidates: the statistic of every cause on every group of joints with every setting, and its p-value.
 
-For each cause and group the best setting's `T` counts. What the search over settings makes of pure noise is seen from draws of
+For each cause and group the best setting's `T` counts. The search over settings is calibrated by draws of
 white noise put through the same projection: the largest of many correlated `T` is distributed as that of `m` independent ones,
 `P(T <= t) = F(t)^m`, and `m` is fitted to the draws (maximum likelihood), so that its tail reaches beyond them. A cause's p-value
 takes the better of its best group alone and of all groups together.
 
-`T` is divided by an inflation where the residual's scatter over 2 s blocks exceeds what the noise model says (White 1980).
+`T` is divided by the overdispersion: the variance of the scores of 2 s blocks over their variance under the noise model (White
+1980), at least 1.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from tau_dyn.evidence.channel import Channel
 from tau_dyn.evidence.null_model import NullModel, compute_overdispersion, compute_score_test, count_effective_tests
 
 FAMILY_LEVEL = 0.05
-"""Chance of any cause on clean data on the training part; confirmation on other data multiplies it by its own level."""
+"""Chance of any cause in the training data of clean logs; confirmation on other data multiplies it by its own level."""
 GROUP_LEVEL = 0.01
 """Level at which a further joint joins a cause."""
 MIN_SHARE_OF_STRONGEST = 0.1
@@ -39,7 +40,7 @@ class GroupTest:
         statistic: What it explains, in units of the noise.
         n_effective_tests: Number `m` of independent tries that the search over settings amounts to.
         dof: Columns.
-        overdispersion: Scatter of the blocks over what the noise model says, at least 1.
+        overdispersion: Scatter of the blocks over their variance under the noise model, at least 1.
         noise: What the best setting explains of each noise draw (D,).
         neighbours: The settings before and after the best one in the grid, where there are.
     """

@@ -1,4 +1,4 @@
-r"""One kind of measurement as the search for causes sees it, and nothing about how it is searched.
+r"""One kind of measurement as the selection of causes uses it.
 
 A channel holds a baseline's regression (measured outputs and the columns that the baseline may refit), which samples serve
 training, confirmation and measurement, and turns any effect into columns of the same regression. Forces, tool positions and
@@ -252,7 +252,7 @@ def build_scene(
         cutoff_hz: Frequency above which nothing is seen [Hz].
         duration: Length of all of them [s].
         signals: What effects may feel; see `find_shared_signals`.
-        campaigns: Number of logs that are told apart.
+        campaigns: Number of logs that are distinguished.
         trained: Which samples of each motion causes are fitted to (n,); by default all.
         coupled: Pairs of joints that a shared motor may drive.
     """

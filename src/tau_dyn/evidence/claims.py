@@ -50,7 +50,7 @@ MAX_HELD_OUT_RATIO = 3.0
 MIN_AMPLITUDE_Z = 2.0
 """Standard errors that the amplitudes of a claimed cause must be off zero in the extended model, all in one Wald test."""
 MAX_RELATIVE_RMS_INCREASE = 0.005
-"""By how much a cause may raise the error on the confirmation part; a weak one changes it by less, either way."""
+"""By how much a cause may raise the error on the validation data; a weak one changes it by less, either way."""
 MAX_OUTPUT_LOSS_PERCENT = 5.0
 """Loss of a single output [%] that the gain of the whole outweighs: the error of one output changes as much between two motions
 of a sound machine (EMPS, TX40, KR300)."""
@@ -60,7 +60,7 @@ _NOT_SHOWN = "held-out data do not show it"
 _SILENT = "held-out data cannot show it"
 _WORSE = "held-out data are predicted worse with it"
 _ZERO = "no amplitude of it is distinct from zero beside the other causes"
-_VETO = "the last part of the data does not show it"
+_VETO = "the test data do not show it"
 _NO_FORCE = "it takes off less than a hundred-thousandth of the force there, and no force is measured to that"
 _NO_GAIN = "its gain is not above zero (95 % interval {:.2g} to {:.2g} %)"
 
@@ -72,7 +72,7 @@ class Claims:
     Attributes:
         found: Causes in the order found.
         why_not: For each the reason why it is not confirmed, in words; empty where it is.
-        tests: For each what the confirmation part says.
+        tests: The test of each on the validation data.
     """
 
     found: tuple[SelectedCause, ...]
@@ -109,9 +109,9 @@ class Waterfall(NamedTuple):
 def select_confirmed(
     hunt: StepwiseSelection, tests: Sequence[Confirmation], physics: PhysicalConstraints | None = None
 ) -> Claims:
-    """Return the causes that the held-out part shows and that do not make its prediction worse.
+    """Return the causes that the held-out data show and that do not make its prediction worse.
 
-    A cause may be there and yet, with many amplitudes from a short log, predict badly where the training part never was.
+    A cause may be there and yet, with many amplitudes from a short log, predict badly where the training data never were.
     """
     found = tuple(
         drop_unconfirmed_joints(hunt, one) if test.is_confirmed and not test.within else one
@@ -129,7 +129,7 @@ def select_confirmed(
 
 
 def _missed(channel: Channel, found: Sequence[SelectedCause], physics: PhysicalConstraints | None) -> float:
-    """Return the rms on the confirmation part, outputs by their own size, of a fit of the training part."""
+    """Return the rms on the validation data, outputs by their own size, of a fit of the training data."""
     regression = build_extended_regression(channel, build_effects(found))
     theta = solve_with_fallback(restrict_to_parts(regression, channel, TRAIN), physics).theta
     residuals, shares = regression.residuals(theta), []
@@ -219,8 +219,8 @@ def select_supported(
     """Return the claims that all rules for a confirmed cause let stand, and their bars.
 
     A confirmed cause has an amplitude distinct from zero, within its plausible range, with settings off the edges of what was
-    searched; it is not absent from the last part, and the error of its own joints falls with the 95 % interval above zero. A
-    joint of several that becomes significantly worse is dropped, and the others stay. The last part has a veto and no vote. Rules
+    searched; it is not absent from the test data, and the error of its own joints falls with the 95 % interval above zero. A
+    joint of several that becomes significantly worse is dropped, and the others stay. The test data have a veto and no vote. Rules
     that look at one cause alone come first, as what they turn down may be what makes another one worse.
     """
     while True:
@@ -238,7 +238,7 @@ def select_supported(
 
 
 def _reject_by_amplitude(hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> Claims:
-    """Reject what is not distinct from zero, implausible, at an edge, or absent from the last part; all at once."""
+    """Reject what is not distinct from zero, implausible, at an edge, or absent from the test data; all at once."""
     values, before = bars.fits[-1].parameters, bars.fits[0].parameters
     estimate, scene, kept = bars.fits[-1].estimate, hunt.channel.scene, claims.kept
     assert estimate is not None  # only the nominal bar has none
@@ -370,7 +370,7 @@ def find_foreign_joints(channel: Channel, fit: EvaluatedFit) -> list[tuple[str, 
 
 
 def describe_foreign_joints(ratios: Sequence[tuple[str, float]]) -> list[str]:
-    """Return the warning that the held-out logs are of another machine, from joints and their ratio of rms; none for none."""
+    """Return the warning that the held-out logs are of another machine, from joints and their ratio of rms."""
     if not ratios:
         return []
     listed = ", ".join(f"{joint} ({ratio:.1f} times)" for joint, ratio in ratios)

@@ -1,23 +1,23 @@
-r"""Does what the training part shows also show, in the size predicted, where nothing was fitted?
+r"""Confirmation: is the effect that was fitted on the training data present in the held-out data, in the predicted size?
 
-With `C gamma` the effect fitted on the training part and `B` everything else, the misfit predicted on other data is
+With `C gamma` the effect fitted on the training data and `B` everything else, the misfit predicted on other data is
 
     x = C gamma - B (B_t^+ C_t gamma),
 
 what the baseline's training refit leaves of it. The held-out residual of the baseline's training fit is regressed on `x`, with
 `B` free to move as far as the training fit was uncertain (its information as prior rows), and freely back by what the effect
-shifted it: were the effect in the training part alone, that shift would stand in the residual and look like some of `x`. The
+shifted it: if the effect were in the training data alone, that shift would be in the residual and resemble a part of `x`. The
 coefficient is 1 if all of the effect is there and 0 if none; a one-sided t-test. Its variance counts how blocks scatter, in the
-held-out part and, with the weight of at most ten blocks, in the training part: a misfit that changes along the way is no noise.
+held-out data and, with the weight of at most ten blocks, in the training data: a misfit that changes along the way is no noise.
 
-A law of many amplitudes may be known badly just where the held-out part goes: its `x` would be mostly error. With information
-`G` on `gamma` in the training part and `H` in the held-out one, the two estimates of a direction agree as far as both know it,
+A law of many amplitudes may be known badly just where the held-out data go: its `x` would be mostly error. With information
+`G` on `gamma` in the training data and `H` in the held-out ones, the two estimates of a direction agree as far as both know it,
 with the weight `1 / (1/g + 1/h)`; so the residual is regressed on `x~`, made of `(G + H)^-1 G gamma`, and the share is that of
 `x` still (`x~` as its instrument).
 
-Held-out logs may move in a way that does not show a cause at all; their silence is no evidence against it. Then a quarter of the
-training logs, in blocks, is set aside, the search is made anew on the rest, and what it finds again, at the same family-wise
-level, has to show on the blocks in the size predicted. On clean data that is as rare as the first procedure.
+Held-out logs may move in a way that does not show a cause at all; this is no evidence against it. Then a quarter of the blocks
+of the training logs is held out, the selection is repeated on the rest, and a cause that it selects again, at the same
+family-wise level, must be present in these blocks in the predicted size. On clean data that is as rare as the first procedure.
 """
 
 from __future__ import annotations
@@ -187,7 +187,7 @@ def _regress(
 
 
 def detect_effect(ground: NullModel, columns: Sequence[Sequence[np.ndarray]], others: Sequence[Effect]) -> Confirmation:
-    """Test whether columns explain anything of the held-out part, with amplitudes of their own there."""
+    """Test whether columns explain anything of the held-out data, with amplitudes of their own there."""
     ground = NullModel.of(ground.library, (VALIDATION,), ground.noise, others)
     C = np.concatenate([ground.whiten_columns(c) for c in columns], axis=1)
     T, _, _ = compute_score_test(ground, C, np.zeros(C.shape[1], bool), _LEFT)
@@ -204,8 +204,8 @@ class StructureTest:
 
     Attributes:
         structure: The structure.
-        test: Its test on the confirmation part.
-        alike: Other sets of variables that both parts together do not tell apart from it.
+        test: Its test on the validation data.
+        alike: Other sets of variables that both parts together do not distinguish from it.
     """
 
     structure: Structure
@@ -214,7 +214,7 @@ class StructureTest:
 
 
 def discriminate_structures(hunt: StepwiseSelection, structure: Structure) -> StructureTest:
-    """Return which of the sets of variables that explain as much on the training part it is by the confirmation part as well.
+    """Return which of the sets of variables that explain as much on the training data it is by the validation data as well.
 
     As many of them as are tried count in its chance.
     """
@@ -231,7 +231,7 @@ def discriminate_structures(hunt: StepwiseSelection, structure: Structure) -> St
 
 
 def confirm_structure(hunt: StepwiseSelection, structure: Structure) -> Confirmation:
-    """Test a structure on the confirmation part, all causes found accounted for.
+    """Test a structure on the validation data, all causes found accounted for.
 
     A drift in time is another one in another log; there it only has to be present, not to be the same.
     """
@@ -240,7 +240,7 @@ def confirm_structure(hunt: StepwiseSelection, structure: Structure) -> Confirma
 
 
 def _drifts_anew(channel: Channel, structure: Structure) -> bool:
-    """Tell whether a structure drifts in time, and the confirmation part lies in logs of its own."""
+    """Tell whether a structure drifts in time, and the validation data are in logs of their own."""
     shared = any(np.any(part == TRAIN) and np.any(part == VALIDATION) for part in channel.parts)
     return "t" in structure.variables and not shared
 
@@ -257,9 +257,9 @@ def build_unexplained(hunt: StepwiseSelection, told: StructureTest | None) -> tu
 
 
 def _borne_out(hunt: StepwiseSelection, told: StructureTest) -> bool:
-    """Tell whether the last part is predicted better, with the 95 % interval above zero, as it has to be with a cause.
+    """Tell whether the test data are predicted better, with the 95 % interval above zero, as with a cause.
 
-    Of another log's drift, it has to show what the confirmation part of that log says.
+    Of another log's drift, it has to show what the validation data of that log show.
     """
     known = VALIDATION if _drifts_anew(hunt.channel, told.structure) else TRAIN
     others = build_effects(hunt.found)
@@ -276,7 +276,7 @@ class ConfirmationResults:
 
 
 def confirm_cause(hunt: StepwiseSelection, one: SelectedCause) -> Confirmation:
-    """Test one cause on the confirmation part, the others accounted for."""
+    """Test one cause on the validation data, the others accounted for."""
     return confirm(hunt.ground, hunt.columns(one.candidate.effects), hunt.others(one))
 
 
@@ -299,7 +299,7 @@ def drop_unconfirmed_joints(hunt: StepwiseSelection, one: SelectedCause) -> Sele
 
 
 def confirm_all(hunt: StepwiseSelection, structure: Structure | None) -> ConfirmationResults:
-    """Test everything found on the confirmation part."""
+    """Test everything found on the validation data."""
     causes = tuple(confirm_cause(hunt, one) for one in hunt.found)
     return ConfirmationResults(causes, structure and discriminate_structures(hunt, structure))
 
@@ -311,11 +311,11 @@ def confirm_within_training(
     rng: np.random.Generator,
     noise: NoiseOnlyBootstrap,
 ) -> ConfirmationResults:
-    """Return the tests, those on which the confirmation part is silent repeated within the training logs.
+    """Return the tests, those on which the validation data have too little power are repeated within the training logs.
 
     Args:
-        hunt: The search on all of the training part.
-        tests: What the confirmation part says.
+        hunt: The search on all of the training data.
+        tests: The tests on the validation data.
         gap_s: Memory of the filters, left out beside a block's border [s].
         rng: For noise draws.
         noise: What encoder noise alone makes.

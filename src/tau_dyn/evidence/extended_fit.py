@@ -1,4 +1,4 @@
-"""The model extended by causes, refitted, and judged on the part that was used for nothing else; and the noise floor.
+"""The model extended by causes, refitted, and judged on the test data; and the noise floor.
 
 The noise floor is what is left of the residual when every output may depend smoothly on all its own variables: an estimate of
 what no model of these variables can get below. Freedom spent on the smooth functions is given back.
@@ -34,14 +34,14 @@ _INTERVAL = (2.5, 97.5)
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedFit:
-    """A fitted model on the data used for nothing else.
+    """A fitted model on the test data.
 
     Attributes:
         estimate: The fit, on training and confirmation parts; None for values that were not fitted.
         theta: All parameters (p,), the baseline's and then the effects'.
         regression: Baseline and effects on all data.
         residuals: Measured minus predicted (n, m) of each run, all parts.
-        errors: On the part used for nothing else.
+        errors: On the test data.
     """
 
     estimate: Estimate | None
@@ -115,7 +115,7 @@ def compute_errors(
     *,
     whole: Sequence[np.ndarray] | None = None,
 ) -> OutputErrors:
-    """Return rms and relative error on the part used for nothing else, with intervals from blocks.
+    """Return rms and relative error on the test data, with intervals from blocks.
 
     Args:
         channel: The data.
@@ -139,7 +139,7 @@ def compute_errors(
 
 
 def _beside_all(errors: OutputErrors, channel: Channel, whole: Sequence[np.ndarray]) -> OutputErrors:
-    """Return errors with those over all samples of the part used for nothing else beside them."""
+    """Return errors with those over all samples of the test data beside them."""
     inside = [part == TEST for part in channel.parts]
     e = np.concatenate([x[i] for x, i in zip(whole, inside, strict=True)])
     y = np.concatenate([run.y_all[i] for run, i in zip(channel.runs, inside, strict=True)])
@@ -157,7 +157,7 @@ def compute_gain(
     rng: np.random.Generator,
     shown: Confirmation | None = None,
 ) -> Gain:
-    """Return how much smaller the error of some outputs is on the part used for nothing else.
+    """Return how much smaller the error of some outputs is on the test data.
 
     Where the share `s` of a predicted change `x` is true, the sums of squares are `N + s^2 |x|^2` before it and
     `N + (1 - s)^2 |x|^2` with it. With `s` from generalised least squares the interval follows from its standard error, and
@@ -192,7 +192,7 @@ def compute_gain(
 
 
 def _sum_blocks(channel: Channel, residuals: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return sums of squares and counts (blocks, m) over 2 s blocks of the part used for nothing else."""
+    """Return sums of squares and counts (blocks, m) over 2 s blocks of the test data."""
     squares, counts = [], []
     for run, e, mask in zip(channel.runs, residuals, channel.masks(TEST), strict=True):
         number = assign_blocks(run.t - run.t[0])
@@ -210,7 +210,7 @@ def _resample(squares: np.ndarray, counts: np.ndarray, rng: np.random.Generator)
 
 
 def estimate_noise_floor(channel: Channel, extended: EvaluatedFit, rng: np.random.Generator) -> OutputErrors:
-    """Return the floor on the part used for nothing else; over all samples, the same functions are taken beyond the masks."""
+    """Return the floor on the test data; over all samples, the same functions are taken beyond the masks."""
     masks, variables = channel.masks(*EVERY), channel.variables()
     left = [e.copy() for e in extended.residuals]
     whole = [e.copy() for e in extended.regression.residuals_all(extended.theta)]

@@ -204,7 +204,7 @@ def describe_diagnosis(
     unexplained: Sequence[Unexplained],
     errors: tuple[OutputErrors, OutputErrors],
 ) -> str:
-    """Return the answer in one or two sentences, as a colleague would say it.
+    """Return the answer in one or two sentences.
 
     Args:
         channel: The measurements.
@@ -270,7 +270,7 @@ def _listed(findings: Sequence[Finding]) -> str:
 def _describe_tool(
     named: Sequence[Finding], aliased: Sequence[Finding], before: OutputErrors, after: OutputErrors
 ) -> str:
-    """Return what a colleague would say first."""
+    """Return the answer in a sentence."""
     one, other = (format_quantity(float(np.linalg.norm(e.rms)), "m") for e in (before, after))
     text = f"The measured tool is {one} (rms) from forward kinematics"
     if named:
@@ -288,7 +288,7 @@ def _describe_deflection(
     before: OutputErrors,
     after: OutputErrors,
 ) -> str:
-    """Return what a colleague would say first."""
+    """Return the answer in a sentence."""
     one, other = (
         ", ".join(
             f"{format_quantity(float(r), u)} at {o}" for r, u, o in zip(e.rms, channel.units, e.outputs, strict=True)

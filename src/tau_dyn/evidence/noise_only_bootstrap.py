@@ -57,7 +57,7 @@ class NoiseOnlyBootstrap:
         """Return a candidate without the groups that encoder noise could have made; None if it could have made the strongest.
 
         Args:
-            ground: The training part of the measured channel, for its noise model and scale.
+            ground: The training data of the measured channel, for its noise model and scale.
             candidate: The cause, on measured data.
             others: The other causes.
             n: Number of causes tried, which count in the chance as the candidate's groups and settings do.

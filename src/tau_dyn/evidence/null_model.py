@@ -119,7 +119,7 @@ LONG = 8.0
 Term = tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]
 """A factor of each sample (n,), and its complex size (g,) at angular frequencies w (g,) over the position."""
 PRIOR_WEIGHT_BLOCKS = 10.0
-"""Weight against the scatter of blocks, in blocks: of 'the noise model is right' on the training part, and of the training
+"""Weight against the scatter of blocks, in blocks: of 'the noise model is right' on the training data, and of the training
 part's own scatter on the held-out one."""
 MIN_UNABSORBED_SHARE = 1e-4
 """Part of a column's square that the baseline leaves, below which the baseline's refit absorbs it. It is not smaller
@@ -247,7 +247,7 @@ def orthonormalise(B: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:
 
 
 def compute_overdispersion(block: np.ndarray, scores: np.ndarray, square: float) -> float:
-    """Return the scatter of 2 s blocks' scores (R,) over what the noise model says of them, at least 1.
+    """Return the scatter of 2 s blocks' scores (R,) over their variance under the noise model, at least 1.
 
     Args:
         block: Number of each row's block (R,).

@@ -79,7 +79,7 @@ def widen_scales(first: JointScales, *others: JointScales) -> JointScales:
 
 
 def find_edge(effects: Sequence[Effect], scene: Scene) -> str:
-    """Return which setting lies at an open end of its grid, as a phrase; empty where none does."""
+    """Return the setting at an open end of its grid, as a phrase; empty where none does."""
     for effect in effects:
         free = {*effect.refined, *effect.open_ends}
         fixed = {key: value for key, value in effect.settings.items() if key not in free}
@@ -99,7 +99,7 @@ def find_edge(effects: Sequence[Effect], scene: Scene) -> str:
 
 
 def find_implausible(effects: Sequence[Effect], values: Parameters, scales: JointScales) -> str:
-    """Return which amplitude lies outside its plausible range, as a phrase; empty where all lie within."""
+    """Return the amplitude outside its plausible range, as a phrase; empty where all lie within."""
     return next((text for effect in effects if (text := effect.find_implausible(values, scales))), "")
 
 
@@ -205,7 +205,7 @@ def find_companion(library: ColumnCache, kept: Sequence[SelectedCause], values: 
 
 
 def _find_second_speed_law(kept: Sequence[SelectedCause], values: Parameters, scene: Scene) -> tuple[int, str] | None:
-    """Return a law of speed whose joints' friction another one meets alone, and why; None where there is none."""
+    """Return a law of speed whose joints' friction another one meets alone, and why, or None."""
     laws = [n for n, one in enumerate(kept) if all(effect.speed_law for effect in one.candidate.effects)]
     reasons: dict[int, list[str]] = {n: [] for n in laws}
     for joint in scene.joints:
@@ -228,7 +228,7 @@ def measure_law_error(
 ) -> float:
     """Return by how much one law of speed misses a joint's friction by several, at worst, as a share of the friction there.
 
-    Coulomb and viscous friction and the settings that the law adjusts are fitted anew, to relative errors.
+    Coulomb and viscous friction and the settings that the law adjusts are fitted again, to relative errors.
 
     Args:
         law: Effects of the law.

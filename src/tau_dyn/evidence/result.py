@@ -28,7 +28,7 @@ class WholeErrors:
 
 @dataclass(frozen=True, eq=False)
 class OutputErrors:
-    """How far a model is from measurements that were used for nothing else.
+    """How far a model is from the test data.
 
     Attributes:
         outputs: What was measured: joints' forces, joints' deflections, or the tool's axes.
@@ -84,7 +84,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Gain:
-    """What a cause is worth on data used for nothing else: rms over its outputs before and after, and their ratio."""
+    """What a cause is worth on the test data: rms over its outputs before and after, and their ratio."""
 
     rms_before: float
     rms_after: float
@@ -151,19 +151,19 @@ class Finding(Brief):
         cause: Its name in the contract.
         joints: Joints it acts on.
         status: `confirmed` on held-out data, `suspected`, or `parameter` (a refit off its trusted nominal).
-        score: Twice the gain in log-likelihood on the training part; large is strong.
+        score: Twice the gain in log-likelihood on the training data; large is strong.
         p_value: Chance of such a score on clean data, all causes and settings tried taken into account.
         parameters: Amplitudes and settings with their standard errors.
-        gain: What it is worth on data used for nothing else; None where the baseline's refit absorbs it.
+        gain: What it is worth on the test data; None where the baseline's refit absorbs it.
         indistinguishable_from: Causes that these data cannot tell from it.
         equation: The law in one line.
-        sentence: What a colleague would say.
+        sentence: The finding in one sentence.
         experiment: What would separate it from its twins; empty where there are none.
         effects: The effects that extend the model; empty for `parameter`.
         signature: Its plot; None for `parameter`.
         channel: `force`, `tool` or `deflection`.
-        confirmation: Share of the predicted effect that the held-out part shows, with its standard error; 1 is all of it.
-        why_not_confirmed: Why it is `suspected` only; empty where it is not.
+        confirmation: Share of the predicted effect that the held-out data show, with its standard error; 1 is all of it.
+        why_not_confirmed: Why it is `suspected` only; empty if it is confirmed.
         is_shown: Whether the validation data show it; a suspected cause that they show is a residual above the noise.
         detection_limit: The smallest amplitude that these data show with 95 % power; None for a rejected candidate.
     """

@@ -1,10 +1,9 @@
-"""Causes found one after the other, then judged together.
+"""Selection of causes on the training data: forward, one cause at a time, then backward.
 
-Each round tries every cause against what is accounted for, takes the strongest that is no artefact, on the joints that are its
-own, refines its settings, and goes on. What a cause explains is discounted by its own scatter over time, which a wrong law has
-more of; but two laws that explain the same are told apart by their freedom alone. Afterwards each one has to hold its ground
-beside all others, and what each could be mistaken for is written down: a rival that explains nearly as much alone and nothing any
-more beside it.
+Each iteration scans every cause with the selected ones in the model, takes the strongest that is no artefact of encoder noise, on
+its own joints, refines its settings, and repeats. Statistics are divided by the scatter of the blocks, which is larger for a wrong
+law; two laws that explain the same are compared by their degrees of freedom alone. Afterwards each cause must be significant with
+all others in the model. An alternative cause explains nearly as much in its place and is not significant next to it.
 """
 
 from __future__ import annotations
@@ -134,7 +133,7 @@ def choose_next_cause(
     n: int,
     sift: ArtefactFilter | None,
 ) -> tuple[CandidateCause, tuple[str, ...]] | None:
-    """Return the strongest cause that is no artefact, its settings refined, and its twins; None if there is none."""
+    """Return the strongest cause that is no artefact, its settings refined, and its twins, or None."""
     left = [drop_redundant_groups(c, ground) for c in significant]
     while left:
         strongest, twins = _strongest(left)
@@ -207,7 +206,7 @@ def _is_shadow(fit: GroupTest, other: GroupTest, ground: NullModel) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class SelectedCause:
-    """A cause that the training part shows.
+    """A cause that the training data show.
 
     Attributes:
         candidate: Its fits, settings refined.

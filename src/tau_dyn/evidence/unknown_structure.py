@@ -118,7 +118,7 @@ def _is_force_pair_own(pair: tuple[str, str], output: str) -> bool:
 
 
 MIN_2LOGL_DIFFERENCE = 8.0
-"""Difference of merit (twice the log-likelihood) below which two causes, or two sets of variables, are not told apart: odds of
+"""Difference of merit (twice the log-likelihood) below which two causes, or two sets of variables, are not distinguished: odds of
 50 to 1."""
 _MAX_INDISTINGUISHABLE = 6  # structures that a result names; more do not help
 _PAIR_PRICE = 4.0
@@ -195,7 +195,7 @@ def find_structure(ground: NullModel, draws: np.ndarray, level: float) -> Struct
 
 
 def list_indistinguishable(ground: NullModel, structure: Structure) -> list[Structure]:
-    """Return the structures that a structure was not told apart from on the training part."""
+    """Return the structures that a structure was not distinguished from on the training data."""
     return [_structure(ground, shape, structure.n_effective_tests, ()) for shape in structure.alike]
 
 
@@ -272,7 +272,7 @@ def _rows(ground: NullModel, output: int, basis: Sequence[np.ndarray]) -> np.nda
 
 
 def _inflation(ground: NullModel, on: Dependence) -> float:
-    """Return the scatter of blocks over what the noise model says, at least 1."""
+    """Return the scatter of blocks over their variance under the noise model, at least 1."""
     k = ground.channel.outputs.index(on.output)
     rows = np.flatnonzero(ground.whiten.index == k)
     C = _rows(ground, k, on.bases(ground.channel.variables()))

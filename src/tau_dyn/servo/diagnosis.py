@@ -18,6 +18,7 @@ from scipy.stats import norm
 from tau_dyn.effects import LOOP_CAUSES
 from tau_dyn.evidence import (
     MAX_HELD_OUT_RATIO,
+    Choice,
     Diagnosis,
     Finding,
     Gain,
@@ -343,8 +344,12 @@ def _find_foreign(joints: Sequence[str], fit: LoopFit, held: np.ndarray) -> list
 
 
 def _recommend(
-    joints: Sequence[str], findings: Sequence[Finding], steps: tuple[_Residuals, _Residuals, _Residuals],
-    interval: tuple[float, float], foreign: Sequence[tuple[str, float]], seed: int,
+    joints: Sequence[str],
+    findings: Sequence[Finding],
+    steps: tuple[_Residuals, _Residuals, _Residuals],
+    interval: tuple[float, float],
+    foreign: Sequence[tuple[str, float]],
+    seed: int,
 ) -> tuple[Choice, str]:
     """Return which model to use, and why, as a diagnosis of forces does."""
     nominal, before, after = steps
