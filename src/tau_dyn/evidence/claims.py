@@ -220,8 +220,8 @@ def select_supported(
 
     A confirmed cause has an amplitude distinct from zero, within its plausible range, with settings off the edges of what was
     searched; it is not absent from the test data, and the error of its own joints falls with the 95 % interval above zero. A
-    joint of several that becomes significantly worse is dropped, and the others stay. The test data have a veto and no vote. Rules
-    that look at one cause alone come first, as what they turn down may be what makes another one worse.
+    joint of several that becomes significantly worse is dropped, and the others stay. The test data have a veto and no vote.
+    Rules about one cause alone come first: a cause that they reject may be the reason why another one becomes worse.
     """
     while True:
         bars = build_waterfall(hunt, claims, rng, nominal, physics, aside)

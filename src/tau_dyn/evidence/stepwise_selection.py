@@ -1,7 +1,7 @@
 """Selection of causes on the training data: forward, one cause at a time, then backward.
 
-Each iteration scans every cause with the selected ones in the model, takes the strongest that is no artefact of encoder noise, on
-its own joints, refines its settings, and repeats. Statistics are divided by the scatter of the blocks, which is larger for a wrong
+Each iteration scans every cause with the selected ones in the model, takes the strongest that is no artefact of encoder noise,
+on its own joints, and refines its settings. Statistics are divided by the scatter of the blocks, which is larger for a wrong
 law; two laws that explain the same are compared by their degrees of freedom alone. Afterwards each cause must be significant with
 all others in the model. An alternative cause explains nearly as much in its place and is not significant next to it.
 """
