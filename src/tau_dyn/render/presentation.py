@@ -22,7 +22,7 @@ _KINDS = {
     "control.iterative": "control",
     "control.lead_through": "control",
     "control.observers": "control",
-    "diagnose": "diagnosis",
+    "evidence": "diagnosis",
     "identify": "identification",
     "kinematics": "kinematics",
     "kinematics.accuracy": "accuracy",

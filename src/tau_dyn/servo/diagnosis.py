@@ -387,7 +387,8 @@ def _list_limits(
         shown = {joint: float(x) for joint, x, high in amplitudes if np.isfinite(x) and x < high}
         if shown:
             joint, unit = max(shown, key=lambda j: shown[j]), get_unit(entry)
-            phrase = f"{cause.replace('_', ' ')} of {shown[joint]:.2g} {unit} at {joint}"
+            amount = f"{shown[joint]:.2g} {unit}".removesuffix(" 1")
+            phrase = f"{cause.replace('_', ' ')} of {amount} at {joint}"
             limits.append(Limit(cause, shown[joint], unit, phrase, tuple(shown.items())))
         else:
             why = "these logs hardly move with it beside the masses and friction of the refit"

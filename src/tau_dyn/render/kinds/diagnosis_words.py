@@ -154,6 +154,8 @@ def describe_unexplained(item: Unexplained) -> str:
     """Return what is left and what it depends on, in a sentence."""
     share = r.format_percent(100 * item.share_of_residual_variance)
     text, on = f"{share} of the residual variance at {item.joint}", r.format_list(item.depends_on)
+    if not item.depends_on:
+        return f"{text} is above the noise floor and depends on no variable that was tested."
     if item.indistinguishable_from:
         on += f" (or equally on {'; or on '.join(r.format_list(others) for others in item.indistinguishable_from)})"
     if item.status == "suspected":
