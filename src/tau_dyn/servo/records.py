@@ -114,7 +114,7 @@ def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str])
     joints = model.robot.actuated
     t = log.t[0] + np.arange(int((log.t[-1] - log.t[0]) / log.dt) + 1) * log.dt
     q = np.stack([np.interp(t, log.t, x) for x in log.joint("q", joints).T], axis=1)
-    held = np.clip(np.searchsorted(log.t, t + 1e-9, side="right") - 1, 0, len(log.t) - 1)
+    held = np.clip(np.searchsorted(log.t, t + 0.5 * log.dt, side="right") - 1, 0, len(log.t) - 1)
     near = np.clip(np.searchsorted(log.t, t - 0.5 * log.dt), 0, len(log.t) - 1)
     supply, enabled, used = np.ones((3, len(t)))
     if law.supply:
@@ -129,13 +129,44 @@ def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str])
         log.name,
         t,
         q,
-        log.joint("cmd", joints)[held],
+        average_held_commands(log.t, log.joint("cmd", joints), t, log.dt),
         supply,
         enabled,
         used.astype(bool),
         law.in_log(log.name),
         told=law.command,
     )
+
+
+MIN_STEP_SHARE = 1e-3
+"""Share of a step by which a command's stamp differs from the even clock: less is the rounding of the stamps."""
+
+
+def average_held_commands(stamps: np.ndarray, command: np.ndarray, t: np.ndarray, dt: float) -> np.ndarray:
+    """Return the mean command (M, na) over each step of an even clock.
+
+    A command is held from its stamp to the next one (zero-order hold). To first order a servo answers the mean of the commands
+    within a step, wherever in the step a stamp lies. Stamps that agree with the clock to their rounding keep their commands.
+
+    Args:
+        stamps: Times of the commands (N,) [s].
+        command: Commands (N, na).
+        t: The even clock (M,) [s].
+        dt: Its step [s].
+    """
+    ends = np.append(stamps, max(stamps[-1], t[-1]) + dt)
+    total = np.vstack([np.zeros(command.shape[1]), np.cumsum(command * np.diff(ends)[:, None], axis=0)])
+    middle = np.clip(np.searchsorted(stamps, t + 0.5 * dt, side="right") - 1, 0, len(stamps) - 1)
+    slack = MIN_STEP_SHARE * dt
+    first = np.searchsorted(stamps, t + slack, side="right")
+    last = np.searchsorted(stamps, t + dt - slack, side="left")
+    found = command[middle]
+    mixed = last > first
+    if mixed.any():
+        at, end = t[mixed], t[mixed] + dt
+        integral = [np.interp(end, ends, x) - np.interp(at, ends, x) for x in total.T]
+        found[mixed] = np.stack(integral, axis=1) / dt
+    return found
 
 
 def _get_column(log: Log, name: str, most: float | None = None) -> np.ndarray:
