@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from tau_dyn.cli.ending import (  # first: from here on Ctrl-C is answered
     Ended,
     describe_machine_fault,
+    ignore_narrow_terminal,
     quiet_start,
     replace_unencodable,
     say,
@@ -26,6 +27,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
     warnings.simplefilter("ignore", RuntimeWarning)  # numbers out of range end in a sentence of ours
     replace_unencodable()
+    ignore_narrow_terminal()
     try:
         with unwind_on_signal():
             call = parse(argv)

@@ -187,6 +187,7 @@ class RobotOptions:
         srdf: An SRDF that names passive joints, if not the one of the same name beside the file
         fitted_inertias: Accept inertias that no body has, as those fitted to forces
         no_xacro: Accept plain URDF only; refuse xacro files, for they run code. Built-in robots are xacro files too
+        hold: Hold a joint still at this position [m or rad]
     """
 
     set: Annotated[tuple[str, ...], Parameter(metavar="NAME=VALUE")] = ()
@@ -196,6 +197,7 @@ class RobotOptions:
     srdf: Annotated[Path | None, Parameter(metavar="FILE")] = None
     fitted_inertias: bool = False
     no_xacro: bool = False
+    hold: Annotated[tuple[str, ...], Parameter(metavar="JOINT=VALUE")] = ()
 
     def load(self, robot: str | Path) -> Robot:
         """Load a robot: a robot file, a robot of ours, or a calibration's `--out`.
@@ -213,7 +215,8 @@ class RobotOptions:
             return self._load_calibrated(Path(robot), given)
         return load_robot(
             str(robot), actuated=self.actuated or None, tool=self.tool, xacro=not self.no_xacro,
-            packages=self._read_packages(), srdf=self.srdf, fitted_inertias=self.fitted_inertias, **given,
+            packages=self._read_packages(), srdf=self.srdf, fitted_inertias=self.fitted_inertias,
+            hold=self._read_held(), **given,
         )  # fmt: skip
 
     def hold_silent_joints(self, machine: Robot, robot: str | Path, logs: Sequence[Log | Recording]) -> Robot:
@@ -235,11 +238,23 @@ class RobotOptions:
 
         if not is_saved_model(robot):
             return Model.of(self.load(robot))
-        if self.set or self.actuated:
+        if self.set or self.actuated or self.hold:
             raise InputError(
-                "bad_option", f"{robot} is a model file, which carries its own robot; leave --set and --actuated out"
+                "bad_option",
+                f"{robot} is a model file, which carries its own robot; leave --set, --actuated and --hold out",
             )
         return Model.load(robot)
+
+    def _read_held(self) -> dict[str, float]:
+        """Return the positions of held joints by name."""
+        found = {}
+        for text in self.hold:
+            name, _, value = text.partition("=")
+            try:
+                found[name] = float(value)
+            except ValueError as fault:
+                raise InputError("bad_option", f"--hold {text}: write JOINT=VALUE, such as elbow=0.5") from fault
+        return found
 
     def _read_packages(self) -> dict[str, str]:
         pairs = {text: text.partition("=") for text in self.package}
@@ -260,7 +275,7 @@ class RobotOptions:
                 f"{path}: a robot file ends in .urdf or .urdf.xacro, a calibration's begins with tau_dyn_calibration; "
                 "is it a model file? Then give the robot's file first",
             )
-        if given or self.actuated or self.tool or self.package or self.srdf:
+        if given or self.actuated or self.tool or self.package or self.srdf or self.hold:
             raise InputError("bad_option", f"{path}: a calibrated robot has its arguments, joints and tool already")
         from tau_dyn.calibrate import load_calibration
 

@@ -134,6 +134,17 @@ def say(sentence: str) -> None:
         sys.stderr.flush()
 
 
+MIN_COLUMNS = 20
+"""Width of a terminal below which text cannot be wrapped; a program that runs ours may set zero."""
+
+
+def ignore_narrow_terminal() -> None:
+    """Remove a terminal width from the environment that is too small to wrap text."""
+    columns = os.environ.get("COLUMNS", "")
+    if columns.isascii() and columns.isdigit() and int(columns[:6]) < MIN_COLUMNS:
+        del os.environ["COLUMNS"]
+
+
 def replace_unencodable() -> None:
     """Let a screen of another coding show `?` for what it cannot, instead of failing."""
     for stream in (sys.stdout, sys.stderr):

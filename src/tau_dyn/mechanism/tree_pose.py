@@ -64,7 +64,9 @@ class TreePose:
         joints = list_joints(robot.model)
         if joints is None:
             raise InputError(
-                "unsupported", f"{robot.source}: kinematics of a tree needs joints of one degree of freedom each"
+                "unsupported",
+                f"{robot.source}: kinematics of a tree needs joints of one degree of freedom each; hold the others "
+                "still (--hold JOINT=0, or type='fixed' in the file)",
             )
         self.robot, self.joints = robot, joints
         self.loops = LoopArrays(LoopSolver(robot), joints)

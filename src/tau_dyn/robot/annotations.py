@@ -9,6 +9,7 @@ assumed rather than measured.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from xml.etree.ElementTree import Element, ParseError
@@ -143,6 +144,7 @@ def read_annotations(urdf: str, where: str) -> Annotations:
     check_numbers(root, where)
     check_parents(root, where)
     reader = _Reader(root, where)
+    _refuse_gazebo_loops(root, reader.links, where)
     mechanism = reader.ours("mechanism")
     return Annotations(
         joints=reader.joints,
@@ -164,6 +166,32 @@ def read_annotations(urdf: str, where: str) -> Annotations:
         shared_drives=reader.shared_drives(),
         drive_scales=reader.drive_scales(),
     )
+
+
+_LINK_PAIRS = (("parent_link", "child_link"), ("parentLink", "childLink"), ("parent", "child"))
+"""Names of the two links that a Gazebo joint or a plugin connects."""
+
+
+def _refuse_gazebo_loops(root: Element, links: Sequence[str], where: str) -> None:
+    """Refuse loops that Gazebo closes outside of the tree: without them, the passive joints would be taken as held still.
+
+    Raises:
+        InputError: A joint or a plugin of a `<gazebo>` element connects two links of the tree.
+    """
+    for element in root.findall("gazebo"):
+        for kind in (*element.findall("plugin"), *element.findall("joint")):
+            for names in _LINK_PAIRS:
+                pair = [(kind.findtext(name) or "").strip().split("::")[-1] for name in names]
+                if all(link in links for link in pair):
+                    name = kind.get("name", "") or kind.get("filename", "")
+                    a, b = pair
+                    raise InputError(
+                        "robot_structure",
+                        f"{where}: the <gazebo> {kind.tag} '{name}' closes a kinematic loop between {a} and {b}, which "
+                        "the tree does not have; write the loop as <drake:ball_constraint> with "
+                        f"<drake:ball_constraint_body_A name='{a}'/>, <drake:ball_constraint_body_B name='{b}'/> and "
+                        "their points, or as <constraint type='ball'>, and remove this element",
+                    )
 
 
 class _Reader:

@@ -11,6 +11,7 @@ import re
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from tau_dyn.files import compute_sha256
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot.annotations import Annotations, BallConstraint, JointFriction, Mimic, read_annotations
 from tau_dyn.robot.expand import expand, find_robot
+from tau_dyn.robot.held_joints import hold_joints
 from tau_dyn.robot.numbers import MAX_NUMBER, check_inertia
 from tau_dyn.robot.robot import NOT_GIVEN, LinkInertia, Loop, Robot, get_inertial_parameters
 from tau_dyn.robot.semantics import find_srdf, read_passive_joints
@@ -48,6 +50,7 @@ def load_robot(
     packages: Mapping[str, str | Path] | None = None,
     srdf: str | Path | None = None,
     fitted_inertias: bool = False,
+    hold: Mapping[str, float] | None = None,
     **arguments: object,
 ) -> Robot:
     """Load a robot from a file or by its short name.
@@ -61,6 +64,7 @@ def load_robot(
         packages: Folders of ROS packages by name, before those that are found (`packages.py`).
         srdf: An SRDF that names passive joints; by default the one beside the file, of the same name.
         fitted_inertias: Accept inertias that no body has, as those that were fitted to forces.
+        hold: Positions of joints that are held still [m or rad], by name.
         **arguments: xacro arguments, such as `prototype="l1"`.
 
     Raises:
@@ -79,6 +83,9 @@ def load_robot(
     urdf = expand(path, given, evaluate=xacro, packages=folders)
     if fitted_inertias:
         urdf = re.sub(r"</robot>\s*$", f"{FITTED}</robot>", urdf)
+    if hold:
+        read_annotations(urdf, str(robot))
+        urdf = hold_joints(urdf, hold, str(robot))
     semantics = Path(srdf) if srdf is not None else find_srdf(path)
     found = load_robot_from_urdf(
         urdf,
@@ -124,6 +131,18 @@ def load_robot_from_urdf(
         warnings.append(f"{source}: {', '.join(followers)} are named as actuated, so their <mimic> does not count")
     mimics = _resolve_mimics(model, notes, names, source)
     passive = [n for n in model.names[1:] if n not in names and n not in mimics]
+    if not notes.loops and (several := [n for n in passive if model.joints[model.getJointId(n)].nv != 1]):
+        found = load_robot_from_urdf(
+            hold_joints(urdf, dict.fromkeys(several, 0.0), source),
+            source,
+            actuated=actuated,
+            tool=tool,
+            arguments=arguments,
+            sha256=sha256,
+            lock_springs=lock_springs,
+            packages=packages,
+        )
+        return replace(found, warnings=(*found.warnings, f"{source}: held still at zero: {', '.join(several)}"))
     if passive and not notes.loops:
         moved = "it" if len(passive) == 1 else "them"
         warnings.append(
@@ -269,7 +288,11 @@ def _actuated(
         warnings = [f"{where} has no <transmission>; all its movable joints are taken as actuated: {listed}"]
     for name in names:
         if model.joints[model.getJointId(name)].nv != 1:
-            raise InputError("robot_structure", f"{where}: actuated joint '{name}' must have one degree of freedom")
+            raise InputError(
+                "robot_structure",
+                f"{where}: joint '{name}' has several degrees of freedom and cannot be actuated; hold it still "
+                f"(--hold {name}=0, or type='fixed' in the file), or name the joints with a motor (--actuated)",
+            )
     return tuple(n for n in movable if n in names), warnings
 
 
