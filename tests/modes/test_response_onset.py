@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -42,3 +43,22 @@ def test_modes_that_no_order_holds_are_no_delay():
         return choose_delay(data.train, look, orders=(2, 4, 6), most=3, least_gain=least_gain).delay
 
     assert chosen(0.1) == 0 < chosen(0.0)
+
+
+def test_an_idle_hammer_with_noise_does_not_start_a_pulse():
+    """Two hammers of which one rests in each blow, with force noise of 1 in 600: the onset is that of the blow."""
+    plant = structure(accelerometers=True)
+    record = recorded(plant, u=pulses(plant, 400, 6).u, decibels=50, delay=3)
+    noise = np.random.default_rng(2).normal(size=record.u.shape) * np.abs(record.u).max() / 600
+    data = prepare_records([log_of(replace(record, u=record.u + noise))], IN, OUT)
+    assert find_response_onset(data.train, decompose_pulse_tests(data.train, delay=20), 20) == 3
+
+
+def test_a_recording_that_begins_with_the_pulse_gives_no_onset():
+    """Without samples of rest before the blow nothing bounds the delay; the largest one is returned."""
+    plant = structure(accelerometers=True)
+    record = recorded(plant, u=pulses(plant, 400, 6).u, decibels=50)
+    data = prepare_records([log_of(record)], IN, OUT)
+    decays = decompose_pulse_tests(data.train, delay=20)
+    cut = [replace(one, u=one.u[(k := int(np.argmax(np.abs(one.u).max(axis=1)))) :], y=one.y[k:]) for one in data.train]
+    assert find_response_onset(cut, decays, 20) == 20

@@ -243,17 +243,26 @@ def find_response_onset(records: Sequence[Record], decays: EraFactors, most: int
         decays: Their decays, for how the structure rings on.
         most: Samples to look at.
     """
-    found = [_answer(r, decays, most) for r in records]
+    peaks = np.max([np.abs(r.u).max(axis=0) for r in records], axis=0)
+    found = [_answer(r, decays, most, peaks) for r in records]
     return min([k for k in found if k is not None], default=most)
 
 
-def _answer(record: Record, decays: EraFactors, most: int) -> int | None:
-    size = np.abs(record.u / np.maximum(np.abs(record.u).max(axis=0), 1e-300)).max(axis=1)
+MIN_REST_SAMPLES = 10
+"""Samples of rest before a pulse that a test of the onset needs: the states before it are fitted to them."""
+
+
+def _answer(record: Record, decays: EraFactors, most: int, peaks: np.ndarray) -> int | None:
+    """Return the onset in one record, or None; `peaks` (r,) are the inputs' largest forces over all records."""
+    size = np.abs(record.u / np.maximum(peaks, 1e-300)).max(axis=1)
     hit = int(np.argmax(size))
+    if hit < MIN_REST_SAMPLES:
+        return None  # the recording begins with the pulse
     noise = np.quantile(size[: max(hit - 5, 1)], 0.9)
-    start = int(np.flatnonzero(size > max(STARTED, 4 * noise))[0])
+    begun = np.flatnonzero(size > max(STARTED, 4 * noise))
+    start = int(begun[0]) if len(begun) else 0
     order = min(ONSET_ORDER, start * record.y.shape[1] // 3)
-    if start < 10 or order < 1:
+    if start < MIN_REST_SAMPLES or order < 1:
         return None
     A, C = decays.dynamics(order)
     y = record.y[: start + most] / decays.scales.y
