@@ -283,6 +283,17 @@ class Effect(ABC):
         missing = [name for name in cls.needs if name not in scene.signals]
         return (f"the logs give no {missing[0]}", cls.reveals) if missing else None
 
+    @classmethod
+    def explain_absorbed(cls, scene: Scene, joints: tuple[str, ...], is_felt: bool) -> str:
+        """Return why the baseline leaves nothing of the effect on these joints, as a clause; empty where nothing special is known.
+
+        Args:
+            scene: What the motion offers.
+            joints: The joints.
+            is_felt: Whether the effect changes any force.
+        """
+        return ""
+
     def find_implausible(self, parameters: Parameters, scales: JointScales, margin: float = 1.0) -> str:
         """Return what lies outside its plausible range, as a phrase; empty where all lie within.
 
