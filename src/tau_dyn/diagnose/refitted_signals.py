@@ -1,9 +1,9 @@
 """What a fitted model predicts of causes that move its weakly determined parameters.
 
-A turned gravity, a wrong zero or a saturated drive feels combinations of masses that no force under the nominal one shows, and a fit
-that knows nothing of it moves weakly determined ones to explain it. So the values are refitted beside the cause, as near the nominal
-ones as the data let them be, and the cause's forces are made with these. A wrong zero is moreover no small change of the positions: it
-is found together with all values by Gauss-Newton steps on the regression of the training logs (Ljung 1999, 10.2).
+A turned gravity, a wrong zero or a saturated drive feels combinations of masses that no force under the nominal one shows. A
+fit without it moves weakly determined ones to explain it. So the values are refitted beside the cause, as near the nominal ones
+as the data let them be, and the cause's forces are made with these. A wrong zero is no small change of the positions: it is found
+together with all values by Gauss-Newton steps on the regression of the training logs (Ljung 1999, 10.2).
 """
 
 from __future__ import annotations
@@ -236,7 +236,7 @@ class _ZeroSearch:
         return zero
 
     def _step(self, zero: float) -> tuple[float, float]:
-        """Return the misfit at a zero, the values refitted, and the Gauss-Newton step from there; zero where bodies replace it."""
+        """Return the misfit at a zero, the values refitted, and the Gauss-Newton step; it is zero where bodies replace the zero."""
         W = self._columns(zero)
         unit, norm = scale_columns(W[:, self.free])
         theta = np.array(self.values)

@@ -285,7 +285,7 @@ class Effect(ABC):
 
     @classmethod
     def explain_absorbed(cls, scene: Scene, joints: tuple[str, ...], is_felt: bool) -> str:
-        """Return why the baseline leaves nothing of the effect on these joints, as a clause; empty where nothing special is known.
+        """Return why the baseline leaves nothing of the effect on these joints, as a clause; empty where no reason is known.
 
         Args:
             scene: What the motion offers.
@@ -317,6 +317,10 @@ class Effect(ABC):
                 if not row.low <= self.settings[key] <= margin * row.high:
                     return f"{key} = {self.settings[key]:.3g} is outside of its plausible range ({row.describe()})"
         return ""
+
+    def find_limit_law(self, scene: Scene) -> Effect | None:
+        """Return the law that the effect becomes beyond the open end of its grid; None where there is none."""
+        return None
 
     def lookalikes(self) -> list[Effect]:
         """Return laws without a name, with as many terms, that must explain less for this one to be named."""

@@ -6,13 +6,13 @@ The force is not linear in the zero, so it is stated near a setting `about`, as 
 
     tau = rigid body(q_log) + joint_zero (rigid body(q_log - about) - rigid body(q_log)) / about
 
-is exact where both agree, and diagnosis fits them as one number. The rigid body's force at displaced positions comes as a signal,
-its change at four shifts of each joint. Between them the law of a tree is interpolated exactly: of a hinge's position its force is
-a trigonometric polynomial of degree two, of a slide's a polynomial of degree two.
+is exact where both agree, and diagnosis fits them as one number. The rigid body's force at displaced positions comes as a
+signal, its change at four shifts of each joint. Between them the law of a tree is interpolated exactly: of a hinge's position
+its force is a trigonometric polynomial of degree two, of a slide's a polynomial of degree two.
 
-Two zeros are not identifiable from forces, and diagnosis lists their joints. No force depends on the position of a first joint about
-a vertical axis. The zero of a joint whose links are free to have any first moments and inertias is an exact alias of these: the
-last joint's of its centre of mass. Reference: Khalil & Dombre 2002, 9.4; Hollerbach, Khalil & Gautier 2016, 6.2.
+Two zeros are not identifiable from forces, and diagnosis lists their joints. No force depends on the position of a first joint
+about a vertical axis. The zero of a joint whose links are free to have any first moments and inertias is an exact alias of
+these: the last joint's of its centre of mass. Reference: Khalil & Dombre 2002, 9.4; Hollerbach, Khalil & Gautier 2016, 6.2.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SHIFTED_FORCE = "shifted_force"
 joint (third axis) at a time."""
 
 SHIFTS = MappingProxyType({"N": 0.02 * np.array([-2, -1, 1, 2]), "N m": 0.25 * np.array([-2, -1, 1, 2])})
-"""Force unit -> shifts of a joint [m or rad]. A quarter of a radian is far from a period; two centimetres of a slide keep loops closed."""
+"""Force unit -> shifts of a joint [m or rad]: far from the period of a hinge, and small enough to keep a slide's loops closed."""
 
 MIN_ABOUT = 1e-3
 """Smallest setting `about` that is tried [m or rad]; the law is linear to a thousandth up to it."""
@@ -70,7 +70,7 @@ class JointZero(JointParameters, DisplacementEffect):
     cause = True
     equation = "tau_log = tau(q_log - joint_zero), q_log = q + joint_zero"
     reference = "Khalil & Dombre 2002, 9.4; Hollerbach, Khalil & Gautier 2016, 6.2"
-    reveals = "slow motion of all joints together, with a weighed payload, its mass fixed by --fix; or a tool measured at some poses"
+    reveals = "slow motion of all joints together with a weighed payload, its mass fixed by --fix; or a tool measured at poses"
     mistaken_for = ("gravity_direction", "link_mass", "payload", "drive_gain")
     # Encoders are remounted by some mrad, belts jump by teeth of up to 0.2 rad; more is another convention of the angles
     plausible = tuple(build_slide_and_hinge_ranges("joint_zero", "Q", (-0.1, -0.6), (0.1, 0.6)))

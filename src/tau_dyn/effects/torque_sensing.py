@@ -1,21 +1,20 @@
 r"""Forces that a drive reports otherwise than it gives them: its constant falls with the force, or other drives leak in.
 
-A motor's iron saturates: the current grows faster than the torque, and a force that is logged as current times a constant comes out
+A motor's iron saturates: the current grows faster than the torque, and a force that is logged as current times a constant is
 too large at high force. To the lowest odd order
 
     tau_log = tau + torque_saturation tau (tau / largest)^2,
 
-with the largest force of the joint as a setting, so that the amplitude is the share of its last torque that the log adds. Friction in
-proportion to the load (`load_friction`) has the sign of the speed, this has the sign of the force, whichever way the joint moves.
+with the joint's largest force as a setting, so that the amplitude is the share that the log adds to it. Friction in proportion
+to the load (`load_friction`) has the sign of the speed, this has the sign of the force, whichever way the joint moves.
 
 Cross-talk of current sensors, or of strain gauges in one housing, adds a share of another joint's force:
 
     tau_log_i = tau_i + torque_crosstalk tau_k.
 
-A motor that two joints share (`reducer_coupling`) loads both of them alike, with its own inertia and friction only; cross-talk carries
-gravity as well, into one of them. Both forces here are those of the fitted model and not the measured ones, whose noise would be in
-the column and in the residual. Reference: Gautier & Briot 2014; Hughes & Drury 2013, ch. 3; Cao & Tang 2018 (decoupling of
-multi-axis force sensors).
+A motor that two joints share (`reducer_coupling`) loads both of them alike, with its own inertia and friction only; cross-talk
+carries gravity as well, into one of them. Both forces here are those of the fitted model and not the measured ones, whose noise
+would be in the column and in the residual. Reference: Gautier & Briot 2014; Hughes & Drury 2013, ch. 3; Gautier & Venture 2013.
 """
 
 from __future__ import annotations
@@ -85,7 +84,7 @@ class TorqueCrosstalk(ForceReading):
     name = "torque_crosstalk"
     cause = True
     equation = "tau_log_i = tau_i + torque_crosstalk tau_k"
-    reference = "Cao & Tang 2018"
+    reference = "Gautier & Venture 2013"
     reveals = "motion of the other joint alone, the first one held still at several places"
     mistaken_for = ("reducer_coupling", "link_mass", "gravity_direction", "joint_zero")
     # Sensors are decoupled to a few per cent; a third is a matrix that was never applied

@@ -30,7 +30,6 @@ from tau_dyn.evidence.extended_fit import (
 from tau_dyn.evidence.plausibility import (
     compute_least_forces,
     find_companion,
-    find_edge,
     find_implausible,
     find_inconsistent,
     is_distinct_from_zero,
@@ -38,6 +37,7 @@ from tau_dyn.evidence.plausibility import (
     widen_scales,
 )
 from tau_dyn.evidence.result import Choice, Gain, Step
+from tau_dyn.evidence.search_edges import find_edge
 from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
 from tau_dyn.message_codes import CodedWarning
 

@@ -33,6 +33,7 @@ from tau_dyn.evidence.candidate_scan import (
 )
 from tau_dyn.evidence.channel import TRAIN, Channel, ColumnCache
 from tau_dyn.evidence.null_model import NullModel, fit_noise_models
+from tau_dyn.evidence.search_edges import replace_at_edge
 from tau_dyn.evidence.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, find_structure
 
 _STEPS = 3  # Gauss-Newton steps of the settings
@@ -66,7 +67,7 @@ def refine_settings(candidate: CandidateCause, ground: NullModel) -> CandidateCa
             if not better.statistic > fit.statistic + 0.01:
                 break
             fit = better
-        fits.append(_grown(fit, ground))
+        fits.append(replace_at_edge(_grown(fit, ground), ground))
     return replace(candidate, fits=tuple(fits))
 
 
