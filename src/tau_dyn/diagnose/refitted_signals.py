@@ -236,7 +236,7 @@ class _ZeroSearch:
         return zero
 
     def _step(self, zero: float) -> tuple[float, float]:
-        """Return the misfit at a zero, the values refitted, and the Gauss-Newton step; it is zero where bodies replace the zero."""
+        """Return the misfit at a zero, the values refitted, and the Gauss-Newton step; it is none where bodies are an alias."""
         W = self._columns(zero)
         unit, norm = scale_columns(W[:, self.free])
         theta = np.array(self.values)

@@ -192,6 +192,7 @@ class Effect(ABC):
         whole: Settings that count something, from one up.
         speed_law: Whether its force on a joint is an odd function of that joint's speed alone.
         grows: A setting that counts terms, of which more are tried where one was found; empty for none.
+        felt_by_all: Whether it changes the forces of all joints, so that its gain is theirs.
         shared_by_joints: Whether joints cannot have amplitudes of their own, as the recording has one for all.
         special: The cause that is this law with less freedom, and is named where data do not tell them apart; mostly empty.
         dense: Whether its grid is so fine that it is first tried on decimated motion; it then has `local_frequency`.
@@ -217,6 +218,7 @@ class Effect(ABC):
     whole: ClassVar[tuple[str, ...]] = ()
     grows: ClassVar[str] = ""
     shared_by_joints: ClassVar[bool] = False
+    felt_by_all: ClassVar[bool] = False
     speed_law: ClassVar[bool] = False
     dense: ClassVar[bool] = False
     special: ClassVar[str] = ""
@@ -284,11 +286,10 @@ class Effect(ABC):
         return (f"the logs give no {missing[0]}", cls.reveals) if missing else None
 
     @classmethod
-    def explain_absorbed(cls, scene: Scene, joints: tuple[str, ...], is_felt: bool) -> str:
+    def explain_absorbed(cls, joints: tuple[str, ...], is_felt: bool) -> str:
         """Return why the baseline leaves nothing of the effect on these joints, as a clause; empty where no reason is known.
 
         Args:
-            scene: What the motion offers.
             joints: The joints.
             is_felt: Whether the effect changes any force.
         """

@@ -80,6 +80,7 @@ class JointZero(JointParameters, DisplacementEffect):
     defaults = {"about": MIN_ABOUT}
     setting_units = {"about": "Q"}
     matched = {"about": "joint_zero"}
+    felt_by_all = True
 
     @property
     def measured(self) -> bool:
@@ -113,7 +114,7 @@ class JointZero(JointParameters, DisplacementEffect):
         return ("the logs give no forces of a known robot", cls.reveals) if missing else None
 
     @classmethod
-    def explain_absorbed(cls, scene: Scene, joints: tuple[str, ...], is_felt: bool) -> str:
+    def explain_absorbed(cls, joints: tuple[str, ...], is_felt: bool) -> str:
         """Return why the baseline leaves nothing of the zero of these joints: no force depends on it, or bodies replace it."""
         if not is_felt:
             return f"no force depends on the position of {joints[0]}"
