@@ -200,7 +200,9 @@ class ViscousCurvature(JointwiseEffect):
 
     name = "viscous_curvature"
     cause = True
-    equation = "tau += viscous_curvature sign(v) x (1 + x^2)^((power - 1) / 2), x = |v| / knee; of power 2 x (2 - x) up to the knee"
+    equation = (
+        "tau += viscous_curvature sign(v) x (1 + x^2)^((power - 1) / 2), x = |v| / knee; for power 2 x (2 - x), x <= 1"
+    )
     reference = "Carreau 1972; Bittencourt & Gunnarsson 2012"
     reveals = "constant-speed strokes at ten speeds or more up to the highest, in both directions"
     mistaken_for = ("quadratic_drag", "stribeck", "thermal_drift", "viscous_asymmetry")
