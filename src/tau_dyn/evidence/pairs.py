@@ -1,9 +1,9 @@
 """Two causes together in the place of one: a cause that a pair of others explains as well is not told from the pair.
 
-The pair is tried on the joints of the cause, with what is accounted for beside it, each member at the setting at which it explains most
-there. It is a rival where its penalised statistic reaches that of the cause to within `MIN_2LOGL_DIFFERENCE`, under the scatter of the
-cause, and neither member does so alone: that would be a twin of its own. Only causes that are known doubles of the cause or explain a
-tenth of it are paired, the strongest first, so that chance has few pairs to choose from.
+The pair is tried on the joints of the cause, next to all other causes, each member at the setting at which it explains most
+there. It is a rival where its penalised statistic reaches that of the cause to within `MIN_2LOGL_DIFFERENCE`, under the
+scatter of the cause, and neither member does so alone: that would be a twin of its own. Only causes that are known doubles of the
+cause or explain a tenth of it are paired, the strongest first, so that chance has few pairs to choose from.
 """
 
 from __future__ import annotations
