@@ -15,7 +15,16 @@ from typing import Any
 import numpy as np
 import yaml
 
-from tau_dyn.effects import Effect, Motion, describe_missing_state, name_effect_in_errors, read_effects
+from tau_dyn.effects import (
+    DELIVERED,
+    SHIFTED_FORCE,
+    Effect,
+    Motion,
+    compute_shifted_forces,
+    describe_missing_state,
+    name_effect_in_errors,
+    read_effects,
+)
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.mechanism import Mechanism, build_mechanism
@@ -25,6 +34,14 @@ from tau_dyn.robot import INERTIAL, Robot, load_robot_from_urdf
 
 _FORMAT = 1  # version of the model file's layout
 
+
+def _compute_shifted_forces(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Return the change (N, na, na, 4) of the rigid body's forces at displaced positions; see `effects/joint_zero.py`."""
+    units = mechanism.robot.force_units
+    made = [compute_shifted_forces(lambda x: mechanism.inverse_dynamics(x, v, a), q, k, u) for k, u in enumerate(units)]
+    return np.stack(made, axis=2)
+
+
 COMPUTED: dict[str, Callable[[Mechanism, np.ndarray, np.ndarray, np.ndarray], np.ndarray]] = {
     "load": lambda mechanism, q, v, a: mechanism.guide_load(q, v, a),
     "reducer_torque": lambda mechanism, q, v, a: mechanism.reducer_torque(q, v, a),
@@ -33,10 +50,13 @@ COMPUTED: dict[str, Callable[[Mechanism, np.ndarray, np.ndarray, np.ndarray], np
     "weight_gradient": lambda mechanism, q, v, a: mechanism.weight_gradient(q),
     "gravity_turn": lambda mechanism, q, v, a: mechanism.gravity_turn(q),
     "rigid_force": lambda mechanism, q, v, a: mechanism.inverse_dynamics(q, v, a),
+    SHIFTED_FORCE: _compute_shifted_forces,
 }
 """Signals of a motion that the mechanism gives."""
 
-BY_STATE = frozenset({*COMPUTED, "force", "damping"})
+_FORCES = frozenset({"force", DELIVERED})
+"""Signals that are the force of the model without the effects that feel it."""
+BY_STATE = frozenset({*COMPUTED, *_FORCES, "damping"})
 """Signals that a single state determines."""
 
 _SMALL = 1e-6
@@ -208,16 +228,17 @@ class Model(Shown):
                 found[name] = COMPUTED[name](self.mechanism, q, v, a)
         if "damping" in wanted and "damping" not in found:  # before the force, of which what yields makes a part by it
             found["damping"] = self.damping(Motion.of(self.robot.actuated, q, v, a, sign, t=t, signals=found))
-        if "force" in wanted and "force" not in found:
-            plain = self.only(e for e in self.effects if "force" not in e.needs)
-            found["force"] = plain.mechanism.inverse_dynamics(q, v, a) + plain.effect_force(
+        if missing := (wanted & _FORCES) - set(found):
+            plain = self.only(e for e in self.effects if not _FORCES & set(e.needs))
+            force = plain.mechanism.inverse_dynamics(q, v, a) + plain.effect_force(
                 Motion.of(self.robot.actuated, q, v, a, sign, t=t, signals=found)
             )
+            found |= dict.fromkeys(missing, force)
         return Motion.of(self.robot.actuated, q, v, a, sign, t=t, signals=found)
 
     def damping(self, motion: Motion) -> np.ndarray:
         """Return how each joint's friction grows with its speed (N, na), the direction of motion kept."""
-        kept = self.only(e for e in self.effects if not {"force", "damping"} & set(e.needs))
+        kept = self.only(e for e in self.effects if not {*_FORCES, "damping"} & set(e.needs))
         step = _SMALL * (1.0 + np.abs(motion.v))
         ahead, behind = (kept.effect_force(replace(motion, v=motion.v + d)) for d in (step, -step))
         return (ahead - behind) / (2 * step)

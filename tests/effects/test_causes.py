@@ -24,6 +24,7 @@ timestamp_jitter friction_change
 armature drive_lag viscous_curvature force_scale
 directional_efficiency lugre static_friction torque_speed_limit cogging
 back_emf inductance winding_heat supply_sag
+joint_zero torque_saturation torque_crosstalk
 """.split()
 CAUSES = [name for name, cls in EFFECTS.items() if cls.cause]
 JOINTS, UNITS, N = ("j1", "j2", "j3"), ("N", "N", "N m"), 400
@@ -53,6 +54,8 @@ def motion(rng) -> Motion:
         "side_force": rng.standard_normal((N, 3, 3)),
         "guide_across": rng.standard_normal((N, 3, 2, 3)),
         "gravity_turn": rng.standard_normal((N, 3, 2)),
+        "shifted_force": rng.standard_normal((N, 3, 3, 4)),
+        "delivered_force": np.cumsum(rng.standard_normal((N, 3)), axis=0),
         "campaign": np.repeat((0.0, 1.0), N // 2),
         "reported_force": np.cumsum(rng.standard_normal((N, 3)), axis=0),
         "voltage": np.cumsum(rng.standard_normal((N, 3)), axis=0),

@@ -213,8 +213,11 @@ def test_an_extended_model_survives_its_file(name: str, rng, tmp_path) -> None:
     assert_allclose(back.torque(q, v, a), model.torque(q, v, a), rtol=1e-12)
 
 
+PAIRED = ("reducer_coupling", "torque_crosstalk")
+
+
 @pytest.mark.parametrize("name", ["gantry_tau", "linear_axis"])
-@pytest.mark.parametrize("cause", [name for name, cls in EFFECTS.items() if cls.cause and name != "reducer_coupling"])
+@pytest.mark.parametrize("cause", [name for name, cls in EFFECTS.items() if cls.cause and name not in PAIRED])
 def test_forces_at_states_are_given_or_refused_by_name(name: str, cause: str) -> None:
     """A state determines the force, or one sentence names the effect and what is missing; nothing is silently zero."""
     model = extended(name, (cause, {}, ""))

@@ -46,7 +46,7 @@ IN_THE_ROBOT = {
 IN_THE_LOG = {
     "delay", "backlash", "transmission_error", "pinion_scale", "joint_compliance", "structural_compliance",
     "guideway_compliance", "guideway_nonparallel", "cart_tilt", "drive_lag",
-    "back_emf", "inductance", "winding_heat", "supply_sag",
+    "back_emf", "inductance", "winding_heat", "supply_sag", "joint_zero", "torque_saturation", "torque_crosstalk",
 }  # fmt: skip
 SETTINGS = {
     "stribeck": {"speed": 0.1},

@@ -7,10 +7,20 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from tau_dyn.diagnose.preparation import ForceTiming, compute_border_gap_s, find_timing
-from tau_dyn.effects import EFFECTS, GRAVITY_TURN, DisplacementEffect, Effect, LazySignals, Motion, Scene
+from tau_dyn.diagnose.refitted_signals import RefittedModel, interpolate_smooth
+from tau_dyn.effects import (
+    DELIVERED,
+    EFFECTS,
+    GRAVITY_TURN,
+    SHIFTED_FORCE,
+    DisplacementEffect,
+    Effect,
+    LazySignals,
+    Motion,
+    Scene,
+)
 from tau_dyn.estimate import Regression, RegressionRun, Whitener
 from tau_dyn.evidence import (
     LONG,
@@ -37,14 +47,6 @@ MIN_VALUES = 10
 _INDEPENDENT = 1e-9
 """Smallest eigenvalue of the unit columns' Gram matrix that counts as another combination."""
 
-_MAX_ROWS = 8000
-"""Samples from which values are made: many times the number of parameters."""
-_MIN_RELATIVE_NORM = 1e-7
-"""Size of a column, relative to the largest, below which it is a rounding of the robot file."""
-_WEIGHING = ("mass", "mx", "my", "mz")
-_STIFFNESS = 30.0
-"""How much less of a misfit masses and first moments take than inertias, where either can: a drive's inertia that nobody gave
-is in the bodies' inertia, and the robot file knows masses better."""
 _SIGNALS = ("inertia", "weight_gradient", "load", "reducer_torque", "passive")
 
 
@@ -150,7 +152,7 @@ def build_force_channel(
     Raises:
         CannotAnswer: Too little is left of the data for three parts.
     """
-    prepared, regression, timing = _complete(model, prepared, held, regression, clear_hz)
+    prepared, regression, timing, refitted = _complete(model, prepared, held, regression, clear_hz)
     gap_s = compute_border_gap_s(preparation.force_cutoff_hz, prepared[0].log.rate_hz)
     parts = split_by_blocks(regression.runs, held, gap_s)
     campaigns = len({piece.log.name for piece, out in zip(prepared, held, strict=True) if not out})
@@ -159,6 +161,7 @@ def build_force_channel(
     if timing is not None:
         each = zip(scene.joints, map(float, timing.delays), map(float, timing.lags), strict=True)
         scene = replace(scene, timing={joint: (delay, lag) for joint, delay, lag in each})
+    scene = _with_refits(scene, refitted)
     channel = ForceChannel(
         "force",
         regression.outputs,
@@ -184,6 +187,14 @@ def build_force_channel(
     return channel
 
 
+def _with_refits(scene: Scene, refitted: RefittedModel) -> Scene:
+    """Return the scene with the joints' zeros that fit best, and the largest forces beside a saturation."""
+    zeros = dict(zip(scene.joints, map(float, refitted.zeros), strict=True))
+    largest = dict(zip(scene.joints, map(float, refitted.largest), strict=True))
+    scales = {joint: {**own, "delivered": largest[joint]} for joint, own in scene.scales.items()}
+    return replace(scene, zeros=zeros, scales=scales)
+
+
 def replace_measurements(
     channel: ForceChannel,
     model: Model,
@@ -193,7 +204,7 @@ def replace_measurements(
     clear_hz: float,
 ) -> ForceChannel:
     """Return a channel, its parts and its scene, with other measurements at the same times; see `build_force_channel`."""
-    prepared, regression, _ = _complete(model, prepared, held, regression, clear_hz)
+    prepared, regression, *_ = _complete(model, prepared, held, regression, clear_hz)
     thinned = tuple(_thinned(piece) for piece in prepared)
     return replace(channel, runs=regression.runs, prepared=tuple(prepared), thinned=thinned)
 
@@ -204,20 +215,13 @@ def _complete(
     held: Sequence[bool],
     regression: Regression,
     clear_hz: float,
-) -> tuple[Sequence[PreparedSegment], Regression, ForceTiming | None]:
-    """Return the pieces with what a fitted model says of their motion, their regression, and the forces' timing."""
+) -> tuple[Sequence[PreparedSegment], Regression, ForceTiming | None, RefittedModel]:
+    """Return the pieces with a fitted model's signals along their motion, their regression, the forces' timing, and refits."""
     prepared, regression, timing = _with_timing(model, prepared, held, regression)
-    values, runs, trained = regression.parameters.values, regression.runs, [not out for out in held]
-
-    @cache
-    def find_turns() -> list[np.ndarray]:
-        return _gravity_turns(model, values, prepared, runs, trained)
-
-    found = [
-        _with_signals(piece, model, partial(lambda k: find_turns()[k], k), clear_hz, timing)
-        for k, piece in enumerate(prepared)
-    ]
-    return found, regression, timing
+    trained = tuple(not out for out in held)
+    refitted = RefittedModel(model, regression.parameters.values, tuple(prepared), regression.runs, trained)
+    found = [_with_signals(piece, refitted, k, clear_hz, timing) for k, piece in enumerate(prepared)]
+    return found, regression, timing, refitted
 
 
 def _with_timing(
@@ -246,28 +250,25 @@ def compute_determined_rank(regression: Regression, parts: Sequence[np.ndarray])
     return int(np.linalg.matrix_rank(gram / np.outer(scale, scale), tol=_INDEPENDENT, hermitian=True))
 
 
-def _interpolate(piece: PreparedSegment, compute: Callable[..., np.ndarray]) -> np.ndarray:
-    """Return what is computed of positions, speeds and accelerations, smooth, so made at the regression's rate."""
-    m, t = piece.motion, piece.log.t
-    few = np.unique(np.append(np.arange(0, len(t), piece.factor), len(t) - 1))
-    return np.asarray(CubicSpline(t[few], compute(m.q[few], m.v[few], m.a[few]))(t))
-
-
 def _with_signals(
     piece: PreparedSegment,
-    model: Model,
-    find_turn: Callable[[], np.ndarray],
+    refitted: RefittedModel,
+    place: int,
     clear_hz: float,
     timing: ForceTiming | None,
 ) -> PreparedSegment:
-    """Return a piece whose motion has what a fitted model says of it: loads, inertia, turn of gravity, predicted forces.
+    """Return the piece at a place whose motion has a fitted model's signals: loads, inertia, turn of gravity, predicted forces.
 
     `force` is that of the values with the recording's timing taken out; see `preparation.py`.
     """
+    model = refitted.model
     m, t, mechanism = piece.motion, piece.log.t, model.mechanism
     names = [s for s in _SIGNALS if s != "passive" or model.robot.loops]
-    smooth = {name: partial(_interpolate, piece, partial(COMPUTED[name], mechanism)) for name in names}
-    known = {**{name: partial(m.signals.__getitem__, name) for name in m.signals}, GRAVITY_TURN: find_turn, **smooth}
+    smooth = {name: partial(interpolate_smooth, piece, partial(COMPUTED[name], mechanism)) for name in names}
+    known: dict[str, Callable[[], np.ndarray]] = {name: partial(m.signals.__getitem__, name) for name in m.signals}
+    known |= smooth
+    known[GRAVITY_TURN] = lambda: refitted.gravity_turns[place]
+    known[SHIFTED_FORCE] = lambda: refitted.shifted_forces[place]
     found = LazySignals(known)
 
     @cache
@@ -277,10 +278,11 @@ def _with_signals(
 
     def predict() -> np.ndarray:
         force = signals["wide_force"] + model.effect_force(find_whole())
-        if timing is None:
-            return force
+        return force if timing is None else force + predict_change(timing.change)
+
+    def predict_change(change: np.ndarray) -> np.ndarray:
         parts = (mechanism.regressor(m.q, m.v, m.a), *(effect.columns(find_whole()) for effect in model.effects))
-        return force + np.concatenate(parts, axis=2) @ timing.change
+        return np.concatenate(parts, axis=2) @ change
 
     signals = LazySignals(
         {
@@ -292,6 +294,7 @@ def _with_signals(
                 signals["wide_force"], min(clear_hz, 0.4 * piece.log.rate_hz), piece.log.rate_hz
             ),
             "force": predict,
+            DELIVERED: lambda: signals["force"] + predict_change(refitted.delivered),
             "damping": lambda: model.damping(find_whole()),
             "clear_hz": lambda: np.full(len(t), clear_hz),  # a mode in the clear band passes no noise on
         }
@@ -303,38 +306,6 @@ def _with_signals(
 def _lay_samples_last(x: np.ndarray) -> np.ndarray:
     """Return an array (N, ...) with a joint's samples next to each other in memory, as effects and filters read them."""
     return np.moveaxis(np.ascontiguousarray(np.moveaxis(x, 0, -1)), -1, 0)
-
-
-def _gravity_turns(
-    model: Model,
-    nominal: np.ndarray,
-    prepared: Sequence[PreparedSegment],
-    runs: Sequence[RegressionRun],
-    trained: Sequence[bool],
-) -> list[np.ndarray]:
-    """Return what a turn of gravity does to the forces at rest (N, na, 2) of each piece.
-
-    A turned gravity feels combinations of masses that no force under the nominal one shows, and a fit that knows of no turn moves
-    weakly determined ones to explain it. So the values are refitted beside the turn, as near the nominal ones (p,) as the data
-    let them be.
-    """
-    turns = [_interpolate(piece, lambda q, v, a: model.mechanism.gravity_turn(q)) for piece in prepared]
-    rows, y = [], []
-    for piece, run, turn, mine in zip(prepared, runs, turns, trained, strict=True):
-        if mine:
-            columns = np.concatenate([run.W_all, piece.columns(turn, gated=False)], axis=2)
-            rows.append(columns[run.usable])
-            y.append((run.y_all - run.W_all @ nominal)[run.usable])
-    W, e = np.concatenate(rows), np.concatenate(y)
-    every = 1 + len(W) // _MAX_ROWS
-    W, e = W[::every], e[::every]
-    free = np.append(model.parameters.free, [True, True])
-    norm = np.linalg.norm(W, axis=0) * free
-    unit = np.where(norm > _MIN_RELATIVE_NORM * norm.max(initial=0.0), norm, np.inf)
-    unit[:-2] *= np.where([n.rsplit(".", 1)[-1] in _WEIGHING for n in model.parameters.names], _STIFFNESS, 1.0)
-    change = (np.linalg.lstsq(W / unit, e, rcond=1e-4)[0] / unit)[:-2]
-    near = model.with_parameters(model.parameters.with_values(nominal + change))
-    return [_interpolate(piece, lambda q, v, a: near.mechanism.gravity_turn(q)) for piece in prepared]
 
 
 def _thinned(piece: PreparedSegment) -> Motion:

@@ -46,6 +46,12 @@ from .guideways import (
     GuidewayCompliance as GuidewayCompliance,
     GuidewayNonparallel as GuidewayNonparallel,
 )
+from .joint_zero import (
+    SHIFTED_FORCE as SHIFTED_FORCE,
+    JointZero as JointZero,
+    compute_shifted_forces as compute_shifted_forces,
+    interpolate_shifts as interpolate_shifts,
+)
 from .jointwise import (
     DisplacementEffect as DisplacementEffect,
     JointwiseDisplacement as JointwiseDisplacement,
@@ -91,6 +97,12 @@ from .timing import (
     DriveLag as DriveLag,
     TimingEffect as TimingEffect,
     apply_first_order_lowpass as apply_first_order_lowpass,
+)
+from .torque_sensing import (
+    DELIVERED as DELIVERED,
+    ForceReading as ForceReading,
+    TorqueCrosstalk as TorqueCrosstalk,
+    TorqueSaturation as TorqueSaturation,
 )
 from .torque_speed_limit import REPORTED as REPORTED, TorqueSpeedLimit as TorqueSpeedLimit
 from .varying_friction import (

@@ -28,6 +28,7 @@ from tau_dyn.effects.friction import (
 )
 from tau_dyn.effects.gear_losses import DirectionalEfficiency, LoadFriction
 from tau_dyn.effects.guideways import CartTilt, GuidewayCompliance, GuidewayNonparallel
+from tau_dyn.effects.joint_zero import JointZero
 from tau_dyn.effects.jointwise import DisplacementEffect, JointwiseEffect
 from tau_dyn.effects.lost_motion import Backlash, JointCompliance
 from tau_dyn.effects.motor_electrics import BackEmf, Inductance, SupplySag, WindingHeat
@@ -37,6 +38,7 @@ from tau_dyn.effects.robot_file import Armature, DriveGain, GravityDirection, Pi
 from tau_dyn.effects.static_friction import StaticFriction
 from tau_dyn.effects.structural_compliance import StructuralCompliance
 from tau_dyn.effects.timing import Delay, DriveLag
+from tau_dyn.effects.torque_sensing import TorqueCrosstalk, TorqueSaturation
 from tau_dyn.effects.torque_speed_limit import TorqueSpeedLimit
 from tau_dyn.effects.varying_friction import (
     FrictionChange,
@@ -103,6 +105,7 @@ _IN_ORDER: tuple[type[Effect], ...] = (
     GuidewayNonparallel, GuidewayCompliance, CartTilt, FrictionChange,
     DirectionalEfficiency, Lugre, StaticFriction, TorqueSpeedLimit, Cogging,
     BackEmf, Inductance, WindingHeat, SupplySag,
+    JointZero, TorqueSaturation, TorqueCrosstalk,
 )  # fmt: skip
 
 for _effect in _IN_ORDER:

@@ -192,6 +192,7 @@ class Effect(ABC):
         whole: Settings that count something, from one up.
         speed_law: Whether its force on a joint is an odd function of that joint's speed alone.
         grows: A setting that counts terms, of which more are tried where one was found; empty for none.
+        felt_by_all: Whether it changes the forces of all joints, so that its gain is theirs.
         shared_by_joints: Whether joints cannot have amplitudes of their own, as the recording has one for all.
         special: The cause that is this law with less freedom, and is named where data do not tell them apart; mostly empty.
         dense: Whether its grid is so fine that it is first tried on decimated motion; it then has `local_frequency`.
@@ -217,6 +218,7 @@ class Effect(ABC):
     whole: ClassVar[tuple[str, ...]] = ()
     grows: ClassVar[str] = ""
     shared_by_joints: ClassVar[bool] = False
+    felt_by_all: ClassVar[bool] = False
     speed_law: ClassVar[bool] = False
     dense: ClassVar[bool] = False
     special: ClassVar[str] = ""
@@ -283,6 +285,16 @@ class Effect(ABC):
         missing = [name for name in cls.needs if name not in scene.signals]
         return (f"the logs give no {missing[0]}", cls.reveals) if missing else None
 
+    @classmethod
+    def explain_absorbed(cls, joints: tuple[str, ...], is_felt: bool) -> str:
+        """Return why the baseline leaves nothing of the effect on these joints, as a clause; empty where no reason is known.
+
+        Args:
+            joints: The joints.
+            is_felt: Whether the effect changes any force.
+        """
+        return ""
+
     def find_implausible(self, parameters: Parameters, scales: JointScales, margin: float = 1.0) -> str:
         """Return what lies outside its plausible range, as a phrase; empty where all lie within.
 
@@ -306,6 +318,10 @@ class Effect(ABC):
                 if not row.low <= self.settings[key] <= margin * row.high:
                     return f"{key} = {self.settings[key]:.3g} is outside of its plausible range ({row.describe()})"
         return ""
+
+    def find_limit_law(self, scene: Scene) -> Effect | None:
+        """Return the law that the effect becomes beyond the open end of its grid; None where there is none."""
+        return None
 
     def lookalikes(self) -> list[Effect]:
         """Return laws without a name, with as many terms, that must explain less for this one to be named."""

@@ -4,9 +4,9 @@ A one-sided friction is half the difference of both directions' coefficients; th
 data never tell it from `torque_offset`. Where the sign is smoothed, the two directions' laws are mixed in proportion. A Stribeck
 power is 1 in some texts and 2 in others; a setting here. The viscous curvature is in proportion to the speed well below the knee
 and to its `power` well above it: the Carreau law of a lubricant that thins (power below 1; at 0 it levels off) or of drag that
-sets in (power 1.5). Reference: Dressler 2012, (6.8)-(6.9) and Table 6.1; Khalil & Dombre 2002, 9.6; Stribeck 1902;
-Armstrong-Helouvry, Dupont & Canudas de Wit 1994; Carreau 1972; Bair & Winer 1979 and Bittencourt & Gunnarsson 2012 for geared
-joints.
+sets in (power 1.5). Where the knee is beyond the speeds seen the law is a parabola. Reference: Dressler 2012, (6.8)-(6.9) and
+Table 6.1; Khalil & Dombre 2002, 9.6; Stribeck 1902; Armstrong-Helouvry, Dupont & Canudas de Wit 1994; Carreau 1972; Bair & Winer
+1979 and Bittencourt & Gunnarsson 2012 for geared joints.
 """
 
 from __future__ import annotations
@@ -188,6 +188,8 @@ _MEMORY_PERIODS = 4.0
 """Periods of the low-pass' cutoff over which a step is smeared, two to each side."""
 _KNEE_AT_SPEED = 0.2
 """Share of the fast speeds from which a knee is seen at speed, whatever happens at starts and reversals."""
+PARABOLA = 2.0
+"""Power that denotes the law without a knee to be found: the parabola `x (2 - x)` that levels off at its knee, the top speed."""
 _KNEES = {0.0: (0.04, 0.1, 0.25, 0.6), 0.5: (0.03, 0.1), 1.5: (0.1,)}
 """Power -> knees tried, as shares of the fast speeds. Beyond them the law is a straight line or a step, which the baseline has;
 of a power 0.5 with a knee further up the curve is that of power 0."""
@@ -198,7 +200,9 @@ class ViscousCurvature(JointwiseEffect):
 
     name = "viscous_curvature"
     cause = True
-    equation = "tau += viscous_curvature sign(v) x (1 + x^2)^((power - 1) / 2), x = |v| / knee"
+    equation = (
+        "tau += viscous_curvature sign(v) x (1 + x^2)^((power - 1) / 2), x = |v| / knee; for power 2 x (2 - x), x <= 1"
+    )
     reference = "Carreau 1972; Bittencourt & Gunnarsson 2012"
     reveals = "constant-speed strokes at ten speeds or more up to the highest, in both directions"
     mistaken_for = ("quadratic_drag", "stribeck", "thermal_drift", "viscous_asymmetry")
@@ -216,21 +220,34 @@ class ViscousCurvature(JointwiseEffect):
     def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
         """Let the friction act on these joints; see `Effect.__init__`.
 
-        A low knee of a power other than zero is no edge: below it the law is the plain power.
+        A low knee of a power other than zero is no edge: below it the law is the plain power. A parabola's knee is given.
         """
         super().__init__(joints, units, label=label, **settings)
+        if self.settings["power"] == PARABOLA:
+            self.open_ends, self.refined = {}, ()
+            return
         self.open_ends = {"knee": "both" if self.settings["power"] == 0 else "high"}
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
         """Return the curved law."""
         x = np.abs(joint.v) / self.settings["knee"]
+        if self.settings["power"] == PARABOLA:
+            x = np.minimum(x, 1.0)
+            return [joint.sign * x * (2 - x)]
         return [joint.sign * x * (1 + x**2) ** ((self.settings["power"] - 1) / 2)]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return the part of the friction that is not in proportion to the speed, and from which speed."""
         how, knee = "more" if self.settings["power"] > 1 else "less", self.setting("knee", joint)
         size = format_amount(values["viscous_curvature"])
+        if self.settings["power"] == PARABOLA:
+            return f"viscous friction of {size} that grows less and less with speed and levels off at {knee}"
         return f"viscous friction of {size} that grows {how} than the speed does above {knee}"
+
+    def find_limit_law(self, scene: Scene) -> ViscousCurvature | None:
+        """Return the parabola that levels off at the fast speeds: `-v |v|` and viscous friction, growing over all speeds seen."""
+        fast = float(scene.fast[scene.index(self.joints[0])])
+        return self.with_settings(power=PARABOLA, knee=fast) if self.settings["power"] < 1 and fast > 0 else None
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:

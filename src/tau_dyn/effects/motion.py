@@ -64,7 +64,8 @@ class Motion:
             positions, `rigid_force` (N, na) force of the rigid bodies, `force` (N, na) force of the model without the effect,
             `temperature` (N, na) [degC], `reversal` (N, na) distance since each joint's last reversal [m or rad],
             `reported_force` (N, na) force that the log holds, `campaign` (N,) number of the log, `gravity_turn` (N, na, 2)
-            forces at rest per turn of gravity.
+            forces at rest per turn of gravity, `shifted_force` (N, na, na, 4) change of the rigid body's forces by displaced
+            positions, `delivered_force` (N, na) force of the model beside a saturation of the drives.
     """
 
     joints: tuple[str, ...]
@@ -173,6 +174,7 @@ class Scene:
         coupled: Pairs of joints that a shared motor may drive: neighbours in the chain, or declared by the robot file.
         timing: Joint -> delay and time constant [s] of its logged force that fit the baseline best; empty where none is long.
         step_s: Time between samples of the logs, as they were recorded [s].
+        zeros: Joint -> error of its position [m or rad] that fits the baseline best.
         ratios: Joint -> gear ratio of its drive, where the robot file gives one.
         limits: Joint -> largest force and speed that the robot file allows, where it gives both.
         often: Positions below and above which the joints are rarely trained on (2, na); None where all of it counts.
@@ -196,6 +198,7 @@ class Scene:
     coupled: tuple[tuple[str, str], ...] = ()
     timing: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     step_s: float = 0.0
+    zeros: Mapping[str, float] = field(default_factory=dict)
     ratios: Mapping[str, float] = field(default_factory=dict)
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 

@@ -32,7 +32,6 @@ from tau_dyn.evidence.plausibility import (
     Implausible,
     compute_least_forces,
     find_companion,
-    find_edge,
     find_implausible,
     find_inconsistent,
     is_distinct_from_zero,
@@ -40,6 +39,7 @@ from tau_dyn.evidence.plausibility import (
     widen_scales,
 )
 from tau_dyn.evidence.result import Choice, Gain, Step
+from tau_dyn.evidence.search_edges import find_edge
 from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import format_percent
@@ -196,7 +196,7 @@ def _measure_gain(
     logs, the blocks of these logs that were set aside. In both cases the fits are those of the remaining training data.
     """
     channel, own = hunt.channel, hunt.columns(effects)
-    joints = outputs or [joint for effect in effects for joint in effect.joints]
+    joints = outputs or list_felt_joints(channel, effects)
     shown = confirm(hunt.ground, own, beside, (TEST,), fitted_on=(TRAIN, VALIDATION))
     before, after = (fit.residuals for fit in fits)
     if shown.leaves_gain_open:
@@ -206,6 +206,13 @@ def _measure_gain(
         before, after = (r.residuals(solve_with_fallback(r, physics).theta) for r in known)
         shown = within or confirm(hunt.ground, own, beside, (VALIDATION, TEST))
     return compute_gain(channel, before, after, joints, rng, shown)
+
+
+def list_felt_joints(channel: Channel, effects: Sequence[Effect]) -> list[str]:
+    """Return the joints whose error effects change: their own, or all where one changes the forces of all."""
+    own = {joint for effect in effects for joint in effect.joints}
+    everywhere = any(effect.felt_by_all for effect in effects)
+    return [joint for joint in channel.scene.joints if everywhere or joint in own]
 
 
 def select_supported(
@@ -294,7 +301,7 @@ def _reject_without_gain(channel: Channel, claims: Claims, bars: Waterfall) -> C
     if channel.name != "force":
         return claims
     for one, gain in zip(claims.kept, bars.gains, strict=True):
-        joints = {joint for effect in one.candidate.effects for joint in effect.joints}
+        joints = list_felt_joints(channel, one.candidate.effects)
         felt = [k for k, output in enumerate(channel.outputs) if output in joints] or slice(None)
         least = float(np.sqrt(np.mean(compute_least_forces(channel)[felt] ** 2)))
         if gain.rms_before - gain.rms_after < least:

@@ -38,6 +38,9 @@ def compute_detection_limits(
     channel, limits, untestable = search.channel, [], []
     tried = {c.cause: c for c in search.last}
     for cls in channel.causes:
+        absorbed = explain_absorbed(search.ground, tried[cls.name]) if cls.name in tried else ""
+        if absorbed:
+            untestable.append(Untestable(cls.name, absorbed, cls.reveals))
         if cls.name in named:
             continue
         reason = cls.untestable(channel.scene)
@@ -55,10 +58,10 @@ def compute_detection_limits(
                 untestable.append(Untestable(cls.name, limit, cls.reveals))
             elif limit is None and _owned(search.ground, tried[cls.name]):
                 continue  # the baseline has it, under another name
-            elif limit is None:
+            elif limit is None and not absorbed:
                 why = "on this motion the refit of the baseline absorbs nearly all of it"
                 untestable.append(Untestable(cls.name, why, cls.reveals))
-            else:
+            elif limit is not None:
                 limits.append(limit)
     return tuple(limits), tuple(untestable)
 
@@ -68,6 +71,18 @@ def compute_finding_limit(search: StepwiseSelection, one: SelectedCause) -> Limi
     ground = search.ground.beside(search.others(one))
     limit = _limit(ground, one.candidate, len(search.last) + len(search.found))
     return limit if isinstance(limit, Limit) else None
+
+
+def explain_absorbed(ground: NullModel, candidate: CandidateCause) -> str:
+    """Return on which joints the baseline leaves nothing of a cause, and why; empty where no reason is known."""
+    reasons = []
+    for fit in candidate.tested:
+        C = ground.rows(fit.effect)
+        raw, measured = float(np.sum(C**2)), ground.whiten(ground.channel.target) / ground.scale
+        felt = raw > MIN_UNABSORBED_SHARE**2 * float(measured @ measured)
+        if not (felt and float(np.trace(ground.gram(C))) > MIN_UNABSORBED_SHARE * raw):
+            reasons.append(fit.effect.explain_absorbed(fit.effect.joints, felt))
+    return "; ".join(reason for reason in reasons if reason)
 
 
 _MAX_LISTED_JOINTS = 3

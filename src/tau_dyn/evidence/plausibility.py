@@ -18,7 +18,7 @@ from itertools import product
 import numpy as np
 from scipy import stats
 
-from tau_dyn.effects import Effect, JointScales, Motion, Scene, format_quantity, spell_unit
+from tau_dyn.effects import Effect, JointScales, Motion, Scene, format_quantity
 from tau_dyn.estimate import Estimate, solve_scaled
 from tau_dyn.evidence.channel import TRAIN, VALIDATION, Channel, ColumnCache
 from tau_dyn.evidence.result import Unexplained
@@ -32,8 +32,6 @@ class Implausible(str):
 
 INCONSISTENT_LEVEL = 1e-3
 """Significance level of a difference between joints; standard errors of amplitudes may be some tens of per cent too small."""
-EDGE_TOLERANCE = 1e-3
-"""Relative distance from the end of a grid within which a setting counts as at the edge."""
 
 
 def measure_scales(
@@ -76,26 +74,6 @@ def widen_scales(first: JointScales, *others: JointScales) -> JointScales:
         joint: {key: max([x, *(s[joint][key] for s in others if key in s.get(joint, {}))]) for key, x in own.items()}
         for joint, own in first.items()
     }
-
-
-def find_edge(effects: Sequence[Effect], scene: Scene) -> str:
-    """Return the setting at an open end of its grid, as a phrase; empty where none does."""
-    for effect in effects:
-        free = {*effect.refined, *effect.open_ends}
-        fixed = {key: value for key, value in effect.settings.items() if key not in free}
-        grid = [s for s in type(effect).grid(scene, effect.joints) if all(s.get(k, x) == x for k, x in fixed.items())]
-        for key, end in effect.open_ends.items():
-            values = sorted({setting[key] for setting in grid if key in setting})
-            if len(values) < 2 or key not in effect.settings:
-                continue
-            x, unit = (
-                effect.settings[key],
-                spell_unit(effect.setting_units.get(key, "1"), effect.units[effect.joints[0]]),
-            )
-            low, high = values[0] * (1 + EDGE_TOLERANCE), values[-1] * (1 - EDGE_TOLERANCE)
-            if (end != "high" and x <= low) or (end != "low" and x >= high):
-                return f"{key} = {format_quantity(x, unit)} is at the edge of what was searched"
-    return ""
 
 
 def find_implausible(effects: Sequence[Effect], values: Parameters, scales: JointScales) -> str:

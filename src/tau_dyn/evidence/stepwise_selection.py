@@ -32,6 +32,8 @@ from tau_dyn.evidence.candidate_scan import (
 )
 from tau_dyn.evidence.channel import TRAIN, Channel, ColumnCache
 from tau_dyn.evidence.null_model import NullModel, fit_noise_models
+from tau_dyn.evidence.pairs import find_rival_pairs
+from tau_dyn.evidence.search_edges import replace_at_edge
 from tau_dyn.evidence.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, find_structure
 
 _STEPS = 3  # Gauss-Newton steps of the settings
@@ -65,7 +67,7 @@ def refine_settings(candidate: CandidateCause, ground: NullModel) -> CandidateCa
             if not better.statistic > fit.statistic + 0.01:
                 break
             fit = better
-        fits.append(_grown(fit, ground))
+        fits.append(replace_at_edge(_grown(fit, ground), ground))
     return replace(candidate, fits=tuple(fits))
 
 
@@ -301,7 +303,7 @@ def select_causes(
         significant = [c for c in candidates if adjust_p_value_bonferroni(c, candidates) < level]
         if pending and len(pending) == len(found):
             still = {c.cause for c in significant}
-            found[-1] = replace(found[-1], rivals=tuple(r for r in pending[-1] if r not in still))
+            found[-1] = replace(found[-1], rivals=tuple(r for r in pending[-1] if not still & set(r.split("+"))))
         if not significant or len(found) >= MAX_CAUSES or len(pending) >= 2 * MAX_CAUSES:
             break
         taken = choose_next_cause(significant, ground, build_effects(found), len(candidates), sift)
@@ -309,7 +311,7 @@ def select_causes(
             break
         best, twins = taken
         progress(f"found {best.cause}")
-        pending.append(twins)
+        pending.append((*twins, *find_rival_pairs(best, candidates, ground)))
         found = _join(found, SelectedCause(best, adjust_p_value_bonferroni(best, candidates), ()))
     kept = _eliminate_backward(ground, found, level)
     kept = _reject_lack_of_fit(ground, kept, ground.draw_null_residuals(N_NULL_DRAWS, rng))

@@ -20,13 +20,16 @@ import numpy as np
 from scipy.signal import lfilter
 
 from tau_dyn.effects import (
+    DELIVERED,
     GUIDE_ACROSS,
     SENSITIVITY,
+    SHIFTED_FORCE,
     SIDE_FORCE,
     CartShift,
     CircuitEffect,
     Delay,
     DisplacementEffect,
+    ForceReading,
     Motion,
     TimingEffect,
     acts_on_recording,
@@ -41,7 +44,7 @@ from tau_dyn.simulate.forces import Memory, compute_warm_up, repeat_signals
 from tau_dyn.simulate.plant_run import PlantRun
 
 _FOR_FORCES = frozenset(DisplacementEffect.needs)
-_PATH = _FOR_FORCES | {"reversal"}
+_PATH = _FOR_FORCES | {"reversal", SHIFTED_FORCE}
 """Signals that a load's path gives, and those that only matter for forces."""
 
 
@@ -84,7 +87,7 @@ def record_run(run: PlantRun) -> PlantRun:
         InputError: An effect is neither of the robot nor of its sensors.
     """
     model = run.model
-    known = DisplacementEffect | TimingEffect | CircuitEffect
+    known = DisplacementEffect | TimingEffect | CircuitEffect | ForceReading
     odd = [e for e in model.effects if acts_on_recording(e) and not isinstance(e, known)]
     if odd:
         raise InputError("unsupported", f"effect {odd[0].name} cannot be simulated")
@@ -108,6 +111,15 @@ def get_voltages(run: PlantRun, forces: np.ndarray) -> dict[str, np.ndarray]:
     """Return channels (N,) of a drive that logs a voltage or pulse width as its force (N, na): one for a force of one."""
     kinds = dict.fromkeys(e.signal for e in run.model.effects if isinstance(e, CircuitEffect))
     return {f"{kind}_{j}": forces[:, k] for kind in kinds for k, j in enumerate(run.model.robot.actuated)}
+
+
+def _read_forces(run: PlantRun) -> np.ndarray | None:
+    """Return the forces (N, na) that drives report of those they give; None where they report them as they are."""
+    reading = [e for e in run.model.effects if isinstance(e, ForceReading)]
+    signals = dict.fromkeys(("force", DELIVERED), run.tau)
+    motion = Motion.of(run.model.robot.actuated, run.q, run.v, run.a, t=run.t, signals=signals)
+    forces = [e.force(motion, run.model.effect_parameters) for e in reading]
+    return run.tau + np.sum(forces, axis=0) if forces else None
 
 
 def _find_voltages(run: PlantRun) -> np.ndarray | None:
@@ -147,8 +159,10 @@ def _yielding(run: PlantRun) -> np.ndarray:
 
 def _record_forces(run: PlantRun) -> np.ndarray | None:
     """Return forces (N, na) as they are logged where a circuit or time changes them; the ends keep the last known ones."""
-    circuit = _find_voltages(run)
-    run = run if circuit is None else replace(run, tau=circuit)
+    changed = False
+    for read in (_find_voltages, _read_forces):
+        if (force := read(run)) is not None:
+            run, changed = replace(run, tau=force), True
     late, lag = np.zeros((2, run.model.robot.na))
     for effect in run.model.effects:
         if isinstance(effect, TimingEffect):
@@ -156,7 +170,7 @@ def _record_forces(run: PlantRun) -> np.ndarray | None:
             total = late if isinstance(effect, Delay) else lag
             total[index] += run.model.effect_parameters[effect.parameters.names[0]].value
     if not (late.any() or lag.any()):
-        return None if circuit is None else run.tau
+        return run.tau if changed else None
     shown = [apply_first_order_lowpass(force, run.t, x) for x, force in zip(lag, run.tau.T, strict=True)]
     return np.column_stack([np.interp(run.t - d, run.t, force) for d, force in zip(late, shown, strict=True)])
 

@@ -1,0 +1,69 @@
+"""Causes that move weakly determined masses: their signals are made with values refitted next to them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tau_dyn.diagnose.force_baseline import FittedBaseline, fit_baseline
+from tau_dyn.effects import JointZero, TorqueSaturation
+from tau_dyn.evidence.candidate_scan import estimate_amplitudes
+from tau_dyn.evidence.channel import TRAIN, ColumnCache
+from tau_dyn.evidence.null_model import NullModel, fit_noise_models
+from tau_dyn.identify import build_model
+from tau_dyn.log import Log
+from tau_dyn.mechanism import build_mechanism
+
+NOISE_NM = 0.02
+
+
+def record(robot, rng, *, zero: float = 0.0, saturation: float = 0.0) -> Log:
+    """Return 20 s of a vertical arm whose shoulder's encoder reads a zero, or whose shoulder's drive saturates."""
+    t = np.arange(0, 20, 0.005)
+    q, v, a = np.zeros((3, len(t), 2))
+    for k in range(2):
+        for f in (0.11, 0.29, 0.53, 0.83):
+            w, phase = 2 * np.pi * f * rng.uniform(0.95, 1.05), rng.uniform(0, 6)
+            q[:, k] += 0.4 * np.sin(w * t + phase)
+            v[:, k] += 0.4 * w * np.cos(w * t + phase)
+            a[:, k] -= 0.4 * w**2 * np.sin(w * t + phase)
+    force = build_mechanism(robot).inverse_dynamics(q, v, a) + 1.5 * np.sign(v) + 0.8 * v
+    largest = np.abs(force[:, 0]).max()
+    force[:, 0] += saturation * force[:, 0] * (force[:, 0] / largest) ** 2
+    force += NOISE_NM * rng.standard_normal(force.shape)
+    channels = {f"q_{j}": q[:, k] + zero * (k == 0) for k, j in enumerate(robot.actuated)}
+    return Log(t, channels | {f"tau_{j}": force[:, k] for k, j in enumerate(robot.actuated)}, "log")
+
+
+def fit(robot, log: Log) -> FittedBaseline:
+    """Return the fitted baseline."""
+    return fit_baseline(build_model(robot, "symmetric"), [log], [], None, (), lambda step: None)
+
+
+def explained(case: FittedBaseline, effect) -> tuple[float, float]:
+    """Return an effect's amplitude on the training part and its standard error."""
+    library = ColumnCache(case.channel)
+    noise = fit_noise_models(case.channel, (TRAIN,), [library.columns(effect)])
+    ground = NullModel.of(library, (TRAIN,), noise)
+    stderr = float(1 / np.sqrt(ground.gram(ground.rows(effect))[0, 0]))
+    return float(estimate_amplitudes(effect, ground)[0]), stderr
+
+
+@pytest.mark.parametrize("zero", [0.3, -0.02])
+def test_a_shoulders_zero_comes_out_and_the_elbows_is_its_body(two_link, rng, zero: float) -> None:
+    """The search proposes the zero, its column has it as amplitude within three errors, and the last joint proposes none."""
+    case = fit(two_link, record(two_link, rng, zero=zero))
+    zeros = case.channel.scene.zeros
+    effect = JointZero(["shoulder"], ["N m"], about=zeros["shoulder"])
+    amplitude, stderr = explained(case, effect)
+    assert abs(amplitude - zero) < 3.5 * stderr < 0.04
+    assert zeros["shoulder"] == pytest.approx(zero, abs=5 * stderr) and zeros["elbow"] == 0.0
+
+
+def test_a_saturation_of_ten_per_cent_comes_out(two_link, rng) -> None:
+    """The force in its column is the one that the drive gives, and not the larger one that the baseline is fitted to."""
+    case = fit(two_link, record(two_link, rng, saturation=0.1))
+    (setting,) = TorqueSaturation.grid(case.channel.scene, ("shoulder",))
+    amplitude, stderr = explained(case, TorqueSaturation(["shoulder"], ["N m"], **setting))
+    assert abs(amplitude - 0.1) < 3.5 * stderr + 0.003
+    assert stderr < 0.01
