@@ -17,6 +17,7 @@ import numpy as np
 
 from tau_dyn.diagnose.deflection_channel import build_deflection_channel
 from tau_dyn.diagnose.force_baseline import FittedBaseline, Progress
+from tau_dyn.diagnose.loads import add_loads, find_loads, list_load_warnings, report_loads
 from tau_dyn.diagnose.nominal import find_parameter_changes
 from tau_dyn.diagnose.preparation import compute_border_gap_s
 from tau_dyn.diagnose.resonances import add_band_note, add_resonances
@@ -60,6 +61,7 @@ from tau_dyn.evidence import (
     estimate_noise_floor,
     find_alias_periods,
     find_structure,
+    fit_extended_model,
     leave_period_open,
     measure_net_forces,
     recommend,
@@ -170,11 +172,19 @@ def diagnose_channel(
         case: Of forces, the fitted baseline behind the channel.
     """
     rng = np.random.default_rng(seed)
-    physics, nominal = (case.physics, model.parameters.values) if case else (None, None)
     spoiled = _describe_spoiled(warnings) if case else ""
     progress("looking for causes")
     noise = case and NoiseOnlyBootstrap(lambda: [case.noise_only(rng) for _ in range(N_BOOTSTRAP_DRAWS)])
     hunt, structure = _search(channel, rng, progress, noise)
+    loads = find_loads(case, channel, build_effects(hunt.found), np.random.default_rng(seed)) if case else []
+    without = None
+    if case and not spoiled and any(one.is_confirmed for one in loads):
+        without = fit_extended_model(channel, (), case.physics, np.random.default_rng(seed)).errors
+        case = add_loads(case, loads)
+        channel = case.carry_loads(channel)
+        noise = NoiseOnlyBootstrap(lambda: [case.noise_only(rng) for _ in range(N_BOOTSTRAP_DRAWS)])
+        hunt, structure = _search(channel, rng, progress, noise)
+    physics, nominal = (case.physics, case.pad_nominal()) if case else (None, None)
     progress("confirming")
     tests = confirm_all(hunt, structure)
     aside: Sequence[np.ndarray] = ()
@@ -188,7 +198,9 @@ def diagnose_channel(
     claims, bars = select_supported(hunt, claims, rng, nominal, physics, aside)
     found = _Found(hunt, claims, bars, tests, periods, spoiled)
     findings, unexplained = _tell(found, model, case, rng)
-    return _answer(found, findings, unexplained, model, case, rng, seed=seed, how=how, warnings=warnings)
+    warnings = (*warnings, *(list_load_warnings(loads) if without else ()))
+    answer = _answer(found, findings, unexplained, model, case, rng, seed=seed, how=how, warnings=warnings)
+    return report_loads(answer, loads, without)
 
 
 class _Found(NamedTuple):
@@ -235,7 +247,8 @@ def _tell(
     ]
     unexplained = build_unexplained(hunt, found.tests.structure)
     if case:
-        changed = find_parameter_changes(model, model.parameters, after.parameters, after.estimate)
+        known = case.has_known_load  # it explains how the bodies differ from the model file
+        changed = [] if known else find_parameter_changes(model, model.parameters, after.parameters, after.estimate)
         if found.spoiled:
             changed = [replace(f, status="suspected", why_not_confirmed=found.spoiled) for f in changed]
         findings = [*(add_band_note(finding, case.clear_hz) for finding in findings), *changed]

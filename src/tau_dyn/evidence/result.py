@@ -138,6 +138,7 @@ class Finding(Brief):
         channel: `force`, `tool` or `deflection`.
         confirmation: Share of the predicted effect that the held-out part shows, with its standard error; 1 is all of it.
         why_not_confirmed: Why it is `suspected` only; empty where it is not.
+        logs: Logs that it concerns; empty for all.
     """
 
     cause: str
@@ -156,6 +157,7 @@ class Finding(Brief):
     channel: str = "force"
     confirmation: tuple[float, float] | None = None
     why_not_confirmed: str = ""
+    logs: tuple[str, ...] = ()
 
     @property
     def rank(self) -> tuple[bool, bool, float]:

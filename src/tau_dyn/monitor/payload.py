@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tau_dyn.diagnose import compute_body_properties, differentiate_body_properties, find_end_link
+from tau_dyn.diagnose import estimate_body, find_end_link, find_payload_frame
 from tau_dyn.estimate import (
     MAX_RELATIVE_STDERR,
     Estimate,
@@ -338,25 +338,12 @@ def describe_payload(
 ) -> PayloadEstimate:
     """Return mass, centre and inertia with their errors, and the tests."""
     robot, base = model.robot, estimate.base
-    frame, R, p = _find_frame(robot, body)
+    frame, R, p = find_payload_frame(robot, body)
     kept = [base.names[k] for k in base.kept]
-    pi = estimate.parameters.select(f"payload.{quantity}" for quantity in INERTIAL)
-    place = {name: k for k, name in enumerate(kept) if base.alone[base.kept[k]]}
     mine = np.eye(base.rank)[[k for k, name in enumerate(kept) if name.startswith("payload.")]]
     p_value = compute_contrast_p_value(estimate, mine)
-    mass, rows = pi["payload.mass"].value, np.zeros((10, base.rank))
-    for k, name in enumerate(pi.names):
-        if name in place:
-            rows[k, place[name]] = 1.0
-    seen = np.array([name in place for name in pi.names])
-    at = pi.values if mass > 0 else np.array([1.0, *np.zeros(9)])  # without a mass there is no centre to speak of
-    values = compute_body_properties(at, R, p)
-    slopes = differentiate_body_properties(at, R, p)
-    needs = np.abs(slopes) > 1e-12 * np.abs(slopes).max()
-    known = ~np.any(needs & ~seen, axis=1) & np.array([True, *[mass > 0] * 9])
-    errors = [estimate.stderr_of(slope @ rows) if ok else np.nan for slope, ok in zip(slopes, known, strict=True)]
-    stderr = np.array(errors)
-    values[0] = mass
+    values, stderr, _ = estimate_body(estimate, [f"payload.{quantity}" for quantity in INERTIAL], R, p)
+    mass = float(values[0])
     lever = max(float(np.linalg.norm(values[1:4])), _MIN_LENGTH_M)
     size = np.array([abs(mass), *[lever] * 3, *[float(np.abs(values[4:]).max())] * 6])
     told = np.nan_to_num(stderr, nan=np.inf) < MAX_RELATIVE_STDERR * size
@@ -364,20 +351,11 @@ def describe_payload(
         PropertyEstimate(values[k], stderr[k], unit, bool(told[k].all()))
         for k, unit in ((slice(0, 1), "kg"), (slice(1, 4), "m"), (slice(4, 10), "kg m^2"))
     ]
-    plain = float(estimate.beta_plain[place["payload.mass"]]) if "payload.mass" in place else np.nan
+    plain = float(estimate.beta_plain[kept.index("payload.mass")]) if np.isfinite(stderr[0]) else np.nan
     return PayloadEstimate(
         robot, body.link, frame, parts[0], parts[1], parts[2], plain, 1.0 if p_value is None else p_value,
         _compare_friction(robot, estimate), (tuple(logs[0]), tuple(logs[1])), estimate, (),
     )  # fmt: skip
-
-
-def _find_frame(robot: Robot, body: LinkInertia) -> tuple[str, np.ndarray, np.ndarray]:
-    """Return the frame in which a payload is told, its axes and origin in the joint's: the tool where it is on the link."""
-    tool = robot.tool_frame
-    if tool is not None and int(robot.model.frames[tool].parentJoint) == body.joint_id:
-        at = robot.model.frames[tool].placement
-        return str(robot.model.frames[tool].name), np.array(at.rotation), np.array(at.translation)
-    return body.link, np.eye(3), np.zeros(3)
 
 
 def _compare_friction(robot: Robot, estimate: Estimate) -> tuple[FrictionDifference, ...]:
