@@ -4,10 +4,10 @@ r"""A body that one log carries at the tool and the others, or a model file, do 
 
 `pi_k` are the ten inertial numbers of a rigid body fixed to the end link. Nothing fixes the absolute load, so the logs
 that carry least are the reference. Values that were identified before, with standard errors, are a reference as well: they enter
-as one more campaign on the motion of the training logs, with the forces that follow from them. A model file keeps no covariance, so
-its combinations count as known as well as these logs know them, or worse in proportion to its standard errors. Campaigns are
-compared with the causes found accounted for (`evidence/campaigns.py`). A load that is accepted joins the baseline in its logs, and
-causes are searched again.
+as one more campaign on the motion of the training logs, with the forces that follow from them. A model file keeps no covariance.
+Its combinations count as known as well as these logs know them, or worse in proportion to its standard errors. Campaigns are
+compared with the causes found accounted for (`evidence/campaigns.py`). A load that is accepted joins the baseline in its logs,
+and causes are searched again. Friction may follow the load, so a change of friction in the same log does not count against it.
 Reference: Khalil, Gautier & Lemoine 2007 (identification of the payload inertial parameters).
 """
 
@@ -57,6 +57,7 @@ from tau_dyn.robot import INERTIAL, LinkInertia, Robot
 PAYLOAD = "payload"
 REFERENCE = "\0model file"
 """Name of the campaign that stands for a model file's values; no file has this name."""
+_FRICTION = "friction"
 _WIDTH = len(INERTIAL)
 
 
@@ -116,7 +117,13 @@ def find_loads(
         return []
     study = _Study.of(case, channel, effects, body, identified)
     changes = select_campaign_changes(
-        study.channel, study.noise, study.kinds, logs, likelier=PAYLOAD, reference=identified
+        study.channel,
+        study.noise,
+        study.kinds,
+        logs,
+        likelier=PAYLOAD,
+        companions=[kind for kind in study.kinds if kind.startswith(_FRICTION)],
+        reference=identified,
     )
     carried = [one for one in changes if one.kind == PAYLOAD]
     if not carried:
@@ -308,7 +315,7 @@ def _list_kinds(
     for joint in robot.actuated:
         mine = [k for k, n in enumerate(names) if n in case.nominal.effect_parameters and n.startswith(f"{joint}.")]
         if mine:
-            kinds[f"friction of {joint}"] = [run.W[:, :, mine] for run in channel.runs]
+            kinds[f"{_FRICTION} of {joint}"] = [run.W[:, :, mine] for run in channel.runs]
     for link in robot.links:
         if link.link != body.link:
             mine = names.index(f"{link.link}.mass") if f"{link.link}.mass" in names else None
@@ -355,11 +362,15 @@ def build_body_parameters(found: BodyEstimate, frame: str) -> list[Parameter]:
 
 
 def _format_sentence(found: BodyEstimate, frame: str, group: Sequence[str], unloaded: Sequence[str]) -> str:
-    rows = [(axis, found.values[k], found.stderr[k]) for k, axis in enumerate("xyz", start=1) if found.known[k]]
-    place = ", ".join(f"{axis} {value:.3f} ± {stderr:.3f}" for axis, value, stderr in rows)
+    rows = [
+        (axis, float(found.values[k]), float(found.stderr[k]))
+        for k, axis in enumerate("xyz", start=1)
+        if found.known[k]
+    ]
+    place = ", ".join(f"{axis} = {format_quantity(value, 'm', stderr)}" for axis, value, stderr in rows)
     mass = format_quantity(float(found.values[0]), "kg", float(found.stderr[0]))
     text = f"{format_list(list(group))} {'carries' if len(group) == 1 else 'carry'} {mass}"
-    text += f" at {place} m in the frame of {frame}" if place else ""
+    text += f" at {place} in the frame of {frame}" if place else ""
     others = format_list(list(unloaded)) if unloaded else "the model"
     return f"{text}; {others} {'do' if len(unloaded) > 1 else 'does'} not."
 
@@ -409,4 +420,7 @@ def report_loads(answer: Diagnosis, loads: Sequence[Load], without: OutputErrors
     rest = answer.sentence.replace("No model error was detected", "No other model error was detected")
     verdict = "named" if answer.verdict in ("nothing_found", "unexplained") else answer.verdict
     sentence = " ".join([*(one.sentence for one in told), rest])
-    return replace(answer, waterfall=steps, sentence=sentence, verdict=verdict)
+    why = answer.recommendation_why.replace(
+        "no cause is confirmed", "no cause but the load is confirmed, which is the log's own"
+    )
+    return replace(answer, waterfall=steps, sentence=sentence, verdict=verdict, recommendation_why=why)

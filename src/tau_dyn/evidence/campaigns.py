@@ -2,12 +2,12 @@ r"""Changes between campaigns: what one log has that the others have not, of sev
 
     y_k = W_k theta + [k = log] C_k x,     k = 1 .. K logs
 
-A log is one campaign. Each kind of change (a body at the tool, one joint's friction, one link's mass, one joint's force scale)
-has columns `C`; everything else is shared by all logs. The score test of `x = 0` is that of the null model; chance counts all logs
-and all kinds (Bonferroni), and the statistic is divided by the scatter of blocks. The change with the largest penalised statistic
-is accounted for first, and the others are tested again. One kind may have a larger prior: tools change more often than links and
-drives do. It is taken in place of a stronger one wherever it explains all that the log has of its own. Reference: Rao 1948 (score
-test); White 1980.
+A log is one campaign. Each kind of change (a body at the tool, friction of a joint, a mass of a link, a force scale of a joint)
+has columns `C`; everything else is shared by all logs. The score test of `x = 0` is that of the null model. Chance counts all
+logs and kinds (Bonferroni), and the statistic is divided by the scatter of blocks. The change with the largest penalised
+statistic is accounted for first, and the others are tested again. One kind may have a larger prior: tools change more often than
+links and drives do. It is taken in place of a stronger one wherever it explains all that the log has of its own. Reference: Rao
+1948 (score test); White 1980.
 """
 
 from __future__ import annotations
@@ -112,6 +112,7 @@ def select_campaign_changes(
     logs: Sequence[str],
     *,
     likelier: str,
+    companions: Sequence[str] = (),
     reference: bool = False,
 ) -> list[CampaignChange]:
     """Return the changes that the training part shows, the strongest first.
@@ -121,11 +122,16 @@ def select_campaign_changes(
         noise: Noise model of each output.
         kinds: Columns (n, m, k) of each run, by kind.
         logs: The logs that may have changed.
-        likelier: The kind that is likelier beforehand.
+        likelier: The kind with the larger prior.
+        companions: Kinds that change for reasons of their own; they do not count against the likelier kind.
         reference: Whether the channel holds a reference that did not change; else one of the logs is it.
     """
     found: list[CampaignChange] = []
-    whole = [np.concatenate(parts, axis=2) for parts in zip(*kinds.values(), strict=True)]
+    own = [kinds[kind] for kind in companions]
+    whole = [
+        np.concatenate(parts, axis=2)
+        for parts in zip(*(c for kind, c in kinds.items() if kind not in companions), strict=True)
+    ]
     n_tests, most = len(kinds) * len(logs), len(logs) - (not reference)
     while True:
         ground = NullModel.of(ColumnCache(channel), (TRAIN,), noise)
@@ -139,10 +145,7 @@ def select_campaign_changes(
             return found
         best = max(tests, key=lambda one: one.penalised_statistic)
         same = [one for one in tests if one.kind == likelier]
-        beside = [channel.with_change(one, kinds[likelier]) for one in same]
-        rated = [
-            replace(one, explains=_explains(left, noise, one, whole)) for one, left in zip(same, beside, strict=True)
-        ]
+        rated = [replace(one, explains=_explains(channel, noise, one, (kinds[likelier], *own), whole)) for one in same]
         preferred = [one for one in rated if one is not best and one.explains and one.log == best.log]
         if preferred and best.kind != likelier:
             best = preferred[0]
@@ -161,9 +164,15 @@ def _test(
 
 
 def _explains(
-    channel: CampaignChannel, noise: Sequence[Autoregression], one: CampaignChange, whole: Sequence[np.ndarray]
+    channel: CampaignChannel,
+    noise: Sequence[Autoregression],
+    one: CampaignChange,
+    accounted: Sequence[Sequence[np.ndarray]],
+    whole: Sequence[np.ndarray],
 ) -> bool:
-    """Return whether a change that is accounted for leaves nothing, or little, that its log has of its own."""
+    """Return whether a change, with its companions accounted for, leaves nothing or little that its log has of its own."""
+    for number, columns in enumerate(accounted):
+        channel = channel.with_change(replace(one, kind=f"{one.kind} {number}"), columns)
     left, dof = compute_score(
         NullModel.of(ColumnCache(channel), (TRAIN,), noise), channel.mask_columns(whole, [one.log])
     )

@@ -43,6 +43,7 @@ from tau_dyn.identify import (
 from tau_dyn.log import Log
 from tau_dyn.message_codes import CodedWarning, format_warnings
 from tau_dyn.model import Model
+from tau_dyn.monitor.drive_gains import compare_drives
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Z95, Shown, format_list
 from tau_dyn.robot import INERTIAL, LinkInertia, Robot
@@ -50,6 +51,8 @@ from tau_dyn.simulate import build_fourier_motion
 
 SIGNIFICANCE_LEVEL = 0.01
 """Chance at which two equal recordings are said to differ by a payload."""
+MIN_DRIVE_DIFFERENCE = 0.05
+"""Relative difference of the mass by two joints that counts; torque constants and the load friction of gears scatter less."""
 MAX_HIDDEN_SHARE = 0.05
 """Part of the robot's own mass that may hide in the interval of an answer "no payload": an arm's rated payload is a quarter."""
 _EXPERIMENT_S = 20.0  # of the motion by which the length of the one to make is predicted
@@ -234,6 +237,7 @@ def _identify(
     found = describe_payload(model, body, estimate, ([log.name for log in without], [log.name for log in with_it]))
     said = [*said, *model.robot.warnings, *built.left_out]
     said += list_information_warnings(built.regression, estimate.base.rank)
+    said += _compare_drives(found)
     found = replace(found, warnings=tuple(dict.fromkeys([*said, *_list_warnings(found)])))
     _refuse_undetermined(model, body, found, seed, progress)
     return found
@@ -370,6 +374,22 @@ def _compare_friction(robot: Robot, estimate: Estimate) -> tuple[FrictionDiffere
         coulomb, viscous = (estimate.parameters[name] for name in names)
         found.append(FrictionDifference(joint, coulomb, viscous, corrected))
     return tuple(found)
+
+
+def _compare_drives(found: PayloadEstimate) -> list[str]:
+    """Return a warning where the joints disagree about the payload, with the mass by each of them."""
+    if not found.differs or not found.mass.values[0] > 0:
+        return []
+    gains = compare_drives(found.estimate, tuple(f"payload.{quantity}" for quantity in INERTIAL))
+    if gains is None or gains.p_value >= SIGNIFICANCE_LEVEL or gains.largest_difference < MIN_DRIVE_DIFFERENCE:
+        return []
+    first, rows = gains.joints[0], zip(gains.joints[1:], gains.factors[1:], gains.stderr[1:], strict=True)
+    listed = format_list([f"{joint} {factor:.3g} ± {stderr:.1g}" for joint, factor, stderr in rows])
+    sentence = (
+        f"the joints disagree about the payload's mass: relative to {first}, the mass is {listed} times as large; divide the "
+        "scale of each joint's force column by its factor, and weigh the payload, since a factor of all joints stays unknown"
+    )
+    return [CodedWarning("scale_wrong", sentence)]
 
 
 def _list_warnings(found: PayloadEstimate) -> list[str]:
