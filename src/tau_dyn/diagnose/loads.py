@@ -83,6 +83,12 @@ class Load:
         return self.finding.status == "confirmed"
 
     @property
+    def is_body(self) -> bool:
+        """Whether its mass is distinct from zero."""
+        mass = self.finding.parameters[0]
+        return mass.stderr is not None and mass.value > MIN_AMPLITUDE_Z * mass.stderr
+
+    @property
     def parameters(self) -> Parameters:
         """The ten numbers as parameters of the baseline, free unless known."""
         label = name_load(self.logs)
@@ -131,7 +137,8 @@ def find_loads(
     study = study.account_for([one for one in changes if one.kind != PAYLOAD])
     groups = study.choose_reference([(one.log,) for one in carried], logs, identified)
     known = identified and {log for group in groups for log in group} == set(logs)
-    return [study.describe(group, groups, carried, logs, known, rng) for group in groups]
+    found = [study.describe(group, groups, carried, logs, known, rng) for group in groups]
+    return [one for one in found if one.is_body]
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,12 +289,10 @@ class _Study:
 
     def _doubt(self, found: BodyEstimate, change: CampaignChange, gain: Gain, confirmed: bool) -> str:
         """Return why a body is only suspected, in words; empty where it is not."""
-        mass, stderr = float(found.values[0]), float(found.stderr[0])
+        mass = float(found.values[0])
         total = float(sum(link.nominal[0] for link in self.robot.links))
         away = float(np.linalg.norm(np.where(found.known[1:4], found.values[1:4], 0.0)))
         reach = _measure_reach(self.robot)
-        if not mass > MIN_AMPLITUDE_Z * stderr:
-            return "its mass is not distinct from zero"
         if total > 0 and mass > MAX_MASS_SHARE * total:
             return f"its mass is more than {MAX_MASS_SHARE:g} times the robot's"
         if reach > 0 and away > reach:
@@ -349,7 +354,8 @@ def _measure_reach(robot: Robot) -> float:
 
 def build_body_parameters(found: BodyEstimate, frame: str) -> list[Parameter]:
     """Return mass and the coordinates of the centre that the data determine."""
-    rows = [Parameter("payload.mass", float(found.values[0]), "kg", stderr=float(found.stderr[0]), origin=PAYLOAD)]
+    stderr = float(found.stderr[0]) if found.known[0] else None
+    rows = [Parameter("payload.mass", float(found.values[0]), "kg", stderr=stderr, origin=PAYLOAD)]
     for k, axis in enumerate("xyz", start=1):
         if found.known[k]:
             rows.append(
