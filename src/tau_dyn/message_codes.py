@@ -174,6 +174,10 @@ WARNING_CODES: dict[str, MessageCode] = {
         "the held-out error of a joint is over 3 times the training error", "check machine, tool and load of both logs"
     ),
     "joints_exchanged": MessageCode("columns of two joints are exchanged", "the column map's lines in the sentence"),
+    "load_changed": MessageCode(
+        "a log carries a body at the tool that the others or the model file do not",
+        "give it to `payload`, or leave it out",
+    ),
     "lost_samples": MessageCode(
         "samples are missing under an even clock", "log time stamps; up to 1 % is corrected, else record again"
     ),

@@ -16,8 +16,9 @@ from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError, UnknownNam
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.monitor import identify_payload
+from tau_dyn.monitor.drive_gains import compare_drives
 from tau_dyn.render import build_page, print_result
-from tau_dyn.robot import Robot, load_robot
+from tau_dyn.robot import INERTIAL, Robot, load_robot
 from tau_dyn.simulate import build_fourier_motion
 
 GANTRY = load_robot("gantry_tau")
@@ -78,6 +79,19 @@ def carry(model: Model, mass: float):
         return np.array(rigid) + model.effect_force(model.motion(motion.q, motion.v, motion.a))
 
     return tau_of
+
+
+def test_joints_with_two_force_scales_disagree_about_a_payload(arm) -> None:
+    """Where one joint's column is 26 % too large, its payload is as much heavier than the others', and that is a warning."""
+    logs = [record(arm, carry(arm, m), k, f"{k}.csv") for k, m in enumerate((0.0, MASS))]
+    wrong = [log.with_channels(tau_lift=1.26 * log.channels["tau_lift"]) for log in logs]
+    found, sound = (identify_payload(arm.robot, pair[:1], pair[1:]) for pair in (wrong, logs))
+    gains = compare_drives(found.estimate, tuple(f"payload.{quantity}" for quantity in INERTIAL))
+    assert gains is not None
+    factor = dict(zip(gains.joints, gains.factors, strict=True))
+    assert abs(factor["lift"] / factor["turn"] - 1.26) < 0.1 if "turn" in factor else "lift" in factor
+    assert [w.code for w in found.warnings if getattr(w, "code", "") == "scale_wrong"] == ["scale_wrong"]
+    assert not [w for w in sound.warnings if getattr(w, "code", "") == "scale_wrong"]
 
 
 def test_mass_and_centre_come_back_in_the_tool_frame(arm) -> None:

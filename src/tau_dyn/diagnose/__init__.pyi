@@ -6,8 +6,8 @@ from .diagnosis import (
     log_with_references as log_with_references,
 )
 from .payload import (
-    compute_body_properties as compute_body_properties,
-    differentiate_body_properties as differentiate_body_properties,
+    estimate_body as estimate_body,
     find_end_link as find_end_link,
+    find_payload_frame as find_payload_frame,
 )
 from .proposal.propose import propose_motion as propose_motion

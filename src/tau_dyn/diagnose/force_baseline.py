@@ -26,6 +26,7 @@ from tau_dyn.diagnose.force_channel import (
 from tau_dyn.diagnose.noise_only_log import (
     NoiseOnlyLog,
 )
+from tau_dyn.diagnose.payload import find_end_link
 from tau_dyn.diagnose.preparation import (
     choose_diagnosis_preparation,
     clear_cutoff,
@@ -45,6 +46,7 @@ from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify import (
     EXPERIMENT,
     Preparation,
+    PreparedSegment,
     build_physical_constraints,
     check_integrity,
     count_information,
@@ -52,9 +54,12 @@ from tau_dyn.identify import (
     list_information_warnings,
     list_resting_warnings,
     log_warnings,
+    name_apart,
 )
 from tau_dyn.log import Log, compute_edge_samples, decimate, find_motion_band, lowpass, mend_log, resample_segments
 from tau_dyn.model import Model
+from tau_dyn.parameters import Parameters
+from tau_dyn.robot import INERTIAL
 
 Progress = Callable[[str], None]
 _WAVE_DRAWS = 8  # of white noise, by which the level of a peak is set
@@ -65,6 +70,29 @@ _EDGE_FACTOR = 3
 """Edges left out, in those of the usual low-pass, which rings for a third of the time."""
 _WAVE_LEVEL = 1e-6
 """Of any wave at all in positions that hold noise alone; true ones exceed it by far, since positions are hardly noisy."""
+
+
+CarriedLoad = tuple[tuple[str, ...], Parameters]
+"""Names of logs, and the ten inertial numbers of the body that they carry."""
+
+
+def name_load(logs: Sequence[str]) -> str:
+    """Return the label of a body that some logs carry."""
+    return "+".join(logs)
+
+
+def compute_load_columns(model: Model, prepared: Sequence[PreparedSegment]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return columns (n, na, 10) of a body fixed to the end link, masked as forces are and without masks, of each piece."""
+    body = find_end_link(model.robot)
+    assert body is not None  # a robot with several ends has no loads
+    ten = [f"{body.link}.{quantity}" for quantity in INERTIAL]
+    wide = replace(model, robot=model.robot.untied(ten))
+    places = [wide.robot.parameters.names.index(name) for name in ten]
+    found = []
+    for piece in prepared:
+        Y = wide.mechanism.regressor(piece.motion.q, piece.motion.v, piece.motion.a)[:, :, places]
+        found.append((piece.columns(Y), piece.columns(Y, gated=False)))
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +110,7 @@ class FittedBaseline:
         held: Whether a piece belongs to a held-out log.
         pieces: Even stretches of the training logs, then of the held-out logs, as they were logged.
         warnings: What is doubtful about the logs.
+        loads: Bodies that some logs carry at the tool beyond the others.
     """
 
     nominal: Model
@@ -94,6 +123,7 @@ class FittedBaseline:
     held: tuple[bool, ...]
     pieces: tuple[Log, ...]
     warnings: tuple[str, ...] = ()
+    loads: tuple[CarriedLoad, ...] = ()
 
     @cached_property
     def _noise_only_logs(self) -> list[NoiseOnlyLog]:
@@ -106,7 +136,37 @@ class FittedBaseline:
         logs = [log.draw(rng) for log in self._noise_only_logs]
         prepared = prepare_segments(self.nominal, logs, self.preparation, self.smooth_hz)
         regression = build_force_regression(self.nominal, prepared, self.preparation)
-        return replace_measurements(self.channel, self.model, prepared, self.held, regression, self.clear_hz)
+        drawn = replace_measurements(self.channel, self.model, prepared, self.held, regression, self.clear_hz)
+        return self.carry_loads(drawn, known=True)
+
+    @property
+    def has_known_load(self) -> bool:
+        """Whether a load is known from a model file alone: all logs carry it."""
+        return any(not parameters.free.any() for _, parameters in self.loads)
+
+    def pad_nominal(self) -> np.ndarray:
+        """Return the nominal values with those of the loads, zero (p,)."""
+        return np.concatenate([self.nominal.parameters.values, *(np.zeros(len(p)) for _, p in self.loads)])
+
+    def carry_loads(self, channel: ForceChannel, *, known: bool = False) -> ForceChannel:
+        """Return a channel with the columns of the loads; with `known`, forces of a load that is known are added, too."""
+        if not self.loads:
+            return channel
+        runs = list(channel.runs)
+        loads = compute_load_columns(self.nominal, channel.prepared)
+        for logs, parameters in self.loads:
+            for k, (run, (W, W_all)) in enumerate(zip(runs, loads, strict=True)):
+                here = float(run.name in logs)
+                force = parameters.values * here if known and not parameters.free.any() else np.zeros(len(parameters))
+                runs[k] = replace(
+                    run,
+                    W=np.concatenate([run.W, W * here], axis=2),
+                    W_all=np.concatenate([run.W_all, W_all * here], axis=2),
+                    y=run.y + W @ force,
+                    y_all=run.y_all + W_all @ force,
+                )
+        more = [p for _, parameters in self.loads for p in parameters]
+        return replace(channel, parameters=channel.parameters + Parameters(more), runs=tuple(runs))
 
 
 def fit_baseline(
@@ -130,7 +190,8 @@ def fit_baseline(
     Raises:
         CannotAnswer: The logs determine nothing, or are too short for three parts; its warnings say what is doubtful about them.
     """
-    robot, logs = model.robot, [*train_logs, *held_logs]
+    robot, logs = model.robot, name_apart([*train_logs, *held_logs])
+    train_logs, held_logs = logs[: len(train_logs)], logs[len(train_logs) :]
     train, held = (
         [piece for log in some for piece in resample_segments(mend_log(log, robot.actuated))]
         for some in (train_logs, held_logs)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -218,6 +219,55 @@ def differentiate_body_properties(
     """Return the derivative (10, 10) of `compute_body_properties` by the ten numbers, by complex steps."""
     steps = 1e-30j * np.eye(10)
     return np.column_stack([compute_body_properties(pi + step, R, p).imag / 1e-30 for step in steps])
+
+
+class BodyEstimate(NamedTuple):
+    """A body's properties as `compute_body_properties` lists them (10,), their standard errors, and which are known at all."""
+
+    values: np.ndarray
+    stderr: np.ndarray
+    known: np.ndarray
+
+
+def estimate_body(estimate: Estimate, names: Sequence[str], R: np.ndarray, p: np.ndarray) -> BodyEstimate:
+    """Return mass, centre and inertia of a body with their standard errors.
+
+    Args:
+        estimate: A solved regression.
+        names: Its ten parameters there.
+        R: Axes of the frame wanted, as columns in the joint's frame (3, 3).
+        p: Its origin (3,) [m].
+    """
+    base = estimate.base
+    kept = [base.names[k] for k in base.kept]
+    place = {name: k for k, name in enumerate(kept) if base.alone[base.kept[k]]}
+    pi, rows = estimate.parameters.select(names).values, np.zeros((10, base.rank))
+    for k, name in enumerate(names):
+        if name in place:
+            rows[k, place[name]] = 1.0
+    seen = np.array([name in place for name in names])
+    at = pi if pi[0] > 0 else np.array([1.0, *np.zeros(9)])  # without a mass there is no centre to speak of
+    values, slopes = compute_body_properties(at, R, p), differentiate_body_properties(at, R, p)
+    needs = np.abs(slopes) > 1e-12 * np.abs(slopes).max()
+    known = ~np.any(needs & ~seen, axis=1) & np.array([True, *[bool(pi[0] > 0)] * 9])
+    errors = [estimate.stderr_of(slope @ rows) if ok else np.nan for slope, ok in zip(slopes, known, strict=True)]
+    values[0] = pi[0]
+    return BodyEstimate(values, np.array(errors), known)
+
+
+def find_payload_frame(robot: Robot, body: LinkInertia) -> tuple[str, np.ndarray, np.ndarray]:
+    """Return the frame in which a payload is given, its axes and origin in the joint's: the tool where it is on the link."""
+    tool = robot.tool_frame
+    if tool is not None and int(robot.model.frames[tool].parentJoint) == body.joint_id:
+        at = robot.model.frames[tool].placement
+        return str(robot.model.frames[tool].name), np.array(at.rotation), np.array(at.translation)
+    return body.link, np.eye(3), np.zeros(3)
+
+
+def is_identified(robot: Robot, trusted: Parameters) -> bool:
+    """Return whether the values of a robot's bodies were identified before, with standard errors."""
+    bodies = {name for link in robot.links for name in link.names}
+    return any(p.stderr is not None for p in trusted if p.name in bodies)
 
 
 def compute_payload_parameters(explanation: Explanation, joint: str) -> tuple[Parameter, ...]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from tau_dyn.diagnose.deflection_channel import build_deflection_channel
 from tau_dyn.diagnose.force_baseline import FittedBaseline, Progress
+from tau_dyn.diagnose.loads import add_loads, find_loads, list_load_warnings, report_loads
 from tau_dyn.diagnose.nominal import find_parameter_changes
 from tau_dyn.diagnose.preparation import compute_border_gap_s
 from tau_dyn.diagnose.resonances import add_band_note, add_resonances
@@ -50,8 +51,10 @@ from tau_dyn.evidence import (
     describe_split,
     estimate_noise_floor,
     examine_channel,
+    fit_extended_model,
     measure_net_forces,
     recommend,
+    search_channel,
 )
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify import drop_repeated_logs, is_diagnosis_invalid
@@ -154,22 +157,43 @@ def diagnose_channel(
         case: Of forces, the fitted baseline behind the channel.
     """
     rng = np.random.default_rng(seed)
-    options = ExaminationOptions(rng, progress)
+    options, loads, without, first = ExaminationOptions(rng, progress), [], None, None
     if case:
-        gap_s = compute_border_gap_s(case.preparation.force_cutoff_hz, case.channel.prepared[0].log.rate_hz)
-        noise = NoiseOnlyBootstrap(lambda: [case.noise_only(rng) for _ in range(N_BOOTSTRAP_DRAWS)])
-        nominal, doubt = model.parameters.values, _describe_spoiled(warnings)
-        options = ExaminationOptions(rng, progress, noise, case.physics, nominal, gap_s, doubt)
-    found = examine_channel(channel, options)
+        doubt = _describe_spoiled(warnings)
+        options = _build_options(case, rng, progress, doubt)
+        first = search_channel(channel, options)
+        loads = find_loads(case, channel, build_effects(first[0].found), np.random.default_rng(seed))
+        if not doubt and any(one.is_confirmed for one in loads):
+            without = fit_extended_model(channel, (), case.physics, np.random.default_rng(seed)).errors
+            case = add_loads(case, loads)
+            channel, first = case.carry_loads(channel), None
+            options = _build_options(case, rng, progress, doubt)
+            warnings = (*warnings, *list_load_warnings(loads))
+    found = examine_channel(channel, options, first)
     if case:
         found = _with_parameters(found, model, case, options.doubt)
-    return _answer(found, options, model, case, seed=seed, how=how, warnings=warnings)
+    answer = _answer(found, options, model, case, seed=seed, how=how, warnings=warnings)
+    return report_loads(answer, loads, without)
+
+
+def _build_options(
+    case: FittedBaseline, rng: np.random.Generator, progress: Progress, doubt: str
+) -> ExaminationOptions:
+    """Return the circumstances of an examination of forces."""
+    gap_s = compute_border_gap_s(case.preparation.force_cutoff_hz, case.channel.prepared[0].log.rate_hz)
+    noise = NoiseOnlyBootstrap(lambda: [case.noise_only(rng) for _ in range(N_BOOTSTRAP_DRAWS)])
+    return ExaminationOptions(rng, progress, noise, case.physics, case.pad_nominal(), gap_s, doubt)
 
 
 def _with_parameters(found: Examination, model: Model, case: FittedBaseline, doubt: str) -> Examination:
-    """Return the examination of forces with the parameters that differ from their nominal values."""
+    """Return the examination of forces with the parameters that differ from their nominal values.
+
+    A load that is known from a model file alone explains the difference of the bodies.
+    """
     channel, after = found.hunt.channel, found.bars.fits[-1]
-    changed = find_parameter_changes(model, model.parameters, after.parameters, after.estimate)
+    changed: list[Finding] = []
+    if not case.has_known_load:
+        changed = find_parameter_changes(model, model.parameters, after.parameters, after.estimate)
     if doubt:
         changed = [replace(f, status="suspected", why_not_confirmed=doubt) for f in changed]
     findings = (*(add_band_note(finding, case.clear_hz) for finding in found.findings), *changed)

@@ -1,5 +1,13 @@
 """Verdicts from one body of evidence: hypotheses, null model, selection, confirmation, gain, detection limits, structure."""
 
+from .campaigns import (
+    CampaignChange as CampaignChange,
+    CampaignChannel as CampaignChannel,
+    compute_campaign_gain as compute_campaign_gain,
+    confirm_campaign_change as confirm_campaign_change,
+    divide_every_log as divide_every_log,
+    select_campaign_changes as select_campaign_changes,
+)
 from .candidate_scan import (
     FAMILY_LEVEL as FAMILY_LEVEL,
     N_NULL_DRAWS as N_NULL_DRAWS,
@@ -7,6 +15,7 @@ from .candidate_scan import (
 )
 from .channel import (
     EVERY as EVERY,
+    TEST as TEST,
     TRAIN as TRAIN,
     VALIDATION as VALIDATION,
     Channel as Channel,
@@ -40,6 +49,7 @@ from .extended_fit import (
     estimate_noise_floor as estimate_noise_floor,
     fit_extended_model as fit_extended_model,
     restrict_to_parts as restrict_to_parts,
+    solve_with_fallback as solve_with_fallback,
 )
 from .findings import (
     describe_diagnosis as describe_diagnosis,
@@ -49,6 +59,7 @@ from .judge import (
     ExaminationOptions as ExaminationOptions,
     decide_verdict as decide_verdict,
     examine_channel as examine_channel,
+    search_channel as search_channel,
 )
 from .noise_only_bootstrap import (
     N_BOOTSTRAP_DRAWS as N_BOOTSTRAP_DRAWS,

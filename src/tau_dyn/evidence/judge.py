@@ -12,7 +12,7 @@ rejected candidate is shown by the validation data; else the verdict is `unexpla
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -92,12 +92,22 @@ class Examination:
     aliased: tuple[Finding, ...] = field(default=())
 
 
-def examine_channel(channel: Channel, options: ExaminationOptions) -> Examination:
-    """Select, confirm and measure causes on a channel, and test its residual against the noise."""
+Selection = tuple[StepwiseSelection, Structure | None]
+"""Causes that the training data show, and a structure without a name with these in the model."""
+
+
+def examine_channel(channel: Channel, options: ExaminationOptions, first: Selection | None = None) -> Examination:
+    """Select, confirm and measure causes on a channel, and test its residual against the noise.
+
+    Args:
+        channel: The measurements.
+        options: The circumstances.
+        first: What `search_channel` returned for them; None to search.
+    """
     excluded: set[tuple[str, tuple[str, ...]]] = set()
     turned_down: list[Finding] = []
     for search in range(MAX_SEARCHES):
-        found = _examine_once(channel, options, excluded)
+        found = _examine_once(channel, options, excluded, None if search else first)
         if search:
             found = _require_consistency(found, options)
         lost = _list_implausible(found)
@@ -110,12 +120,14 @@ def examine_channel(channel: Channel, options: ExaminationOptions) -> Examinatio
 
 
 def _examine_once(
-    channel: Channel, options: ExaminationOptions, excluded: set[tuple[str, tuple[str, ...]]]
+    channel: Channel,
+    options: ExaminationOptions,
+    excluded: set[tuple[str, tuple[str, ...]]],
+    selection: Selection | None,
 ) -> Examination:
     """Select causes, confirm them and measure their gain."""
     noise, rng = options.noise, options.rng
-    options.progress("looking for causes")
-    hunt, structure = _search(channel, options, excluded)
+    hunt, structure = selection or search_channel(channel, options, excluded)
     options.progress("confirming")
     tests = confirm_all(hunt, structure)
     aside: Sequence[np.ndarray] = ()
@@ -129,10 +141,11 @@ def _examine_once(
     return Examination(hunt, claims, bars, tests, periods)
 
 
-def _search(
-    channel: Channel, options: ExaminationOptions, excluded: set[tuple[str, tuple[str, ...]]]
-) -> tuple[StepwiseSelection, Structure | None]:
+def search_channel(
+    channel: Channel, options: ExaminationOptions, excluded: Collection[tuple[str, tuple[str, ...]]] = ()
+) -> Selection:
     """Return the causes that the training data show, and a structure without a name with these in the model."""
+    options.progress("looking for causes")
     noise = options.noise
     sift = noise.reject_artefacts if noise else None
     hunt = select_causes(channel, options.rng, options.progress, sift=sift, excluded=excluded)

@@ -166,6 +166,7 @@ class Finding(Brief):
         why_not_confirmed: Why it is `suspected` only; empty if it is confirmed.
         is_shown: Whether the validation data show it; a suspected cause that they show is a residual above the noise.
         detection_limit: The smallest amplitude that these data show with 95 % power; None for a rejected candidate.
+        logs: Logs that it concerns; empty for all.
     """
 
     cause: str
@@ -186,6 +187,7 @@ class Finding(Brief):
     why_not_confirmed: str = ""
     is_shown: bool = False
     detection_limit: Limit | None = None
+    logs: tuple[str, ...] = ()
 
     @property
     def rank(self) -> tuple[bool, bool, float]:

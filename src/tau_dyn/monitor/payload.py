@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tau_dyn.diagnose import compute_body_properties, differentiate_body_properties, find_end_link
+from tau_dyn.diagnose import estimate_body, find_end_link, find_payload_frame
 from tau_dyn.estimate import (
     MAX_RELATIVE_STDERR,
     Estimate,
@@ -43,6 +43,7 @@ from tau_dyn.identify import (
 from tau_dyn.log import Log
 from tau_dyn.message_codes import CodedWarning, format_warnings
 from tau_dyn.model import Model
+from tau_dyn.monitor.drive_gains import compare_drives
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Z95, Shown, format_list
 from tau_dyn.robot import INERTIAL, LinkInertia, Robot
@@ -50,6 +51,8 @@ from tau_dyn.simulate import build_fourier_motion
 
 SIGNIFICANCE_LEVEL = 0.01
 """Chance at which two equal recordings are said to differ by a payload."""
+MIN_DRIVE_DIFFERENCE = 0.05
+"""Relative difference of the mass by two joints that counts; torque constants and the load friction of gears scatter less."""
 MAX_HIDDEN_SHARE = 0.05
 """Part of the robot's own mass that may hide in the interval of an answer "no payload": an arm's rated payload is a quarter."""
 _EXPERIMENT_S = 20.0  # of the motion by which the length of the one to make is predicted
@@ -234,6 +237,7 @@ def _identify(
     found = describe_payload(model, body, estimate, ([log.name for log in without], [log.name for log in with_it]))
     said = [*said, *model.robot.warnings, *built.left_out]
     said += list_information_warnings(built.regression, estimate.base.rank)
+    said += _compare_drives(found)
     found = replace(found, warnings=tuple(dict.fromkeys([*said, *_list_warnings(found)])))
     _refuse_undetermined(model, body, found, seed, progress)
     return found
@@ -338,25 +342,12 @@ def describe_payload(
 ) -> PayloadEstimate:
     """Return mass, centre and inertia with their errors, and the tests."""
     robot, base = model.robot, estimate.base
-    frame, R, p = _find_frame(robot, body)
+    frame, R, p = find_payload_frame(robot, body)
     kept = [base.names[k] for k in base.kept]
-    pi = estimate.parameters.select(f"payload.{quantity}" for quantity in INERTIAL)
-    place = {name: k for k, name in enumerate(kept) if base.alone[base.kept[k]]}
     mine = np.eye(base.rank)[[k for k, name in enumerate(kept) if name.startswith("payload.")]]
     p_value = compute_contrast_p_value(estimate, mine)
-    mass, rows = pi["payload.mass"].value, np.zeros((10, base.rank))
-    for k, name in enumerate(pi.names):
-        if name in place:
-            rows[k, place[name]] = 1.0
-    seen = np.array([name in place for name in pi.names])
-    at = pi.values if mass > 0 else np.array([1.0, *np.zeros(9)])  # without a mass there is no centre to speak of
-    values = compute_body_properties(at, R, p)
-    slopes = differentiate_body_properties(at, R, p)
-    needs = np.abs(slopes) > 1e-12 * np.abs(slopes).max()
-    known = ~np.any(needs & ~seen, axis=1) & np.array([True, *[mass > 0] * 9])
-    errors = [estimate.stderr_of(slope @ rows) if ok else np.nan for slope, ok in zip(slopes, known, strict=True)]
-    stderr = np.array(errors)
-    values[0] = mass
+    values, stderr, _ = estimate_body(estimate, [f"payload.{quantity}" for quantity in INERTIAL], R, p)
+    mass = float(values[0])
     lever = max(float(np.linalg.norm(values[1:4])), _MIN_LENGTH_M)
     size = np.array([abs(mass), *[lever] * 3, *[float(np.abs(values[4:]).max())] * 6])
     told = np.nan_to_num(stderr, nan=np.inf) < MAX_RELATIVE_STDERR * size
@@ -364,20 +355,11 @@ def describe_payload(
         PropertyEstimate(values[k], stderr[k], unit, bool(told[k].all()))
         for k, unit in ((slice(0, 1), "kg"), (slice(1, 4), "m"), (slice(4, 10), "kg m^2"))
     ]
-    plain = float(estimate.beta_plain[place["payload.mass"]]) if "payload.mass" in place else np.nan
+    plain = float(estimate.beta_plain[kept.index("payload.mass")]) if np.isfinite(stderr[0]) else np.nan
     return PayloadEstimate(
         robot, body.link, frame, parts[0], parts[1], parts[2], plain, 1.0 if p_value is None else p_value,
         _compare_friction(robot, estimate), (tuple(logs[0]), tuple(logs[1])), estimate, (),
     )  # fmt: skip
-
-
-def _find_frame(robot: Robot, body: LinkInertia) -> tuple[str, np.ndarray, np.ndarray]:
-    """Return the frame in which a payload is told, its axes and origin in the joint's: the tool where it is on the link."""
-    tool = robot.tool_frame
-    if tool is not None and int(robot.model.frames[tool].parentJoint) == body.joint_id:
-        at = robot.model.frames[tool].placement
-        return str(robot.model.frames[tool].name), np.array(at.rotation), np.array(at.translation)
-    return body.link, np.eye(3), np.zeros(3)
 
 
 def _compare_friction(robot: Robot, estimate: Estimate) -> tuple[FrictionDifference, ...]:
@@ -392,6 +374,22 @@ def _compare_friction(robot: Robot, estimate: Estimate) -> tuple[FrictionDiffere
         coulomb, viscous = (estimate.parameters[name] for name in names)
         found.append(FrictionDifference(joint, coulomb, viscous, corrected))
     return tuple(found)
+
+
+def _compare_drives(found: PayloadEstimate) -> list[str]:
+    """Return a warning where the joints disagree about the payload, with the mass by each of them."""
+    if not found.differs or not found.mass.values[0] > 0:
+        return []
+    gains = compare_drives(found.estimate, tuple(f"payload.{quantity}" for quantity in INERTIAL))
+    if gains is None or gains.p_value >= SIGNIFICANCE_LEVEL or gains.largest_difference < MIN_DRIVE_DIFFERENCE:
+        return []
+    first, rows = gains.joints[0], zip(gains.joints[1:], gains.factors[1:], gains.stderr[1:], strict=True)
+    listed = format_list([f"{joint} {factor:.3g} ± {stderr:.1g}" for joint, factor, stderr in rows])
+    sentence = (
+        f"the joints disagree about the payload's mass: relative to {first}, the mass is {listed} times as large; divide the "
+        "scale of each joint's force column by its factor, and weigh the payload, since a factor of all joints stays unknown"
+    )
+    return [CodedWarning("scale_wrong", sentence)]
 
 
 def _list_warnings(found: PayloadEstimate) -> list[str]:

@@ -1,0 +1,432 @@
+r"""A body that one log carries at the tool and the others, or a model file, do not: its mass and its place, log by log.
+
+    tau = Y theta + [k = log] Y_end pi_k,     k = 1 .. K logs
+
+`pi_k` are the ten inertial numbers of a rigid body fixed to the end link. Nothing fixes the absolute load, so the logs
+that carry least are the reference. Values that were identified before, with standard errors, are a reference as well: they enter
+as one more campaign on the motion of the training logs, with the forces that follow from them. A model file keeps no covariance.
+Its combinations count as known as well as these logs know them, or worse in proportion to its standard errors. Campaigns are
+compared with the causes found accounted for (`evidence/campaigns.py`). A load that is accepted joins the baseline in its logs,
+and causes are searched again. Friction may follow the load, so a change of friction in the same log does not count against it.
+Reference: Khalil, Gautier & Lemoine 2007 (identification of the payload inertial parameters).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tau_dyn.diagnose.force_baseline import FittedBaseline, compute_load_columns, name_load
+from tau_dyn.diagnose.nominal import MAX_MASS_SHARE
+from tau_dyn.diagnose.payload import (
+    MIN_AMPLITUDE_Z,
+    BodyEstimate,
+    estimate_body,
+    find_end_link,
+    find_payload_frame,
+    is_identified,
+)
+from tau_dyn.diagnose.preparation import compute_border_gap_s
+from tau_dyn.effects import PARAMETER_CAUSES, Effect, format_quantity
+from tau_dyn.estimate import Estimate, InertialBody, PhysicalConstraints, Regression, RegressionRun, solve_least_squares
+from tau_dyn.evidence import (
+    TEST,
+    TRAIN,
+    CampaignChange,
+    CampaignChannel,
+    Channel,
+    Diagnosis,
+    Finding,
+    Gain,
+    OutputErrors,
+    Step,
+    build_extended_regression,
+    compute_campaign_gain,
+    confirm_campaign_change,
+    divide_every_log,
+    select_campaign_changes,
+    solve_with_fallback,
+)
+from tau_dyn.message_codes import CodedWarning
+from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.results import format_list
+from tau_dyn.robot import INERTIAL, LinkInertia, Robot
+
+PAYLOAD = "payload"
+REFERENCE = "\0model file"
+"""Name of the campaign that stands for a model file's values; no file has this name."""
+_FRICTION = "friction"
+_WIDTH = len(INERTIAL)
+
+
+@dataclass(frozen=True, eq=False)
+class Load:
+    """A body that some logs carry beyond the others.
+
+    Attributes:
+        logs: Names of the logs.
+        values: Its ten inertial numbers in the end link's joint frame (10,).
+        known: Whether the values are taken as they are, because a model file is the only reference.
+        finding: What is reported of it.
+    """
+
+    logs: tuple[str, ...]
+    values: np.ndarray
+    known: bool
+    finding: Finding
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether the blocks set aside of its logs agree."""
+        return self.finding.status == "confirmed"
+
+    @property
+    def is_body(self) -> bool:
+        """Whether its mass is distinct from zero."""
+        mass = self.finding.parameters[0]
+        return mass.stderr is not None and mass.value > MIN_AMPLITUDE_Z * mass.stderr
+
+    @property
+    def parameters(self) -> Parameters:
+        """The ten numbers as parameters of the baseline, free unless known."""
+        label = name_load(self.logs)
+        units = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
+        return Parameters(
+            Parameter(
+                f"{PAYLOAD}.{quantity}@{label}",
+                float(value) if self.known else 0.0,
+                unit,
+                lower=0.0 if quantity == "mass" and not self.known else -np.inf,
+                free=not self.known,
+                origin=PAYLOAD,
+            )
+            for quantity, value, unit in zip(INERTIAL, self.values, units, strict=True)
+        )
+
+
+def find_loads(
+    case: FittedBaseline, channel: Channel, effects: Sequence[Effect], rng: np.random.Generator
+) -> list[Load]:
+    """Return the bodies that logs carry at the tool, beyond the other logs or a model file.
+
+    Args:
+        case: The fitted baseline.
+        channel: Its channel.
+        effects: Causes found, which are accounted for.
+        rng: For intervals.
+    """
+    body, logs = find_end_link(case.nominal.robot), list(dict.fromkeys(run.name for run in channel.runs))
+    identified = is_identified(case.nominal.robot, case.nominal.parameters)
+    if body is None or len(logs) + identified < 2:
+        return []
+    study = _Study.of(case, channel, effects, body, identified)
+    changes = select_campaign_changes(
+        study.channel,
+        study.noise,
+        study.kinds,
+        logs,
+        likelier=PAYLOAD,
+        companions=[kind for kind in study.kinds if kind.startswith(_FRICTION)],
+        reference=identified,
+    )
+    carried = [one for one in changes if one.kind == PAYLOAD]
+    if not carried:
+        return []
+    study = study.account_for([one for one in changes if one.kind != PAYLOAD])
+    groups = study.choose_reference([(one.log,) for one in carried], logs, identified)
+    known = identified and {log for group in groups for log in group} == set(logs)
+    found = [study.describe(group, groups, carried, logs, known, rng) for group in groups]
+    return [one for one in found if one.is_body]
+
+
+@dataclass(frozen=True, eq=False)
+class _Study:
+    """The campaigns of one case.
+
+    Attributes:
+        robot: The robot.
+        body: Its end link.
+        channel: Runs of all logs and of the reference, with the columns that they share.
+        noise: Noise model of each output.
+        kinds: Columns (n, m, k) of each run, by kind of change.
+        physics: What makes the baseline's values physical.
+    """
+
+    robot: Robot
+    body: LinkInertia
+    channel: CampaignChannel
+    noise: tuple
+    kinds: dict[str, list[np.ndarray]]
+    physics: PhysicalConstraints
+
+    @classmethod
+    def of(
+        cls, case: FittedBaseline, channel: Channel, effects: Sequence[Effect], body: LinkInertia, identified: bool
+    ) -> _Study:
+        """Build the campaigns: noise is that of a fit in which every log has all of its own."""
+        robot = case.nominal.robot
+        regression = build_extended_regression(channel, effects)
+        gap_s = compute_border_gap_s(case.preparation.force_cutoff_hz, case.channel.prepared[0].log.rate_hz)
+        campaigns = CampaignChannel(
+            channel.name, channel.outputs, channel.units, regression.parameters, regression.runs,
+            divide_every_log(channel, gap_s), channel.scene, (),
+        )  # fmt: skip
+        plain = solve_with_fallback(regression, case.physics)
+        loads = compute_load_columns(case.nominal, case.channel.prepared)
+        kinds = _list_kinds(case, body, campaigns, plain, loads)
+        own = solve_with_fallback(_give_every_log_its_own(campaigns, kinds), None)
+        study = cls(robot, body, campaigns, own.noise, kinds, case.physics)
+        return study._add_reference(case.nominal.parameters, own) if identified else study
+
+    def _add_reference(self, trusted: Parameters, own: Estimate) -> _Study:
+        """Return the study with the campaign of a model file: its bodies' forces on these motions, and noise of the same kind.
+
+        Its noise is the residual of these logs in reverse, which has the same spectrum and knows nothing of the motion.
+        """
+        names = self.channel.parameters.names
+        bodies = np.isin(names, self.robot.parameters.names)
+        values = np.array([trusted[n].value if mine else 0.0 for n, mine in zip(names, bodies, strict=True)])
+        pairs = [(trusted[n].stderr, own.parameters[n].stderr) for n in self.robot.parameters.names]
+        ratios = [a / b for a, b in pairs if a and b]
+        share = 1 / max(1.0, float(np.sqrt(np.mean(np.square(ratios))))) if ratios else 1.0
+        runs, parts = list(self.channel.runs), list(self.channel.parts)
+        for run, e in zip(self.channel.runs, own.residuals(), strict=True):
+            W = share * np.where(bodies, run.W, 0.0)
+            y = W @ values + e[::-1]
+            runs.append(RegressionRun(REFERENCE, run.t, W, y, run.usable, W, y))
+            parts.append(np.full(len(run.t), TRAIN))
+        channel = replace(self.channel, runs=tuple(runs), parts=tuple(parts))
+        kinds = {kind: [*columns, *(np.zeros_like(c) for c in columns)] for kind, columns in self.kinds.items()}
+        return replace(self, channel=channel, kinds=kinds)
+
+    def account_for(self, changes: Sequence[CampaignChange]) -> _Study:
+        """Return the study with changes of other kinds accounted for."""
+        channel = self.channel
+        for one in changes:
+            channel = channel.with_change(one, self.kinds[one.kind])
+        return replace(self, channel=channel)
+
+    def carry(self, groups: Sequence[Sequence[str]]) -> CampaignChannel:
+        """Return the channel in which every group of logs carries a body of its own."""
+        channel = self.channel
+        for logs in groups:
+            channel = channel.with_columns(
+                Parameters(Parameter(name, 0.0, "1", lower=0.0 if name.startswith(f"{PAYLOAD}.mass") else -np.inf)
+                           for name in _list_names(logs)),
+                channel.mask_columns(self.kinds[PAYLOAD], logs),
+            )  # fmt: skip
+        return channel
+
+    def regression(self, groups: Sequence[Sequence[str]], *parts: int) -> Regression:
+        """Return the regression of some parts in which every group of logs carries a body of its own."""
+        channel = self.carry(groups)
+        runs = tuple(replace(r, usable=m) for r, m in zip(channel.runs, channel.masks(*parts), strict=True))
+        return Regression(channel.parameters, channel.outputs, channel.units, runs)
+
+    def solve(self, groups: Sequence[Sequence[str]], *parts: int) -> Estimate:
+        """Return the joint estimate, links and loads kept physical."""
+        bodies = [InertialBody(f"{PAYLOAD}@{name_load(g)}", _list_names(g), np.eye(_WIDTH)) for g in groups]
+        physics = PhysicalConstraints((*self.physics.bodies, *bodies), self.physics.rotors)
+        return solve_with_fallback(self.regression(groups, *parts), physics)
+
+    def choose_reference(
+        self, groups: list[tuple[str, ...]], logs: Sequence[str], identified: bool
+    ) -> list[tuple[str, ...]]:
+        """Return the groups of logs that carry more than the lightest group does, which becomes the reference."""
+        if identified:
+            return groups
+        regression = self.regression(groups, TRAIN, TEST)
+        free = {p.name: {"lower": -np.inf} for p in regression.parameters if p.name.startswith(f"{PAYLOAD}.")}
+        estimate = solve_least_squares(regression.with_parameters(regression.parameters.update(free)))
+        masses = [estimate.parameters[_list_names(group)[0]].value for group in groups]
+        if min(masses) >= 0:
+            return groups
+        lightest = groups[int(np.argmin(masses))]
+        others = tuple(log for log in logs if all(log not in group for group in groups))
+        return [*(group for group in groups if group is not lightest), *([others] if others else [])]
+
+    def describe(
+        self,
+        group: tuple[str, ...],
+        groups: Sequence[tuple[str, ...]],
+        carried: Sequence[CampaignChange],
+        logs: Sequence[str],
+        known: bool,
+        rng: np.random.Generator,
+    ) -> Load:
+        """Return what one group of logs carries, and whether the blocks set aside of its logs agree."""
+        estimate, names = self.solve(groups, TRAIN, TEST), _list_names(group)
+        frame, R, p = find_payload_frame(self.robot, self.body)
+        found = estimate_body(estimate, names, R, p)
+        change = next((one for one in carried if one.log in group), carried[0])
+        others = [g for g in groups if g != group]
+        columns = self.channel.mask_columns(self.kinds[PAYLOAD], group)
+        test = confirm_campaign_change(self.carry(others), self.noise, columns)
+        residuals = [self.regression(g, TEST).residuals(self.solve(g, TRAIN).theta) for g in (others, groups)]
+        gain = compute_campaign_gain(self.channel, group, *residuals, rng, test)
+        why = self._doubt(found, change, gain, test.is_confirmed)
+        unloaded = [log for log in logs if all(log not in g for g in groups)]
+        finding = Finding(
+            PAYLOAD,
+            (self.body.link,),
+            "suspected" if why else "confirmed",
+            change.statistic,
+            change.p_value,
+            tuple(build_body_parameters(found, frame)),
+            gain,
+            (),
+            f"{PARAMETER_CAUSES[PAYLOAD]}, in {format_list(list(group))}",
+            _format_sentence(found, frame, group, unloaded),
+            "",
+            confirmation=(test.share, test.stderr),
+            why_not_confirmed=why,
+            logs=group,
+        )
+        values = estimate.parameters.select(names).values
+        return Load(group, values, known, finding)
+
+    def _doubt(self, found: BodyEstimate, change: CampaignChange, gain: Gain, confirmed: bool) -> str:
+        """Return why a body is only suspected, in words; empty where it is not."""
+        mass = float(found.values[0])
+        total = float(sum(link.nominal[0] for link in self.robot.links))
+        away = float(np.linalg.norm(np.where(found.known[1:4], found.values[1:4], 0.0)))
+        reach = _measure_reach(self.robot)
+        if total > 0 and mass > MAX_MASS_SHARE * total:
+            return f"its mass is more than {MAX_MASS_SHARE:g} times the robot's"
+        if reach > 0 and away > reach:
+            return f"its centre is {away:.3g} m from the tool, farther than the robot reaches"
+        if not change.explains:
+            return "more differs in this log than a body at the tool explains"
+        if not confirmed:
+            return "the blocks of this log that were set aside do not show it"
+        if not gain.ci95[0] > 0:
+            return f"its gain is not above zero (95 % interval {gain.ci95[0]:.2g} to {gain.ci95[1]:.2g} %)"
+        return ""
+
+
+def _list_names(logs: Sequence[str]) -> tuple[str, ...]:
+    return tuple(f"{PAYLOAD}.{quantity}@{name_load(logs)}" for quantity in INERTIAL)
+
+
+def _list_kinds(
+    case: FittedBaseline, body: LinkInertia, channel: CampaignChannel, plain: Estimate, loads: Sequence[np.ndarray]
+) -> dict[str, list[np.ndarray]]:
+    """Return the columns (n, m, k) of each run of every kind of change that may be in one log alone."""
+    names, robot = channel.parameters.names, case.nominal.robot
+    bodies = np.isin(names, robot.parameters.names)
+    kinds = {PAYLOAD: [c for c, _ in loads]}
+    for joint in robot.actuated:
+        mine = [k for k, n in enumerate(names) if n in case.nominal.effect_parameters and n.startswith(f"{joint}.")]
+        if mine:
+            kinds[f"{_FRICTION} of {joint}"] = [run.W[:, :, mine] for run in channel.runs]
+    for link in robot.links:
+        if link.link != body.link:
+            mine = names.index(f"{link.link}.mass") if f"{link.link}.mass" in names else None
+            if mine is not None:
+                kinds[f"mass of {link.link}"] = [run.W[:, :, [mine]] for run in channel.runs]
+    theta = np.where(bodies, plain.theta, 0.0)
+    for k, joint in enumerate(robot.actuated):
+        only = np.arange(robot.na) == k
+        kinds[f"force of {joint}"] = [((run.W @ theta) * only)[:, :, None] for run in channel.runs]
+    kinds["bodies"] = [run.W[:, :, bodies] for run in channel.runs]
+    return kinds
+
+
+def _give_every_log_its_own(channel: CampaignChannel, kinds: dict[str, list[np.ndarray]]) -> Regression:
+    """Return the regression in which every log has a change of every kind."""
+    for log in dict.fromkeys(run.name for run in channel.runs):
+        for kind, columns in kinds.items():
+            channel = channel.with_change(CampaignChange(kind, log, 0.0, 0, 1.0), columns)
+    return Regression(channel.parameters, channel.outputs, channel.units, channel.runs)
+
+
+def _measure_reach(robot: Robot) -> float:
+    """Return the length of the chain of joint placements [m], the farthest that a tool can be from the base."""
+    model = robot.model
+    steps = [float(np.linalg.norm(place.translation)) for place in model.jointPlacements]
+    tool = (
+        0.0 if robot.tool_frame is None else float(np.linalg.norm(model.frames[robot.tool_frame].placement.translation))
+    )
+    return sum(steps) + tool
+
+
+def build_body_parameters(found: BodyEstimate, frame: str) -> list[Parameter]:
+    """Return mass and the coordinates of the centre that the data determine."""
+    stderr = float(found.stderr[0]) if found.known[0] else None
+    rows = [Parameter("payload.mass", float(found.values[0]), "kg", stderr=stderr, origin=PAYLOAD)]
+    for k, axis in enumerate("xyz", start=1):
+        if found.known[k]:
+            rows.append(
+                Parameter(
+                    f"payload.centre_{axis}", float(found.values[k]), "m", stderr=float(found.stderr[k]),
+                    origin=f"in the frame of {frame}",
+                )
+            )  # fmt: skip
+    return rows
+
+
+def _format_sentence(found: BodyEstimate, frame: str, group: Sequence[str], unloaded: Sequence[str]) -> str:
+    rows = [
+        (axis, float(found.values[k]), float(found.stderr[k]))
+        for k, axis in enumerate("xyz", start=1)
+        if found.known[k]
+    ]
+    place = ", ".join(f"{axis} = {format_quantity(value, 'm', stderr)}" for axis, value, stderr in rows)
+    mass = format_quantity(float(found.values[0]), "kg", float(found.stderr[0]))
+    text = f"{format_list(list(group))} {'carries' if len(group) == 1 else 'carry'} {mass}"
+    text += f" at {place} in the frame of {frame}" if place else ""
+    others = format_list(list(unloaded)) if unloaded else "the model"
+    return f"{text}; {others} {'do' if len(unloaded) > 1 else 'does'} not."
+
+
+def list_load_warnings(loads: Sequence[Load]) -> list[str]:
+    """Return a warning for each confirmed load."""
+    return [CodedWarning("load_changed", one.finding.sentence.rstrip(".")) for one in loads if one.is_confirmed]
+
+
+def add_loads(case: FittedBaseline, loads: Sequence[Load]) -> FittedBaseline:
+    """Return the baseline in which logs carry the bodies that are confirmed."""
+    loads = [one for one in loads if one.is_confirmed]
+    bodies = [
+        InertialBody(f"{PAYLOAD}@{name_load(one.logs)}", one.parameters.names, np.eye(_WIDTH))
+        for one in loads
+        if not one.known
+    ]
+    physics = PhysicalConstraints((*case.physics.bodies, *bodies), case.physics.rotors)
+    carried = tuple((one.logs, one.parameters) for one in loads)
+    return replace(case, loads=carried, physics=physics)
+
+
+def report_loads(answer: Diagnosis, loads: Sequence[Load], without: OutputErrors | None) -> Diagnosis:
+    """Return a diagnosis with what was found of loads.
+
+    Args:
+        answer: The diagnosis beside the loads.
+        loads: What logs carry.
+        without: Errors of the refit without loads; None where none was accepted.
+    """
+    if not loads:
+        return answer
+    findings = [
+        replace(one.finding, status="confirmed" if without and one.is_confirmed else "suspected") for one in loads
+    ]
+    told = [one for one in findings if one.status == "confirmed"]
+    answer = replace(answer, findings=tuple(sorted((*answer.findings, *findings), key=lambda f: f.rank)))
+    if without is None:
+        return answer
+    nominal, refitted, *causes = answer.waterfall
+    steps = (
+        nominal,
+        Step("refitted", without),
+        *(Step(f"{PAYLOAD} {name_load(told[0].logs)}", refitted.errors),),
+        *causes,
+    )
+    rest = answer.sentence.replace("No model error was detected", "No other model error was detected")
+    verdict = "named" if answer.verdict in ("nothing_found", "unexplained") else answer.verdict
+    sentence = " ".join([*(one.sentence for one in told), rest])
+    why = answer.recommendation_why.replace(
+        "no cause is confirmed", "no cause but the load is confirmed, which is the log's own"
+    )
+    return replace(answer, waterfall=steps, sentence=sentence, verdict=verdict, recommendation_why=why)

@@ -1,0 +1,229 @@
+r"""Changes between campaigns: what one log has that the others have not, of several kinds that compete.
+
+    y_k = W_k theta + [k = log] C_k x,     k = 1 .. K logs
+
+A log is one campaign. Each kind of change (a body at the tool, friction of a joint, a mass of a link, a force scale of a joint)
+has columns `C`; everything else is shared by all logs. The score test of `x = 0` is that of the null model. Chance counts all
+logs and kinds (Bonferroni), and the statistic is divided by the scatter of blocks. The change with the largest penalised
+statistic is accounted for first, and the others are tested again. One kind may have a larger prior: tools change more often than
+links and drives do. It is taken in place of a stronger one wherever it explains all that the log has of its own. Reference: Rao
+1948 (score test); White 1980.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from tau_dyn.effects import Effect
+from tau_dyn.estimate import Autoregression
+from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION, Channel, ColumnCache, divide_training
+from tau_dyn.evidence.confirmation import Confirmation, confirm
+from tau_dyn.evidence.extended_fit import compute_gain
+from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_overdispersion
+from tau_dyn.evidence.result import Gain
+from tau_dyn.parameters import Parameter, Parameters
+
+CAMPAIGN_LEVEL = 0.01
+"""Chance, over all logs and kinds of change (Bonferroni), at which equal logs are called different."""
+MIN_LEFT_P_VALUE = 1e-3
+"""Chance of what a change leaves of a log's difference, above which it explains all of it."""
+MIN_EXPLAINED_SHARE = 0.9
+"""Or share of a log's difference that it explains: model errors make differences between motions that no noise model knows of."""
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignChange:
+    """One kind of change in one log.
+
+    Attributes:
+        kind: Its name.
+        log: The log.
+        statistic: What it explains, in units of the noise, blocks' scatter counted.
+        dof: Amplitudes that count.
+        p_value: Chance on equal logs, all logs and kinds counted.
+        explains: Whether nothing else of this log differs.
+    """
+
+    kind: str
+    log: str
+    statistic: float
+    dof: int
+    p_value: float
+    explains: bool = False
+
+    @property
+    def penalised_statistic(self) -> float:
+        """What it explains less the price of its freedom."""
+        return self.statistic - 2 * self.dof
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignChannel(Channel):
+    """Measurements of several campaigns with all columns given."""
+
+    def run_columns(self, effect: Effect, run: int) -> np.ndarray:
+        """Refuse: effects are among the columns already."""
+        raise NotImplementedError(f"{effect.name} in run {run}: columns are given")
+
+    def variables(self) -> list[Mapping[str, np.ndarray]]:
+        """Return nothing; no structure is looked for."""
+        return [{} for _ in self.runs]
+
+    def with_columns(self, parameters: Parameters, columns: Sequence[np.ndarray]) -> CampaignChannel:
+        """Return the channel with further columns (n, m, k) of each run, to be fitted as well."""
+        runs = tuple(
+            replace(run, W=np.concatenate([run.W, c], axis=2), W_all=np.concatenate([run.W_all, c], axis=2))
+            for run, c in zip(self.runs, columns, strict=True)
+        )
+        return replace(self, parameters=self.parameters + parameters, runs=runs)
+
+    def with_change(self, one: CampaignChange, columns: Sequence[np.ndarray]) -> CampaignChannel:
+        """Return the channel with the columns (n, m, k) of each run of a change, zero outside of its log."""
+        names = (f"{one.kind}.{k}@{one.log}" for k in range(columns[0].shape[2]))
+        parameters = Parameters(Parameter(name, 0.0, "1") for name in names)
+        return self.with_columns(parameters, self.mask_columns(columns, [one.log]))
+
+    def mask_columns(self, columns: Sequence[np.ndarray], logs: Sequence[str]) -> list[np.ndarray]:
+        """Return columns (n, m, k) of each run, zero outside of some logs."""
+        return [c * float(run.name in logs) for run, c in zip(self.runs, columns, strict=True)]
+
+
+def divide_every_log(channel: Channel, gap_s: float) -> tuple[np.ndarray, ...]:
+    """Return parts in which every log is trained on and tested on.
+
+    Of a training log a quarter of the blocks is tested on, of the others their test part.
+    """
+    inner = divide_training(channel.runs, channel.parts, gap_s)
+    found = []
+    for whole, own in zip(channel.parts, inner, strict=True):
+        parts = own if np.all(whole == TRAIN) else np.where(whole == VALIDATION, TRAIN, whole)
+        found.append(np.where(parts == VALIDATION, TEST, parts))
+    return tuple(found)
+
+
+def select_campaign_changes(
+    channel: CampaignChannel,
+    noise: Sequence[Autoregression],
+    kinds: Mapping[str, Sequence[np.ndarray]],
+    logs: Sequence[str],
+    *,
+    likelier: str,
+    companions: Sequence[str] = (),
+    reference: bool = False,
+) -> list[CampaignChange]:
+    """Return the changes that the training part shows, the strongest first.
+
+    Args:
+        channel: The measurements, with the columns that all logs share.
+        noise: Noise model of each output.
+        kinds: Columns (n, m, k) of each run, by kind.
+        logs: The logs that may have changed.
+        likelier: The kind with the larger prior.
+        companions: Kinds that change for reasons of their own; they do not count against the likelier kind.
+        reference: Whether the channel holds a reference that did not change; else one of the logs is it.
+    """
+    found: list[CampaignChange] = []
+    own = [kinds[kind] for kind in companions]
+    whole = [
+        np.concatenate(parts, axis=2)
+        for parts in zip(*(c for kind, c in kinds.items() if kind not in companions), strict=True)
+    ]
+    n_tests, most = len(kinds) * len(logs), len(logs) - (not reference)
+    while True:
+        ground = NullModel.of(ColumnCache(channel), (TRAIN,), noise)
+        tests = []
+        for kind, columns in kinds.items():
+            taken = [one.log for one in found if one.kind == kind]
+            if len(taken) < most:
+                tests += [_test(ground, channel, kind, log, columns, n_tests) for log in logs if log not in taken]
+        tests = [one for one in tests if one.p_value < CAMPAIGN_LEVEL]
+        if not tests:
+            return found
+        best = max(tests, key=lambda one: one.penalised_statistic)
+        same = [one for one in tests if one.kind == likelier]
+        rated = [replace(one, explains=_explains(channel, noise, one, (kinds[likelier], *own), whole)) for one in same]
+        preferred = [one for one in rated if one is not best and one.explains and one.log == best.log]
+        if preferred and best.kind != likelier:
+            best = preferred[0]
+        elif best.kind == likelier:
+            best = next(one for one in rated if one.log == best.log)
+        channel = channel.with_change(best, kinds[best.kind])
+        found.append(best)
+
+
+def _test(
+    ground: NullModel, channel: CampaignChannel, kind: str, log: str, columns: Sequence[np.ndarray], n_tests: int
+) -> CampaignChange:
+    statistic, dof = compute_score(ground, channel.mask_columns(columns, [log]))
+    p_value = min(1.0, n_tests * float(stats.chi2.sf(statistic, dof))) if dof else 1.0
+    return CampaignChange(kind, log, statistic, dof, p_value)
+
+
+def _explains(
+    channel: CampaignChannel,
+    noise: Sequence[Autoregression],
+    one: CampaignChange,
+    accounted: Sequence[Sequence[np.ndarray]],
+    whole: Sequence[np.ndarray],
+) -> bool:
+    """Return whether a change, with its companions accounted for, leaves nothing or little that its log has of its own."""
+    for number, columns in enumerate(accounted):
+        channel = channel.with_change(replace(one, kind=f"{one.kind} {number}"), columns)
+    left, dof = compute_score(
+        NullModel.of(ColumnCache(channel), (TRAIN,), noise), channel.mask_columns(whole, [one.log])
+    )
+    everything = left + one.statistic
+    return not dof or stats.chi2.sf(left, dof) > MIN_LEFT_P_VALUE or one.statistic > MIN_EXPLAINED_SHARE * everything
+
+
+def compute_score(ground: NullModel, columns: Sequence[np.ndarray]) -> tuple[float, int]:
+    """Return the score statistic of columns (n, m, k) over the runs, divided by the scatter of blocks, and its rank."""
+    C = ground.whiten_columns(columns)
+    norm = np.linalg.norm(C, axis=0)
+    C = C[:, norm > 0] / norm[norm > 0]
+    if not C.shape[1]:
+        return 0.0, 0
+    values, vectors = np.linalg.eigh(ground.gram(C))
+    seen = values > MIN_UNABSORBED_SHARE
+    along = ground.project_out(C @ vectors[:, seen]) / np.sqrt(values[seen])
+    scores = along.T @ ground.e
+    T, fitted = float(scores @ scores), along @ scores
+    rest = ground.e - fitted
+    return T / compute_overdispersion(ground.whiten.block, fitted * rest, float(fitted @ fitted)), int(seen.sum())
+
+
+def confirm_campaign_change(
+    channel: CampaignChannel, noise: Sequence[Autoregression], columns: Sequence[np.ndarray]
+) -> Confirmation:
+    """Test columns (n, m, k) of each run on the samples set aside, with amplitudes of the training part."""
+    ground = NullModel.of(ColumnCache(channel), (TRAIN,), noise)
+    return confirm(ground, [columns], (), (TEST,), (TRAIN,))
+
+
+def compute_campaign_gain(
+    channel: CampaignChannel,
+    logs: Sequence[str],
+    before: Sequence[np.ndarray],
+    after: Sequence[np.ndarray],
+    rng: np.random.Generator,
+    shown: Confirmation,
+) -> Gain:
+    """Return how much smaller the error in some logs is on the samples set aside; zero where there are none.
+
+    Args:
+        channel: The measurements.
+        logs: The logs.
+        before: Residuals (n, m) of each run without the change.
+        after: The same with it.
+        rng: For the bootstrap.
+        shown: Share of the predicted force that these samples show.
+    """
+    parts = tuple(np.where(run.name in logs, part, -1) for run, part in zip(channel.runs, channel.parts, strict=True))
+    own = replace(channel, parts=parts)
+    if not any(mask.any() for mask in own.masks(TEST)):
+        return Gain(0.0, 0.0, 0.0, (0.0, 0.0))
+    return compute_gain(own, before, after, channel.outputs, rng, shown)
