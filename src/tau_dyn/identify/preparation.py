@@ -132,7 +132,7 @@ motor's encoder of 16 bits behind a gear of 100 counts 2^22.6 a turn of its join
 
 REST_SHARE = 0.02
 """Share of a joint's fast speed below which it rests where its noise does not show: stick-slip and pre-sliding follow no law of
-Coulomb and viscous friction. 1 to 5 % give the same held-out error of a UR10's smoothed positions within 0.5 %, 0 a fifth more."""
+Coulomb and viscous friction. 1 to 5 % give a UR10's smoothed positions the same held-out error within 0.5 %, 0 a fifth more."""
 
 FAST_QUANTILE = 0.95
 """Quantile of a joint's speeds that is called its fast speed; a single knock does not move it."""

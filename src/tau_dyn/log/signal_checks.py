@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tau_dyn.log.log import Log
-from tau_dyn.message_codes import CodedWarning, get_code
+from tau_dyn.message_codes import CodedWarning, RepairedWarning, get_code
 from tau_dyn.results import Shown, count
 
 Severity = Literal["ok", "warning", "fault"]
@@ -48,8 +48,9 @@ def choose_finding(topic: str, fine: str, *doubts: tuple[bool, str, str]) -> Che
 
 
 def build_fault(warning: str) -> CheckFinding:
-    """Return a coded warning as a fault of the log; its sentence holds the remedy."""
-    return CheckFinding("fault", "integrity", str(warning), code=get_code(warning))
+    """Return a coded warning as a fault of the log, or as a warning where it was repaired; its sentence holds the remedy."""
+    severity: Severity = "warning" if isinstance(warning, RepairedWarning) else "fault"
+    return CheckFinding(severity, "integrity", str(warning), code=get_code(warning))
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,10 @@ _FURTHER = 10.0
 _OF_RANGE = 0.02
 """Least size of a jump, as a share of the joint's range."""
 
+COARSEST_COUNT = {True: 0.02, False: 1e-3, None: 1e-3}
+"""Largest count of an encoder, by whether the joint turns [rad], slides [m], or neither is known: 1 degree of the coarsest servo,
+a millimetre of a draw wire."""
+
 _ALONE = 0.25
 """A change with a neighbour of this share of its size, the same way, is motion: a quick move seen by few samples."""
 
@@ -105,12 +110,13 @@ _TURN = 0.1
 """How near a jump comes to whole turns, as a share of one, where the encoder wraps."""
 
 
-def find_jumps(q: NDArray[np.float64], fastest: float = 0.0) -> NDArray[np.intp]:
+def find_jumps(q: NDArray[np.float64], fastest: float = 0.0, count: float = 0.0) -> NDArray[np.intp]:
     """Return the samples after which a position (N,) jumps.
 
     Args:
         q: Positions [m or rad], evenly sampled or nearly so.
         fastest: The joint's own limit [per sample]; slower steps are motion.
+        count: Largest count that its encoder may have [m or rad]; a joint at rest may step by one.
     """
     changes = np.flatnonzero(np.diff(q))  # a reading held over several samples is one
     step = np.diff(q)[changes]
@@ -121,7 +127,16 @@ def find_jumps(q: NDArray[np.float64], fastest: float = 0.0) -> NDArray[np.intp]
     padded = np.concatenate([[0.0], step, [0.0]])
     found = np.flatnonzero(size > least)
     apart = [max(np.sign(step[k]) * padded[[k, k + 2]]) < _ALONE * size[k] for k in found]
-    return changes[found[apart]]
+    found = found[apart]
+    return changes[:0] if found.size and _are_counts(step, found, count) else changes[found]
+
+
+def _are_counts(step: NDArray[np.float64], found: NDArray[np.intp], coarsest: float) -> bool:
+    """Return whether the largest changes are the counts of an encoder at rest: without them the joint stays within one."""
+    count, least = float(np.abs(step[found]).max()), float(np.abs(step[found]).min())
+    rest = step.copy()
+    rest[found] = 0.0
+    return count < min(coarsest, 2 * least) and float(np.ptp(np.cumsum(rest))) < count
 
 
 def check_jumps(
@@ -142,7 +157,7 @@ def check_jumps(
         left_out: Samples (N,) that nobody uses; jumps to or from them are let pass.
     """
     q = log.channels[f"q_{joint}"]
-    at = find_jumps(q, fastest * log.dt if np.isfinite(fastest) else 0.0)
+    at = find_jumps(q, fastest * log.dt if np.isfinite(fastest) else 0.0, COARSEST_COUNT[revolute])
     if left_out is not None:
         at = at[~(left_out[at] | left_out[at + 1])]
     if not at.size:
@@ -249,6 +264,127 @@ def _frozen(log: Log, column: str, runs: ConstantRuns, moves: NDArray[np.bool_])
                 "fault", "frozen", sentence, "Leave that stretch out; look at the sensor or its bus.", "held_channel"
             )
     return None
+
+
+MIN_LONGER = 10.0
+"""How much longer a frozen stretch is than the sixth longest stretch without a change; an encoder dies a few times at most."""
+
+_SIXTH = 6
+
+STOP_RATIO = 3.0
+"""Change of speed at the ends of a frozen stretch, over the largest one anywhere else within the same time."""
+
+STOP_S = 0.02
+"""Time over which such speeds are measured [s]."""
+
+MAX_EQUAL_SHARE = 0.3
+"""Share of equal neighbours below which a channel flickers: twenty equal ones are then no chance, 0.3^20 = 3e-11."""
+
+MIN_TURNS = 0.4
+"""Share of changes against the one before in a channel that flickers; white noise has two thirds, a slow motion none."""
+
+MIN_SLOW = 30
+"""Samples at low speed that tell whether a channel flickers there."""
+
+MIN_ACTIVE = 0.3
+"""Spread of a joint's force during a frozen stretch, as a share of that elsewhere, from which the joint does not rest."""
+
+FORCE_S = 0.1
+"""Time over which forces are averaged before they are compared [s]."""
+
+
+class FrozenStretch(NamedTuple):
+    """Samples `start` to `stop - 1` at which a position keeps one value although its joint moves, and why that is so."""
+
+    column: str
+    start: int
+    stop: int
+    reason: str
+
+
+def find_frozen_positions(log: Log, joint: str) -> list[FrozenStretch]:
+    """Return the stretches in which an encoder keeps one value although its joint moves, or although it flickers otherwise.
+
+    Two things tell a dead encoder from a joint at rest: the speed changes at an end of the stretch by more than anywhere else, or
+    the channel flickers wherever the joint is slow and the joint's force goes on. An encoder coarser than its noise does not
+    flicker at rest.
+    """
+    x = log.channels[f"q_{joint}"]
+    runs = find_constant_runs(x)
+    if len(runs.starts) < 10 * _SIXTH:
+        return []
+    usual = float(np.sort(runs.lengths)[-_SIXTH])
+    least = max(MIN_FROZEN_S * log.rate_hz, MIN_LONGER * usual)
+    long = [(int(a), int(a + n)) for a, n in zip(runs.starts, runs.lengths, strict=True) if n >= least]
+    live = np.ones(log.n_samples, bool)
+    for start, stop in long:
+        live[max(start - 1, 0) : stop + 1] = False
+    found = []
+    for start, stop in long if long else ():
+        reason = _find_sudden_stop(x, live, start, stop, log.dt) or _find_flicker(log, joint, live, start, stop)
+        if reason:
+            found.append(FrozenStretch(f"q_{joint}", start, stop, reason))
+    return found
+
+
+def find_frozen_force(log: Log, joint: str, moves: NDArray[np.bool_]) -> list[FrozenStretch]:
+    """Return the stretches in which a force keeps one value while its joint moves.
+
+    Zeros are a drive that is off, and extremes are its limit.
+    """
+    column = f"tau_{joint}"
+    runs = find_constant_runs(log.channels[column])
+    if len(runs.starts) < 10 * _SIXTH:
+        return []
+    least = max(MIN_FROZEN_S * log.rate_hz, MIN_LONGER * float(np.sort(runs.lengths)[-_SIXTH]))
+    extreme = (runs.values == runs.values.max()) | (runs.values == runs.values.min()) | (runs.values == 0)
+    long = [(int(runs.starts[k]), int(runs.lengths[k])) for k in np.flatnonzero((runs.lengths >= least) & ~extreme)]
+    return [FrozenStretch(column, a, a + n, f"{joint} moves") for a, n in long if np.mean(moves[a : a + n]) > 0.5]
+
+
+def _find_sudden_stop(x: NDArray[np.float64], live: NDArray[np.bool_], start: int, stop: int, dt: float) -> str:
+    """Return how fast a position (N,) moved right before or after a stretch of one value, where nothing stops so quickly."""
+    width = max(4, round(STOP_S / dt))
+    if len(x) < 4 * width:
+        return ""
+    speed = (x[width:] - x[:-width]) / width
+    usable = np.convolve(live, np.ones(2 * width + 1), "valid") > 2 * width
+    changes = np.abs(speed[width:] - speed[:-width])[: len(usable)][usable]
+    if changes.size < 10 * width:
+        return ""
+    before = speed[start - width] if start >= width else 0.0
+    after = speed[stop - 1] if stop - 1 < len(speed) else 0.0
+    for v, word in ((before, "before"), (after, "after")):
+        if abs(v) > STOP_RATIO * float(changes.max()):
+            return f"it moves by {abs(v) / dt:.2g} a second right {word}"
+    return ""
+
+
+def _find_flicker(log: Log, joint: str, live: NDArray[np.bool_], start: int, stop: int) -> str:
+    """Return how far a channel flickers where its joint is slow, if the joint's force goes on in a stretch of one value."""
+    x, n = log.channels[f"q_{joint}"], log.n_samples
+    steps = np.diff(x)
+    noise = 1.4826 * float(np.median(np.abs(np.diff(steps)[live[1:-1]]))) / np.sqrt(6)
+    half = 5
+    slow = np.zeros(n - 1, bool)
+    slow[half : n - half] = np.abs(x[2 * half :] - x[: -2 * half])[: n - 2 * half] < 2 * half * noise
+    slow &= live[1:] & live[:-1]
+    pairs = slow[1:] & slow[:-1]
+    if np.count_nonzero(slow) < MIN_SLOW or np.mean(steps[slow] == 0) > MAX_EQUAL_SHARE:
+        return ""
+    turns = np.mean((steps[1:] * steps[:-1] < 0)[pairs]) if pairs.any() else 0.0
+    if turns < MIN_TURNS or not _is_force_active(log, joint, live, start, stop):
+        return ""
+    return f"it flickers by {noise:.2g} elsewhere, and tau_{joint} goes on"
+
+
+def _is_force_active(log: Log, joint: str, live: NDArray[np.bool_], start: int, stop: int) -> bool:
+    """Return whether a joint's force varies in a stretch about as much as elsewhere; a joint at rest is held by a steady one."""
+    if not log.has("tau", [joint]):
+        return False
+    width = max(1, round(FORCE_S * log.rate_hz))
+    smooth = np.convolve(log.channels[f"tau_{joint}"], np.ones(width) / width, "same")
+    return float(np.std(smooth[start:stop])) > MIN_ACTIVE * float(np.std(smooth[live])) > 0
 
 
 def _clipped(log: Log, column: str, share: float) -> CheckFinding | None:
