@@ -46,7 +46,7 @@ from tau_dyn.robot import Robot
 
 Kind = TypeVar("Kind", bound=Log | Recording)
 
-_CHANNEL_FAULTS = ("frozen", "clipping", "held")
+_CHANNEL_FAULTS = ("frozen", "clipping")
 """What a fit does not notice by itself."""
 
 _MAX_LISTED_WARNINGS = 4  # warnings about one log before they are counted instead of listed

@@ -479,9 +479,11 @@ def _describe_updates(
     )
     found = [kind("updated_less_often", sentence)]
     if rate.held:
-        late_s = (rate.period - 1) / 2 * log.dt
-        late = f"{log.name}: {names} {verb} held for {rate.period:.3g} samples, {late_s:.2g} s late on average"
-        found.append(kind("held_channel", late + ("; the updates are in time." if kind is RepairedWarning else ".")))
+        late_s, it = (rate.period - 1) / 2 * log.dt, "they are" if len(rate.columns) > 1 else "it is"
+        late = (
+            f"{log.name}: {names} {verb} updated every {rate.period:.3g} samples; {it} {late_s:.2g} s late on average"
+        )
+        found.insert(0, kind("held_channel", late + (", except at the updates." if kind is RepairedWarning else ".")))
     return found
 
 

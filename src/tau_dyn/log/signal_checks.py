@@ -49,8 +49,10 @@ def choose_finding(topic: str, fine: str, *doubts: tuple[bool, str, str]) -> Che
 
 def build_fault(warning: str) -> CheckFinding:
     """Return a coded warning as a fault of the log, or as a warning where it was repaired; its sentence holds the remedy."""
-    severity: Severity = "warning" if isinstance(warning, RepairedWarning) else "fault"
-    return CheckFinding(severity, "integrity", str(warning), code=get_code(warning))
+    mended = isinstance(warning, RepairedWarning)
+    held = get_code(warning) == "updated_less_often" or (mended and get_code(warning) == "held_channel")
+    severity: Severity = "warning" if mended else "fault"
+    return CheckFinding(severity, "held" if held else "integrity", str(warning), code=get_code(warning))
 
 
 @dataclass(frozen=True)
@@ -219,7 +221,6 @@ def check_signals(log: Log, moving: dict[str, NDArray[np.bool_]]) -> tuple[list[
             if signal == "tau":
                 clipped[column] = compute_clipped_share(runs, moves)
                 found = found or _clipped(log, column, clipped[column])
-            found = found or (_check_sample_hold(log, column, runs, moves) if measured else None)
             findings.append(found or CheckFinding("ok", "signal", f"{column}: no fault found."))
     return findings, {"clipped": clipped}
 
@@ -395,16 +396,3 @@ def _clipped(log: Log, column: str, share: float) -> CheckFinding | None:
     sentence = f"{log.name}: {column} sits on a plateau at {extremes} in {100 * share:.2g} % of samples."
     severity = "fault" if share > 0.05 else "warning"
     return CheckFinding(severity, "clipping", sentence, "Move more gently, or widen the drive's or logger's range.")
-
-
-def _check_sample_hold(log: Log, column: str, runs: ConstantRuns, moves: NDArray[np.bool_]) -> CheckFinding | None:
-    """Find a channel that is renewed less often than it is logged: nearly all its runs have the same length above 1."""
-    during = moves[runs.starts]
-    lengths = runs.lengths[during]
-    usual = int(np.median(lengths)) if lengths.size else 1
-    if usual < 2 or np.mean(lengths == usual) < 0.8:
-        return None
-    late = (usual - 1) / 2 * log.dt
-    sentence = f"{log.name}: {column} is updated every {usual} samples; it is {late:.2g} s late on average."
-    remedy = f"Log it at the full rate, or the others at {log.rate_hz / usual:.6g} Hz."
-    return CheckFinding("warning", "held", sentence, remedy, "held_channel")

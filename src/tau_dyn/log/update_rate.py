@@ -81,19 +81,20 @@ class UpdateRate(NamedTuple):
 def find_update_rates(log: Log, columns: Sequence[str]) -> list[UpdateRate]:
     """Return the clocks of the channels that are updated less often than logged, channels of the same clock together.
 
+    A motion that is not smooth from update to update is believed only where all channels follow the same clock.
+
     Args:
         log: A log as read.
-        columns: Channels to look at; those that never change are left out.
+        columns: Channels to look at; those that never change are left out, and under an uneven clock interpolated ones.
     """
     clock = examine_clock(log)
-    if not (clock.even or clock.rounded):
-        return []
+    even = clock.even or clock.rounded
     found: list[UpdateRate] = []
     motion = log.joint("q", log.joints("q"))
     for column in columns:
         x = log.channels[column]
         comb = find_comb(x) if np.all(np.isfinite(x)) else None
-        if comb is None or not _resolves(motion, comb):
+        if comb is None or not (even or comb.held):
             continue
         for k, other in enumerate(found):
             if other.held == comb.held and _is_same_clock(other, comb, log.n_samples):
@@ -101,7 +102,8 @@ def find_update_rates(log: Log, columns: Sequence[str]) -> list[UpdateRate]:
                 break
         else:
             found.append(comb._replace(columns=(column,)))
-    return found
+    alive = {column for column in columns if np.ptp(log.channels[column]) > 0}
+    return [rate for rate in found if alive <= set(rate.columns) or _resolves(motion, rate)]
 
 
 def _resolves(q: NDArray[np.float64], rate: UpdateRate) -> bool:
