@@ -302,7 +302,9 @@ def _mend_lost(log: Log, joints: Sequence[str]) -> Repair:
     A few events can be mended: each is known to the sample. Many cannot, as some pass unseen while the robot is slow.
     """
     even, rows = _fill_single_gaps(log)
-    found = find_lost_samples(even, joints)
+    found, keep = find_lost_samples(even, joints), np.isin(np.arange(even.n_samples), rows)
+    found = _leave_out_late(found, keep)
+    log = _take(log, keep[rows], log.t)
     if not found.alarm:
         return Repair(log, [])
     mended = len(found.after) <= MAX_MENDED_SHARE * max(found.n_tested, 1)
@@ -320,16 +322,31 @@ def _mend_lost(log: Log, joints: Sequence[str]) -> Repair:
         warnings.append(kind("repeated_samples", sentence))
     if not mended:
         return Repair(log, warnings)
-    late, keep = np.zeros(even.n_samples), np.isin(np.arange(even.n_samples), rows)
+    late = np.zeros(even.n_samples)
     np.add.at(late, found.after + 1, found.steps)
     for k, n in zip(found.after, found.steps, strict=True):
         if n < 0:
             keep[k + 1 : k + 1 - n] = False
-    t = (even.t + np.cumsum(late) * even.dt)[keep]
-    if np.any(np.diff(t) <= 0):
+    t = even.t + np.cumsum(late) * even.dt
+    if np.any(np.diff(t[keep]) <= 0):
         return Repair(log, [CodedWarning(w.code, str(w)) for w in warnings])
-    kept = keep[rows]
-    return Repair(Log(t, {k: x[kept] for k, x in log.channels.items()}, log.name, log.sha256, log.warnings), warnings)
+    return Repair(_take(even, keep, t), warnings)
+
+
+def _leave_out_late(found: LostSamples, keep: NDArray[np.bool_]) -> LostSamples:
+    """Return the events away from rows that were left out; between such a row and an event right behind it, rows are left out.
+
+    Where two rows in a row were late, the second one is not equal to the first, and the motion is ahead behind it.
+    """
+    if keep.all():
+        return found
+    before = np.maximum.accumulate(np.where(keep, -len(keep), np.arange(len(keep))))
+    after = len(keep) - 1 - np.maximum.accumulate(np.where(keep[::-1], -len(keep), np.arange(len(keep))))[::-1]
+    behind = found.after - before[found.after]
+    near = (behind <= MAX_FILLED) | (after[found.after] - found.after <= MAX_FILLED)
+    for k in np.flatnonzero((behind <= MAX_FILLED) & (found.steps > 0)):
+        keep[before[found.after[k]] : found.after[k] + 1] = False
+    return found._replace(after=found.after[~near], steps=found.steps[~near])
 
 
 def _fill_single_gaps(log: Log) -> tuple[Log, NDArray[np.intp]]:
@@ -348,6 +365,9 @@ MAX_OFF_GRID = 0.1
 
 
 def _take(log: Log, keep: NDArray[np.bool_], t: NDArray[np.float64]) -> Log:
+    """Return the rows of a log that are kept, at other times (N,); the log itself where neither changes."""
+    if keep.all() and t is log.t:
+        return log
     return Log(t[keep], {k: x[keep] for k, x in log.channels.items()}, log.name, log.sha256, log.warnings)
 
 
@@ -511,7 +531,17 @@ def _frozen_sentence(log: Log, frozen: FrozenStretch) -> str:
     )
 
 
-_STEPS = (_mend_updates, _leave_out_frozen, _mend_repeated, _mend_lost, _mend_dropouts)
+def _mend_samples(log: Log, joints: Sequence[str]) -> Repair:
+    """Mend repeated rows, and under an even clock lost samples too; a measured clock shows its losses by itself."""
+    clock = examine_clock(log)
+    repeated = _mend_repeated(log, joints)
+    if not (clock.even or clock.rounded):
+        return repeated
+    lost = _mend_lost(repeated.log, joints)
+    return Repair(lost.log, [*repeated.warnings, *lost.warnings])
+
+
+_STEPS = (_mend_updates, _leave_out_frozen, _mend_samples, _mend_dropouts)
 """In this order: a low update rate looks like lost samples, and repeated rows look like both."""
 
 _REPAIRED: WeakKeyDictionary[Log, dict[tuple[str, ...], Repair]] = WeakKeyDictionary()
