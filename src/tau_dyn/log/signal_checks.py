@@ -19,6 +19,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tau_dyn.log.filtering import estimate_quantisation_step
 from tau_dyn.log.log import Log
 from tau_dyn.message_codes import CodedWarning, RepairedWarning, get_code
 from tau_dyn.results import Shown, count
@@ -278,14 +279,18 @@ STOP_RATIO = 3.0
 STOP_S = 0.02
 """Time over which such speeds are measured [s]."""
 
-MAX_EQUAL_SHARE = 0.3
-"""Share of equal neighbours below which a channel flickers: twenty equal ones are then no chance, 0.3^20 = 3e-11."""
-
-MIN_TURNS = 0.4
-"""Share of changes against the one before in a channel that flickers; white noise has two thirds, a slow motion none."""
+SLOW_SHARE = 0.1
+"""Share of the fast speed below which a channel must be as noisy as above it: noise that fades with the speed is vibration, and
+fades at rest."""
 
 MIN_SLOW = 30
-"""Samples at low speed that tell whether a channel flickers there."""
+"""Samples at low speed that tell how noisy a channel is there."""
+
+MIN_COUNTS = 0.7
+"""Noise in counts from which a channel flickers at rest: twenty equal values in a row are then no chance, 0.5^20 = 1e-6."""
+
+MAX_NEIGHBOUR = -0.4
+"""Correlation of neighbouring second differences in white noise is -0.67, in a smooth motion 1."""
 
 MIN_ACTIVE = 0.3
 """Spread of a joint's force during a frozen stretch, as a share of that elsewhere, from which the joint does not rest."""
@@ -362,19 +367,21 @@ def _find_sudden_stop(x: NDArray[np.float64], live: NDArray[np.bool_], start: in
 
 
 def _find_flicker(log: Log, joint: str, live: NDArray[np.bool_], start: int, stop: int) -> str:
-    """Return how far a channel flickers where its joint is slow, if the joint's force goes on in a stretch of one value."""
-    x, n = log.channels[f"q_{joint}"], log.n_samples
-    steps = np.diff(x)
-    noise = 1.4826 * float(np.median(np.abs(np.diff(steps)[live[1:-1]]))) / np.sqrt(6)
-    half = 5
-    slow = np.zeros(n - 1, bool)
-    slow[half : n - half] = np.abs(x[2 * half :] - x[: -2 * half])[: n - 2 * half] < 2 * half * noise
-    slow &= live[1:] & live[:-1]
+    """Return how far a channel flickers at low speed too, if its joint's force goes on in a stretch of one value."""
+    x = log.channels[f"q_{joint}"]
+    second, alive = np.diff(x, 2), live[1:-1] & live[2:] & live[:-2]
+    speed = np.abs(x[2:] - x[:-2])
+    slow = alive & (speed < SLOW_SHARE * float(np.quantile(speed[alive], 0.9)))
     pairs = slow[1:] & slow[:-1]
-    if np.count_nonzero(slow) < MIN_SLOW or np.mean(steps[slow] == 0) > MAX_EQUAL_SHARE:
+    if np.count_nonzero(pairs) < MIN_SLOW:
         return ""
-    turns = np.mean((steps[1:] * steps[:-1] < 0)[pairs]) if pairs.any() else 0.0
-    if turns < MIN_TURNS or not _is_force_active(log, joint, live, start, stop):
+    power = float(np.mean(second[slow] ** 2))
+    neighbours = float(np.mean((second[1:] * second[:-1])[pairs])) / max(power, 1e-300)
+    noise = np.sqrt(power / 6)
+    fades = power < 0.25 * float(np.median(second[alive] ** 2)) / 0.455  # the median of chi-square with one degree
+    if fades or neighbours > MAX_NEIGHBOUR or noise < MIN_COUNTS * float(estimate_quantisation_step(x)):
+        return ""
+    if not _is_force_active(log, joint, live, start, stop):
         return ""
     return f"it flickers by {noise:.2g} elsewhere, and tau_{joint} goes on"
 
