@@ -290,7 +290,7 @@ MIN_COUNTS = 0.7
 """Noise in counts from which a channel flickers at rest: twenty equal values in a row are then no chance, 0.5^20 = 1e-6."""
 
 MAX_NEIGHBOUR = -0.4
-"""Correlation of neighbouring second differences in white noise is -0.67, in a smooth motion 1."""
+"""Correlation of neighbouring fourth differences in white noise is -0.8, in a smooth motion 1."""
 
 MIN_ACTIVE = 0.3
 """Spread of a joint's force during a frozen stretch, as a share of that elsewhere, from which the joint does not rest."""
@@ -369,16 +369,18 @@ def _find_sudden_stop(x: NDArray[np.float64], live: NDArray[np.bool_], start: in
 def _find_flicker(log: Log, joint: str, live: NDArray[np.bool_], start: int, stop: int) -> str:
     """Return how far a channel flickers at low speed too, if its joint's force goes on in a stretch of one value."""
     x = log.channels[f"q_{joint}"]
-    second, alive = np.diff(x, 2), live[1:-1] & live[2:] & live[:-2]
-    speed = np.abs(x[2:] - x[:-2])
+    rough, alive = np.diff(x, 4), np.convolve(live, np.ones(5), "valid") > 4
+    speed = np.abs(x[4:] - x[:-4])
+    if np.count_nonzero(alive) < MIN_SLOW:
+        return ""
     slow = alive & (speed < SLOW_SHARE * float(np.quantile(speed[alive], 0.9)))
     pairs = slow[1:] & slow[:-1]
     if np.count_nonzero(pairs) < MIN_SLOW:
         return ""
-    power = float(np.mean(second[slow] ** 2))
-    neighbours = float(np.mean((second[1:] * second[:-1])[pairs])) / max(power, 1e-300)
-    noise = np.sqrt(power / 6)
-    fades = power < 0.25 * float(np.median(second[alive] ** 2)) / 0.455  # the median of chi-square with one degree
+    power = float(np.mean(rough[slow] ** 2))
+    neighbours = float(np.mean((rough[1:] * rough[:-1])[pairs])) / max(power, 1e-300)
+    noise = np.sqrt(power / 70)  # fourth differences take the motion away and multiply white power by 70
+    fades = power < 0.25 * float(np.median(rough[alive] ** 2)) / 0.455  # the median of chi-square with one degree
     if fades or neighbours > MAX_NEIGHBOUR or noise < MIN_COUNTS * float(estimate_quantisation_step(x)):
         return ""
     if not _is_force_active(log, joint, live, start, stop):
