@@ -47,7 +47,9 @@ def test_the_clock_of_updates_is_found(clean, period: float, phase: float, held:
 def test_noise_added_later_does_not_hide_the_updates_of_a_position(clean) -> None:
     """Between updates the second differences are those of the noise alone."""
     rng, log = np.random.default_rng(1), updated(clean, 25.0, held=False)
-    noisy = {key: x + s * rng.standard_normal(x.size) for (key, x), s in zip(log.channels.items(), (1e-5, 0.1), strict=True)}
+    noisy = {
+        key: x + s * rng.standard_normal(x.size) for (key, x), s in zip(log.channels.items(), (1e-5, 0.1), strict=True)
+    }
     (rate,) = find_update_rates(Log(log.t, noisy, log.name), COLUMNS)
     assert rate.period == pytest.approx(25.0, abs=2e-3) and "q_a" in rate.columns
 
