@@ -140,7 +140,7 @@ def find_comb(x: NDArray[np.float64]) -> UpdateRate | None:
         return None
     frequency, angle = _refine(root, _choose_fundamental(power, line, lowest) / n)
     period, phase = 1 / frequency, (-angle / (2 * np.pi * frequency)) % (1 / frequency)
-    distance = UpdateRate((), period, phase, held).compute_distance(np.arange(n))
+    distance = UpdateRate((), period, phase, held).compute_distance(np.arange(float(n)))
     at, between = size[distance <= 0.5], size[distance >= min(1.25, period / 2 - 0.5)]
     if not at.size or not between.size or at.mean() < MIN_CONTRAST * between.mean():
         return None
