@@ -8,7 +8,7 @@ parallel to `warnings`. `docs/reference/message_codes.md` is made from these tab
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 UNCODED = "note"
 """Code of a sentence that no program needs to tell from others."""
@@ -19,7 +19,7 @@ class CodedWarning(str):
 
     code: str
 
-    def __new__(cls, code: str, sentence: str) -> CodedWarning:
+    def __new__(cls, code: str, sentence: str) -> Self:
         """Keep the code beside the sentence."""
         made = super().__new__(cls, sentence)
         made.code = code
@@ -28,6 +28,14 @@ class CodedWarning(str):
     def __reduce__(self) -> tuple[Any, ...]:
         """Keep the code where a result travels between processes."""
         return CodedWarning, (self.code, str(self))
+
+
+class RepairedWarning(CodedWarning):
+    """A fault whose samples were mended or left out: a note about the log, which biases no result."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Keep code and class where a result travels between processes."""
+        return RepairedWarning, (self.code, str(self))
 
 
 def get_code(sentence: str) -> str:
@@ -168,7 +176,7 @@ WARNING_CODES: dict[str, MessageCode] = {
     "gravity_direction": MessageCode("gravity acts from another side", "turn the base in the robot file"),
     "held_channel": MessageCode(
         "a channel stands still while its joint moves, or is updated less often than logged",
-        "log all channels at one rate; leave the segment out",
+        "log all channels at one rate; frozen positions are left out",
     ),
     "holdout_differs": MessageCode(
         "the held-out error of a joint is over 3 times the training error", "check machine, tool and load of both logs"
@@ -179,15 +187,14 @@ WARNING_CODES: dict[str, MessageCode] = {
         "give it to `payload`, or leave it out",
     ),
     "lost_samples": MessageCode(
-        "samples are missing under an even clock", "log time stamps; up to 1 % is corrected, else record again"
+        "samples are missing under an even clock",
+        "log time stamps; the clock is corrected up to 1 %, else record again",
     ),
     "not_physical": MessageCode(
         "plain least squares lies over 3 standard errors outside what is physical", "`diagnose`; a richer motion"
     ),
     "order_at_limit": MessageCode("`modes`: the highest order tried was taken", "`--order N`; a longer log"),
-    "repeated_samples": MessageCode(
-        "samples stand twice or stale", "log each sample once; stale lines up to 1 % are left out"
-    ),
+    "repeated_samples": MessageCode("samples stand twice or stale", "log each sample once; they are left out"),
     "response_nonlinear": MessageCode(
         "`modes`: powers of the response explain over a tenth of the residual", "test at several levels of force"
     ),
@@ -202,6 +209,11 @@ WARNING_CODES: dict[str, MessageCode] = {
         "q, tau or both have the wrong sign, or friction is negative", "`scale: -1` in the column map"
     ),
     "stderr_rounded": MessageCode("standard errors were zero", "write them with more digits"),
-    "zero_force_runs": MessageCode("a force is zero between large forces", "flag the samples (`--exclude`)"),
+    "updated_less_often": MessageCode(
+        "channels are held or interpolated from a lower rate", "log at that rate; only the updates are used"
+    ),
+    "zero_force_runs": MessageCode(
+        "a force is zero between large forces", "flag the samples (`--exclude`); short ones are interpolated"
+    ),
 }
 """Codes of warnings."""

@@ -9,7 +9,13 @@ from raising import raises_code
 
 from tau_dyn.effects import EFFECTS, Motion
 from tau_dyn.identify import Preparation, choose_preparation
-from tau_dyn.identify.preparation import MIN_SEGMENT_SAMPLES, compute_gate, find_excluded_samples, hold_closed
+from tau_dyn.identify.preparation import (
+    MIN_SEGMENT_SAMPLES,
+    compute_gate,
+    compute_rest_speed,
+    find_excluded_samples,
+    hold_closed,
+)
 from tau_dyn.log import Log, compute_noise_gain, estimate_encoder_noise, find_motion_band
 from tau_dyn.model import Model
 
@@ -166,3 +172,15 @@ def test_a_late_force_keeps_the_gate_shut_for_longer(n: int, first: int, last: i
     expected = np.ones(15)
     expected[first : last + 1] = 0.0
     assert_array_equal(hold_closed(wide, n), expected)
+
+
+def test_a_joint_with_smoothed_positions_rests_below_a_share_of_its_speed() -> None:
+    """Without noise 2 % of the fast speed count as rest; with an encoder's noise, ten times what it makes of the speed."""
+    t = np.arange(4000) / 250
+    q = np.column_stack([np.sin(1.3 * t), 0.5 * np.sin(2.1 * t)])
+    v = np.column_stack([1.3 * np.cos(1.3 * t), 1.05 * np.cos(2.1 * t)])
+    smooth = compute_rest_speed(q, 250.0, 20.0)
+    assert_allclose(smooth, 0.02 * np.quantile(np.abs(v), 0.95, axis=0), rtol=0.01)
+    noisy = q + 1e-5 * np.random.default_rng(0).standard_normal(q.shape)
+    expected = 10 * estimate_encoder_noise(noisy) * compute_noise_gain(250.0, 20.0)
+    assert_allclose(compute_rest_speed(noisy, 250.0, 20.0), expected)

@@ -7,7 +7,7 @@ import pytest
 
 from tau_dyn.log import Log, check_log, list_data_warnings, mend_log
 from tau_dyn.log.data_integrity import find_lost_samples, find_repeated_rows
-from tau_dyn.message_codes import get_code
+from tau_dyn.message_codes import RepairedWarning, get_code
 
 
 def recounted(log: Log, rows: np.ndarray) -> Log:
@@ -105,3 +105,35 @@ def test_a_mended_clock_leaps_where_the_samples_were_lost(axis_log) -> None:
     mended = mend_log(recounted(axis_log, keep))
     leaps = np.flatnonzero(np.diff(mended.t) > 1.5 * axis_log.dt)
     assert len(np.intersect1d(leaps, np.flatnonzero(np.diff(keep) == 2))) > 0.7 * len(lost) > 10
+
+
+@pytest.mark.parametrize("share", [0.026, 0.1])
+def test_many_stale_rows_are_left_out(axis_log, rng, share: float) -> None:
+    """A row that repeats the one before under a clock that goes on is no measurement; every other row keeps its time."""
+    n = axis_log.n_samples
+    stale = np.arange(n)
+    stale[1:] -= rng.random(n - 1) < share
+    log = recounted(axis_log, stale)
+    (warning,) = list_data_warnings(log)
+    assert get_code(warning) == "repeated_samples" and isinstance(warning, RepairedWarning)
+    mended = mend_log(log)
+    assert mended.n_samples < (1 - 0.8 * share) * n and check_log(log).fit_for_use
+    kept = np.round(mended.t / axis_log.dt).astype(int)
+    assert np.mean(mended.channels["tau_axis"] == axis_log.channels["tau_axis"][kept]) > 1 - 1.2 * share**2
+
+
+def test_inserted_rows_move_up_what_follows(axis_log, rng) -> None:
+    """A line written twice shifts all later times by a step; one in fifty is mended to the sample."""
+    n = axis_log.n_samples
+    twice = np.sort(np.concatenate([np.arange(n), rng.choice(np.arange(10, n), n // 50, replace=False)]))
+    mended = mend_log(recounted(axis_log, twice))
+    kept = np.searchsorted(axis_log.t, mended.t - 1e-6)
+    assert np.mean(mended.channels["tau_axis"] == axis_log.channels["tau_axis"][kept]) > 0.95
+
+
+def test_too_many_losses_remain_a_fault(axis_log, rng) -> None:
+    """What cannot be mended is no `RepairedWarning`; what can is one."""
+    for share, mended in ((0.05, False), (0.003, True)):
+        log = recounted(axis_log, np.flatnonzero(rng.random(axis_log.n_samples) > share))
+        (warning,) = list_data_warnings(log)
+        assert isinstance(warning, RepairedWarning) is mended

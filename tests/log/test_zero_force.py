@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.log import list_data_warnings
+from tau_dyn.log import list_data_warnings, mend_log
 from tau_dyn.log.data_integrity import find_held_runs, find_zero_runs
-from tau_dyn.message_codes import get_code
+from tau_dyn.message_codes import RepairedWarning, get_code
 
 
 def test_forces_logged_as_zero_are_found(axis_log, rng) -> None:
@@ -37,3 +37,15 @@ def test_held_forces_are_found_in_a_live_channel(axis_log) -> None:
     assert len(find_held_runs(held, "tau_axis")) >= 3
     assert "held_channel" in {get_code(w) for w in list_data_warnings(held)}
     assert not len(find_held_runs(coarse, "tau_axis"))
+
+
+def test_short_dropouts_are_interpolated(axis_log, rng) -> None:
+    """One reading in a hundred is written as zero: a straight line between its neighbours is right to the force's own noise."""
+    tau = axis_log.channels["tau_axis"].copy()
+    lost = rng.random(tau.size) < 0.01
+    log = axis_log.with_channels(tau_axis=np.where(lost, 0.0, tau))
+    (warning,) = list_data_warnings(log)
+    mended = mend_log(log).channels["tau_axis"]
+    filled = lost & (mended != 0)
+    assert isinstance(warning, RepairedWarning) and np.count_nonzero(filled) > 0.8 * np.count_nonzero(lost)
+    assert np.std((mended - tau)[filled]) < 3.0

@@ -46,8 +46,10 @@ from tau_dyn.robot import Robot
 
 Kind = TypeVar("Kind", bound=Log | Recording)
 
-_CHANNEL_FAULTS = ("frozen", "clipping", "held")
+_CHANNEL_FAULTS = ("frozen", "clipping")
 """What a fit does not notice by itself."""
+
+_NOT_MENDED = "This is of the middle of a recording larger than memory, which is used as it is."
 
 _MAX_LISTED_WARNINGS = 4  # warnings about one log before they are counted instead of listed
 
@@ -225,6 +227,8 @@ class Data:
             else:
                 found += resample_segments(log)
         spoilt = check_integrity(self.model.robot, whole, self.exclude)
+        if self.streams:
+            spoilt = [CodedWarning(get_code(w), f"{w} {_NOT_MENDED}") for w in spoilt]
         return [*spoilt, *log_warnings(self.model.robot, [*self.pieces, *found])]
 
     def build(self, at: Model) -> BuiltData:

@@ -1,8 +1,10 @@
 """Is this log what it claims to be? One set of tests for `check`, `identify` and `diagnose`.
 
-The data alone tell lost, repeated, zeroed and held samples (`log/data_integrity.py`). With the robot file, wiring (`wiring.py`)
-and the time of the forces (`timing.py`) are judged on the middle minute of each log, joint by joint. Where losses cannot be
-mended, they are said alone: they look like wrong scales and delays.
+The data alone show lost, repeated, zeroed, held and frozen samples (`log/data_integrity.py`). With the robot file, wiring
+(`wiring.py`) and the time of the forces (`timing.py`) are judged on the middle minute of each mended log, joint by joint. Where
+losses cannot be mended, they are reported alone: they look like wrong scales and delays.
+
+A fault blocks only the results that it can bias: one that was mended, or whose samples were left out, is a note.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from tau_dyn.identify.preparation import find_excluded_samples, widen
 from tau_dyn.identify.timing import check_timing
 from tau_dyn.identify.wiring import check_wiring
 from tau_dyn.log import Log, list_data_warnings, mend_log, resample_segments
-from tau_dyn.message_codes import CodedWarning, get_code
+from tau_dyn.message_codes import CodedWarning, RepairedWarning, get_code
 from tau_dyn.robot import Robot
 
 SPOILING = frozenset(
@@ -30,9 +32,10 @@ SPOILING = frozenset(
         "lost_samples",
         "repeated_samples",
         "force_at_limit",
+        "updated_less_often",
     }
 )
-"""Codes of what makes false physics: no cause may be confirmed beside them."""
+"""Codes of faults that make false physics where they remain in the data: no cause may be confirmed next to them."""
 
 MAX_LOGS = 5
 """So many logs are held against the robot file; the columns of a campaign are wired alike."""
@@ -77,12 +80,8 @@ def _against_robot(
     found: list[CodedWarning] = at_limits
     longest = sorted(zip(logs, told, strict=True), key=lambda pair: -pair[0].duration)[:MAX_LOGS]
     for log, warnings in longest:
-        sound = log
-        if is_diagnosis_invalid(warnings):
-            sound = mend_log(log, robot.actuated)
-            if sound is log or is_diagnosis_invalid(list_data_warnings(sound, robot.actuated)):
-                continue
-        found += _against_columns(robot, sound, log.name, exclude)
+        if not is_diagnosis_invalid(warnings):
+            found += _against_columns(robot, mend_log(log, robot.actuated), log.name, exclude)
     return list(dict.fromkeys(found))
 
 
@@ -126,5 +125,5 @@ def _against_columns(robot: Robot, log: Log, name: str, exclude: tuple[str, ...]
 
 
 def is_diagnosis_invalid(warnings: Iterable[str]) -> bool:
-    """Return whether a warning says that the log would make false physics, so that no cause may be confirmed from it."""
-    return any(get_code(warning) in SPOILING for warning in warnings)
+    """Return whether a fault that remains in the data would make false physics, so that no cause may be confirmed from them."""
+    return any(get_code(warning) in SPOILING and not isinstance(warning, RepairedWarning) for warning in warnings)

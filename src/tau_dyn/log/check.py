@@ -226,11 +226,17 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
         else {}
     )
     findings += _find_jumps(raw, robot)
+    known = " ".join(finding.sentence for finding in findings if finding.topic == "integrity")
     for more, figures in (check_signals(raw, moving), check_motion(part)):
-        findings += more
+        findings += [f for f in more if f.topic != "frozen" or f"{_name_column(log, f)} has the same" not in known]
         numbers.update(figures)
     findings.append(_force_lag(log))
     return LogCheck(log.name, tuple(findings), numbers)
+
+
+def _name_column(log: Log, finding: CheckFinding) -> str:
+    """Return the column that opens a finding's sentence."""
+    return finding.sentence.removeprefix(f"{log.name}: ").split()[0]
 
 
 def _columns(log: Log, robot: JointLimits | None) -> list[CheckFinding]:

@@ -1,9 +1,18 @@
-"""What a log alone tells of losses on its way to the file: lost, repeated, zeroed and held samples, as coded warnings.
+"""What a log alone shows of losses on its way to the file: coded warnings, and the log with them mended.
 
-All tests look at raw stamps and raw columns: interpolation and filters hide what they look for.
+All tests look at raw stamps and raw columns: interpolation and filters hide what they look for. A fault that is mended or whose
+samples are left out is a `RepairedWarning`, which blocks no result. Only what remains in the data can bias one.
+
+**Low update rates** (`update_rate.py`). Where channels are held or interpolated from a lower rate, the updates alone are used.
+
+**Frozen channels** (`signal_checks.py`). Positions and forces that keep one value while the joint moves are left out.
+
+**Repeated samples.** A row that equals the row before in all positions and forces, while the joints move, is no measurement.
+Where the next row is two steps ahead the clock went on, and leaving the row out is exact, however many there are. Where it is one
+step ahead the row was inserted, and all later times are moved up.
 
 **Lost samples.** A logger that numbers its samples hides what it lost: the stamps stay even and the motion jumps. Each step
-between two samples is held against a local polynomial through its neighbours (Savitzky & Golay 1964), stretched after the step
+between two samples is compared with a local polynomial through its neighbours (Savitzky & Golay 1964), stretched after the step
 by `s` sample steps that all joints share:
 
     q_j(i) = p_j(i)  up to the step,    q_j(i) = p_j(i + s)  behind it
@@ -13,9 +22,9 @@ A lost sample gives s = 1, one inserted twice s = -1. `z` is the estimate of `s`
 integers, so steps nearer to the half integers are counted as a control. Alarm: three events, and more than twice the control.
 
 **Forces that drop out.** A missing measurement is often written as zero or as the value before. A zero run is a stretch of
-exact zeros whose two neighbours stand six typical steps off, on the same side: a force that passes through zero changes its
+exact zeros whose two neighbours are six typical steps off, on the same side: a force that passes through zero changes its
 side. A held run is a stretch of three or more exactly equal values in a channel that otherwise hardly ever repeats a value.
-Joints at rest are left out.
+Short zero runs are interpolated.
 """
 
 from __future__ import annotations
@@ -27,11 +36,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from tau_dyn.log.check_motion import find_moving_samples
 from tau_dyn.log.filtering import estimate_quantisation_step
 from tau_dyn.log.log import Log
-from tau_dyn.log.resample import examine_clock
-from tau_dyn.log.signal_checks import find_constant_runs
-from tau_dyn.message_codes import CodedWarning
+from tau_dyn.log.resample import examine_clock, find_true_runs, interpolate
+from tau_dyn.log.signal_checks import FrozenStretch, find_constant_runs, find_frozen_force, find_frozen_positions
+from tau_dyn.log.update_rate import UpdateRate, find_update_rates, sample_at_updates
+from tau_dyn.message_codes import CodedWarning, RepairedWarning
 from tau_dyn.results import count
 
 MIN_STEPS_OFF = 6.0
@@ -76,29 +87,50 @@ def find_held_runs(log: Log, column: str) -> NDArray[np.intp]:
     return runs.starts[:-1][held[:-1] & far]
 
 
-def list_dropout_warnings(log: Log, joints: Sequence[str] = ()) -> list[CodedWarning]:
-    """Return `zero_force_runs` and `held_channel` of a log as read, at most one of each a joint."""
-    found = []
-    for joint in tuple(joints) or log.joints("tau"):
-        if not log.has("tau", [joint]):
+MAX_FILLED = 3
+"""Longest zero run [samples] that is interpolated, as one or two lost samples are (`resample.py`)."""
+
+
+def _mend_dropouts(log: Log, joints: Sequence[str]) -> Repair:
+    """Interpolate forces over short zero runs, and list held runs, which are left in."""
+    found, filled = [], {}
+    for joint in joints:
+        column = f"tau_{joint}"
+        if column not in log.channels:
             continue
         zero = find_zero_runs(log, joint)
         if len(zero) >= MIN_DROPOUTS:
-            sentence = (
-                f"{log.name}: tau_{joint} is exactly zero in {count(len(zero), 'place')} where the force before and after is far "
-                f"from it, first at t = {log.t[zero[0]]:.6g} s: readings were lost. Leave these samples out by a column that "
-                "flags them (--exclude), or log the drive's force without gaps."
+            filled[column], whole = _interpolate_zeros(log.channels[column], zero)
+            kind = RepairedWarning if whole else CodedWarning
+            remedy = (
+                "they are interpolated. Log the drive's force without gaps."
+                if whole
+                else "Leave these samples out by a column that flags them (--exclude), or log the drive's force without gaps."
             )
-            found.append(CodedWarning("zero_force_runs", sentence))
-        held = find_held_runs(log, f"tau_{joint}")
+            sentence = (
+                f"{log.name}: {column} is exactly zero in {count(len(zero), 'place')} where the force before and after is far "
+                f"from it, first at t = {log.t[zero[0]]:.6g} s: readings were lost{'; ' if whole else '. '}{remedy}"
+            )
+            found.append(kind("zero_force_runs", sentence))
+        held = find_held_runs(log, column)
         if len(held) >= MIN_DROPOUTS:
             sentence = (
-                f"{log.name}: tau_{joint} stands still for {MIN_HELD} samples or more in {count(len(held), 'place')}, first at "
+                f"{log.name}: {column} stands still for {MIN_HELD} samples or more in {count(len(held), 'place')}, first at "
                 f"t = {log.t[held[0]]:.6g} s, and changes with each sample elsewhere: the logger repeats its last reading. Leave "
                 "these samples out (--exclude), or log the drive's force without gaps."
             )
             found.append(CodedWarning("held_channel", sentence))
-    return found
+    return Repair(log.with_channels(**filled) if filled else log, found)
+
+
+def _interpolate_zeros(x: NDArray[np.float64], starts: NDArray[np.intp]) -> tuple[NDArray[np.float64], bool]:
+    """Return a force (N,) with straight lines over its short zero runs, and whether all of them are short."""
+    runs = find_constant_runs(x)
+    chosen = np.isin(runs.starts, starts)
+    short = chosen & (runs.lengths <= MAX_FILLED)
+    lost = np.repeat(short, runs.lengths)
+    i = np.arange(len(x))
+    return np.where(lost, np.interp(i, i[~lost], x[~lost]), x), bool(np.array_equal(chosen, short))
 
 
 MIN_Z = 10.0
@@ -187,26 +219,6 @@ def _find_lost_samples(log: Log, names: tuple[str, ...]) -> LostSamples:
     return _sort(stretch, z, best, int(np.count_nonzero(visible > MIN_Z)))
 
 
-def list_sample_warnings(log: Log, joints: Sequence[str] = ()) -> list[CodedWarning]:
-    """Return `lost_samples` and `repeated_samples` of a log as read."""
-    found, repeated = find_lost_samples(log, joints), find_repeated_rows(log, joints)
-    warnings = []
-    ahead = (found.steps > 0) & ~np.isin(found.after, [repeated - 1, repeated, repeated + 1])
-    if found.alarm and np.count_nonzero(ahead) >= MIN_EVENTS:
-        lost = found.after[ahead]
-        warnings.append(CodedWarning("lost_samples", _lost_sentence(log, found, lost)))
-    inserted = found.after[found.steps < 0]
-    twice = inserted if found.alarm and len(inserted) > len(repeated) else repeated
-    if len(twice) >= MIN_EVENTS:
-        sentence = (
-            f"{log.name}: {count(len(twice), 'sample')} stand twice, first after t = {log.t[twice[0]]:.6g} s: nothing changes "
-            f"there although the joints move; {_share(log, len(twice))}. The logger repeated what it had not received; "
-            "log time stamps of the measurement, or leave the repeated lines out (--exclude)."
-        )
-        warnings.append(CodedWarning("repeated_samples", sentence))
-    return warnings
-
-
 def find_repeated_rows(log: Log, joints: Sequence[str] = ()) -> NDArray[np.intp]:
     """Return samples (n,) at which no position and no force changes although the neighbours move.
 
@@ -230,30 +242,133 @@ def find_repeated_rows(log: Log, joints: Sequence[str] = ()) -> NDArray[np.intp]
     return np.flatnonzero(same & moving)
 
 
-def mend_clock(log: Log, joints: Sequence[str] = ()) -> Log | None:
-    """Return the log with its lost samples as gaps in the clock and inserted ones left out; None where that is not safe.
+def _is_inserted(log: Log, joints: Sequence[str], repeated: NDArray[np.intp]) -> bool:
+    """Return whether the motion goes on by one step behind repeated rows, under an even clock; else it is two steps ahead.
+
+    Args:
+        log: A log as read.
+        joints: Joints with positions.
+        repeated: Samples (n,) after which a row is repeated.
+    """
+    clock = examine_clock(log)
+    if not (clock.even or clock.rounded):
+        return False
+    steps = np.diff(log.joint("q", joints), axis=0)
+    at = repeated[(repeated > 3) & (repeated < len(steps) - 4)]
+    around = np.mean([steps[at + shift] for shift in (-3, -2, 2, 3)], axis=0)
+    ahead = np.sum(steps[at + 1] * around, axis=1) / np.maximum(np.sum(around**2, axis=1), 1e-300)
+    return bool(at.size and np.median(ahead) < 1.5)
+
+
+def _list_repeated(log: Log, joints: Sequence[str], seen: NDArray[np.intp], inserted: bool) -> NDArray[np.intp]:
+    """Return the samples (n,) after which a row is repeated: those seen in motion, and short equal runs that are no chance.
+
+    A sound row that is left out costs nothing where the clock goes on. Where it does not, the equal neighbours of each channel
+    apart from those seen tell how many rows would be equal by chance; with one or more only those seen count.
+    """
+    x = np.column_stack([log.channels[f"{s}_{j}"] for s in ("q", "tau") for j in joints if log.has(s, [j])])
+    equal = np.diff(x, axis=0) == 0
+    whole = equal.all(axis=1)
+    if inserted and len(x) * np.prod(equal[~whole].mean(axis=0)) >= 1:
+        return seen
+    short = np.zeros(len(whole), bool)
+    for run in find_true_runs(whole):
+        short[run] = run.stop - run.start <= MAX_FILLED
+    return np.union1d(np.flatnonzero(short), seen)
+
+
+def _mend_repeated(log: Log, joints: Sequence[str]) -> Repair:
+    """Leave out repeated rows, and move up what follows where rows were inserted."""
+    seen = find_repeated_rows(log, joints)
+    if len(seen) < MIN_EVENTS:
+        return Repair(log, [])
+    inserted = _is_inserted(log, joints, seen)
+    rows = _list_repeated(log, joints, seen, inserted)
+    keep = np.ones(log.n_samples, bool)
+    keep[rows + 1] = False
+    t = log.t - log.dt * np.cumsum(~keep) if inserted else log.t
+    share = 100 * len(rows) / log.n_samples
+    sentence = (
+        f"{log.name}: {count(len(rows), 'sample')} repeat the one before ({share:.2g} % of all), first after "
+        f"t = {log.t[rows[0]]:.6g} s: nothing changes there although the joints move. They are left out"
+        f"{' and later times moved up' if inserted else ''}; log time stamps of the measurement, each sample once."
+    )
+    return Repair(_take(log, keep, t), [RepairedWarning("repeated_samples", sentence)])
+
+
+def _mend_lost(log: Log, joints: Sequence[str]) -> Repair:
+    """Return the log with its lost samples as gaps in the clock and inserted ones left out, where they are few.
 
     A few events can be mended: each is known to the sample. Many cannot, as some pass unseen while the robot is slow.
     """
-    found, twice = find_lost_samples(log, joints), find_repeated_rows(log, joints)
-    stale = twice[~np.isin(twice, found.after)] if len(twice) >= MIN_EVENTS else twice[:0]
-    if not (found.alarm or len(stale)) or len(found.after) + len(stale) > MAX_MENDED_SHARE * max(found.n_tested, 1):
-        return None
-    late = np.zeros(log.n_samples)
-    keep = np.ones(log.n_samples, bool)
-    keep[stale + 1] = False
-    if found.alarm:
-        np.add.at(late, found.after + 1, found.steps)
-    else:
-        found = _NONE
+    even, rows = _fill_single_gaps(log)
+    found, keep = find_lost_samples(even, joints), np.isin(np.arange(even.n_samples), rows)
+    found = _leave_out_late(found, keep)
+    log = _take(log, keep[rows], log.t)
+    if not found.alarm:
+        return Repair(log, [])
+    mended = len(found.after) <= MAX_MENDED_SHARE * max(found.n_tested, 1)
+    kind = RepairedWarning if mended else CodedWarning
+    ahead, twice = found.after[found.steps > 0], found.after[found.steps < 0]
+    warnings: list[CodedWarning] = []
+    if len(ahead) >= MIN_EVENTS:
+        warnings.append(kind("lost_samples", _lost_sentence(even, found, ahead)))
+    if len(twice) >= MIN_EVENTS:
+        sentence = (
+            f"{log.name}: {count(len(twice), 'sample')} are logged twice, first after t = {even.t[twice[0]]:.6g} s: the motion "
+            f"goes back by a step there. {'They are left out' if mended else 'That is too many to correct'}; log time stamps "
+            "of the measurement, each sample once."
+        )
+        warnings.append(kind("repeated_samples", sentence))
+    if not mended:
+        return Repair(log, warnings)
+    late = np.zeros(even.n_samples)
+    np.add.at(late, found.after + 1, found.steps)
     for k, n in zip(found.after, found.steps, strict=True):
         if n < 0:
             keep[k + 1 : k + 1 - n] = False
-    t = log.t + np.cumsum(late) * log.dt
+    t = even.t + np.cumsum(late) * even.dt
     if np.any(np.diff(t[keep]) <= 0):
-        return None
-    channels = {name: x[keep] for name, x in log.channels.items()}
-    return Log(t[keep], channels, log.name, log.sha256, log.warnings)
+        return Repair(log, [CodedWarning(w.code, str(w)) for w in warnings])
+    return Repair(_take(even, keep, t), warnings)
+
+
+def _leave_out_late(found: LostSamples, keep: NDArray[np.bool_]) -> LostSamples:
+    """Return the events away from rows that were left out; between such a row and an event right behind it, rows are left out.
+
+    Where two rows in a row were late, the second one is not equal to the first, and the motion is ahead behind it.
+    """
+    if keep.all():
+        return found
+    before = np.maximum.accumulate(np.where(keep, -len(keep), np.arange(len(keep))))
+    after = len(keep) - 1 - np.maximum.accumulate(np.where(keep[::-1], -len(keep), np.arange(len(keep))))[::-1]
+    behind = found.after - before[found.after]
+    near = (behind <= MAX_FILLED) | (after[found.after] - found.after <= MAX_FILLED)
+    for k in np.flatnonzero((behind <= MAX_FILLED) & (found.steps > 0)):
+        keep[before[found.after[k]] : found.after[k] + 1] = False
+    return found._replace(after=found.after[~near], steps=found.steps[~near])
+
+
+def _fill_single_gaps(log: Log) -> tuple[Log, NDArray[np.intp]]:
+    """Return a log on an even clock with left-out rows interpolated, and where its own rows are in it; else the log itself."""
+    place = np.round((log.t - log.t[0]) / log.dt).astype(int)
+    even = np.abs((log.t - log.t[0]) / log.dt - place).max() < MAX_OFF_GRID and np.all(np.diff(place) > 0)
+    if not even or place[-1] == len(place) - 1 or np.diff(place).max() > MAX_FILLED + 1:
+        return log, np.arange(log.n_samples)
+    grid = np.arange(place[-1] + 1)
+    channels = {key: interpolate(place.astype(float), x, grid.astype(float)) for key, x in log.channels.items()}
+    return Log(log.t[0] + grid * log.dt, channels, log.name, log.sha256, log.warnings), place
+
+
+MAX_OFF_GRID = 0.1
+"""Distance of stamps from an even clock [sample steps] up to which rows are missing from it and not measured at other times."""
+
+
+def _take(log: Log, keep: NDArray[np.bool_], t: NDArray[np.float64]) -> Log:
+    """Return the rows of a log that are kept, at other times (N,); the log itself where neither changes."""
+    if keep.all() and t is log.t:
+        return log
+    return Log(t[keep], {k: x[keep] for k, x in log.channels.items()}, log.name, log.sha256, log.warnings)
 
 
 def _stretches(
@@ -343,28 +458,119 @@ def _lost_sentence(log: Log, found: LostSamples, lost: NDArray[np.intp]) -> str:
     )
 
 
-def _share(log: Log, n: int) -> str:
-    return f"{100 * n / log.n_samples:.2g} % of all"
-
-
 MIN_SAMPLES = 50
 """Shorter logs show no pattern."""
 
 
-def list_data_warnings(log: Log, joints: Sequence[str] = ()) -> list[CodedWarning]:
-    """Return lost, repeated, zeroed and held samples of a log as read; sound logs give none.
+class Repair(NamedTuple):
+    """A log with its faults mended, and what was found: `RepairedWarning` where it was mended, else `CodedWarning`."""
+
+    log: Log
+    warnings: list[CodedWarning]
+
+
+def _mend_updates(log: Log, joints: Sequence[str]) -> Repair:
+    """Sample a log at the updates of channels that are updated less often than it is logged."""
+    columns = [c for s in ("q", "tau") for j in joints if (c := f"{s}_{j}") in log.channels]
+    rates = find_update_rates(log, columns)
+    if not rates:
+        return Repair(log, [])
+    sampled = sample_at_updates(log, rates)
+    kind = CodedWarning if sampled is None else RepairedWarning
+    return Repair(sampled or log, [w for rate in rates for w in _describe_updates(log, rate, columns, kind)])
+
+
+def _describe_updates(
+    log: Log, rate: UpdateRate, columns: Sequence[str], kind: type[CodedWarning]
+) -> list[CodedWarning]:
+    """Return that channels are updated less often than logged, and for held ones by how much they are late."""
+    names = "all positions and forces" if set(rate.columns) >= set(columns) else ", ".join(rate.columns)
+    verb = "are" if len(rate.columns) > 1 else "is"
+    between = "held" if rate.held else "interpolated linearly"
+    use = (
+        "only the updates are used"
+        if kind is RepairedWarning
+        else "standard errors are too small and the motion is distorted"
+    )
+    rates = f"at {log.rate_hz / rate.period:.4g} Hz instead of {log.rate_hz:.4g} Hz"
+    sentence = (
+        f"{log.name}: {names} {verb} updated less often than logged, {rates}, and {between} between; {use}. Log at the rate of "
+        "the measurement."
+    )
+    found = [kind("updated_less_often", sentence)]
+    if rate.held:
+        late_s, it = (rate.period - 1) / 2 * log.dt, "they are" if len(rate.columns) > 1 else "it is"
+        late = (
+            f"{log.name}: {names} {verb} updated every {rate.period:.3g} samples; {it} {late_s:.2g} s late on average"
+        )
+        found.insert(0, kind("held_channel", late + (", except at the updates." if kind is RepairedWarning else ".")))
+    return found
+
+
+def _leave_out_frozen(log: Log, joints: Sequence[str]) -> Repair:
+    """Leave out the samples at which a position or a force keeps one value although the joint moves."""
+    stretches: list[FrozenStretch] = []
+    for joint in joints:
+        if not log.has("q", [joint]):
+            continue
+        stretches += (frozen := find_frozen_positions(log, joint))
+        if not frozen and log.has("tau", [joint]):
+            stretches += find_frozen_force(log, joint, find_moving_samples(log, joint))
+    keep = np.ones(log.n_samples, bool)
+    for s in stretches:
+        keep[s.start : s.stop] = False
+    warnings = [CodedWarning("held_channel", _frozen_sentence(log, s)) for s in stretches]
+    return Repair(_take(log, keep, log.t) if stretches and np.count_nonzero(keep) >= MIN_SAMPLES else log, warnings)
+
+
+def _frozen_sentence(log: Log, frozen: FrozenStretch) -> str:
+    span = f"from {log.t[frozen.start]:.6g} s to {log.t[frozen.stop - 1]:.6g} s"
+    return (
+        f"{log.name}: {frozen.column} has the same value {span}, although {frozen.reason}. These samples are left out; look at "
+        "the sensor or its bus."
+    )
+
+
+def _mend_samples(log: Log, joints: Sequence[str]) -> Repair:
+    """Mend repeated rows, and under an even clock lost samples too; a measured clock shows its losses by itself."""
+    clock = examine_clock(log)
+    repeated = _mend_repeated(log, joints)
+    if not (clock.even or clock.rounded):
+        return repeated
+    lost = _mend_lost(repeated.log, joints)
+    return Repair(lost.log, [*repeated.warnings, *lost.warnings])
+
+
+_STEPS = (_mend_updates, _leave_out_frozen, _mend_samples, _mend_dropouts)
+"""In this order: a low update rate looks like lost samples, and repeated rows look like both."""
+
+_REPAIRED: WeakKeyDictionary[Log, dict[tuple[str, ...], Repair]] = WeakKeyDictionary()
+"""Repairs of logs in use: a log is judged, and mended, one after the other."""
+
+
+def repair_log(log: Log, joints: Sequence[str] = ()) -> Repair:
+    """Return a log as read with what can be mended mended, and all faults that it shows by itself; sound logs give none.
 
     Args:
         log: A log as read, before any interpolation.
         joints: The joints that count; by default all that are logged.
     """
-    if log.n_samples < MIN_SAMPLES:
-        return []
-    joints = [joint for joint in joints if log.has("q", [joint])] or log.joints("q")
-    return [*list_sample_warnings(log, joints), *list_dropout_warnings(log, joints)]
+    names = tuple(joint for joint in joints if log.has("q", [joint])) or log.joints("q")
+    known = _REPAIRED.setdefault(log, {})
+    if names not in known:
+        repair = Repair(log, [])
+        for step in _STEPS if log.n_samples >= MIN_SAMPLES else ():
+            done = step(repair.log, names)
+            repair = Repair(done.log, [*repair.warnings, *done.warnings])
+        known[names] = repair
+    return known[names]
+
+
+def list_data_warnings(log: Log, joints: Sequence[str] = ()) -> list[CodedWarning]:
+    """Return the faults that a log as read shows by itself; see `repair_log`."""
+    return list(repair_log(log, joints).warnings)
 
 
 def mend_log(log: Log, joints: Sequence[str] = ()) -> Log:
-    """Return a log whose few lost samples are gaps in its clock and whose repeated lines are left out; else the log itself."""
-    joints = [joint for joint in joints if log.has("q", [joint])] or log.joints("q")
-    return mend_clock(log, joints) or log
+    """Return a log with its faults mended or left out where that is safe; a sound log itself."""
+    return repair_log(log, joints).log

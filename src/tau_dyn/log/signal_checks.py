@@ -19,8 +19,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tau_dyn.log.filtering import estimate_quantisation_step
 from tau_dyn.log.log import Log
-from tau_dyn.message_codes import CodedWarning, get_code
+from tau_dyn.message_codes import CodedWarning, RepairedWarning, get_code
 from tau_dyn.results import Shown, count
 
 Severity = Literal["ok", "warning", "fault"]
@@ -48,8 +49,11 @@ def choose_finding(topic: str, fine: str, *doubts: tuple[bool, str, str]) -> Che
 
 
 def build_fault(warning: str) -> CheckFinding:
-    """Return a coded warning as a fault of the log; its sentence holds the remedy."""
-    return CheckFinding("fault", "integrity", str(warning), code=get_code(warning))
+    """Return a coded warning as a fault of the log, or as a warning where it was repaired; its sentence holds the remedy."""
+    mended = isinstance(warning, RepairedWarning)
+    held = get_code(warning) == "updated_less_often" or (mended and get_code(warning) == "held_channel")
+    severity: Severity = "warning" if mended else "fault"
+    return CheckFinding(severity, "held" if held else "integrity", str(warning), code=get_code(warning))
 
 
 @dataclass(frozen=True)
@@ -98,6 +102,10 @@ _FURTHER = 10.0
 _OF_RANGE = 0.02
 """Least size of a jump, as a share of the joint's range."""
 
+COARSEST_COUNT = {True: 0.02, False: 1e-3, None: 1e-3}
+"""Largest count of an encoder, by whether the joint turns [rad], slides [m], or neither is known: 1 degree of the coarsest servo,
+a millimetre of a draw wire."""
+
 _ALONE = 0.25
 """A change with a neighbour of this share of its size, the same way, is motion: a quick move seen by few samples."""
 
@@ -105,12 +113,13 @@ _TURN = 0.1
 """How near a jump comes to whole turns, as a share of one, where the encoder wraps."""
 
 
-def find_jumps(q: NDArray[np.float64], fastest: float = 0.0) -> NDArray[np.intp]:
+def find_jumps(q: NDArray[np.float64], fastest: float = 0.0, count: float = 0.0) -> NDArray[np.intp]:
     """Return the samples after which a position (N,) jumps.
 
     Args:
         q: Positions [m or rad], evenly sampled or nearly so.
         fastest: The joint's own limit [per sample]; slower steps are motion.
+        count: Largest count that its encoder may have [m or rad]; a joint at rest may step by one.
     """
     changes = np.flatnonzero(np.diff(q))  # a reading held over several samples is one
     step = np.diff(q)[changes]
@@ -121,7 +130,16 @@ def find_jumps(q: NDArray[np.float64], fastest: float = 0.0) -> NDArray[np.intp]
     padded = np.concatenate([[0.0], step, [0.0]])
     found = np.flatnonzero(size > least)
     apart = [max(np.sign(step[k]) * padded[[k, k + 2]]) < _ALONE * size[k] for k in found]
-    return changes[found[apart]]
+    found = found[apart]
+    return changes[:0] if found.size and _are_counts(step, found, count) else changes[found]
+
+
+def _are_counts(step: NDArray[np.float64], found: NDArray[np.intp], coarsest: float) -> bool:
+    """Return whether the largest changes are the counts of an encoder at rest: without them the joint stays within one."""
+    count, least = float(np.abs(step[found]).max()), float(np.abs(step[found]).min())
+    rest = step.copy()
+    rest[found] = 0.0
+    return count < min(coarsest, 2 * least) and float(np.ptp(np.cumsum(rest))) < count
 
 
 def check_jumps(
@@ -142,7 +160,7 @@ def check_jumps(
         left_out: Samples (N,) that nobody uses; jumps to or from them are let pass.
     """
     q = log.channels[f"q_{joint}"]
-    at = find_jumps(q, fastest * log.dt if np.isfinite(fastest) else 0.0)
+    at = find_jumps(q, fastest * log.dt if np.isfinite(fastest) else 0.0, COARSEST_COUNT[revolute])
     if left_out is not None:
         at = at[~(left_out[at] | left_out[at + 1])]
     if not at.size:
@@ -204,7 +222,6 @@ def check_signals(log: Log, moving: dict[str, NDArray[np.bool_]]) -> tuple[list[
             if signal == "tau":
                 clipped[column] = compute_clipped_share(runs, moves)
                 found = found or _clipped(log, column, clipped[column])
-            found = found or (_check_sample_hold(log, column, runs, moves) if measured else None)
             findings.append(found or CheckFinding("ok", "signal", f"{column}: no fault found."))
     return findings, {"clipped": clipped}
 
@@ -251,6 +268,135 @@ def _frozen(log: Log, column: str, runs: ConstantRuns, moves: NDArray[np.bool_])
     return None
 
 
+MIN_LONGER = 10.0
+"""How much longer a frozen stretch is than the sixth longest stretch without a change; an encoder dies a few times at most."""
+
+_SIXTH = 6
+
+STOP_RATIO = 3.0
+"""Change of speed at the ends of a frozen stretch, over the largest one anywhere else within the same time."""
+
+STOP_S = 0.02
+"""Time over which such speeds are measured [s]."""
+
+SLOW_SHARE = 0.1
+"""Share of the fast speed below which a channel must be as noisy as above it: noise that fades with the speed is vibration, and
+fades at rest."""
+
+MIN_SLOW = 30
+"""Samples at low speed that tell how noisy a channel is there."""
+
+MIN_COUNTS = 0.7
+"""Noise in counts from which a channel flickers at rest: twenty equal values in a row are then no chance, 0.5^20 = 1e-6."""
+
+MAX_NEIGHBOUR = -0.4
+"""Correlation of neighbouring fourth differences in white noise is -0.8, in a smooth motion 1."""
+
+MIN_ACTIVE = 0.3
+"""Spread of a joint's force during a frozen stretch, as a share of that elsewhere, from which the joint does not rest."""
+
+FORCE_S = 0.1
+"""Time over which forces are averaged before they are compared [s]."""
+
+
+class FrozenStretch(NamedTuple):
+    """Samples `start` to `stop - 1` at which a position keeps one value although its joint moves, and why that is so."""
+
+    column: str
+    start: int
+    stop: int
+    reason: str
+
+
+def find_frozen_positions(log: Log, joint: str) -> list[FrozenStretch]:
+    """Return the stretches in which an encoder keeps one value although its joint moves, or although it flickers otherwise.
+
+    Two things tell a dead encoder from a joint at rest: the speed changes at an end of the stretch by more than anywhere else, or
+    the channel flickers wherever the joint is slow and the joint's force goes on. An encoder coarser than its noise does not
+    flicker at rest.
+    """
+    x = log.channels[f"q_{joint}"]
+    runs = find_constant_runs(x)
+    if len(runs.starts) < 10 * _SIXTH:
+        return []
+    usual = float(np.sort(runs.lengths)[-_SIXTH])
+    least = max(MIN_FROZEN_S * log.rate_hz, MIN_LONGER * usual)
+    long = [(int(a), int(a + n)) for a, n in zip(runs.starts, runs.lengths, strict=True) if n >= least]
+    live = np.ones(log.n_samples, bool)
+    for start, stop in long:
+        live[max(start - 1, 0) : stop + 1] = False
+    found = []
+    for start, stop in long if long else ():
+        reason = _find_sudden_stop(x, live, start, stop, log.dt) or _find_flicker(log, joint, live, start, stop)
+        if reason:
+            found.append(FrozenStretch(f"q_{joint}", start, stop, reason))
+    return found
+
+
+def find_frozen_force(log: Log, joint: str, moves: NDArray[np.bool_]) -> list[FrozenStretch]:
+    """Return the stretches in which a force keeps one value while its joint moves.
+
+    Zeros are a drive that is off, and extremes are its limit.
+    """
+    column = f"tau_{joint}"
+    runs = find_constant_runs(log.channels[column])
+    if len(runs.starts) < 10 * _SIXTH:
+        return []
+    least = max(MIN_FROZEN_S * log.rate_hz, MIN_LONGER * float(np.sort(runs.lengths)[-_SIXTH]))
+    extreme = (runs.values == runs.values.max()) | (runs.values == runs.values.min()) | (runs.values == 0)
+    long = [(int(runs.starts[k]), int(runs.lengths[k])) for k in np.flatnonzero((runs.lengths >= least) & ~extreme)]
+    return [FrozenStretch(column, a, a + n, f"{joint} moves") for a, n in long if np.mean(moves[a : a + n]) > 0.5]
+
+
+def _find_sudden_stop(x: NDArray[np.float64], live: NDArray[np.bool_], start: int, stop: int, dt: float) -> str:
+    """Return how fast a position (N,) moved right before or after a stretch of one value, where nothing stops so quickly."""
+    width = max(4, round(STOP_S / dt))
+    if len(x) < 4 * width:
+        return ""
+    speed = (x[width:] - x[:-width]) / width
+    usable = np.convolve(live, np.ones(2 * width + 1), "valid") > 2 * width
+    changes = np.abs(speed[width:] - speed[:-width])[: len(usable)][usable]
+    if changes.size < 10 * width:
+        return ""
+    before = speed[start - width] if start >= width else 0.0
+    after = speed[stop - 1] if stop - 1 < len(speed) else 0.0
+    for v, word in ((before, "before"), (after, "after")):
+        if abs(v) > STOP_RATIO * float(changes.max()):
+            return f"it moves by {abs(v) / dt:.2g} a second right {word}"
+    return ""
+
+
+def _find_flicker(log: Log, joint: str, live: NDArray[np.bool_], start: int, stop: int) -> str:
+    """Return how far a channel flickers at low speed too, if its joint's force goes on in a stretch of one value."""
+    x = log.channels[f"q_{joint}"]
+    rough, alive = np.diff(x, 4), np.convolve(live, np.ones(5), "valid") > 4
+    speed = np.abs(x[4:] - x[:-4])
+    if np.count_nonzero(alive) < MIN_SLOW:
+        return ""
+    slow = alive & (speed < SLOW_SHARE * float(np.quantile(speed[alive], 0.9)))
+    pairs = slow[1:] & slow[:-1]
+    if np.count_nonzero(pairs) < MIN_SLOW:
+        return ""
+    power = float(np.mean(rough[slow] ** 2))
+    neighbours = float(np.mean((rough[1:] * rough[:-1])[pairs])) / max(power, 1e-300)
+    noise = np.sqrt(power / 70)  # fourth differences take the motion away and multiply white power by 70
+    fades = power < 0.25 * float(np.median(rough[alive] ** 2)) / 0.455  # the median of chi-square with one degree
+    if fades or neighbours > MAX_NEIGHBOUR or noise < MIN_COUNTS * float(estimate_quantisation_step(x)):
+        return ""
+    if not _is_force_active(log, joint, live, start, stop):
+        return ""
+    return f"it flickers by {noise:.2g} elsewhere, and tau_{joint} goes on"
+
+
+def _is_force_active(log: Log, joint: str, live: NDArray[np.bool_], start: int, stop: int) -> bool:
+    """Return whether a joint's force varies in a stretch about as much as elsewhere; a joint at rest is held by a steady one."""
+    if not log.has("tau", [joint]):
+        return False
+    width = max(1, round(FORCE_S * log.rate_hz))
+    smooth = np.convolve(log.channels[f"tau_{joint}"], np.ones(width) / width, "same")
+    return float(np.std(smooth[start:stop])) > MIN_ACTIVE * float(np.std(smooth[live])) > 0
+
+
 def _clipped(log: Log, column: str, share: float) -> CheckFinding | None:
     if share < 1e-4:
         return None
@@ -259,16 +405,3 @@ def _clipped(log: Log, column: str, share: float) -> CheckFinding | None:
     sentence = f"{log.name}: {column} sits on a plateau at {extremes} in {100 * share:.2g} % of samples."
     severity = "fault" if share > 0.05 else "warning"
     return CheckFinding(severity, "clipping", sentence, "Move more gently, or widen the drive's or logger's range.")
-
-
-def _check_sample_hold(log: Log, column: str, runs: ConstantRuns, moves: NDArray[np.bool_]) -> CheckFinding | None:
-    """Find a channel that is renewed less often than it is logged: nearly all its runs have the same length above 1."""
-    during = moves[runs.starts]
-    lengths = runs.lengths[during]
-    usual = int(np.median(lengths)) if lengths.size else 1
-    if usual < 2 or np.mean(lengths == usual) < 0.8:
-        return None
-    late = (usual - 1) / 2 * log.dt
-    sentence = f"{log.name}: {column} is updated every {usual} samples; it is {late:.2g} s late on average."
-    remedy = f"Log it at the full rate, or the others at {log.rate_hz / usual:.6g} Hz."
-    return CheckFinding("warning", "held", sentence, remedy, "held_channel")

@@ -1,0 +1,207 @@
+"""Channels that are updated less often than they are logged: held, or interpolated linearly between updates.
+
+The second differences of such a channel stand out at its updates and are nearly zero between them, or as small as the noise
+that was added later. Updates that follow a clock of their own are a comb: the spectrum of the size of the second differences has
+equal lines at all multiples of the update rate, which need not divide the rate of the log. The comb's period and phase follow
+from the highest line; the mean size at the updates over that between them tells how much a channel owes to interpolation. A
+vibration has one line, and a quantised channel of changing speed has none. A motion that repeats itself has a comb, too, but
+reverses from line to line: it is told by positions that are not smooth at such updates.
+
+A log whose slow channels share one clock is sampled at its updates, where nothing is interpolated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from tau_dyn.log.log import Log
+from tau_dyn.log.resample import examine_clock, interpolate
+
+MIN_CONTRAST = 3.0
+"""Mean second difference at the updates over that between them. White noise and smooth motion give 1; a set-point generator with
+steps of acceleration stays below 2, as the drive smooths them."""
+
+MAX_PERIOD = 200
+"""Longest period [samples] that is searched."""
+
+MIN_UPDATES = 30
+"""Fewer updates show no comb beyond chance."""
+
+MIN_LINE = 30.0
+"""Power of a line over the mean of the spectrum: white noise reaches it in one of 1e13 bins."""
+
+WEAK_LINE = 8.0
+"""The same for further lines of a comb whose strongest line is known: five bins of noise reach it once in 600 places."""
+
+LINE_SHARE = 0.8
+"""Share of a comb's lines that must be there, and share of its updates that must differ from what is between them."""
+
+MIN_HELD_SHARE = 0.35
+"""Share of samples without a change from which a channel is held: half of them are in one that is updated every second sample."""
+
+HIGHEST_LINE = 0.35
+"""Lines above this share of the sampling rate fade where updates fall between samples."""
+
+MIN_UPDATE_HZ = 5.0
+"""Lowest update rate [Hz] whose samples show dynamics; see `identify/preparation.py`."""
+
+EXTRAPOLATED = 4.0
+"""Period [samples] from which a straight piece holds the two samples that tell its end between samples."""
+
+
+class UpdateRate(NamedTuple):
+    """The clock of channels that are updated less often than they are logged.
+
+    Attributes:
+        columns: Their names.
+        period: Time between updates [samples].
+        phase: Time of the first update [samples].
+        held: Whether they keep their value between updates; else they are interpolated linearly.
+    """
+
+    columns: tuple[str, ...]
+    period: float
+    phase: float
+    held: bool
+
+    def list_updates(self, n: int) -> NDArray[np.float64]:
+        """Return the times of all updates [samples] within n samples."""
+        return np.arange(self.phase, n - 1 + 1e-6, self.period)
+
+    def compute_distance(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how far times (n,) are from the nearest update [samples]."""
+        return np.abs((at - self.phase + self.period / 2) % self.period - self.period / 2)
+
+
+def find_update_rates(log: Log, columns: Sequence[str]) -> list[UpdateRate]:
+    """Return the clocks of the channels that are updated less often than logged, channels of the same clock together.
+
+    A motion that is not smooth from update to update is believed only where all channels follow the same clock.
+
+    Args:
+        log: A log as read.
+        columns: Channels to look at; those that never change are left out, and under an uneven clock interpolated ones.
+    """
+    clock = examine_clock(log)
+    even = clock.even or clock.rounded
+    found: list[UpdateRate] = []
+    motion = log.joint("q", log.joints("q"))
+    for column in columns:
+        x = log.channels[column]
+        comb = find_comb(x) if np.all(np.isfinite(x)) else None
+        if comb is None or not (even or comb.held):
+            continue
+        for k, other in enumerate(found):
+            if other.held == comb.held and _is_same_clock(other, comb, log.n_samples):
+                found[k] = other._replace(columns=(*other.columns, column))
+                break
+        else:
+            found.append(comb._replace(columns=(column,)))
+    alive = {column for column in columns if np.ptp(log.channels[column]) > 0}
+    return [rate for rate in found if alive <= set(rate.columns) or _resolves(motion, rate)]
+
+
+def _resolves(q: NDArray[np.float64], rate: UpdateRate) -> bool:
+    """Return whether the motion (N, n) is smooth from update to update; else the comb is the period of the motion itself.
+
+    A sine that is seen at six updates or more a period has second differences smaller than its first ones. Of a motion that
+    turns back at each update they are twice as large, and of noise 1.7 times.
+    """
+    seen = q[np.round(rate.list_updates(len(q))).astype(int)]
+    return float(np.sum(np.diff(seen, 2, axis=0) ** 2)) < float(np.sum(np.diff(seen, axis=0) ** 2))
+
+
+def _is_same_clock(one: UpdateRate, other: UpdateRate, n: int) -> bool:
+    """Return whether two clocks update within a sample of each other from the first to the last of n samples."""
+    drift = abs(one.period - other.period) * n / one.period
+    return drift < 1.0 and float(one.compute_distance(np.array([other.phase]))[0]) < 1.0
+
+
+def find_comb(x: NDArray[np.float64]) -> UpdateRate | None:
+    """Return the clock of the updates of one channel (N,); None where its differences have none."""
+    first = np.abs(np.diff(x))
+    held = bool(np.mean(first == 0) > MIN_HELD_SHARE)
+    size = first if held else np.abs(np.diff(x, 2))
+    n = len(size)
+    if n < 2 * MIN_UPDATES or not np.any(size > 0):
+        return None
+    local = uniform_filter1d(size, min(2 * MAX_PERIOD, n), mode="nearest")
+    root = np.sqrt(size / np.maximum(local, 1e-3 * float(size.mean())))
+    root -= root.mean()
+    power = np.abs(np.fft.rfft(root)) ** 2 / max(float(np.sum(root**2)), 1e-300)
+    lowest = max(int(n / MAX_PERIOD), MIN_UPDATES)
+    line = lowest + int(np.argmax(power[lowest:])) if len(power) > lowest else 0
+    if not line or power[line] < MIN_LINE:
+        return None
+    frequency, angle = _refine(root, _choose_fundamental(power, line, lowest) / n)
+    period, phase = 1 / frequency, (-angle / (2 * np.pi * frequency)) % (1 / frequency)
+    distance = UpdateRate((), period, phase, held).compute_distance(np.arange(float(n)))
+    at, between = size[distance <= 0.5], size[distance >= min(1.25, period / 2 - 0.5)]
+    if not at.size or not between.size or at.mean() < MIN_CONTRAST * between.mean():
+        return None
+    if np.mean(at > between.mean()) < LINE_SHARE * (1 - np.mean(local < 0.01 * size.mean())):
+        return None  # the true period is a multiple, or the channel changes too seldom to tell
+    return UpdateRate((), period, (phase + 1.0) % period, held)
+
+
+def _choose_fundamental(power: NDArray[np.float64], line: int, lowest: int) -> float:
+    """Return the fundamental [bins] of which a line is a multiple: the lowest whose multiples are nearly all lines."""
+    n = 2 * (len(power) - 1)
+    best, least = float(line), float(np.clip(power[line] / 4, WEAK_LINE, MIN_LINE))
+    for part in range(2, line // lowest + 1):
+        bins = np.arange(1, max(int(HIGHEST_LINE * n * part / line), 1) + 1) * line / part
+        near = [power[max(round(b) - 2, 0) : round(b) + 3].max() for b in bins]
+        if np.mean(np.array(near) > least) >= LINE_SHARE:
+            best = line / part
+    return best
+
+
+def _refine(size: NDArray[np.float64], frequency: float) -> tuple[float, float]:
+    """Return a comb's frequency [1/samples] and the angle of its highest line there, from its lines, the lowest first."""
+    n, time = len(size), np.arange(len(size)) - len(size) / 2
+    line = 1
+    while True:
+        tried = line * frequency + np.linspace(-1, 1, 21) / n
+        sums = [abs(np.exp(-2j * np.pi * f * time) @ size) for f in tried]
+        frequency = float(tried[int(np.argmax(sums))]) / line
+        if 2 * line * frequency > HIGHEST_LINE:
+            break
+        line *= 2
+    angle = float(np.angle(np.exp(-2j * np.pi * frequency * np.arange(n)) @ size))
+    return frequency, angle
+
+
+def sample_at_updates(log: Log, rates: Sequence[UpdateRate]) -> Log | None:
+    """Return a log at the updates of its slowest clock: channels as they were updated, others interpolated.
+
+    Returns:
+        The log; None where another clock has no update there, or updates are too rare to show dynamics.
+    """
+    slow = max(rates, key=lambda rate: rate.period)
+    at = slow.list_updates(log.n_samples)
+    if log.rate_hz / slow.period < MIN_UPDATE_HZ or any(rate.compute_distance(at).max() >= 1.0 for rate in rates):
+        return None
+    near = np.round(at)
+    if np.all(np.abs(at - near) < 0.25) and abs(slow.period - round(slow.period)) * len(at) < 0.5:
+        rows = near.astype(int)
+        return Log(log.t[rows], {key: x[rows] for key, x in log.channels.items()}, log.name, log.sha256, log.warnings)
+    samples = np.arange(log.n_samples, dtype=float)
+    channels = {key: interpolate(samples, x, at) for key, x in log.channels.items()}
+    for rate in rates:
+        channels.update({key: _read_updates(log.channels[key], at, rate) for key in rate.columns})
+    return Log(np.interp(at, samples, log.t), channels, log.name, log.sha256, log.warnings)
+
+
+def _read_updates(x: NDArray[np.float64], at: NDArray[np.float64], rate: UpdateRate) -> NDArray[np.float64]:
+    """Return a channel's values at its updates, which fall between samples."""
+    if rate.held:
+        return x[np.minimum(np.ceil(at).astype(int), len(x) - 1)]
+    before = np.clip(np.floor(at).astype(int), 1, len(x) - 3)
+    left = x[before] + (at - before) * (x[before] - x[before - 1])
+    right = x[before + 1] - (before + 1 - at) * (x[before + 2] - x[before + 1])
+    return (left + right) / 2 if rate.period >= EXTRAPOLATED else np.interp(at, np.arange(len(x)), x)
