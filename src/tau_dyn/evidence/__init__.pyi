@@ -5,6 +5,13 @@ from .candidate_scan import (
     N_NULL_DRAWS as N_NULL_DRAWS,
     find_nonnegative as find_nonnegative,
 )
+from .changes import (
+    Change as Change,
+    build_shared_columns as build_shared_columns,
+    describe_changes as describe_changes,
+    find_changes as find_changes,
+    list_changes as list_changes,
+)
 from .channel import (
     EVERY as EVERY,
     TRAIN as TRAIN,
@@ -49,6 +56,12 @@ from .extended_fit import (
 from .findings import (
     build_findings as build_findings,
     describe_diagnosis as describe_diagnosis,
+)
+from .lack_of_fit import (
+    MAX_MISSED_SHARE as MAX_MISSED_SHARE,
+    PoorFit as PoorFit,
+    describe_poor_fits as describe_poor_fits,
+    find_poor_fits as find_poor_fits,
 )
 from .noise_only_bootstrap import (
     N_BOOTSTRAP_DRAWS as N_BOOTSTRAP_DRAWS,
