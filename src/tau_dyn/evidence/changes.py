@@ -52,9 +52,10 @@ from tau_dyn.mechanism import Mechanism
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import find_end_link
 
-LEVEL = 1e-3
-"""Chance that any of the logs of one fit gets a change that it does not have. It is ten times stricter than the level of a cause:
-a residual with structure has heavier tails than the blocks show, and a true change exceeds the bound by orders of magnitude."""
+LEVEL = 1e-5
+"""Chance, by the test, that any of the logs of one fit gets a change that it does not have. It is stricter than the level of a
+cause: ten blocks of a residual with structure have heavier tails than their F distribution, and a true change exceeds the bound
+by orders of magnitude."""
 MAX_CHANGES = 4
 """Changes looked for in one log; with more, the log is a sequence of states, and the first ones are reported."""
 MAX_TESTS = 12
@@ -79,6 +80,12 @@ MAX_ORDER = 8
 POINT_BODY = ("mass", "mx", "my", "mz")
 """Inertial numbers of a body at the tool that is tried; its inertia about its own centre is small against those."""
 
+MIN_FRICTION_RATIO = 0.2
+"""Change of a joint's friction force over that force from which a brake or a contact is reported: friction of geared joints
+varies by tens of per cent with speed, load, position and temperature, and another part of the motion sees another part of it."""
+SLOW_SPEED_SHARES = (0.02, 0.06, 0.2)
+"""Speeds over the fastest at which Stribeck friction that the model may lack has fallen to a third: a logarithmic grid, as
+polynomials of the speed do not follow it."""
 MIN_FACTOR = 1e-3
 """Smallest factor by which forces are divided; a channel that dies has none."""
 MEMORY_PERIODS = 2.0
@@ -137,7 +144,12 @@ def find_changes(regression: Regression, shared: Mapping[Kind, Columns] | None =
     Args:
         regression: Columns and forces; nominal or fitted values play no part.
         shared: Columns (n, m, d) of each run of changes that act on all joints, by kind.
+
+    Returns:
+        The changes; empty also where the runs hold no positions and speeds, or too few rows for their columns.
     """
+    if any(not {"q", "v"} <= set(run.signals) for run in regression.runs):
+        return ()
     logs = list(dict.fromkeys(run.name for run in regression.runs))
     found: list[Change] = []
     for name in logs:
@@ -361,16 +373,11 @@ def _place(regression: Regression, output: int, columns: Columns) -> list[np.nda
 
 
 def _make_friction(regression: Regression, output: int) -> list[np.ndarray]:
-    """Return Coulomb and viscous friction (n, 2) of one joint, filtered as the fit's where the model has them."""
-    names = [name.partition("@")[0] for name in regression.parameters.names]
+    """Return Coulomb friction (n, 1) of one joint, filtered as the fit's where the model has it: a brake or contact adds it."""
     joint, found = regression.outputs[output], []
+    own = [k for k, name in enumerate(regression.parameters.names) if name.startswith(f"{joint}.coulomb")]
     for run in regression.runs:
-        parts = []
-        for law, plain in (("coulomb", np.sign), ("viscous", np.asarray)):
-            own = [k for k, name in enumerate(names) if name.startswith(f"{joint}.{law}")]
-            v = run.signals["v"][:, output] if "v" in run.signals else np.zeros(len(run.t))
-            parts.append(run.W[:, output, own].sum(axis=1) if own else plain(v))
-        found.append(np.stack(parts, axis=1))
+        found.append(run.W[:, output, own].sum(axis=1)[:, None] if own else np.sign(run.signals["v"][:, [output]]))
     return found
 
 
@@ -409,7 +416,8 @@ def _make_smooth(regression: Regression) -> list[list[np.ndarray]]:
     found = []
     for k in range(len(regression.outputs)):
         q, v = (np.concatenate([run.signals[x][:, k] for run in regression.runs]) for x in ("q", "v"))
-        basis = [*smooth(q), *smooth(v)]
+        slow = [np.exp(-np.abs(v) / max(share * np.abs(v).max(), 1e-300)) for share in SLOW_SPEED_SHARES]
+        basis = [*smooth(q), *smooth(v), *slow]
         basis += [np.sign(v) * c for c in (np.ones(len(v)), *basis)]
         found.append(np.split(np.column_stack(basis), ends))
     return found
@@ -519,16 +527,17 @@ def _test(data: _LogData, hypothesis: _Hypothesis, time_s: float, n_hypotheses: 
         return None, data
     if step.over_drift < MIN_2LOGL_DIFFERENCE:
         return None, data.drift(hypothesis, step.drift)
-    share, after, unit = _measure(data, hypothesis, step)
-    if share < MAX_LAW_ERROR:
+    taken = data.take(hypothesis, step.time_s, step.factor).leave_out(step.time_s)
+    share, before, after, unit = _measure(taken, hypothesis, step)
+    if share < 1:
         return None, data
-    kind, before = hypothesis.kind, 0.0
+    kind = hypothesis.kind
     if not hypothesis.columns:
-        kind, before = ("sign" if step.factor < 0 else "gain"), 1.0
+        kind = "sign" if step.factor < 0 else "gain"
     joint = "" if hypothesis.output < 0 else data.regression.outputs[hypothesis.output]
     name = data.regression.runs[0].name
     found = Change(name, joint, step.time_s, step.time_stderr_s, kind, before, after, unit, p_value)
-    return found, data.take(hypothesis, step.time_s, step.factor).leave_out(step.time_s)
+    return found, taken
 
 
 class _Step(NamedTuple):
@@ -659,25 +668,57 @@ def _list_drifts(t: np.ndarray, begin: float | None = None, end: float | None = 
     return [since, *(np.exp(-since / share) for share in DRIFT_TIME_SHARES)]
 
 
-def _measure(data: _LogData, hypothesis: _Hypothesis, step: _Step) -> tuple[float, float, str]:
-    """Return the rms of a step's force over the joint's force without its mean, the value after it, and its unit."""
+def _measure(data: _LogData, hypothesis: _Hypothesis, step: _Step) -> tuple[float, float, float, str]:
+    """Return the size of a change over the least that is reported, the values before and after it, and their unit.
+
+    The log has the change accounted for. Its size is the rms of its force, compared with the joint's force without its mean; of
+    friction with the joint's friction, too.
+    """
     if not hypothesis.columns:
-        return abs(step.factor - 1), step.factor, ""
-    shares = []
+        return abs(step.factor - 1) / MAX_LAW_ERROR, 1.0, step.factor, ""
+    output, sizes = hypothesis.output, [0.0]
     for k in range(len(data.regression.outputs)):
-        rows = [run.usable[:, k] for run in data.runs]
-        force = np.concatenate([run.y[m, k] for run, m in zip(data.runs, rows, strict=True)])
-        made = [
-            (c[:, k] @ step.amplitudes)[m & (run.t > step.time_s)]
-            for c, run, m in zip(hypothesis.columns, data.runs, rows, strict=True)
-        ]
-        added = np.concatenate(made)
+        force = np.concatenate([run.y[run.usable[:, k], k] for run in data.runs])
+        added = _add_step(data, hypothesis, step, k)
         if len(added) and np.std(force) > 0:
-            shares.append(float(np.sqrt(np.mean(added**2)) / np.std(force)))
-    unit = data.regression.units[max(hypothesis.output, 0)]
-    after = float(step.amplitudes[0])
-    if hypothesis.kind == "payload":
+            sizes.append(_measure_rms(added) / float(np.std(force)))
+    size, before, after = max(sizes) / MAX_LAW_ERROR, 0.0, float(step.amplitudes[0])
+    unit = data.regression.units[max(output, 0)]
+    if hypothesis.kind == "friction":
+        own, before = _estimate_friction(data, output)
+        least = MIN_FRICTION_RATIO * _measure_rms(own)
+        size = min(size, _measure_rms(_add_step(data, hypothesis, step, output)) / max(least, 1e-300))
+        after += before
+    elif hypothesis.kind == "payload":
         unit = "kg"
     elif hypothesis.kind == "gravity_direction":
         after, unit = float(np.linalg.norm(step.amplitudes)), "rad"
-    return max(shares, default=0.0), after, unit
+    return size, before, after, unit
+
+
+def _measure_rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
+def _add_step(data: _LogData, hypothesis: _Hypothesis, step: _Step, output: int) -> np.ndarray:
+    """Return the force of a step at the usable samples (n,) of an output after it."""
+    made = []
+    for c, run in zip(hypothesis.columns, data.runs, strict=True):
+        after = run.usable[:, output] & (run.t > step.time_s)
+        made.append(c[after, output] @ step.amplitudes)
+    return np.concatenate(made)
+
+
+def _estimate_friction(data: _LogData, output: int) -> tuple[np.ndarray, float]:
+    """Return a joint's friction at its usable samples (n,) and its mean Coulomb friction, by a fit of its force alone."""
+    joint, rows, y = data.regression.outputs[output], [], []
+    for columns, run in zip(data.columns, data.runs, strict=True):
+        rows.append(columns[run.usable[:, output], output])
+        y.append(run.y[run.usable[:, output], output])
+    W, names = np.concatenate(rows), data.regression.parameters.names
+    theta = solve_scaled(W, np.concatenate(y), 1e-7)
+    coulomb, viscous = (
+        [k for k, name in enumerate(names) if name.startswith(f"{joint}.{law}")] for law in ("coulomb", "viscous")
+    )
+    both = [*coulomb, *viscous]
+    return W[:, both] @ theta[both], float(theta[coulomb].mean()) if coulomb else 0.0

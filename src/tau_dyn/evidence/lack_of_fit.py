@@ -1,8 +1,8 @@
 r"""How much of each joint's force a model misses that is not the force's own noise.
 
-The noise is estimated in the upper half of the fit's band, f_c / 2 to f_c: motion ends at about a fifth of the low-pass' cutoff f_c,
-and friction that a model lacks is smooth in time but for reversals, which are masked. With the periodogram S of short stretches of
-the residual and the low-pass' gain |F|^2,
+The noise is estimated in the upper half of the fit's band, f_c / 2 to f_c: motion ends at about a fifth of the low-pass' cutoff
+f_c, and friction that a model lacks is smooth in time but for reversals, which are masked. With the periodogram S of short
+stretches of the residual and the low-pass' gain |F|^2,
 
     sigma^2 = mean(S / |F|^4 over the upper half) * integral of |F|^4,        R^2 = mean(e^2)
     missed share = sqrt(R^2 - sigma^2) / rms(tau)
