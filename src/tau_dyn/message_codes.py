@@ -7,7 +7,7 @@ parallel to `warnings`. `docs/reference/message_codes.md` is made from these tab
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple, Self
 
 UNCODED = "note"
@@ -15,19 +15,20 @@ UNCODED = "note"
 
 
 class CodedWarning(str):
-    """A sentence with a code, such as `lost_samples`."""
+    """A sentence with a code, such as `lost_samples`, and the joints that it is about where a program needs them."""
 
     code: str
+    joints: tuple[str, ...]
 
-    def __new__(cls, code: str, sentence: str) -> Self:
-        """Keep the code beside the sentence."""
+    def __new__(cls, code: str, sentence: str, joints: Sequence[str] = ()) -> Self:
+        """Keep code and joints with the sentence."""
         made = super().__new__(cls, sentence)
-        made.code = code
+        made.code, made.joints = code, tuple(joints)
         return made
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Keep the code where a result travels between processes."""
-        return CodedWarning, (self.code, str(self))
+        """Keep code and joints where a result travels between processes."""
+        return CodedWarning, (self.code, str(self), self.joints)
 
 
 class RepairedWarning(CodedWarning):
@@ -35,7 +36,7 @@ class RepairedWarning(CodedWarning):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Keep code and class where a result travels between processes."""
-        return RepairedWarning, (self.code, str(self))
+        return RepairedWarning, (self.code, str(self), self.joints)
 
 
 def get_code(sentence: str) -> str:
@@ -49,12 +50,18 @@ def format_with_code(sentence: str) -> str:
     return str(sentence) if code == UNCODED else f"{sentence} [{code}]"
 
 
-def format_warnings(warnings: Iterable[str]) -> dict[str, list[str]]:
-    """Return the two parallel lists of a JSON result, each sentence once."""
+def format_warnings(warnings: Iterable[str]) -> dict[str, Any]:
+    """Return the fields of a JSON result: sentences and their codes as parallel lists, and the joints by code, if any."""
     once = list(dict.fromkeys(warnings))
+    joints: dict[str, list[str]] = {}
+    for sentence in once:
+        if isinstance(sentence, CodedWarning) and sentence.joints:
+            named = joints.setdefault(sentence.code, [])
+            named += [joint for joint in sentence.joints if joint not in named]
     return {
         "warnings": [str(sentence) for sentence in once],
         "warning_codes": [get_code(sentence) for sentence in once],
+        **({"warning_joints": joints} if joints else {}),
     }
 
 
@@ -141,6 +148,9 @@ ERROR_CODES = INPUT_CODES | UNANSWERED_CODES | DEFECT_CODES
 WARNING_CODES: dict[str, MessageCode] = {
     "note": MessageCode("anything else", "read the sentence"),
     "contact": MessageCode("the tool rests on something", "keep such samples out of training; the fit leaves them out"),
+    "changes_within_log": MessageCode(
+        "a sign, gain, friction, tool or the base changes inside a log", "cut the log at the time stated"
+    ),
     "droop": MessageCode("a proportional servo stays behind its command at rest", "nothing; it is no backlash"),
     "gain_unknown": MessageCode(
         "no servo law: masses are known up to its gain", "`--controller LAW.yaml` or a weighed mass"
@@ -194,6 +204,10 @@ WARNING_CODES: dict[str, MessageCode] = {
         "plain least squares lies over 3 standard errors outside what is physical", "`diagnose`; a richer motion"
     ),
     "order_at_limit": MessageCode("`modes`: the highest order tried was taken", "`--order N`; a longer log"),
+    "poor_fit": MessageCode(
+        "over a fifth of a joint's force is neither fitted nor noise",
+        "`check` and `diagnose`; sign, unit and order of columns",
+    ),
     "repeated_samples": MessageCode("samples stand twice or stale", "log each sample once; they are left out"),
     "response_nonlinear": MessageCode(
         "`modes`: powers of the response explain over a tenth of the residual", "test at several levels of force"

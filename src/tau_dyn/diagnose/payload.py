@@ -26,7 +26,7 @@ from scipy.linalg import solve_triangular
 
 from tau_dyn.estimate import Estimate
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.robot import INERTIAL, NOMINAL_MASS_STDERR, NOT_GIVEN, LinkInertia, Robot
+from tau_dyn.robot import INERTIAL, NOMINAL_MASS_STDERR, NOT_GIVEN, LinkInertia, Robot, find_end_link
 
 SIGNIFICANCE_LEVEL = 0.01
 """Chance, over all explanations (Bonferroni), at which a fit of bodies as trusted gives one so much."""
@@ -180,18 +180,6 @@ def find_explanation(robot: Robot, difference: BaseParameterDifference) -> Expla
     heavier = best.cause == "payload" and from_file
     extra = ["link_mass"] if heavier or best.cause == "drive_gain" else []  # all masses off alike are all forces off
     return replace(best, p=best.p_value(whole, len(found)), twins=tuple(dict.fromkeys([*near, *extra])))
-
-
-def find_end_link(robot: Robot) -> LinkInertia | None:
-    """Return the link that carries the tool, or the only one on which nothing hangs; None where that is not one."""
-    by_joint = {link.joint_id: link for link in robot.links}
-    if robot.tool_frame is not None:
-        joint = int(robot.model.frames[robot.tool_frame].parentJoint)
-        if joint in by_joint:
-            return by_joint[joint]
-    parents = set(robot.model.parents)
-    leaves = [link for joint, link in by_joint.items() if joint not in parents]
-    return leaves[0] if len(leaves) == 1 else None
 
 
 def compute_body_properties(pi: np.ndarray, R: np.ndarray | None = None, p: np.ndarray | None = None) -> np.ndarray:

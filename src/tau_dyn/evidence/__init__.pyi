@@ -13,6 +13,13 @@ from .candidate_scan import (
     N_NULL_DRAWS as N_NULL_DRAWS,
     find_nonnegative as find_nonnegative,
 )
+from .changes import (
+    Change as Change,
+    build_shared_columns as build_shared_columns,
+    describe_changes as describe_changes,
+    find_changes as find_changes,
+    list_changes as list_changes,
+)
 from .channel import (
     EVERY as EVERY,
     TEST as TEST,
@@ -60,6 +67,11 @@ from .judge import (
     decide_verdict as decide_verdict,
     examine_channel as examine_channel,
     search_channel as search_channel,
+)
+from .lack_of_fit import (
+    MAX_MISSED_SHARE as MAX_MISSED_SHARE,
+    describe_poor_fits as describe_poor_fits,
+    find_poor_fits as find_poor_fits,
 )
 from .noise_only_bootstrap import (
     N_BOOTSTRAP_DRAWS as N_BOOTSTRAP_DRAWS,

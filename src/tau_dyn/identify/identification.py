@@ -17,6 +17,14 @@ import numpy as np
 
 from tau_dyn.effects import FRICTION_MODELS
 from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Preparation, Regression
+from tau_dyn.evidence import (
+    Change,
+    build_shared_columns,
+    describe_changes,
+    describe_poor_fits,
+    find_changes,
+    find_poor_fits,
+)
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.bands import PredictiveBands, build_predictive_bands
 from tau_dyn.identify.data import BuiltData, Data, drop_repeated_logs, get_log_list, list_provenance, require_forces
@@ -136,7 +144,11 @@ def identify(
     except CannotAnswer as fault:
         fault.warnings = tuple(dict.fromkeys(warnings))
         raise
+    progress("changes within the logs")
     trained, estimate = build_force_errors(settled.built.regression, settled.estimate.theta), settled.estimate
+    changes = _find_all_changes(_place(fitted, estimate), settled.built.regression, errors.regression if held else None)
+    warnings += describe_changes(changes)
+    warnings += describe_poor_fits(find_poor_fits(estimate.regression, estimate.residuals()))
     split = settled.built.regression.parameters
     nominal = fitted.parameters + Parameters([p for p in split if p.name not in fitted.parameters])
     compared = compare_logs(estimate, data.per_log, nominal)
@@ -162,8 +174,18 @@ def identify(
         force_offset=offset,
         per_log=compared,
         bands=errors.bands,
+        changes=changes,
         motors=estimate_motor_electrics(estimate),
     )
+
+
+def _find_all_changes(model: Model, train: Regression, held: Regression | None) -> tuple[Change, ...]:
+    """Return the changes within training and held-out logs, with a body at the tool and gravity at a fitted model's values."""
+    found: list[Change] = []
+    for regression in (train, held):
+        if regression is not None:
+            found += find_changes(regression, build_shared_columns(regression, model.mechanism))
+    return tuple(found)
 
 
 def _require_wls(estimator: str) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Regression, SufficientStatistics
+from tau_dyn.evidence import Change, list_changes
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.bands import PredictiveBands
 from tau_dyn.identify.per_log import PerLogParameter
@@ -114,6 +115,7 @@ class Identification(Shown):
         per_log: Parameters that have a value per log; `model` holds their mean.
         motors: Each motor's circuit, where its voltage is logged beside current or force.
         bands: Bands that should hold 90 % of the held-out samples; None where there are none or rows are on disk.
+        changes: Changes within a log, of its force, friction, tool or base.
     """
 
     model: Model
@@ -131,6 +133,7 @@ class Identification(Shown):
     force_offset: ForceOffset | None = None
     per_log: tuple[PerLogParameter, ...] = ()
     bands: PredictiveBands | None = None
+    changes: tuple[Change, ...] = ()
     motors: Parameters = Parameters(())
 
     @property
@@ -198,6 +201,7 @@ class Identification(Shown):
         return {
             "seed": self.seed,
             **format_warnings(self.warnings),
+            **list_changes(self.changes),
             "model": self.friction or "file",
             "estimator": self.estimator,
             "parameters": self.rows(),

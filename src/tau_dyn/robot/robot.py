@@ -297,6 +297,18 @@ class Robot(Shown):
         return np.where(one_number, _finite_or(limit[self.active_q], default), default)
 
 
+def find_end_link(robot: Robot) -> LinkInertia | None:
+    """Return the link that carries the tool, or the only one on which nothing hangs; None where that is not one."""
+    by_joint = {link.joint_id: link for link in robot.links}
+    if robot.tool_frame is not None:
+        joint = int(robot.model.frames[robot.tool_frame].parentJoint)
+        if joint in by_joint:
+            return by_joint[joint]
+    parents = set(robot.model.parents)
+    leaves = [link for joint, link in by_joint.items() if joint not in parents]
+    return leaves[0] if len(leaves) == 1 else None
+
+
 def get_inertial_parameters(link: LinkInertia) -> list[Parameter]:
     """Return a link's own parameters at their nominal values."""
     rows = []

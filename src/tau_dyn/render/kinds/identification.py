@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 from tau_dyn import results as r
+from tau_dyn.evidence import MAX_MISSED_SHARE
 from tau_dyn.identify import ForceErrors, Identification
 from tau_dyn.render.kinds import fit_quality
 from tau_dyn.render.kinds.parameter_rows import (
@@ -24,8 +25,8 @@ _MAX_COMBINATIONS = 4
 """Combinations of parameters that the screen lists."""
 _MAX_CURVES = 4
 """Friction curves that a notebook shows."""
-POOR_PERCENT = 20.0
-"""Held-out error above which a model is called unfit: one fifth of the force is missed."""
+POOR_PERCENT = 100 * MAX_MISSED_SHARE
+"""Held-out error above which a model is called unfit, as a joint's share above which its fit is called poor."""
 _HOPELESS_PERCENT = 50.0
 """Held-out error that no missing cause explains, while a column with a turned sign or in another unit does."""
 _LOOK = " Check signs, units and the order of columns first: tau-dyn check LOG ROBOT."
@@ -315,6 +316,9 @@ def describe_verdict(found: Identification, truth: Mapping[str, float] | None = 
     if error > POOR_PERCENT:
         look = _LOOK if error > _HOPELESS_PERCENT else ""
         return _judge("poor", f"Do not use it: {r.format_percent(error)} of the force is unexplained.{look}")
+    if found.changes:
+        times = r.format_list([f"{one.log} at {one.time_s:.4g} s" for one in found.changes], 3)
+        return _judge("care", f"Cut the log where it changes and fit its parts: {times}.")
     rough = {j: p for j, p in zip(judged.joints, judged.per_joint_percent, strict=True) if p > POOR_PERCENT}
     if rough:
         missed = r.format_list([f"{joint} ({r.format_percent(p)})" for joint, p in rough.items()], 3)
