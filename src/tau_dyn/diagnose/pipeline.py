@@ -22,12 +22,14 @@ from tau_dyn.diagnose.preparation import compute_border_gap_s
 from tau_dyn.diagnose.resonances import add_band_note, add_resonances
 from tau_dyn.diagnose.tool_channel import build_tool_channel
 from tau_dyn.effects import EFFECTS, Effect
+from tau_dyn.estimate import Regression
 from tau_dyn.evidence import (
     EVERY,
     FAMILY_LEVEL,
     MAX_LAW_ERROR,
     N_BOOTSTRAP_DRAWS,
     N_NULL_DRAWS,
+    Change,
     Channel,
     Claims,
     Diagnosis,
@@ -43,15 +45,21 @@ from tau_dyn.evidence import (
     Untestable,
     Waterfall,
     build_effects,
+    build_shared_columns,
     compute_detection_limits,
     compute_least_forces,
     decide_verdict,
     demote_small,
+    describe_changes,
     describe_diagnosis,
+    describe_poor_fits,
     describe_split,
     estimate_noise_floor,
     examine_channel,
+    find_changes,
+    find_poor_fits,
     fit_extended_model,
+    list_changes,
     measure_net_forces,
     recommend,
     search_channel,
@@ -70,11 +78,33 @@ _MEND = "mend the log or its column map as the first warning says, or record it 
 def diagnose_forces(
     case: FittedBaseline, *, seed: int = 0, progress: Progress = lambda step: None, warnings: Sequence[str] = ()
 ) -> Diagnosis:
-    """Find causes of what a fitted baseline leaves of the forces."""
+    """Find causes of the residual of a fitted baseline of forces, after changes within the logs."""
+    progress("changes within the logs")
+    changes = find_case_changes(case)
     progress("looking for resonances")
     channel, how = add_resonances(case.channel), describe_split(any(case.held), "logs")
-    warnings = (*warnings, *case.warnings)
-    return diagnose_channel(channel, case.nominal, how, seed=seed, progress=progress, warnings=warnings, case=case)
+    warnings = (*warnings, *case.warnings, *describe_changes(changes))
+    doubt = _describe_spoiled(warnings) or _describe_broken(changes)
+    found = diagnose_channel(
+        channel, case.nominal, how, seed=seed, progress=progress, warnings=warnings, case=case, doubt=doubt
+    )
+    return replace(found, further=list_changes(changes))
+
+
+def find_case_changes(case: FittedBaseline) -> tuple[Change, ...]:
+    """Return the changes within the logs of a case."""
+    channel = case.channel
+    regression = Regression(channel.parameters, channel.outputs, channel.units, channel.runs, case.preparation)
+    return find_changes(regression, build_shared_columns(regression, case.model.mechanism))
+
+
+def _describe_broken(changes: Sequence[Change]) -> str:
+    """Return why no cause may be confirmed if the force of a joint has another sign or scale in a part of a log; else empty."""
+    broken = [one for one in changes if one.kind in ("sign", "gain")]
+    if not broken:
+        return ""
+    one = broken[0]
+    return f"the {one.kind} of the force of {one.joint} changes within {one.log} at {one.time_s:.4g} s; use the parts as two logs"
 
 
 def diagnose_tool(
@@ -144,6 +174,7 @@ def diagnose_channel(
     progress: Progress = lambda step: None,
     warnings: Sequence[str] = (),
     case: FittedBaseline | None = None,
+    doubt: str = "",
 ) -> Diagnosis:
     """Find causes on a channel.
 
@@ -155,11 +186,11 @@ def diagnose_channel(
         progress: Called with a word for each step.
         warnings: What was doubtful before.
         case: Of forces, the fitted baseline behind the channel.
+        doubt: The reason why no cause may be confirmed; empty where there is none.
     """
     rng = np.random.default_rng(seed)
     options, loads, without, first = ExaminationOptions(rng, progress), [], None, None
     if case:
-        doubt = _describe_spoiled(warnings)
         options = _build_options(case, rng, progress, doubt)
         first = search_channel(channel, options)
         loads = find_loads(case, channel, build_effects(first[0].found), np.random.default_rng(seed))
@@ -172,8 +203,16 @@ def diagnose_channel(
     found = examine_channel(channel, options, first)
     if case:
         found = _with_parameters(found, model, case, options.doubt)
+        warnings = (*warnings, *_describe_poor_fits(found, case))
     answer = _answer(found, options, model, case, seed=seed, how=how, warnings=warnings)
     return report_loads(answer, loads, without)
+
+
+def _describe_poor_fits(found: Examination, case: FittedBaseline) -> Sequence[str]:
+    """Return a warning about the outputs of which the extended model misses much more than noise."""
+    last = found.bars.fits[-1]
+    regression = replace(last.regression, preparation=case.preparation)
+    return describe_poor_fits(find_poor_fits(regression, last.residuals))
 
 
 def _build_options(
