@@ -84,6 +84,7 @@ from .readings import (
     ReadingTest as ReadingTest,
     compute_zero_mean_nats as compute_zero_mean_nats,
     is_hopeless as is_hopeless,
+    is_part_missing as is_part_missing,
     is_preferred_in_each_half as is_preferred_in_each_half,
     permits_size as permits_size,
     permits_speed_scale as permits_speed_scale,

@@ -73,6 +73,12 @@ MIN_MODEL_ERROR = 0.002
 MAX_NUMBER_STDERR = 0.3
 """Largest relative standard error of a number that a reading estimates; beyond it, the log does not determine the reading."""
 
+MAX_LEFT = 0.15
+"""Share of gravity that may be left in forces from which a controller subtracted it: bodies of its model are 15 % off."""
+
+MAX_LEFT_AT_JOINT = 0.08
+"""The same for a single joint, which springs and counterweights balance to 60 to 90 %."""
+
 MIN_MEAN_SHARE = 0.15
 """Model's mean force, as a share of the joint's force, from which a mean of zero is remarkable: three times the model error."""
 
@@ -168,6 +174,11 @@ def is_hopeless(test: ReadingTest, fit: ReadingFit, counts: np.ndarray, used: np
     share = np.sqrt(fit.power) / test.size
     white = counts > 0.5 * used.sum(axis=0)
     return bool(np.any((share > EXPLAINED) & white & (counts > 0)) or np.any(share > MAX_FINE_SHARE))
+
+
+def is_part_missing(left: float, *, is_single: bool) -> bool:
+    """Return whether the share that is left of gravity, or of the bodies' forces, is consistent with none."""
+    return abs(left) < (MAX_LEFT_AT_JOINT if is_single else MAX_LEFT)
 
 
 def is_preferred_in_each_half(gains: Sequence[float]) -> bool:

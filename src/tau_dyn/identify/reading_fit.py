@@ -65,11 +65,13 @@ class Design:
         speed: Velocities as read (n, na), for friction.
         full: Regressor (n, na, p).
         static: Its part from gravity (n, na, p).
+        subtracted: Share of a part that a reading has subtracted from forces.
     """
 
     speed: np.ndarray
     full: np.ndarray
     static: np.ndarray
+    subtracted: float = 1.0
 
     def by_clock(self, factor: float) -> Design:
         """Return the columns where the robot moves `factor` times as fast: forces of motion grow with its square."""
@@ -210,7 +212,7 @@ class LogModel:
         for j, lack in enumerate(reading.lacks):
             kind = lack.removeprefix("file_")
             if kind in ("gravity", "model"):
-                subtracted = (design.static if kind == "gravity" else design.full)[:, j]
+                subtracted = design.subtracted * (design.static if kind == "gravity" else design.full)[:, j]
                 force[:, j] -= subtracted @ values
                 if lack == kind:
                     full[:, j] -= subtracted @ self.prior

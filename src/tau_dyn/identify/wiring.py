@@ -23,6 +23,7 @@ from tau_dyn.evidence import (
     MIN_POWER_DROP,
     ReadingFit,
     is_hopeless,
+    is_part_missing,
     is_preferred_in_each_half,
     permits_size,
     permits_speed_scale,
@@ -62,6 +63,9 @@ MIN_SCREENED_NATS = 3.0
 
 NUMBER_STEP = 0.03
 """Step of the differences for the curvature (logarithm): well below the standard error that the bodies' prior leaves."""
+
+LEFT_STEP = 0.1
+"""Step of the share of gravity that is left: what the bodies' prior does not determine better."""
 
 MIN_CURVATURE = 0.01
 """Least curvature of the log posterior: a standard error of a factor of e^10."""
@@ -214,7 +218,8 @@ class Search:
         if after is None or not test.is_mended(after, reading.joints, reading.tau_from, partly=True):
             return None
         if reading.lacks != current.lacks and fit is not None:
-            if not (test.accepts_lack(fit, after) and test.is_good(after, reading.joints, reading.tau_from)):
+            good = test.accepts_lack(fit, after) and test.is_good(after, reading.joints, reading.tau_from)
+            if not (good and is_part_missing(self._estimate_left(reading), is_single=len(reading.joints) == 1)):
                 return None
         elif not test.accepts(fit, after):
             return None
@@ -228,6 +233,17 @@ class Search:
         """Return whether the log determines the numbers of a reading."""
         errors = estimate_errors(self.model.thinned().bare(self.model.test), reading)
         return max(errors.values(), default=0.0) < MAX_NUMBER_STDERR
+
+    def _estimate_left(self, reading: Rewiring) -> float:
+        """Return the share that is left of the part that forces lack, at the maximum of a parabola through three fits."""
+        design = self.model.design(reading)
+        if design is None or "mean" in reading.lacks:
+            return 0.0
+        near, middle, far = (
+            self.model.solve(replace(design, subtracted=1 - left), reading).log_posterior for left in (-LEFT_STEP, 0.0, LEFT_STEP)
+        )
+        curvature = 2 * middle - near - far
+        return LEFT_STEP * (far - near) / 2 / curvature if curvature > 0 else np.inf
 
     def _gains_by_half(self, current: Rewiring, reading: Rewiring) -> list[float]:
         gains = []
