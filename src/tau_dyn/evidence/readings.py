@@ -1,19 +1,19 @@
 """When is another reading of a log accepted: another sign, joint, scale or clock of its columns, or forces without gravity?
 
-Readings have no parameter, or one number a column. Each is compared with the log as read by its log marginal likelihood, Laplace's
-approximation about the maximum a posteriori fit of a whole-robot model:
+Readings have no parameter, or one number a column. Each is compared with the log as read by its log marginal likelihood,
+Laplace's approximation about the maximum a posteriori fit of a whole-robot model (MacKay 1992; Kass & Raftery 1995):
 
     log p = -sum_j n_j log(sigma_j) - |u|^2 / 2 - log det(A / P) / 2,     n_j = effective number of samples
 
-with the prior's precision `P` and the posterior's `A` (MacKay 1992; Kass & Raftery 1995). A reading is named only if four
-conditions hold.
+with the prior's precision `P` and the posterior's `A`. A reading is named only if four conditions hold.
 
 1. **Gain**: more than `MIN_GAIN_NATS`, and it halves the residual's power of a joint or restores the bodies of the file.
-2. **Good fit**: the joints concerned are predicted to `MAX_GOOD_SHARE` once all faults are mended. A true reading is exact, so it leaves the sensor's noise
-   and the model's small errors; a machine that the model describes badly is not described well by another wrong model. Gains alone
-   do not separate the two: model errors are correlated between samples, and their likelihood ratio grows with the log's length.
-3. **Both halves agree**: columns are named once, so each half of the log prefers the reading by itself. A chance winner gains in
-   one half and loses in the other.
+2. **Good fit**: the joints concerned are predicted to `MAX_GOOD_SHARE`. A true reading is exact, so it leaves the sensor's noise
+   and the model's small errors; a machine that the model describes badly is not described well by another wrong model. Gains
+   alone do not separate the two: model errors are correlated between samples, and their likelihood ratio grows with the log's
+   length.
+3. **Both halves agree**: columns are named once, so each half of the log prefers the reading by itself. A chance winner gains
+   in one half and loses in the other.
 4. **No veto**: recorded velocities, and limits of position, speed and force in the robot file, do not contradict it.
 
 A column map is advised only after the log read so passes the test again, and each joint concerned is predicted well.
@@ -45,11 +45,8 @@ SPARED_NATS = 15.0
 """Gain of the prior alone from which a reading counts without a better fit [nats]: bodies as in the file, not absurd ones."""
 
 MAX_GOOD_SHARE = 0.15
-"""Largest residual of the joints concerned, as a share of their force, once all faults are mended; sound robots leave 2 to 15 %.
+"""Largest residual of the joints concerned, as a share of their force; sound robots leave 2 to 15 %.
 The force of a joint that swings nearly free is the small difference of large terms, and no reading of the log explains it."""
-
-MAX_PARTLY_SHARE = 0.3
-"""The same for one of several faults: the others still distort the bodies that the joints share."""
 
 MAX_HALF_LOSS_NATS = 1.0
 """Loss in one half of a log that is no objection [nats]: a half without evidence has a ratio of likelihoods near one."""
@@ -76,7 +73,7 @@ MAX_NUMBER_STDERR = 0.3
 MAX_LEFT = 0.15
 """Share of gravity that may be left in forces from which a controller subtracted it: bodies of its model are 15 % off."""
 
-MAX_LEFT_AT_JOINT = 0.08
+MAX_LEFT_AT_JOINT = 0.05
 """The same for a single joint, which springs and counterweights balance to 60 to 90 %."""
 
 MIN_MEAN_SHARE = 0.15
@@ -136,18 +133,22 @@ class ReadingTest:
         """Return whether a reading gains enough, and mends a joint or spares the bodies; `before` is None where no fit exists."""
         if self.is_fine and np.any(np.sqrt(after.power) > EXPLAINED * self.size):
             return False
-        if before is None:  # as logged, the robot does not reach the positions; a robot that explains no force has log_p 0
+        if (
+            before is None
+        ):  # as logged, the robot does not reach the positions; a robot that explains no force has log_p 0
             return after.log_p > MIN_GAIN_NATS
         gain = after.log_p - before.log_p
-        drop = np.min(np.maximum(after.power, self.floor) / np.maximum(before.power, self.floor))
+        least = (MIN_MODEL_ERROR * self.size) ** 2 if self.is_fine else self.floor
+        drop = np.min(np.maximum(after.power, least) / np.maximum(before.power, least))
         spared = before.prior - after.prior
         return bool(gain > MIN_GAIN_NATS and (drop < MIN_POWER_DROP or spared > SPARED_NATS))
 
-    def is_mended(self, after: ReadingFit, joints: Sequence[int], columns: Sequence[int], *, partly: bool = False) -> bool:
+    def is_mended(
+        self, after: ReadingFit, joints: Sequence[int], columns: Sequence[int], *, partly: bool = False
+    ) -> bool:
         """Return whether the joints concerned, read from columns (na,), are predicted well together."""
         size, which = self.size[list(columns)], list(joints) or list(range(len(columns)))
-        limit = MAX_PARTLY_SHARE if partly else MAX_GOOD_SHARE
-        return bool(np.sum(after.power[which]) <= limit**2 * np.sum(size[which] ** 2))
+        return bool(np.sum(after.power[which]) <= MAX_GOOD_SHARE**2 * np.sum(size[which] ** 2))
 
     def is_good(self, after: ReadingFit, joints: Sequence[int], columns: Sequence[int]) -> bool:
         """Return whether each joint concerned, read from columns (na,), is predicted well."""

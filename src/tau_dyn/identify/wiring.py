@@ -1,10 +1,10 @@
 """Do the columns of a log belong to this robot file: signs, joints, scales, clock, gravity, and forces that lack a part?
 
-The log as read is compared with the readings of `wiring_alternatives.py`. `reading_fit.py` computes the log marginal likelihood of
-each, and `evidence/readings.py` decides whether one is named. Scales are numbers: the search starts at a grid, and a bounded search
-over the logarithm finds the maximum, with a standard error from the curvature. After the last fault the whole map is tried: the
-search runs again on the log as read, and only a log without a further fault, in which the joints concerned are predicted well,
-gives the advice of a column map. It has one line a column.
+The log as read is compared with the readings of `wiring_alternatives.py`. `reading_fit.py` computes the log marginal likelihood
+of each, and `evidence/readings.py` decides whether one is named. Scales are numbers: the search starts at a grid, and a bounded
+search over the logarithm finds the maximum, with a standard error from the curvature. After the last fault the whole map is
+tried: the search runs again on the log as read, and only a log without a further fault, in which the joints concerned are
+predicted well, gives the advice of a column map. It has one line a column.
 """
 
 from __future__ import annotations
@@ -64,6 +64,15 @@ MIN_SCREENED_NATS = 3.0
 NUMBER_STEP = 0.03
 """Step of the differences for the curvature (logarithm): well below the standard error that the bodies' prior leaves."""
 
+MAX_STEP_NATS = 4.0
+"""Loss at which a step is halved [nats]: beyond about three standard errors the posterior is no parabola."""
+
+MIN_STEP_NATS = 0.5
+"""Loss below which a step is too short to show the curvature [nats]."""
+
+MIN_NUMBER_STEP = 1e-4
+"""Smallest step (logarithm): no unit or ratio needs more digits."""
+
 LEFT_STEP = 0.1
 """Step of the share of gravity that is left: what the bodies' prior does not determine better."""
 
@@ -92,7 +101,14 @@ TURN_RAD = 2 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class Fault:
-    """A reading that is accepted, with the fits before and after; or one that the log cannot distinguish from the fault before."""
+    """A reading that is accepted, with the fits before and after.
+
+    Attributes:
+        reading: The reading.
+        before: The fit without it; None where the robot cannot reach the positions as logged.
+        after: The fit with it.
+        is_alias: Whether the log cannot distinguish it from the fault named before.
+    """
 
     reading: Rewiring
     before: ReadingFit | None
@@ -150,15 +166,7 @@ class Search:
                 break
             faults += found
             current, fit = found[0].reading, found[0].after
-        while faults and not self._is_mended(faults):
-            faults.pop()
         return faults
-
-    def _is_mended(self, faults: list[Fault]) -> bool:
-        """Return whether the last reading predicts the joints of all faults well."""
-        last = next(fault for fault in reversed(faults) if not fault.is_alias)
-        joints = sorted({j for fault in faults for j in fault.reading.joints})
-        return self.model.test.is_mended(last.after, joints, last.reading.tau_from)
 
     def find_best(self, current: Rewiring, fit: ReadingFit | None) -> list[Fault]:
         """Return the reading that gains most, and those that cannot be told from it and have another code."""
@@ -215,7 +223,7 @@ class Search:
         if not self._is_permitted(reading):
             return None
         after, test = self.model.fit(reading), self.model.test
-        if after is None or not test.is_mended(after, reading.joints, reading.tau_from, partly=True):
+        if after is None or not test.is_mended(after, reading.joints, reading.tau_from):
             return None
         if reading.lacks != current.lacks and fit is not None:
             good = test.accepts_lack(fit, after) and test.is_good(after, reading.joints, reading.tau_from)
@@ -240,7 +248,8 @@ class Search:
         if design is None or "mean" in reading.lacks:
             return 0.0
         near, middle, far = (
-            self.model.solve(replace(design, subtracted=1 - left), reading).log_posterior for left in (-LEFT_STEP, 0.0, LEFT_STEP)
+            self.model.solve(replace(design, subtracted=1 - left), reading).log_posterior
+            for left in (-LEFT_STEP, 0.0, LEFT_STEP)
         )
         curvature = 2 * middle - near - far
         return LEFT_STEP * (far - near) / 2 / curvature if curvature > 0 else np.inf
@@ -259,7 +268,9 @@ class Search:
         source, q_scale = list(reading.q_from), np.abs(reading.q_scale)
         ratio = np.full(robot.na, reading.t_scale) / q_scale
         inside = [is_within_reach(robot, j, model.q[:, source[j]]) for j in range(robot.na)]
-        foreign = ~np.array(inside) & (reading.t_scale == 1)  # velocities of an encoder in another unit are in that unit
+        foreign = ~np.array(inside) & (
+            reading.t_scale == 1
+        )  # velocities of an encoder in another unit are in that unit
         recorded = np.where(foreign, np.nan, self.records.speed_ratio[source])
         if not permits_speed_scale(recorded, ratio):
             return False
@@ -319,7 +330,9 @@ class Search:
                 found.append((reading, fit.log_p))
         return found
 
-    def _search_ratios(self, quick: LogModel, current: Rewiring, joints: list[int], with_force: bool) -> dict[int, float]:
+    def _search_ratios(
+        self, quick: LogModel, current: Rewiring, joints: list[int], with_force: bool
+    ) -> dict[int, float]:
         """Return the gear ratio of each joint, by coordinate ascent over a grid of both signs."""
         robot = self.model.robot
         q, _, _ = self.model.motion(current)
@@ -352,7 +365,9 @@ def refine_numbers(model: LogModel, reading: Rewiring, numbers: tuple[Number, ..
         for number in numbers:
             design = model.design(reading) if number[0] == "tau" else None
 
-            def loss(x: float, number: Number = number, design: Design | None = design, at: Rewiring = reading) -> float:
+            def loss(
+                x: float, number: Number = number, design: Design | None = design, at: Rewiring = reading
+            ) -> float:
                 fit = model.fit(at.times(number, float(np.exp(x))), design)
                 return np.inf if fit is None else -fit.log_posterior
 
@@ -365,7 +380,9 @@ def refine_numbers(model: LogModel, reading: Rewiring, numbers: tuple[Number, ..
 def separate_numbers(model: LogModel, reading: Rewiring) -> Rewiring:
     """Return the reading with one number a column, at the maximum: torque constants and units belong to single drives."""
     numbers = tuple(
-        dict.fromkeys((signal, (j,)) if joints else (signal, joints) for signal, joints in reading.numbers for j in joints or (0,))
+        dict.fromkeys(
+            (signal, (j,)) if joints else (signal, joints) for signal, joints in reading.numbers for j in joints or (0,)
+        )
     )
     reading = refine_numbers(model, replace(reading, numbers=numbers), numbers)
     for _ in range(NEWTON_STEPS if len(numbers) > 1 else 0):
@@ -401,17 +418,32 @@ def _expand(model: LogModel, reading: Rewiring) -> tuple[np.ndarray, np.ndarray]
             trial = trial.times(number, float(np.exp(x)))
         return _compute_posterior(model, trial)
 
+    def find_step(number: Number) -> tuple[float, float, float]:
+        step, found = NUMBER_STEP, (0.0, 0.0, 0.0)
+        while True:
+            up, down = (compute((number, x)) for x in (step, -step))
+            loss = middle - min(up, down)
+            if found[0] and loss < MIN_STEP_NATS:  # a plateau: the residual is below the model error
+                return found
+            if loss < MAX_STEP_NATS or step < MIN_NUMBER_STEP:
+                return step, up, down
+            step, found = step / 2, (step, up, down)
+
     middle = compute()
-    ends = np.array([[compute((number, s * NUMBER_STEP)) for s in (1, -1)] for number in numbers]).reshape(n, 2)
-    H = np.diag((2 * middle - ends.sum(axis=1)) / NUMBER_STEP**2)
+    found = np.array([find_step(number) for number in numbers]).reshape(n, 3)
+    steps, ends = found[:, 0], found[:, 1:]
+    losses = 2 * middle - ends.sum(axis=1)
+    H = np.diag(losses / steps**2)
     for i in range(n):
         for k in range(i):
-            both = compute((numbers[i], NUMBER_STEP), (numbers[k], NUMBER_STEP))
-            H[i, k] = H[k, i] = (ends[i, 0] + ends[k, 0] - middle - both) / NUMBER_STEP**2
+            both = [compute((numbers[i], s * steps[i]), (numbers[k], s * steps[k])) for s in (1, -1)]
+            H[i, k] = H[k, i] = (2 * middle - sum(both) - losses[i] - losses[k]) / (2 * steps[i] * steps[k])
     if not np.all(np.isfinite(H)):
         return np.zeros(n), np.full((n, n), np.inf)
     values, vectors = np.linalg.eigh(H)
-    gradient = (ends[:, 0] - ends[:, 1]) / (2 * NUMBER_STEP)
+    if n and values[0] < MIN_CURVATURE:  # edges of a plateau are no parabola
+        values, vectors = np.diag(H), np.eye(n)
+    gradient = (ends[:, 0] - ends[:, 1]) / (2 * steps)
     return gradient, vectors @ np.diag(1 / np.maximum(values, MIN_CURVATURE)) @ vectors.T
 
 
@@ -443,8 +475,11 @@ def _describe_fault(robot: Robot, name: str, fault: Fault, mend: Mend) -> str:
     mine = [number for number in mend.reading.numbers if set(number[1]) <= set(reading.joints)]
     words = reading.words.replace("{number}", _format_numbers(robot, mine, mend))
     start = f"{name}: {'or ' if fault.is_alias else ''}{words}."
-    if "{number}" in reading.words and (worst := max((mend.errors.get(x, 0.0) for x in mine), default=0.0)) > MAX_ROUNDED:
-        start += f" The log gives it to {100 * worst:.0f} %, as the bodies of the robot file are uncertain; a data sheet is better."
+    if (
+        "{number}" in reading.words
+        and (worst := max((mend.errors.get(x, 0.0) for x in mine), default=0.0)) > MAX_ROUNDED
+    ):
+        start += f" The log gives it to {100 * worst:.0f} %, as the bodies of the robot file are uncertain; prefer a data sheet."
     return f"{start} Evidence: {_describe_evidence(robot, fault)}"
 
 

@@ -1,8 +1,8 @@
 """The readings of a log: the ways in which its columns may differ from what the robot file says.
 
-Signs, exchanged joints, scales and clocks of the columns, the direction of gravity, and forces that lack a part which a controller
-or a filter subtracted: one thing at a time. Scales are starting values of a number that is estimated. A reading also gives the
-lines of the column map that mends the log, one a column.
+Signs, exchanged joints, scales and clocks of the columns, the direction of gravity, and forces that lack a part which a
+controller or a filter subtracted: one thing at a time. Scales are starting values of a number that is estimated. A reading also
+gives the lines of the column map that mends the log, one a column.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ UNITS = {"q": (180 / np.pi, 1000.0, 100.0), "tau": (1000.0,), "t": (1e3, 1e6, 1e
 """Conversions of units: degrees, mm and mrad, cm; mN m; ms, us, ns. Their inverses count as well."""
 
 Number = tuple[str, tuple[int, ...]]
-"""A factor that a reading estimates: `tau`, `q`, `gear` (q times and tau over the factor) or `t`, and the joints that share it."""
+"""A factor that a reading estimates, and the joints that share it: `tau`, `q`, `t`, or `gear` (q times and tau over it)."""
 
 LACKING = {
     "gravity": (
         "gravity_subtracted",
-        "lack{s} gravity: the controller subtracted it, or {balanced}. Log the motor torque, or add the nominal gravity of the "
-        "robot file back",
+        "lack{s} gravity: the controller subtracted it, or {balanced}. Log the motor torque, or add the nominal gravity of "
+        "the robot file back",
     ),
     "model": (
         "model_subtracted",
-        "lack{s} the forces of the bodies, and only friction is left: the controller subtracted its rigid-body model. Log the motor "
-        "torque, or add the nominal force of the robot file back",
+        "lack{s} the forces of the bodies, and only friction is left: the controller subtracted its rigid-body model. Log the "
+        "motor torque, or add the nominal force of the robot file back",
     ),
     "mean": (
         "mean_removed",
@@ -145,7 +145,9 @@ def _lacking(robot: Robot, now: Rewiring, kind: str, group: Sequence[int]) -> Re
     code, text = LACKING[kind.removeprefix("file_")]
     one = len(group) == 1
     who = f"the force of {robot.actuated[group[0]]}" if one else "the forces of all joints"
-    balanced = "a spring or counterweight balances the joint" if one else "the bodies are balanced, unlike those of the robot file"
+    balanced = (
+        "a spring or counterweight balances the joint" if one else "the bodies are balanced, unlike the robot file's"
+    )
     words = f"{who} {text}".format(s="s" if one else "", their="its" if one else "their", balanced=balanced)
     lacks = now.lacks or ("",) * robot.na
     lacks = tuple(kind if j in group else x for j, x in enumerate(lacks))
@@ -192,7 +194,9 @@ def _sign_changes(robot: Robot, now: Rewiring) -> Iterator[Rewiring]:
         turned = partial(replace, now, code="sign_reversed", joints=(j,))
         yield turned(tau_scale=tau, words=f"the force of {joint} has the wrong sign")
         yield turned(q_scale=q, words=f"the position of {joint} has the wrong sign")
-        both = f"position and force of {joint} both have the wrong sign: its axis points the other way in the robot file"
+        both = (
+            f"position and force of {joint} both have the wrong sign: its axis points the other way in the robot file"
+        )
         yield turned(q_scale=q, tau_scale=tau, words=both)
     everyone = tuple(range(robot.na))
     if robot.na > 1:
