@@ -10,6 +10,7 @@ predicted well, gives the advice of a column map. It has one line a column.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -85,6 +86,9 @@ NEWTON_STEPS = 4
 ROUNDING_STDERRS = 2.0
 """Standard errors within which an estimate is rounded to a conversion of units."""
 
+MIN_ROUNDED = 0.02
+"""Relative difference from a conversion of units that is always rounded: geometry and bodies of the file are not better."""
+
 MAX_ROUNDED = 0.05
 """Largest relative change of an estimate by rounding; beyond it the estimate is no evidence for the unit."""
 
@@ -94,6 +98,9 @@ joint moves by a radian."""
 
 TYPICAL_TRAVEL = 0.6
 """Travel of a motion as a share of a joint's range, for the first gear ratio of a search."""
+
+MAX_SIGNED_JOINTS = 3
+"""Largest number of joints for which the search starts from every pattern of signs: mirrored arms are local maxima."""
 
 TURN_RAD = 2 * np.pi
 """Range of a joint without limits, for the same [rad]."""
@@ -324,7 +331,7 @@ class Search:
             return []
         found = []
         for with_force in (True, False):
-            ratios = self._search_ratios(quick, current, beyond, with_force)
+            ratios = self._search_ratios(quick.thinned(), current, beyond, with_force)
             reading = move_to_motor_side(robot, current, list(ratios.items()), with_force)
             if (fit := quick.fit(reading)) is not None:
                 found.append((reading, fit.log_p))
@@ -338,25 +345,41 @@ class Search:
         q, _, _ = self.model.motion(current)
         width = np.where(np.isfinite(robot.upper - robot.lower), robot.upper - robot.lower, TURN_RAD)
         width = np.minimum(width, TURN_RAD)
-        ratios = {j: float(np.ptp(q[:, j]) / (TYPICAL_TRAVEL * width[j])) for j in joints}
+        first = {j: float(np.ptp(q[:, j]) / (TYPICAL_TRAVEL * width[j])) for j in joints}
+        grid = {j: self._list_ratios(j, q[:, j]) for j in joints}
+
+        known: dict[tuple[float, ...], float] = {}
 
         def compute(trial: dict[int, float]) -> float:
-            fit = quick.fit(move_to_motor_side(robot, current, list(trial.items()), with_force))
-            return -np.inf if fit is None else fit.log_p
+            if (key := tuple(trial.values())) not in known:
+                known[key] = _compute_posterior(
+                    quick, move_to_motor_side(robot, current, list(trial.items()), with_force)
+                )
+            return known[key]
 
-        best = compute(ratios)
-        for _ in range(3):
-            last = dict(ratios)
-            for j in joints:
-                known = robot.gear_ratios.get(robot.actuated[j])
-                grid = [s * x for x in (*RATIOS, *([abs(known)] if known else [])) for s in (1.0, -1.0)]
-                reach = [x for x in grid if is_within_reach(robot, j, q[:, j] / x)]
-                for ratio in reach:
-                    if (value := compute(ratios | {j: ratio})) > best + 1e-9:
+        def climb(ratios: dict[int, float]) -> tuple[float, dict[int, float]]:
+            best = compute(ratios)
+            for _ in range(3):
+                last = ratios
+                for j in joints:
+                    value, ratio = max((compute(ratios | {j: x}), x) for x in grid[j])
+                    if value > best + 1e-9:
                         best, ratios = value, ratios | {j: ratio}
-            if ratios == last:
-                break
-        return ratios
+                if ratios == last:
+                    break
+            return best, ratios
+
+        signs = product((1.0, -1.0), repeat=len(joints)) if len(joints) <= MAX_SIGNED_JOINTS else [(1.0,) * len(joints)]
+        starts = [{j: sign * first[j] for j, sign in zip(joints, pattern, strict=True)} for pattern in signs]
+        return max((climb(start) for start in starts), key=lambda item: item[0])[1]
+
+    def _list_ratios(self, j: int, q: np.ndarray) -> list[float]:
+        """Return the gear ratios of both signs with which positions (n,) are within a joint's limits."""
+        known = self.model.robot.gear_ratios.get(self.model.robot.actuated[j])
+        sizes = (*RATIOS, *([abs(known)] if known else []))
+        return [x for size in sizes for x in (size, -size) if is_within_reach(self.model.robot, j, q / x)] or [
+            RATIOS[-1]
+        ]
 
 
 def refine_numbers(model: LogModel, reading: Rewiring, numbers: tuple[Number, ...], reach: float = REACH) -> Rewiring:
@@ -454,7 +477,7 @@ def round_to_units(reading: Rewiring, errors: dict[Number, float]) -> Rewiring:
         for unit in UNITS.get(number[0], ()):
             for factor in (unit / value, 1 / unit / value):
                 off = abs(np.log(factor))
-                if off < min(MAX_ROUNDED, max(ROUNDING_STDERRS * error, 1e-3)):
+                if off < min(MAX_ROUNDED, max(ROUNDING_STDERRS * error, MIN_ROUNDED)):
                     reading = reading.times(number, factor)
     return reading
 
