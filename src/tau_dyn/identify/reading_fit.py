@@ -95,7 +95,7 @@ class LogModel:
     is_bare: bool = False
 
     @classmethod
-    def of(cls, robot: Robot, excerpt: Excerpt, mean: np.ndarray | None = None) -> LogModel:
+    def of(cls, robot: Robot, excerpt: Excerpt, mean: np.ndarray) -> LogModel:
         """Take every so manieth sample; `mean` is the mean force of the whole log (na,)."""
         every = max(1, len(excerpt.q) // N_COMPARED)
         used = excerpt.used[::every]
@@ -103,7 +103,6 @@ class LogModel:
         used = used & (used.sum(axis=0) >= MIN_ROWS)
         squares = np.where(used, tau**2, 0.0).sum(axis=0) / np.maximum(used.sum(axis=0), 1)
         size = np.sqrt(np.where(squares > 0, squares, 1.0))
-        mean = excerpt.tau.mean(axis=0) if mean is None else mean
         counts = used.sum(axis=0) / 2.0
         return cls(robot, build_mechanism(robot), q, v, a, tau, used, counts, mean, ReadingTest(size, MODEL_ERROR))
 
