@@ -184,6 +184,10 @@ WARNING_CODES: dict[str, MessageCode] = {
         "a first-order lag explains the force better than a delay", "log the force before the filter"
     ),
     "gravity_direction": MessageCode("gravity acts from another side", "turn the base in the robot file"),
+    "gravity_subtracted": MessageCode(
+        "forces lack gravity: the controller subtracted it, or the bodies are balanced unlike the file's",
+        "log the motor torque; add the file's gravity back",
+    ),
     "held_channel": MessageCode(
         "a channel stands still while its joint moves, or is updated less often than logged",
         "log all channels at one rate; frozen positions are left out",
@@ -199,6 +203,11 @@ WARNING_CODES: dict[str, MessageCode] = {
     "lost_samples": MessageCode(
         "samples are missing under an even clock",
         "log time stamps; the clock is corrected up to 1 %, else record again",
+    ),
+    "mean_removed": MessageCode("the mean of a force was removed", "log the force without this processing"),
+    "model_subtracted": MessageCode(
+        "forces lack all that the bodies need: the controller subtracted its model",
+        "log the motor torque; add the file's nominal force back",
     ),
     "not_physical": MessageCode(
         "plain least squares lies over 3 standard errors outside what is physical", "`diagnose`; a richer motion"

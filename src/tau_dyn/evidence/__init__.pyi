@@ -96,6 +96,22 @@ from .plausibility import (
     measure_net_forces as measure_net_forces,
     measure_scales as measure_scales,
 )
+from .readings import (
+    ALIAS_NATS as ALIAS_NATS,
+    MAX_NUMBER_STDERR as MAX_NUMBER_STDERR,
+    MAX_ZERO_MEAN as MAX_ZERO_MEAN,
+    MIN_GAIN_NATS as MIN_GAIN_NATS,
+    MIN_POWER_DROP as MIN_POWER_DROP,
+    NATS_PER_NUMBER as NATS_PER_NUMBER,
+    ReadingFit as ReadingFit,
+    ReadingTest as ReadingTest,
+    compute_zero_mean_nats as compute_zero_mean_nats,
+    is_hopeless as is_hopeless,
+    is_part_missing as is_part_missing,
+    is_preferred_in_each_half as is_preferred_in_each_half,
+    permits_size as permits_size,
+    permits_speed_scale as permits_speed_scale,
+)
 from .result import (
     Choice as Choice,
     Finding as Finding,

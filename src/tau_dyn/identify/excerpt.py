@@ -43,6 +43,12 @@ MAX_SATURATED = 0.05
 MIN_SAMPLES = 40
 """Fewer usable samples of all joints together say nothing."""
 
+MAX_COMPUTED = 1e-6
+"""Relative difference from differentiated positions below which a velocity was computed from them, and is no second record."""
+
+MIN_COHERENCE = 0.95
+"""Correlation from which a recorded velocity is that of the joint; noise of sensors leaves more, another joint less."""
+
 
 @dataclass(frozen=True, eq=False)
 class Excerpt:
@@ -67,6 +73,49 @@ class Excerpt:
     used: np.ndarray
     dt: float
     cutoff_hz: float
+
+
+@dataclass(frozen=True, eq=False)
+class Records:
+    """What a log itself says about its readings.
+
+    Attributes:
+        speed_ratio: Recorded velocity over the derivative of the position (na,); nan without an independent record.
+        mean_force: Mean of each force over the whole log (na,) [N or N m].
+        force_deviation: Standard deviation of each force (na,) [N or N m].
+    """
+
+    speed_ratio: np.ndarray
+    mean_force: np.ndarray
+    force_deviation: np.ndarray
+
+    @classmethod
+    def of(cls, robot: Robot, excerpt: Excerpt, log: Log | None = None) -> Records:
+        """Take the velocities of an excerpt and the forces of the whole log."""
+        tau = (excerpt.log if log is None else log).joint("tau", robot.actuated)
+        ratio = np.array([_compare_speeds(excerpt, k, joint) for k, joint in enumerate(robot.actuated)])
+        return cls(ratio, tau.mean(axis=0), tau.std(axis=0))
+
+
+def _compare_speeds(excerpt: Excerpt, k: int, joint: str) -> float:
+    """Return the slope of a joint's recorded velocity over the derivative of its position; nan without an independent record."""
+    log = excerpt.log
+    if not log.has("v", [joint]):
+        return np.nan
+    raw, q = log.joint("v", [joint])[:, 0], log.joint("q", [joint])[:, 0]
+    size = float(np.sqrt(np.mean(raw**2)))
+    differences = (np.gradient(q, log.dt)[1:-1], np.diff(q)[1:] / log.dt, np.diff(q)[:-1] / log.dt)
+    if any(np.sqrt(np.mean((raw[1:-1] - x) ** 2)) < MAX_COMPUTED * size for x in differences):
+        return np.nan  # computed from the positions with the log's own clock
+    factor = max(1, round(excerpt.dt / log.dt))
+    recorded = decimate(lowpass(raw[:, None], excerpt.cutoff_hz, log.rate_hz), factor)[:, 0]
+    used = excerpt.used[:, k]
+    v, recorded = excerpt.v[used, k], recorded[: len(used)][used]
+    if used.sum() < MIN_SAMPLES or not np.any(v) or not np.any(recorded):
+        return np.nan
+    slope = float(v @ recorded / (v @ v))
+    coherence = abs(v @ recorded) / np.sqrt((v @ v) * (recorded @ recorded))
+    return slope if coherence > MIN_COHERENCE else np.nan
 
 
 def make_excerpt(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...] = ()) -> Excerpt | None:

@@ -15,7 +15,7 @@ from hashlib import blake2b
 
 import numpy as np
 
-from tau_dyn.identify.excerpt import make_excerpt
+from tau_dyn.identify.excerpt import Records, make_excerpt
 from tau_dyn.identify.preparation import find_excluded_samples, widen
 from tau_dyn.identify.timing import check_timing
 from tau_dyn.identify.wiring import check_wiring
@@ -29,6 +29,9 @@ SPOILING = frozenset(
         "joints_exchanged",
         "scale_wrong",
         "gravity_direction",
+        "gravity_subtracted",
+        "model_subtracted",
+        "mean_removed",
         "lost_samples",
         "repeated_samples",
         "force_at_limit",
@@ -117,7 +120,9 @@ def _against_columns(robot: Robot, log: Log, name: str, exclude: tuple[str, ...]
         content.update(channel.encode() + values.tobytes())
     if (known := _FOUND.get(content.digest())) is None:
         excerpt = make_excerpt(robot, resample_segments(log), exclude)
-        found = excerpt and (check_wiring(robot, excerpt, name) or check_timing(robot, excerpt, name))
+        found = excerpt and (
+            check_wiring(robot, excerpt, name, Records.of(robot, excerpt, log)) or check_timing(robot, excerpt, name)
+        )
         known = _FOUND[content.digest()] = tuple(found or ())
         if len(_FOUND) > MAX_FOUND:
             _FOUND.pop(next(iter(_FOUND)), None)

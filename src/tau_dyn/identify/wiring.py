@@ -1,424 +1,531 @@
-"""Do the columns of a log belong to this robot file: signs, joints, scales, and the direction of gravity?
+"""Do the columns of a log belong to this robot file: signs, joints, scales, clock, gravity, and forces that lack a part?
 
-Whole-robot least squares with the file's bodies as a prior (25 % a body), friction and drive inertia not below zero, and a
-constant offset of each drive. The log as it is read is compared with logs in which one thing is turned: the sign of a joint's q,
-tau, or both; two joints exchanged; a joint's or all forces or positions in another scale; another clock; gravity from another
-side. `log p` is the maximum a posteriori log-likelihood with the residual's standard deviation of each joint as a free scale, at
-least 5 % of the joint's force:
-
-    log p = -sum_j n_j log(sigma_j) - |u|^2 / 2,      n_j = effective number of samples (autocorrelation)
-
-An alternative is named where it gains more than 30 nats (a Bayes factor of 1e13) and halves the residual's power somewhere, or
-where only it spares the bodies. Missing drive inertia, a payload, friction of any asymmetry and bodies 40 % off fit the prior, so
-they gain nothing.
+The log as read is compared with the readings of `wiring_alternatives.py`. `reading_fit.py` computes the log marginal likelihood
+of each, and `evidence/readings.py` decides whether one is named. Scales are numbers: the search starts at a grid, and a bounded
+search over the logarithm finds the maximum, with a standard error from the curvature. After the last fault the whole map is
+tried: the search runs again on the log as read, and only a log without a further fault, in which the joints concerned are
+predicted well, gives the advice of a column map. It has one line a column.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import lsq_linear
+from scipy.optimize import minimize_scalar
 
-from tau_dyn.exceptions import InputError, LoopClosureError
-from tau_dyn.identify.excerpt import Excerpt, compute_clipped_power
-from tau_dyn.identify.wiring_alternatives import Rewiring, list_alternatives
-from tau_dyn.mechanism import Mechanism, build_mechanism
+from tau_dyn.evidence import (
+    ALIAS_NATS,
+    MAX_NUMBER_STDERR,
+    MAX_ZERO_MEAN,
+    MIN_GAIN_NATS,
+    MIN_POWER_DROP,
+    ReadingFit,
+    is_hopeless,
+    is_part_missing,
+    is_preferred_in_each_half,
+    permits_size,
+    permits_speed_scale,
+)
+from tau_dyn.identify.excerpt import Excerpt, Records
+from tau_dyn.identify.reading_fit import Design, LogModel
+from tau_dyn.identify.wiring_alternatives import (
+    UNITS,
+    Number,
+    Rewiring,
+    is_within_reach,
+    list_alternatives,
+    list_lacking,
+    list_map_lines,
+    move_to_motor_side,
+)
 from tau_dyn.message_codes import CodedWarning
-from tau_dyn.robot import Robot, compute_body_stderr
-
-MIN_GAIN_NATS = 30.0
-"""Log-likelihood gain from which an alternative is named; sound logs with bodies 40 % off reach about 5."""
-
-ALIAS_NATS = 5.0
-"""Alternatives closer than this cannot be told apart; both are said."""
-
-MODEL_ERROR = 0.05
-"""Least residual of a joint, as a share of its force: what compliance, cables and heat leave of sound robots."""
-
-PAYLOAD_SHARE = 0.2
-"""Standard deviation of what the last bodies carry beyond the file, as a share of the robot's mass."""
-
-PAYLOAD_REACH_M = 0.15
-"""Distance of a payload's centre from its link's origin, for the size of its moments [m]."""
-
-ROTOR_INERTIA_KG_M2 = 5.0
-"""Standard deviation of a geared arm's reflected rotor inertia [kg m^2]; large arms reach 10."""
-
-MIN_MASS_SHARE = 0.3
-"""No body weighs less than this share of the robot file's mass; lighter ones are another unit."""
-
-OFFSET_SHARE = 0.25
-"""Standard deviation of a drive's constant offset (current sensor, balancing spring), as a share of its force."""
+from tau_dyn.robot import Robot
 
 FINE_MODEL_ERROR = 0.005
-"""The same where an alternative leaves next to nothing of any joint, as only simulated and very good robots do."""
+"""Least residual of a joint where a reading leaves next to nothing of any, as only simulated and very good robots do."""
 
-EXPLAINED = 0.02
-"""Residual of each joint, as a share of its force, that an alternative must reach to be judged by the finer measure."""
-
-MAX_FINE_SHARE = 0.15
-"""Residual of a joint, as a share of its force, from which the coarser measure has already judged all."""
-
-MIN_POWER_DROP = 0.5
-"""Share of the residual's power that an alternative leaves of some joint: a model error is not repaired by rewiring."""
-
-MAX_MENDED_SHARE = 0.3
-"""Residual that a mend may leave of the joints concerned, as a share of their force; sound robots leave 2 to 15 %. Where a joint
-swings nearly free, its force is the small difference of large terms, and no reading of the log explains it."""
-
-SPARED_NATS = 15.0
-"""Gain of the prior alone from which an alternative counts without a better fit: bodies as in the file instead of absurd ones."""
+MIN_GRAVITY_SHARE = 0.1
+"""Part of gravity in a joint's force, from which its absence shows: twice the least model error."""
 
 MAX_FAULTS = 4
 """So many faults are looked for one after another."""
 
-N_COMPARED = 700
-"""Samples on which alternatives are compared."""
-
-MIN_ROWS = 5
-"""Fewer samples of a joint are no evidence."""
-
-SCREENING_STEP = 5
-"""All alternatives are first compared on every fifth of these samples; the best are fitted to all."""
-
 N_FINALISTS = 8
-"""So many of the best are fitted to all samples."""
+"""So many of the best readings are fitted to all samples."""
+
+REACH = np.log(2.5)
+"""Half width of the search for a number, about its start (logarithm): the grid's largest gap is a factor of five."""
+
+MIN_SCREENED_NATS = 3.0
+"""Gain on few samples from which a reading is fitted to all samples."""
+
+NUMBER_STEP = 0.03
+"""Step of the differences for the curvature (logarithm): well below the standard error that the bodies' prior leaves."""
+
+MAX_STEP_NATS = 4.0
+"""Loss at which a step is halved [nats]: beyond about three standard errors the posterior is no parabola."""
+
+MIN_STEP_NATS = 0.5
+"""Loss below which a step is too short to show the curvature [nats]."""
+
+MIN_NUMBER_STEP = 1e-4
+"""Smallest step (logarithm): no unit or ratio needs more digits."""
+
+LEFT_STEP = 0.1
+"""Step of the share of gravity that is left: what the bodies' prior does not determine better."""
+
+MIN_CURVATURE = 0.01
+"""Least curvature of the log posterior: a standard error of a factor of e^10."""
+
+NEWTON_STEPS = 4
+"""Newton steps for numbers that depend on each other, such as the torque constants of all joints."""
+
+ROUNDING_STDERRS = 2.0
+"""Standard errors within which an estimate is rounded to a conversion of units."""
+
+MIN_ROUNDED = 0.02
+"""Relative difference from a conversion of units that is always rounded: geometry and bodies of the file are not better."""
+
+MAX_ROUNDED = 0.05
+"""Largest relative change of an estimate by rounding; beyond it the estimate is no evidence for the unit."""
+
+RATIOS = tuple(np.geomspace(3.0, 600.0, 19))
+"""Gear ratios at which the search for motor-side columns starts: steps of a third, the width of the likelihood's maximum where a
+joint moves by a radian."""
+
+TYPICAL_TRAVEL = 0.6
+"""Travel of a motion as a share of a joint's range, for the first gear ratio of a search."""
+
+MAX_SIGNED_JOINTS = 3
+"""Largest number of joints for which the search starts from every pattern of signs: mirrored arms are local maxima."""
+
+TURN_RAD = 2 * np.pi
+"""Range of a joint without limits, for the same [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
-    """A maximum a posteriori fit: its log-probability, residual power by joint, half the prior's misfit, and effective counts."""
+class Fault:
+    """A reading that is accepted, with the fits before and after.
 
-    log_p: float
-    power: np.ndarray
-    prior: float
-    residual: np.ndarray
+    Attributes:
+        reading: The reading.
+        before: The fit without it; None where the robot cannot reach the positions as logged.
+        after: The fit with it.
+        is_alias: Whether the log cannot distinguish it from the fault named before.
+    """
+
+    reading: Rewiring
+    before: ReadingFit | None
+    after: ReadingFit
+    is_alias: bool = False
 
 
-def check_wiring(robot: Robot, excerpt: Excerpt, name: str) -> list[CodedWarning]:
-    """Return what of a log is wired otherwise than the robot file says, each with evidence and mend.
+class Mend(NamedTuple):
+    """The reading that mends all faults, the relative standard errors of its numbers, and why no map is advised, or ''."""
+
+    reading: Rewiring
+    errors: dict[Number, float]
+    objection: str
+
+
+def check_wiring(robot: Robot, excerpt: Excerpt, name: str, records: Records | None = None) -> list[CodedWarning]:
+    """Return what of a log is wired otherwise than the robot file says, each with evidence, and the map that mends all.
 
     Args:
         robot: The robot file.
         excerpt: Its log.
         name: The log's name, for the sentences.
+        records: What the whole log itself says; by default that of the excerpt.
     """
-    judge = _Judge.of(robot, excerpt)
-    for model_error in (MODEL_ERROR, FINE_MODEL_ERROR):
-        warnings = _find_faults(replace(judge, model_error=model_error), name)
-        if warnings:
-            return warnings
+    records = Records.of(robot, excerpt) if records is None else records
+    model = LogModel.of(robot, excerpt, records.mean_force)
+    for test in (model.test, replace(model.test, model_error=FINE_MODEL_ERROR, is_fine=True)):
+        search = Search(replace(model, test=test), records)
+        if faults := search.find_faults():
+            return _describe(robot, name, faults, search.try_map(faults))
     return []
 
 
-def _find_faults(judge: _Judge, name: str) -> list[CodedWarning]:
-    """Return the faults that one after another gain most."""
-    robot = judge.robot
-    current = Rewiring.none(robot.na)
-    warnings: list[CodedWarning] = []
-    fit = judge.fit(current)
-    if fit is not None:
-        judge = judge.counted(fit)
-        fit = judge.fit(current)
-        if judge.is_hopeless(fit):
-            return []
-    for _ in range(MAX_FAULTS):
-        if fit is not None and judge.most_to_gain(fit) < MIN_GAIN_NATS:
-            break
-        found = judge.best(current, fit)
+@dataclass(frozen=True, eq=False)
+class Search:
+    """The search for readings of one log."""
+
+    model: LogModel
+    records: Records
+
+    def find_faults(self, start: Rewiring | None = None) -> list[Fault]:
+        """Return the faults that one after another gain most, and those that cannot be told from them."""
+        current = Rewiring.none(self.model.robot.na) if start is None else start
+        fit = self.model.fit(current)
+        search = self
+        if fit is not None:
+            search = replace(self, model=self.model.counted(fit))
+            fit = search.model.fit(current)
+            if fit is not None and is_hopeless(search.model.test, fit, search.model.counts, search.model.used):
+                return []
+        faults: list[Fault] = []
+        for _ in range(MAX_FAULTS):
+            found = search.find_best(current, fit)
+            if not found:
+                break
+            faults += found
+            current, fit = found[0].reading, found[0].after
+        return faults
+
+    def find_best(self, current: Rewiring, fit: ReadingFit | None) -> list[Fault]:
+        """Return the reading that gains most, and those that cannot be told from it and have another code."""
+        quick = self.model.thinned()
+        design, plain = quick.design(current), quick.fit(current)
+        tried = []
+        if fit is None or self._most_to_gain(fit) > MIN_GAIN_NATS:
+            tried = self._screen(quick, current, design)
+        if plain is not None and design is not None and not current.lacks:
+            tried += self._screen_lacking(quick, current, design)
+        least = MIN_SCREENED_NATS + (0.0 if plain is None else plain.log_p)
+        tried = sorted((item for item in tried if item[1] > least), key=lambda item: -item[1])
+        found = [fault for reading, _ in tried[:N_FINALISTS] if (fault := self._judge(current, fit, reading))]
         if not found:
-            break
-        warnings += [_say(robot, name, change, fit, better) for change, better, _ in found]
-        current, fit, _ = found[0]
-    return warnings
+            return []
+        return self._list_equivalent(found)
 
+    def _list_equivalent(self, found: list[Fault]) -> list[Fault]:
+        """Return the best of accepted readings and those of another code that the noise of the best does not exclude."""
+        best = max(found, key=lambda fault: fault.after.log_p)
+        sharp = replace(self.model, test=self.model.test.sharpened(best.after, best.reading.tau_from))
+        values = [fit.log_p if (fit := sharp.fit(fault.reading)) else -np.inf for fault in found]
+        order = sorted(range(len(found)), key=lambda k: -values[k])
+        codes: dict[str, Fault] = {}
+        for k in order:
+            if values[order[0]] - values[k] < ALIAS_NATS:
+                codes.setdefault(found[k].reading.code, found[k])
+        return [replace(fault, is_alias=n > 0) for n, fault in enumerate(codes.values())]
 
-@dataclass(frozen=True, eq=False)
-class _Design:
-    """The columns of every joint (n_j, p) for one way in which the robot moved, their Gram matrices, and the nominal force."""
+    def try_map(self, faults: list[Fault]) -> Mend:
+        """Return the reading that mends all, after it passed the test again."""
+        last = next(fault for fault in reversed(faults) if not fault.is_alias)
+        test = self.model.test.sharpened(last.after, last.reading.tau_from)
+        bare = self.model.bare(test)
+        final = separate_numbers(bare, last.reading)
+        errors = estimate_errors(bare, final)
+        final = round_to_units(final, errors)
+        fit = self.model.fit(final)
+        joints = sorted({j for fault in faults for j in fault.reading.joints})
+        objection = ""
+        if fit is None or not self.model.test.is_good(fit, joints, final.tau_from):
+            objection = "the log read so does not fit the robot file well"
+        elif max(errors.values(), default=0.0) > MAX_NUMBER_STDERR:
+            objection = "the log does not determine the factors"
+        elif self.find_faults(final):
+            objection = "the log read so has a further fault"
+        return Mend(final, errors, objection)
 
-    own: list[np.ndarray]
-    nominal: list[np.ndarray]
-    gram: list[np.ndarray]
-    rows: np.ndarray
+    def _judge(self, current: Rewiring, fit: ReadingFit | None, reading: Rewiring) -> Fault | None:
+        """Return the fault that a reading shows, or None where it is not accepted."""
+        if reading.code == "scale_wrong":
+            bare = self.model.thinned().bare(self.model.test)
+            reading = refine_numbers(bare, reading, reading.numbers[len(current.numbers) :] or reading.numbers)
+        if not self._is_permitted(reading):
+            return None
+        after, test = self.model.fit(reading), self.model.test
+        if after is None or not test.is_mended(after, reading.joints, reading.tau_from):
+            return None
+        if reading.lacks != current.lacks and fit is not None:
+            good = test.accepts_lack(fit, after) and test.is_good(after, reading.joints, reading.tau_from)
+            if not (good and is_part_missing(self._estimate_left(reading), is_single=len(reading.joints) == 1)):
+                return None
+        elif not test.accepts(fit, after):
+            return None
+        if fit is not None and not is_preferred_in_each_half(self._gains_by_half(current, reading)):
+            return None
+        if reading.code == "scale_wrong" and not self._is_determined(reading):
+            return None
+        return Fault(reading, fit, after)
 
+    def _is_determined(self, reading: Rewiring) -> bool:
+        """Return whether the log determines the numbers of a reading."""
+        errors = estimate_errors(self.model.thinned().bare(self.model.test), reading)
+        return max(errors.values(), default=0.0) < MAX_NUMBER_STDERR
 
-@dataclass(frozen=True, eq=False)
-class _Judge:
-    """Samples, prior and counts by which alternatives are compared."""
-
-    robot: Robot
-    mechanism: Mechanism
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    tau: np.ndarray
-    used: np.ndarray
-    size: np.ndarray
-    counts: np.ndarray
-    prior: np.ndarray
-    low: np.ndarray
-    model_error: float = MODEL_ERROR
-
-    @classmethod
-    def of(cls, robot: Robot, excerpt: Excerpt) -> _Judge:
-        """Take every so manieth sample."""
-        every = max(1, len(excerpt.q) // N_COMPARED)
-        used = excerpt.used[::every]
-        q, v, a, tau = (x[::every] for x in (excerpt.q, excerpt.v, excerpt.a, excerpt.tau))
-        used = used & (used.sum(axis=0) >= MIN_ROWS)
-        squares = np.where(used, tau**2, 0.0).sum(axis=0) / np.maximum(used.sum(axis=0), 1)
-        size = np.sqrt(np.where(squares > 0, squares, 1.0))
-        counts = used.sum(axis=0) / 2.0
-        prior = _prior(robot)
-        return cls(robot, build_mechanism(robot), q, v, a, tau, used, size, counts, prior, _bounds(robot, prior))
-
-    def counted(self, fit: _Fit) -> _Judge:
-        """Return the judge with the effective number of samples that the residual's autocorrelation leaves."""
-        counts = [_effective(fit.residual[self.used[:, k], k]) for k in range(self.robot.na)]
-        return replace(self, counts=np.array(counts))
-
-    def thinned(self) -> _Judge:
-        """Return the judge with fewer samples that count as much."""
-        every = slice(None, None, SCREENING_STEP)
-        q, v, a, tau, used = (x[every] for x in (self.q, self.v, self.a, self.tau, self.used))
-        return replace(self, q=q, v=v, a=a, tau=tau, used=used)
-
-    def is_hopeless(self, fit: _Fit | None) -> bool:
-        """Tell whether no alternative can meet the finer measure: white noise of a joint is too large, or its model too poor."""
-        if fit is None or self.model_error >= MODEL_ERROR:
-            return False
-        share = np.sqrt(fit.power) / self.size
-        white = self.counts > 0.5 * self.used.sum(axis=0)
-        return bool(np.any((share > EXPLAINED) & white & (self.counts > 0)) or np.any(share > MAX_FINE_SHARE))
-
-    @property
-    def floor(self) -> np.ndarray:
-        """Least residual power (na,)."""
-        return (self.model_error * self.size) ** 2
-
-    def most_to_gain(self, fit: _Fit) -> float:
-        """Return what a perfect alternative would gain [nats]."""
-        return float(self.counts @ np.log(np.maximum(fit.power, self.floor) / self.floor) / 2 + fit.prior)
-
-    def best(self, current: Rewiring, fit: _Fit | None) -> list[tuple[Rewiring, _Fit, float]]:
-        """Return the alternative that gains most, and those that cannot be told from it and have another code."""
-        quick = self.thinned()
-        design, tried, gravity = quick.design(current), [], self.robot.model.gravity.linear
-        by_gravity = (
-            quick.build_regressor_by_gravity(current)
-            if design is not None and not current.gravity and gravity.any()
-            else None
+    def _estimate_left(self, reading: Rewiring) -> float:
+        """Return the share that is left of the part that forces lack, at the maximum of a parabola through three fits."""
+        design = self.model.design(reading)
+        if design is None or "mean" in reading.lacks:
+            return 0.0
+        near, middle, far = (
+            self.model.solve(replace(design, subtracted=1 - left), reading).log_posterior
+            for left in (-LEFT_STEP, 0.0, LEFT_STEP)
         )
-        for change in list_alternatives(self.robot, current, self.q):
+        curvature = 2 * middle - near - far
+        return LEFT_STEP * (far - near) / 2 / curvature if curvature > 0 else np.inf
+
+    def _gains_by_half(self, current: Rewiring, reading: Rewiring) -> list[float]:
+        gains = []
+        for half in self.model.halves():
+            before, after = half.fit(current), half.fit(reading)
+            if before is not None and after is not None:
+                gains.append(after.log_p - before.log_p)
+        return gains
+
+    def _is_permitted(self, reading: Rewiring) -> bool:
+        """Return whether recorded velocities and the robot file's limits permit a reading."""
+        robot, model = self.model.robot, self.model
+        source, q_scale = list(reading.q_from), np.abs(reading.q_scale)
+        ratio = np.full(robot.na, reading.t_scale) / q_scale
+        inside = [is_within_reach(robot, j, model.q[:, source[j]]) for j in range(robot.na)]
+        foreign = ~np.array(inside) & (
+            reading.t_scale == 1
+        )  # velocities of an encoder in another unit are in that unit
+        recorded = np.where(foreign, np.nan, self.records.speed_ratio[source])
+        if not permits_speed_scale(recorded, ratio):
+            return False
+        speed = np.percentile(np.abs(model.v), 99, axis=0)
+        force = np.percentile(np.abs(model.tau), 99, axis=0)
+        read = force[list(reading.tau_from)] / np.abs(reading.tau_scale)
+        return permits_size(speed[source], speed[source] * ratio, robot.velocity_limit) and permits_size(
+            force[list(reading.tau_from)], read, robot.effort_limit
+        )
+
+    def _most_to_gain(self, fit: ReadingFit) -> float:
+        """Return what a perfect reading would gain [nats]."""
+        floor = self.model.test.floor
+        return float(self.model.counts @ np.log(np.maximum(fit.power, floor) / floor) / 2 + fit.prior)
+
+    def _screen(self, quick: LogModel, current: Rewiring, design: Design | None) -> list[tuple[Rewiring, float]]:
+        """Return readings of other columns with their marginal likelihood on few samples."""
+        robot, by_gravity = self.model.robot, None
+        if design is not None and not current.gravity and robot.model.gravity.linear.any():
+            by_gravity = quick.designs_by_gravity(current, design)
+        tried = []
+        for change in list_alternatives(robot, current, self.model.q):
+            other: ReadingFit | None
             if design is not None and change.moves_as(current):
                 other = quick.solve(design, change)
             elif by_gravity is not None and change.code == "gravity_direction":
-                other = quick.fit(change, by_gravity(change.gravity))
+                other = quick.solve(by_gravity(change.gravity), change)
+            elif design is not None and change.q_scale == current.q_scale and change.q_from == current.q_from:
+                other = quick.solve(design.by_clock(change.t_scale / current.t_scale), change)
             else:
                 other = quick.fit(change)
             if other is not None:
                 tried.append((change, other.log_p))
-        tried.sort(key=lambda item: -item[1])
+        return tried + self._screen_motor_side(quick, current)
+
+    def _screen_lacking(self, quick: LogModel, current: Rewiring, design: Design) -> list[tuple[Rewiring, float]]:
+        """Return readings in which forces lack a part, with their marginal likelihood on few samples."""
+        robot, size = self.model.robot, self.model.size[list(current.tau_from)] / np.abs(current.tau_scale)
+        static = np.abs(design.static @ robot.parameters.values).max(axis=0)
+        centred = np.abs(self.model.mean) < MAX_ZERO_MEAN * np.maximum(self.records.force_deviation, 1e-300)
+        weighs = (static > MIN_GRAVITY_SHARE * size) & bool(np.any(robot.model.gravity.linear))
+        readings = list_lacking(robot, current, weighs, centred[list(current.tau_from)])
+        return [(reading, quick.solve(design, reading).log_p) for reading in readings]
+
+    def _screen_motor_side(self, quick: LogModel, current: Rewiring) -> list[tuple[Rewiring, float]]:
+        """Return the best readings of all joints beyond their limits at the motor's side, with and without their forces."""
+        robot = self.model.robot
+        q, _, _ = self.model.motion(current)
+        beyond = [j for j in range(robot.na) if not is_within_reach(robot, j, q[:, j])]
+        if not beyond or len(beyond) == 1 and robot.na == 1 and not np.isfinite(robot.upper[0]):
+            return []
         found = []
-        for change, _ in tried[:N_FINALISTS]:
-            other = self.fit(change)
-            if other is not None and self.accepts(fit, other) and self.is_mended(change, other):
-                found.append((change, other, other.log_p - (0.0 if fit is None else fit.log_p)))
-        found.sort(key=lambda item: -item[2])
-        codes: dict[str, tuple[Rewiring, _Fit, float]] = {}
-        for item in found:
-            if found[0][2] - item[2] < ALIAS_NATS:
-                codes.setdefault(item[0].code, item)
-        return list(codes.values())
+        for with_force in (True, False):
+            ratios = self._search_ratios(quick.thinned(), current, beyond, with_force)
+            reading = move_to_motor_side(robot, current, list(ratios.items()), with_force)
+            if (fit := quick.fit(reading)) is not None:
+                found.append((reading, fit.log_p))
+        return found
 
-    def is_mended(self, change: Rewiring, other: _Fit) -> bool:
-        """Tell whether the robot explains the forces of the joints concerned once they are read as an alternative says."""
-        size = self.size[list(change.tau_from)]
-        which = list(change.joints) or list(range(self.robot.na))
-        return bool(np.sum(other.power[which]) <= MAX_MENDED_SHARE**2 * np.sum(size[which] ** 2))
+    def _search_ratios(
+        self, quick: LogModel, current: Rewiring, joints: list[int], with_force: bool
+    ) -> dict[int, float]:
+        """Return the gear ratio of each joint, by coordinate ascent over a grid of both signs."""
+        robot = self.model.robot
+        q, _, _ = self.model.motion(current)
+        width = np.where(np.isfinite(robot.upper - robot.lower), robot.upper - robot.lower, TURN_RAD)
+        width = np.minimum(width, TURN_RAD)
+        first = {j: float(np.ptp(q[:, j]) / (TYPICAL_TRAVEL * width[j])) for j in joints}
+        grid = {j: self._list_ratios(j, q[:, j]) for j in joints}
 
-    def accepts(self, fit: _Fit | None, other: _Fit) -> bool:
-        """Tell whether an alternative is to be named: it gains much, and it mends a joint or spares the bodies."""
-        if self.model_error < MODEL_ERROR and np.any(np.sqrt(other.power) > EXPLAINED * self.size):
-            return False
-        if fit is None:  # as it stands, the robot cannot even reach the positions
-            return other.log_p > MIN_GAIN_NATS  # that of a robot which explains nothing of its forces is 0
-        floor = self.floor
-        drop = np.min(np.maximum(other.power, floor) / np.maximum(fit.power, floor))
-        mends = drop < MIN_POWER_DROP or fit.prior - other.prior > SPARED_NATS
-        return bool(other.log_p - fit.log_p > MIN_GAIN_NATS and mends)
+        known: dict[tuple[float, ...], float] = {}
 
-    def motion(self, wiring: Rewiring) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return positions, velocities and accelerations (n, na) as a wiring reads them."""
-        q_from = list(wiring.q_from)
-        q, v, a = (x[:, q_from] / np.array(wiring.q_scale) for x in (self.q, self.v, self.a))
-        return q, v * wiring.t_scale, a * wiring.t_scale**2
+        def compute(trial: dict[int, float]) -> float:
+            if (key := tuple(trial.values())) not in known:
+                known[key] = _compute_posterior(
+                    quick, move_to_motor_side(robot, current, list(trial.items()), with_force)
+                )
+            return known[key]
 
-    def build_regressor_by_gravity(self, wiring: Rewiring) -> Callable[[tuple[float, ...]], np.ndarray]:
-        """Return the regressor (n, na, p) of a wiring's motion by the direction of gravity, in which it is linear."""
-        q, v, a = self.motion(wiring)
-        usual = np.array(self.robot.model.gravity.linear)
-        size, rest = float(np.linalg.norm(usual)), np.zeros_like(q)
-        plain = self._rigid((), q, v, a)
-        axes = np.stack([self._rigid(tuple(axis), q, rest, rest) for axis in np.eye(3)])
-        return lambda gravity: plain + np.tensordot(np.array(gravity) - usual / size, axes, axes=1)
+        def climb(ratios: dict[int, float]) -> tuple[float, dict[int, float]]:
+            best = compute(ratios)
+            for _ in range(3):
+                last = ratios
+                for j in joints:
+                    value, ratio = max((compute(ratios | {j: x}), x) for x in grid[j])
+                    if value > best + 1e-9:
+                        best, ratios = value, ratios | {j: ratio}
+                if ratios == last:
+                    break
+            return best, ratios
 
-    def design(self, wiring: Rewiring, rigid: np.ndarray | None = None) -> _Design | None:
-        """Return the columns of a wiring's motion, or of its regressor; None where the robot cannot move so."""
-        q_from = list(wiring.q_from)
-        q, v, a = self.motion(wiring)
-        try:
-            rigid = self._rigid(wiring.gravity, q, v, a) if rigid is None else rigid
-        except (LoopClosureError, InputError, np.linalg.LinAlgError):
-            return None
-        if not np.all(np.isfinite(rigid)):
-            return None
-        used = self.used[:, list(wiring.tau_from)] & self.used[:, q_from]
-        force = rigid @ self.robot.parameters.values
-        columns = rigid @ self.prior
-        na, n = self.robot.na, columns.shape[2]
-        own, nominal = [], []
-        for j in range(na):
-            rows = used[:, j]
-            speed, forward = v[rows, j], v[rows, j] > 0
-            friction = (np.ones(len(speed)), forward, forward - 1, speed * forward, speed * ~forward)
-            block = np.zeros((len(speed), n + 5 * na))
-            block[:, :n] = columns[rows, j]
-            block[:, n + 5 * j : n + 5 * j + 5] = np.column_stack(friction)
-            own.append(block)
-            nominal.append(force[rows, j])
-        return _Design(own, nominal, [block.T @ block for block in own], used)
+        signs = product((1.0, -1.0), repeat=len(joints)) if len(joints) <= MAX_SIGNED_JOINTS else [(1.0,) * len(joints)]
+        starts = [{j: sign * first[j] for j, sign in zip(joints, pattern, strict=True)} for pattern in signs]
+        return max((climb(start) for start in starts), key=lambda item: item[0])[1]
 
-    def fit(self, wiring: Rewiring, rigid: np.ndarray | None = None) -> _Fit | None:
-        """Return the fit of the robot to the log if the log is wired so; None where the robot cannot move so."""
-        design = self.design(wiring, rigid)
-        return None if design is None else self.solve(design, wiring)
-
-    def solve(self, design: _Design, wiring: Rewiring) -> _Fit:
-        """Return the maximum a posteriori fit, by iterated reweighting of the joints."""
-        na, n = self.robot.na, self.prior.shape[1]
-        scale, tau_from = np.array(wiring.tau_scale), list(wiring.tau_from)
-        size, counts = self.size[tau_from], self.counts[tau_from]
-        floor = (self.model_error * size) ** 2
-        targets = [self.tau[design.rows[:, j], tau_from[j]] - scale[j] * design.nominal[j] for j in range(na)]
-        right = [scale[j] * (design.own[j].T @ targets[j]) for j in range(na)]
-        low = np.concatenate([self.low, np.tile([-np.inf, 0, 0, 0, 0], na)])
-        drives = np.zeros((na, 5))
-        drives[:, 0] = (OFFSET_SHARE * size / np.abs(scale)) ** -2.0
-        penalty = np.concatenate([np.ones(n), drives.ravel()])
-        number = np.maximum(design.rows.sum(axis=0), 1)
-        power, residual, x, held = (0.3 * size) ** 2, targets, np.zeros(len(low)), np.zeros(len(low), bool)
-        for _ in range(3):
-            weight = counts / number / np.maximum(power, floor)
-            A, b = np.diag(penalty), np.zeros(len(low))
-            for j in range(na):
-                A += weight[j] * scale[j] ** 2 * design.gram[j]
-                b += weight[j] * right[j]
-            x, held = _solve(A, b, low, held)
-            residual = [target - scale[j] * (design.own[j] @ x) for j, target in enumerate(targets)]
-            power = np.array([compute_clipped_power(r, 3.0) for r in residual])
-        power = np.where(design.rows.sum(axis=0) < MIN_ROWS, size**2, power)  # no sample, no evidence
-        prior = float(penalty @ x**2) / 2
-        log_p = -float(counts @ np.log(np.maximum(power, floor) / size**2)) / 2 - prior
-        whole = np.zeros(design.rows.shape)
-        whole.T[design.rows.T] = np.concatenate(residual)
-        return _Fit(log_p, power, prior, whole)
-
-    def _rigid(self, gravity: tuple[float, ...], q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        if not gravity:
-            return self.mechanism.regressor(q, v, a)
-        model = self.robot.model.copy()
-        model.gravity.linear = np.linalg.norm(model.gravity.linear) * np.array(gravity)
-        return build_mechanism(replace(self.robot, model=model)).regressor(q, v, a)
+    def _list_ratios(self, j: int, q: np.ndarray) -> list[float]:
+        """Return the gear ratios of both signs with which positions (n,) are within a joint's limits."""
+        known = self.model.robot.gear_ratios.get(self.model.robot.actuated[j])
+        sizes = (*RATIOS, *([abs(known)] if known else []))
+        return [x for size in sizes for x in (size, -size) if is_within_reach(self.model.robot, j, q / x)] or [
+            RATIOS[-1]
+        ]
 
 
-def _bounds(robot: Robot, prior: np.ndarray) -> np.ndarray:
-    """Return lower bounds of the unknowns (n,) of bodies and drive inertia."""
-    low = np.full(prior.shape[1], -np.inf)
-    for k, (name, value) in enumerate(zip(robot.parameters.names, robot.parameters.values, strict=True)):
-        column = np.flatnonzero(prior[k])
-        if name.endswith(".armature") and column.size:
-            low[column] = -value / prior[k, column]
-        elif name.endswith((".mass", ".ixx", ".iyy", ".izz")) and column.size and value > 0:
-            low[column] = -(1 - MIN_MASS_SHARE) * value / prior[k, column]
-    return low
+def refine_numbers(model: LogModel, reading: Rewiring, numbers: tuple[Number, ...], reach: float = REACH) -> Rewiring:
+    """Return the reading with some numbers at the maximum of the posterior density, one after another, twice."""
+    for width in (reach, reach / 4) if len(numbers) > 1 else (reach,):
+        for number in numbers:
+            design = model.design(reading) if number[0] == "tau" else None
+
+            def loss(
+                x: float, number: Number = number, design: Design | None = design, at: Rewiring = reading
+            ) -> float:
+                fit = model.fit(at.times(number, float(np.exp(x))), design)
+                return np.inf if fit is None else -fit.log_posterior
+
+            found = minimize_scalar(loss, bounds=(-width, width), method="bounded", options={"xatol": 2e-3})
+            if np.isfinite(found.fun):
+                reading = reading.times(number, float(np.exp(found.x)))
+    return reading
 
 
-def _prior(robot: Robot) -> np.ndarray:
-    """Return how parameters follow independent unknowns of unit variance (p, n): 25 % of a body, more at the last bodies.
-
-    Drive inertia: three times what the joint itself moves, and 5 kg m^2 where gears reflect a rotor.
-    """
-    names = robot.parameters.names
-    total = sum(max(link.nominal[0], 0.0) for link in robot.links) or 1.0
-    parents = {int(robot.model.parents[link.joint_id]) for link in robot.links}
-    spread = np.zeros(len(names))
-    for link in robot.links:
-        sizes = compute_body_stderr(link, total)
-        if link.joint_id not in parents:
-            reach = max(PAYLOAD_REACH_M, sizes[1] / sizes[0])
-            sizes = np.hypot(sizes, PAYLOAD_SHARE * total * reach ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2]))
-        spread[[names.index(name) for name in link.names]] = sizes[list(link.own)]
-    moved = np.abs(np.diagonal(build_mechanism(robot).inertia(robot.home[None])[0]))
-    for joint, kind, m in zip(robot.actuated, robot.joint_kinds, moved, strict=True):
-        spread[names.index(f"{joint}.armature")] = max(3 * m, ROTOR_INERTIA_KG_M2 if kind == "revolute" else 0.0)
-    carried = PAYLOAD_SHARE * sum(link.nominal[0] for link in robot.links)
-    spread[[name.endswith(".gravity_mass") for name in names]] = carried
-    return np.diag(spread)[:, spread != 0]
-
-
-def _solve(A: np.ndarray, b: np.ndarray, low: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Minimise x'Ax/2 - b'x within bounds, and return which hold: an active set that is grown, then released.
-
-    It starts from a guess of the set, `held`; Lawson & Hanson 1974.
-    """
-    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    A, b, low = A / np.outer(scale, scale), b / scale, low * scale
-    A[np.diag_indices_from(A)] += 1e-10
-    held, x = held.copy(), np.zeros(len(b))
-    for _ in range(30):
-        free = ~held
-        x[held] = low[held]
-        x[free] = np.linalg.solve(A[np.ix_(free, free)], b[free] - A[np.ix_(free, held)] @ low[held])
-        below = free & (x < low - 1e-12)
-        pulling = held & (b - A @ x > 1e-9)
-        if not below.any() and not pulling.any():
-            return x / scale, held
-        held |= below
-        if not below.any():
-            held &= ~pulling
-    root = np.linalg.cholesky(A)
-    found = lsq_linear(root.T, np.linalg.solve(root, b), bounds=(low, np.inf))
-    return found.x / scale, found.active_mask < 0
-
-
-def _effective(r: np.ndarray) -> float:
-    """Return the number of independent samples in an autocorrelated residual (n,): `n / (1 + 2 sum rho_k)`."""
-    n = len(r)
-    if n < 10:
-        return 0.0
-    r = r - r.mean()
-    power = np.abs(np.fft.rfft(r, 2 * n)) ** 2
-    rho = np.fft.irfft(power)[: n // 2]
-    rho = rho / max(rho[0], 1e-300)
-    negative = np.flatnonzero(rho < 0.05)
-    last = negative[0] if negative.size else len(rho)
-    return float(n / (1 + 2 * rho[1:last].sum()))
-
-
-def _say(robot: Robot, name: str, change: Rewiring, before: _Fit | None, after: _Fit) -> CodedWarning:
-    """Return the warning about one wrong wiring, with its evidence."""
-    evidence = "as logged, the robot cannot reach its positions."
-    if before is not None:
-        ratio = np.sqrt(after.power / np.maximum(before.power, 1e-300))
-        k = int(np.argmin(np.where(before.power > 0, ratio, np.inf)))
-        evidence = (
-            f"so read, the model leaves {np.sqrt(after.power[k]):.3g} instead of {np.sqrt(before.power[k]):.3g} "
-            f"{robot.force_units[k]} of tau_{robot.actuated[k]}, {100 * (1 - ratio[k]):.2g} % less."
-            if ratio[k] ** 2 < MIN_POWER_DROP
-            else "as logged, only bodies far from the robot file's explain the forces."
+def separate_numbers(model: LogModel, reading: Rewiring) -> Rewiring:
+    """Return the reading with one number a column, at the maximum: torque constants and units belong to single drives."""
+    numbers = tuple(
+        dict.fromkeys(
+            (signal, (j,)) if joints else (signal, joints) for signal, joints in reading.numbers for j in joints or (0,)
         )
-    return CodedWarning(change.code, f"{name}: {change.words}. Evidence: {evidence}")
+    )
+    reading = refine_numbers(model, replace(reading, numbers=numbers), numbers)
+    for _ in range(NEWTON_STEPS if len(numbers) > 1 else 0):
+        gradient, cov = _expand(model, reading)
+        step = np.clip(cov @ gradient, -REACH, REACH)
+        trial = reading
+        for number, x in zip(numbers, step, strict=True):
+            trial = trial.times(number, float(np.exp(x)))
+        if _compute_posterior(model, trial) <= _compute_posterior(model, reading):
+            break
+        reading = trial
+    return reading
+
+
+def estimate_errors(model: LogModel, reading: Rewiring) -> dict[Number, float]:
+    """Return the relative standard errors of a reading's numbers, from the curvature of the posterior density."""
+    _, cov = _expand(model, reading)
+    return {number: float(np.sqrt(cov[i, i])) for i, number in enumerate(reading.numbers)}
+
+
+def _compute_posterior(model: LogModel, reading: Rewiring) -> float:
+    fit = model.fit(reading)
+    return -np.inf if fit is None else fit.log_posterior
+
+
+def _expand(model: LogModel, reading: Rewiring) -> tuple[np.ndarray, np.ndarray]:
+    """Return gradient (n,) and covariance (n, n) of the logarithms of a reading's numbers, by central differences."""
+    numbers, n = reading.numbers, len(reading.numbers)
+
+    def compute(*changes: tuple[Number, float]) -> float:
+        trial = reading
+        for number, x in changes:
+            trial = trial.times(number, float(np.exp(x)))
+        return _compute_posterior(model, trial)
+
+    def find_step(number: Number) -> tuple[float, float, float]:
+        step, found = NUMBER_STEP, (0.0, 0.0, 0.0)
+        while True:
+            up, down = (compute((number, x)) for x in (step, -step))
+            loss = middle - min(up, down)
+            if found[0] and loss < MIN_STEP_NATS:  # a plateau: the residual is below the model error
+                return found
+            if loss < MAX_STEP_NATS or step < MIN_NUMBER_STEP:
+                return step, up, down
+            step, found = step / 2, (step, up, down)
+
+    middle = compute()
+    found = np.array([find_step(number) for number in numbers]).reshape(n, 3)
+    steps, ends = found[:, 0], found[:, 1:]
+    losses = 2 * middle - ends.sum(axis=1)
+    H = np.diag(losses / steps**2)
+    for i in range(n):
+        for k in range(i):
+            both = [compute((numbers[i], s * steps[i]), (numbers[k], s * steps[k])) for s in (1, -1)]
+            H[i, k] = H[k, i] = (2 * middle - sum(both) - losses[i] - losses[k]) / (2 * steps[i] * steps[k])
+    if not np.all(np.isfinite(H)):
+        return np.zeros(n), np.full((n, n), np.inf)
+    values, vectors = np.linalg.eigh(H)
+    if n and values[0] < MIN_CURVATURE:  # edges of a plateau are no parabola
+        values, vectors = np.diag(H), np.eye(n)
+    gradient = (ends[:, 0] - ends[:, 1]) / (2 * steps)
+    return gradient, vectors @ np.diag(1 / np.maximum(values, MIN_CURVATURE)) @ vectors.T
+
+
+def round_to_units(reading: Rewiring, errors: dict[Number, float]) -> Rewiring:
+    """Return the reading with numbers rounded to conversions of units with which they are consistent."""
+    for number, error in errors.items():
+        value = abs(reading.get(number))
+        for unit in UNITS.get(number[0], ()):
+            for factor in (unit / value, 1 / unit / value):
+                off = abs(np.log(factor))
+                if off < min(MAX_ROUNDED, max(ROUNDING_STDERRS * error, MIN_ROUNDED)):
+                    reading = reading.times(number, factor)
+    return reading
+
+
+def _describe(robot: Robot, name: str, faults: list[Fault], mend: Mend) -> list[CodedWarning]:
+    """Return a warning a fault, with its evidence; the last carries the column map of all, or the reason why there is none."""
+    sentences = [_describe_fault(robot, name, fault, mend) for fault in faults]
+    lines = list_map_lines(robot, mend.reading)
+    if lines and not mend.objection:
+        sentences[-1] += f" The column map (--columns) that mends this log, tried on it: {', '.join(lines)}."
+    elif mend.objection:
+        sentences[-1] += f" No column map is advised: {mend.objection}. Check units, joints and signs at their source."
+    return [CodedWarning(fault.reading.code, text) for fault, text in zip(faults, sentences, strict=True)]
+
+
+def _describe_fault(robot: Robot, name: str, fault: Fault, mend: Mend) -> str:
+    reading = fault.reading
+    mine = [number for number in mend.reading.numbers if set(number[1]) <= set(reading.joints)]
+    words = reading.words.replace("{number}", _format_numbers(robot, mine, mend))
+    start = f"{name}: {'or ' if fault.is_alias else ''}{words}."
+    if (
+        "{number}" in reading.words
+        and (worst := max((mend.errors.get(x, 0.0) for x in mine), default=0.0)) > MAX_ROUNDED
+    ):
+        start += f" The log gives it to {100 * worst:.0f} %, as the bodies of the robot file are uncertain; prefer a data sheet."
+    return f"{start} Evidence: {_describe_evidence(robot, fault)}"
+
+
+def _format_numbers(robot: Robot, numbers: list[Number], mend: Mend) -> str:
+    """Return the estimates with their standard errors, by joint where there are several."""
+    texts = []
+    for number in numbers:
+        value, error = mend.reading.get(number), mend.errors.get(number, 0.0)
+        text = f"{value:.4g} ± {abs(value) * error:.2g}"
+        alone = len(numbers) == 1 or len(number[1]) != 1
+        texts.append(text if alone else f"{text} ({robot.actuated[number[1][0]]})")
+    return ", ".join(texts)
+
+
+def _describe_evidence(robot: Robot, fault: Fault) -> str:
+    if fault.before is None:
+        return "as logged, the robot cannot reach its positions."
+    before, after = fault.before.power, fault.after.power
+    ratio = np.sqrt(after / np.maximum(before, 1e-300))
+    k = int(np.argmin(np.where(before > 0, ratio, np.inf)))
+    if ratio[k] ** 2 < MIN_POWER_DROP:
+        return (
+            f"so read, the model leaves {np.sqrt(after[k]):.3g} instead of {np.sqrt(before[k]):.3g} {robot.force_units[k]} of "
+            f"tau_{robot.actuated[k]}, {100 * (1 - ratio[k]):.2g} % less."
+        )
+    return "as logged, only bodies far from the robot file's explain the forces."

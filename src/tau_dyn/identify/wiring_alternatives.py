@@ -1,11 +1,13 @@
-"""The ways in which the columns of a log may be read wrongly, each with what to write into a column map.
+"""The readings of a log: the ways in which its columns may differ from what the robot file says.
 
-Signs, exchanged joints, scales and clocks of the columns, and where gravity comes from: one thing at a time.
+Signs, exchanged joints, scales and clocks of the columns, the direction of gravity, and forces that lack a part which a
+controller or a filter subtracted: one thing at a time. Scales are starting values of a number that is estimated. A reading also
+gives the lines of the column map that mends the log, one a column.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -15,15 +17,37 @@ import numpy as np
 from tau_dyn.robot import Robot
 
 SCALES = (1e-3, 1e-2, np.pi / 180, 0.1, 0.2, 0.5, 2.0, 5.0, 10.0, 180 / np.pi, 100.0, 1000.0)
-"""Scales of a column: gear ratios, percent, degrees, mm, torque constants."""
+"""Scales of a column at which the search for its number starts: gear ratios, percent, degrees, mm, torque constants."""
 
 MAX_PLAUSIBLE_SCALE = 3.0
 """Positions within the joint's limits are not taken for larger units than by this factor."""
 
 CLOCKS = (1e-3, 0.1, 0.5, 2.0, 10.0, 1e3)
-"""Factors of a clock in another unit, or at another rate than the logger believes."""
+"""Factors of a clock at which the search starts: another unit, or another rate than the logger believes."""
 
-_IN_MAP = "into a column map (--columns)"
+UNITS = {"q": (180 / np.pi, 1000.0, 100.0), "tau": (1000.0,), "t": (1e3, 1e6, 1e9)}
+"""Conversions of units: degrees, mm and mrad, cm; mN m; ms, us, ns. Their inverses count as well."""
+
+Number = tuple[str, tuple[int, ...]]
+"""A factor that a reading estimates, and the joints that share it: `tau`, `q`, `t`, or `gear` (q times and tau over it)."""
+
+LACKING = {
+    "gravity": (
+        "gravity_subtracted",
+        "lack{s} gravity: the controller subtracted it, or {balanced}. Log the motor torque, or add the nominal gravity of "
+        "the robot file back",
+    ),
+    "model": (
+        "model_subtracted",
+        "lack{s} the forces of the bodies, and only friction is left: the controller subtracted its rigid-body model. Log the "
+        "motor torque, or add the nominal force of the robot file back",
+    ),
+    "mean": (
+        "mean_removed",
+        "lack{s} {their} mean, which was removed although gravity gives one. Log the force without this processing",
+    ),
+}
+"""Code and sentence of forces that lack a part."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +62,10 @@ class Rewiring:
         tau_scale: Factor of the force columns against the truth (na,).
         gravity: Direction of gravity in the robot's base (3,); empty for the file's.
         t_scale: Factor of the clock against the truth.
+        lacks: What each force lacks (na,): `gravity`, `model` or `mean`, with `file_` where the file's bodies were subtracted.
+        numbers: Factors that are estimated.
         joints: Indices of the joints concerned.
-        words: What is wrong, and the mend.
+        words: What is wrong; `{number}` is where the estimate goes.
     """
 
     code: str
@@ -49,6 +75,8 @@ class Rewiring:
     tau_scale: tuple[float, ...]
     gravity: tuple[float, ...] = ()
     t_scale: float = 1.0
+    lacks: tuple[str, ...] = ()
+    numbers: tuple[Number, ...] = ()
     joints: tuple[int, ...] = ()
     words: str = ""
 
@@ -58,61 +86,137 @@ class Rewiring:
         return cls("", tuple(range(na)), tuple(range(na)), (1.0,) * na, (1.0,) * na)
 
     def moves_as(self, other: Rewiring) -> bool:
-        """Return whether two wirings differ in the signs and scales of forces only."""
-        ours, theirs = (replace(x, tau_scale=(), code="", joints=(), words="") for x in (self, other))
+        """Return whether two readings have the same motion and gravity."""
+        ours, theirs = ((x.q_from, x.q_scale, x.t_scale, x.gravity) for x in (self, other))
         return ours == theirs
+
+    def times(self, number: Number, factor: float) -> Rewiring:
+        """Return the reading with the columns of a number multiplied."""
+        signal, joints = number
+        if signal == "t":
+            return replace(self, t_scale=self.t_scale * factor)
+        q = _times(self.q_scale, joints, factor) if signal in ("q", "gear") else self.q_scale
+        inverse = 1 / factor if signal == "gear" else factor
+        tau = _times(self.tau_scale, joints, inverse) if signal in ("tau", "gear") else self.tau_scale
+        return replace(self, q_scale=q, tau_scale=tau)
+
+    def get(self, number: Number) -> float:
+        """Return the value of a number."""
+        signal, joints = number
+        return {"t": (self.t_scale,), "tau": self.tau_scale}.get(signal, self.q_scale)[joints[0] if joints else 0]
 
 
 def list_alternatives(robot: Robot, now: Rewiring, q: np.ndarray) -> Iterator[Rewiring]:
-    """Yield the wirings that differ from one in a single thing; `q` are the logged positions (n, na)."""
+    """Yield the readings of other columns that differ from one in a single thing; `q` are the logged positions (n, na)."""
     yield from _sign_changes(robot, now)
     yield from _exchanges(robot, now)
     yield from _scale_changes(robot, now, q)
     if not now.gravity:
         yield from _mountings(robot, now)
-    for factor in CLOCKS if now.t_scale == 1 else ():
-        words = (
-            f"the clock runs about {factor:g} times as fast as the robot moves; write "
-            f"`t: {{column: t, scale: {1 / factor:g}}}` {_IN_MAP}, or give the true rate"
-        )
-        yield replace(now, code="scale_wrong", t_scale=factor, joints=tuple(range(robot.na)), words=words)
+    if now.t_scale == 1:
+        words = "the clock runs {number} times as fast as the robot moves"
+        clock = replace(now, code="scale_wrong", joints=tuple(range(robot.na)), words=words)
+        for factor in CLOCKS:
+            yield _with_number(clock, ("t", ()), factor)
+
+
+def list_lacking(robot: Robot, now: Rewiring, weighs: np.ndarray, is_centred: np.ndarray) -> Iterator[Rewiring]:
+    """Yield the readings in which forces lack a part.
+
+    Args:
+        robot: The robot.
+        now: The reading that they change.
+        weighs: Whether gravity is a considerable part of each joint's force in the robot file (na,).
+        is_centred: Whether each force has no mean (na,).
+    """
+    everyone = tuple(range(robot.na))
+    heavy, centred = np.flatnonzero(weighs).tolist(), np.flatnonzero(is_centred).tolist()
+    if heavy:
+        for kind in ("gravity", "file_gravity"):
+            groups = [everyone, *((j,) for j in heavy)] if robot.na > 1 else [everyone]
+            yield from (_lacking(robot, now, kind, group) for group in groups)
+    yield from (_lacking(robot, now, kind, everyone) for kind in ("model", "file_model"))
+    if len(centred) == robot.na > 1:
+        yield _lacking(robot, now, "mean", everyone)
+    yield from (_lacking(robot, now, "mean", (j,)) for j in centred)
+
+
+def _lacking(robot: Robot, now: Rewiring, kind: str, group: Sequence[int]) -> Rewiring:
+    code, text = LACKING[kind.removeprefix("file_")]
+    one = len(group) == 1
+    who = f"the force of {robot.actuated[group[0]]}" if one else "the forces of all joints"
+    balanced = (
+        "a spring or counterweight balances the joint" if one else "the bodies are balanced, unlike the robot file's"
+    )
+    words = f"{who} {text}".format(s="s" if one else "", their="its" if one else "their", balanced=balanced)
+    lacks = now.lacks or ("",) * robot.na
+    lacks = tuple(kind if j in group else x for j, x in enumerate(lacks))
+    return replace(now, code=code, lacks=lacks, joints=tuple(group), words=words)
+
+
+def move_to_motor_side(robot: Robot, now: Rewiring, ratios: Sequence[tuple[int, float]], with_force: bool) -> Rewiring:
+    """Return the reading with positions, and forces if so said, of some joints at the motor's side of their gears."""
+    for j, ratio in ratios:
+        now = _with_number(now, ("gear" if with_force else "q", (j,)), ratio)
+    joints = tuple(j for j, _ in ratios)
+    names = ", ".join(robot.actuated[j] for j in joints)
+    words = (
+        f"positions and forces of {names} are at the motor's side of the gear, with ratios of {{number}}"
+        if with_force
+        else f"the positions of {names} are {{number}} times what the robot file says (gear ratio or unit)"
+    )
+    return replace(now, code="scale_wrong", joints=joints, words=words)
+
+
+def list_map_lines(robot: Robot, reading: Rewiring) -> list[str]:
+    """Return the lines of the column map that mends a log: one a column that changes."""
+    lines = []
+    for signal, source, scale in (("q", reading.q_from, reading.q_scale), ("tau", reading.tau_from, reading.tau_scale)):
+        for j, joint in enumerate(robot.actuated):
+            column = f"{signal}_{robot.actuated[source[j]]}"
+            if scale[j] != 1:
+                lines.append(f"`{signal}_{joint}: {{column: {column}, scale: {1 / scale[j]:.6g}}}`")
+            elif source[j] != j:
+                lines.append(f"`{signal}_{joint}: {column}`")
+    if reading.t_scale != 1:
+        lines.append(f"`t: {{column: t, scale: {1 / reading.t_scale:.6g}}}`")
+    return lines
+
+
+def _with_number(now: Rewiring, number: Number, factor: float) -> Rewiring:
+    numbers = now.numbers if number in now.numbers else (*now.numbers, number)
+    return replace(now.times(number, factor), numbers=numbers)
 
 
 def _sign_changes(robot: Robot, now: Rewiring) -> Iterator[Rewiring]:
     for j, joint in enumerate(robot.actuated):
         tau, q = _times(now.tau_scale, [j], -1.0), _times(now.q_scale, [j], -1.0)
-        line = f"`tau_{joint}: {{column: tau_{joint}, scale: -1}}`", f"`q_{joint}: {{column: q_{joint}, scale: -1}}`"
         turned = partial(replace, now, code="sign_reversed", joints=(j,))
-        yield turned(tau_scale=tau, words=f"the force of {joint} has the wrong sign; write {line[0]} {_IN_MAP}")
-        yield turned(q_scale=q, words=f"the position of {joint} has the wrong sign; write {line[1]} {_IN_MAP}")
+        yield turned(tau_scale=tau, words=f"the force of {joint} has the wrong sign")
+        yield turned(q_scale=q, words=f"the position of {joint} has the wrong sign")
         both = (
-            f"position and force of {joint} both have the wrong sign (its axis points the other way); write {line[1]} and "
-            f"{line[0]} {_IN_MAP}, or turn the axis in the robot file"
+            f"position and force of {joint} both have the wrong sign: its axis points the other way in the robot file"
         )
         yield turned(q_scale=q, tau_scale=tau, words=both)
     everyone = tuple(range(robot.na))
     if robot.na > 1:
-        words = f"the forces of all joints have the wrong sign; write `scale: -1` for each tau {_IN_MAP}"
         tau = _times(now.tau_scale, everyone, -1.0)
+        words = "the forces of all joints have the wrong sign"
         yield replace(now, code="sign_reversed", tau_scale=tau, joints=everyone, words=words)
 
 
 def _exchanges(robot: Robot, now: Rewiring) -> Iterator[Rewiring]:
     for i in range(robot.na):
         for j in range(i + 1, robot.na):
-            one, other = robot.actuated[i], robot.actuated[j]
             for kinds in (("q",), ("tau",), ("q", "tau")):
-                lines = " and ".join(f"`{k}_{one}: {k}_{other}`, `{k}_{other}: {k}_{one}`" for k in kinds)
-                what = {"q": "positions", "tau": "forces"}
-                named = " and ".join(what[k] for k in kinds)
-                words = f"the {named} of {one} and {other} are exchanged; write {lines} {_IN_MAP}"
+                named = " and ".join({"q": "positions", "tau": "forces"}[k] for k in kinds)
                 yield replace(
                     now,
                     code="joints_exchanged",
                     q_from=_swap(now.q_from, i, j) if "q" in kinds else now.q_from,
                     tau_from=_swap(now.tau_from, i, j) if "tau" in kinds else now.tau_from,
                     joints=(i, j),
-                    words=words,
+                    words=f"the {named} of {robot.actuated[i]} and {robot.actuated[j]} are exchanged",
                 )
 
 
@@ -120,33 +224,30 @@ def _scale_changes(robot: Robot, now: Rewiring, q: np.ndarray) -> Iterator[Rewir
     groups = [(j,) for j in range(robot.na)] + ([tuple(range(robot.na))] if robot.na > 1 else [])
     for group in groups:
         who = robot.actuated[group[0]] if len(group) == 1 else "all joints"
-        column = robot.actuated[group[0]] if len(group) == 1 else "JOINT"
-        for factor in SCALES:
-            mend = f"`{{0}}_{column}: {{{{column: {{0}}_{column}, scale: {1 / factor:.4g}}}}}`"
-            words = (
-                "the {1} of {2} is about {3:.3g} times what the robot file says (gear ratio, torque constant or unit); write {0} "
-                + _IN_MAP
-            )
-            for signal, what in (("tau", "force"), ("q", "position")):
-                if signal == "q" and not _may_be_scaled(robot, now, q, group, factor):
-                    continue
-                text = words.format(mend.format(signal), what, who, factor)
-                changed = _times(getattr(now, f"{signal}_scale"), group, factor)
-                change: Callable[..., Rewiring] = partial(replace, now, code="scale_wrong", joints=group, words=text)
-                yield change(**{f"{signal}_scale": changed})
+        for signal, what in (("tau", "force"), ("q", "position")):
+            words = f"the {what} of {who} is {{number}} times what the robot file says (gear ratio, torque constant or unit)"
+            scaled = replace(now, code="scale_wrong", joints=group, words=words)
+            for factor in SCALES:
+                if signal == "tau" or _may_be_scaled(robot, now, q, group, factor):
+                    yield _with_number(scaled, (signal, group), factor)
 
 
 def _may_be_scaled(robot: Robot, now: Rewiring, q: np.ndarray, group: Sequence[int], factor: float) -> bool:
     """Return whether positions may be `factor` times the truth, by the joints' limits."""
     for j in group:
         x = q[:, now.q_from[j]] / now.q_scale[j]
-        low, high = robot.lower[j], robot.upper[j]
-        slack = 0.5 * (high - low) if np.isfinite(high - low) else 4 * np.pi
-        low, high = (low, high) if np.isfinite(high - low) else (-2 * np.pi, 2 * np.pi)
-        inside = [bool(np.all((y > low - slack) & (y < high + slack))) for y in (x, x / factor)]
+        inside = [is_within_reach(robot, j, y) for y in (x, x / factor)]
         if not inside[1] or (inside[0] and factor > MAX_PLAUSIBLE_SCALE):
             return False
     return True
+
+
+def is_within_reach(robot: Robot, j: int, x: np.ndarray) -> bool:
+    """Return whether positions (n,) of a joint are within its limits, or half their width beyond."""
+    low, high = robot.lower[j], robot.upper[j]
+    slack = 0.5 * (high - low) if np.isfinite(high - low) else 4 * np.pi
+    low, high = (low, high) if np.isfinite(high - low) else (-2 * np.pi, 2 * np.pi)
+    return bool(np.all((x > low - slack) & (x < high + slack)))
 
 
 def _mountings(robot: Robot, now: Rewiring) -> Iterator[Rewiring]:

@@ -12,6 +12,7 @@ for several samples.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, NamedTuple
@@ -83,11 +84,18 @@ class LogCheck(Shown):
         return tuple(CodedWarning(f.code, f.sentence) if f.code else f.sentence for f in doubtful)
 
     def with_faults(self, warnings: Iterable[str]) -> LogCheck:
-        """Return the check with what a robot file says against the log: coded warnings, as further faults."""
+        """Return the check with what a robot file says against the log: coded warnings, as further faults.
+
+        A column for which they give a line of a map loses the line that its range alone suggested.
+        """
         sentence = f"{self.name}: wiring and the time of the forces were held against the masses of the robot file."
         judged = CheckFinding("ok", "synchronisation", sentence)
         kept = [f for f in self.findings if (f.topic, f.severity) != ("synchronisation", "ok")]
         faults = [build_fault(warning) for warning in warnings]
+        mended = {line for fault in faults for line in re.findall(r"`(\w+): \{", fault.sentence)}
+        kept = [
+            f for f in kept if not (f.code == "scale_wrong" and mended & set(re.findall(r"`(\w+): \{", f.sentence)))
+        ]
         return replace(self, findings=(*kept, judged, *(f for f in faults if f not in kept)))
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,0 +1,84 @@
+"""Acceptance of re-readings of a log: gain, good fit, agreement of both halves, and the log's own records."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tau_dyn.evidence import (
+    ReadingFit,
+    ReadingTest,
+    compute_zero_mean_nats,
+    is_part_missing,
+    is_preferred_in_each_half,
+    permits_size,
+    permits_speed_scale,
+)
+
+SIZE = np.array([10.0, 2.0])
+"""Root mean square forces of two joints [N m]."""
+
+
+def fit(log_p: float, *shares: float, prior: float = 0.0) -> ReadingFit:
+    """Return a fit with residuals given as shares of the joints' forces."""
+    return ReadingFit(log_p, log_p, (np.array(shares) * SIZE) ** 2, prior, np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize(
+    ("after", "accepted"),
+    [
+        (fit(100.0, 0.06, 0.1), True),  # mends the second joint
+        (fit(20.0, 0.06, 0.1), False),  # gains less than 30 nats
+        (fit(100.0, 0.06, 0.35), False),  # leaves more than half of each joint's residual power
+    ],
+)
+def test_a_reading_gains_30_nats_and_mends_a_joint(after: ReadingFit, accepted: bool) -> None:
+    """A likelihood ratio alone also favours the better of two wrong models."""
+    assert ReadingTest(SIZE, 0.05).accepts(fit(0.0, 0.06, 0.4), after) is accepted
+
+
+def test_a_reading_that_spares_the_bodies_needs_no_better_fit() -> None:
+    """Bodies as in the file, not absurd ones, are evidence."""
+    test, before = ReadingTest(SIZE, 0.05), fit(0.0, 0.03, 0.03, prior=40.0)
+    assert test.accepts(before, fit(40.0, 0.03, 0.03, prior=1.0))
+    assert not test.accepts(before, fit(40.0, 0.03, 0.03, prior=30.0))
+
+
+def test_a_poor_fit_of_the_joints_concerned_is_no_mend() -> None:
+    """A true reading is exact: it leaves what sound robots leave."""
+    test = ReadingTest(SIZE, 0.05)
+    assert test.is_mended(fit(0.0, 0.1, 0.5), (0,), (0, 1)) and not test.is_mended(fit(0.0, 0.1, 0.5), (1,), (0, 1))
+    assert not test.is_good(fit(0.0, 0.1, 0.2), (0, 1), (0, 1))  # each joint counts, also the weak one
+
+
+def test_both_halves_of_a_log_agree_on_a_true_reading() -> None:
+    """Columns are named once for a whole log; a half without evidence is no objection."""
+    assert is_preferred_in_each_half([40.0, 60.0]) and is_preferred_in_each_half([-0.5, 60.0])
+    assert not is_preferred_in_each_half([-20.0, 160.0])
+
+
+def test_a_recorded_velocity_vetoes_another_clock_and_confirms_it() -> None:
+    """Velocities that agree with dq/dt exclude a clock at half speed; at twice dq/dt they demand it."""
+    known = np.array([1.004, np.nan])
+    assert permits_speed_scale(known, np.ones(2)) and not permits_speed_scale(known, np.full(2, 2.0))
+    assert permits_speed_scale(2 * known, np.full(2, 2.0)) and not permits_speed_scale(2 * known, np.ones(2))
+
+
+def test_limits_veto_forces_far_beyond_them() -> None:
+    """Forces within their limits as logged do not become ten times the limit; without limits all is open."""
+    assert not permits_size(np.array([80.0]), np.array([1000.0]), np.array([100.0]))
+    assert permits_size(np.array([80.0]), np.array([1000.0]), np.array([np.inf]))
+    assert permits_size(np.array([800.0]), np.array([1000.0]), np.array([100.0]))  # limits in another unit
+
+
+def test_a_half_balanced_joint_does_not_lack_gravity() -> None:
+    """A spring leaves a share of gravity; a controller's model leaves next to nothing."""
+    assert is_part_missing(0.01, is_single=True) and not is_part_missing(0.1, is_single=True)
+    assert is_part_missing(0.1, is_single=False) and not is_part_missing(0.5, is_single=False)
+
+
+def test_a_mean_of_zero_is_evidence_only_where_the_model_has_one() -> None:
+    """An offset would have to cancel gravity's mean by chance; a symmetric motion has no mean anyway."""
+    nats = compute_zero_mean_nats(np.zeros(2), np.array([6.0, 0.1]), SIZE)
+    assert nats[0] > 15 and nats[1] == 0
+    assert compute_zero_mean_nats(np.array([3.0, 0.0]), np.array([6.0, 0.0]), SIZE)[0] < 1

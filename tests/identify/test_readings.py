@@ -1,0 +1,121 @@
+"""Readings of a log: forces that lack a part, scales as numbers, motor-side columns, vetoes, and advice that was tried."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from tau_dyn.identify import build_model, check_against_robot
+from tau_dyn.log import Log
+from tau_dyn.mechanism import build_mechanism
+from tau_dyn.message_codes import get_code
+from tau_dyn.simulate import build_named_motion
+
+JOINTS = ("shoulder", "elbow")
+
+
+@pytest.fixture
+def arm_log(two_link, make) -> Log:
+    """Twenty seconds of two rods in a vertical plane, with velocities from a tachometer."""
+    truth = build_model(two_link, "symmetric")
+    truth = truth.with_values(dict.fromkeys(truth.effect_parameters.names, 0.5))
+    log = make.recorded(truth, build_named_motion("fourier", truth, 20.0, 1), force_noise=0.02, encoder_noise=1e-6)
+    v = (
+        np.gradient(log.joint("q", JOINTS), log.dt, axis=0)
+        + np.random.default_rng(0).normal(size=(log.n_samples, 2)) * 1e-3
+    )
+    return log.with_channels(**{f"v_{j}": v[:, k] for k, j in enumerate(JOINTS)})
+
+
+def less(log: Log, forces: np.ndarray) -> Log:
+    """Return a log with forces (n, 2) subtracted."""
+    return log.with_channels(**{f"tau_{j}": log.channels[f"tau_{j}"] - forces[:, k] for k, j in enumerate(JOINTS)})
+
+
+def compute_nominal(robot, log: Log, moving: float) -> np.ndarray:
+    """Return the file's rigid-body force (n, 2) at the logged positions, at rest or in motion."""
+    q = log.joint("q", JOINTS)
+    v = moving * np.gradient(q, log.dt, axis=0)
+    return build_mechanism(robot).inverse_dynamics(q, v, moving * np.gradient(v, log.dt, axis=0))
+
+
+def read_map(warnings) -> dict[str, float]:
+    """Return the scales of the advised column map."""
+    lines = re.findall(r"`(\w+): \{column: \w+, scale: ([-\d.e]+)\}`", " ".join(warnings))
+    assert len({name for name, _ in lines}) == len(lines)  # one line a column
+    return {name: float(scale) for name, scale in lines}
+
+
+def test_forces_without_gravity_are_named(two_link, arm_log) -> None:
+    """Zero first moments explain them too, and the file's bodies say otherwise."""
+    assert check_against_robot(two_link, [arm_log]) == []
+    found = check_against_robot(two_link, [less(arm_log, compute_nominal(two_link, arm_log, 0.0))])
+    assert {get_code(w) for w in found} <= {
+        "gravity_subtracted",
+        "gravity_direction",
+    }  # a level plane has no gravity either
+    assert "the forces of all joints lack gravity" in " ".join(found)
+
+
+def test_forces_without_the_bodies_are_named(two_link, arm_log) -> None:
+    """Only friction is left of forces from which a controller subtracted its model."""
+    found = check_against_robot(two_link, [less(arm_log, compute_nominal(two_link, arm_log, 1.0))])
+    assert "model_subtracted" in {get_code(w) for w in found}
+
+
+@pytest.mark.parametrize("joints", [("shoulder", "elbow"), ("shoulder",)])
+def test_a_removed_mean_is_named_at_its_joints(two_link, arm_log, joints: tuple[str, ...]) -> None:
+    """A force of mean zero contradicts a mean of gravity, in all joints or in one."""
+    means = np.array([arm_log.channels[f"tau_{j}"].mean() if j in joints else 0.0 for j in JOINTS])
+    (warning,) = check_against_robot(two_link, [less(arm_log, np.broadcast_to(means, (arm_log.n_samples, 2)))])
+    assert get_code(warning) == "mean_removed" and ("all joints" in warning) is (len(joints) == 2)
+
+
+def test_an_offset_larger_than_friction_is_no_reversed_sign(two_link, arm_log) -> None:
+    """A current sensor's offset adds to forward and takes from backward friction; their sum stays."""
+    assert check_against_robot(two_link, [less(arm_log, np.full((arm_log.n_samples, 2), [2.0, -1.5]))]) == []
+
+
+def test_a_half_balanced_arm_is_sound(two_link, arm_log) -> None:
+    """A spring that carries 60 % of a joint's gravity is no controller that subtracts it."""
+    gravity = compute_nominal(two_link, arm_log, 0.0) * [0.6, 0.0]
+    assert "gravity_subtracted" not in {get_code(w) for w in check_against_robot(two_link, [less(arm_log, gravity)])}
+
+
+def test_torque_constants_are_estimated_joint_by_joint(two_link, arm_log) -> None:
+    """Currents of two motors have two factors, each with its standard error, and none is rounded to a power of ten."""
+    factors = {"tau_shoulder": 12.6, "tau_elbow": 9.3}
+    log = arm_log.with_channels(**{name: arm_log.channels[name] / x for name, x in factors.items()})
+    found = read_map(check_against_robot(two_link, [log]))
+    assert set(found) == set(factors)
+    assert all(found[name] == pytest.approx(x, rel=0.1) for name, x in factors.items())
+
+
+def test_motor_side_columns_are_one_number_a_joint(two_link, arm_log) -> None:
+    """Position times N and force over N are one gear, of either sign."""
+    ratios = {"shoulder": 101.0, "elbow": -51.0}
+    changed = {f"q_{j}": n * arm_log.channels[f"q_{j}"] for j, n in ratios.items()}
+    changed |= {f"tau_{j}": arm_log.channels[f"tau_{j}"] / n for j, n in ratios.items()}
+    log = Log(arm_log.t, changed, "motor.csv")
+    found = read_map(check_against_robot(two_link, [log]))
+    for j, n in ratios.items():
+        assert found[f"q_{j}"] == pytest.approx(1 / n, rel=0.1) and found[f"tau_{j}"] == pytest.approx(n, rel=0.1)
+
+
+def test_an_estimate_consistent_with_degrees_is_rounded_to_them(two_link, arm_log) -> None:
+    """57.3 within its standard error is a unit."""
+    turned = {f"q_{j}": np.degrees(arm_log.channels[f"q_{j}"]) for j in JOINTS}
+    log = Log(arm_log.t, turned | {f"tau_{j}": arm_log.channels[f"tau_{j}"] for j in JOINTS}, "degrees.csv")
+    found = read_map(check_against_robot(two_link, [log]))
+    assert all(found[f"q_{j}"] == pytest.approx(np.pi / 180, rel=1e-4) for j in JOINTS)
+
+
+def test_a_recorded_velocity_decides_about_the_clock(two_link, arm_log) -> None:
+    """A clock at half speed contradicts velocities from a tachometer; velocities in the clock's own time veto the clock."""
+    slow = Log(2 * arm_log.t, arm_log.channels, "slow.csv")
+    (warning,) = check_against_robot(two_link, [slow])
+    assert get_code(warning) == "scale_wrong" and "the clock runs" in warning
+    agreeing = slow.with_channels(**{f"v_{j}": arm_log.channels[f"v_{j}"] / 2 for j in JOINTS})
+    assert not any("the clock runs" in w for w in check_against_robot(two_link, [agreeing]))
