@@ -20,6 +20,7 @@ import pandas as pd
 from hidden_effects_parts.figure import power_curve
 from hidden_effects_parts.judge import about, row_of
 from hidden_effects_parts.robots import DRAWS
+from hidden_effects_parts.sensing_forms import SENSING_FORMS
 from hidden_effects_parts.sets import KNOWN_FORMS, LAMBDA, draw_set
 from hidden_effects_parts.summary import confusion, sentences
 
@@ -29,7 +30,8 @@ from tau_dyn.scale import run_many
 KINDS = ("clean", "feedback", "single", "pairs", "unknown")
 
 
-FORMS = {form.__name__: form for form in KNOWN_FORMS}
+FORMS = {form.__name__: form for form in (*KNOWN_FORMS, *SENSING_FORMS)}
+"""Forms by name; those of sensors are drawn where `--forms` names them, so that the sets of the table stay the same."""
 
 
 def one_row(

@@ -13,6 +13,7 @@ from tau_dyn.evidence.null_model import NullModel, fit_noise_models
 from tau_dyn.identify import build_model
 from tau_dyn.log import Log
 from tau_dyn.mechanism import build_mechanism
+from tau_dyn.robot import load_robot_from_urdf
 
 NOISE_NM = 0.02
 
@@ -64,6 +65,20 @@ def test_a_saturation_of_ten_per_cent_comes_out(two_link, rng) -> None:
     """The force in its column is the one that the drive gives, and not the larger one that the baseline is fitted to."""
     case = fit(two_link, record(two_link, rng, saturation=0.1))
     (setting,) = TorqueSaturation.grid(case.channel.scene, ("shoulder",))
-    amplitude, stderr = explained(case, TorqueSaturation(["shoulder"], ["N m"], **setting))
+    amplitude, stderr = explained(case, TorqueSaturation(["shoulder"], ["N m"], largest=setting["largest"]))
     assert abs(amplitude - 0.1) < 3.5 * stderr + 0.003
     assert stderr < 0.01
+
+
+def test_a_yaw_that_no_force_feels_proposes_no_zero(write, rng) -> None:
+    """The first joint turns about the vertical: rounding of its forces is no reason to look for its zero."""
+    upper = write.rod("upper_link", 3, 0.4) + write.joint("shoulder", "revolute", "base_link", "upper_link", "0 0 1")
+    lower = write.rod("lower_link", 2, 0.3) + write.joint(
+        "elbow", "revolute", "upper_link", "lower_link", "0 1 0", "0.4 0 0"
+    )
+    text = write.text("yaw", upper, lower, write.drive("shoulder"), write.drive("elbow"))
+    robot = load_robot_from_urdf(text, "yaw")
+    case = fit(robot, record(robot, rng))
+    assert case.channel.scene.zeros["shoulder"] == 0.0
+    columns = case.channel.columns(JointZero(["shoulder"], ["N m"]))
+    assert not any(c.any() for c in columns)

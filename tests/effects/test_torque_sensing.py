@@ -53,7 +53,8 @@ def test_forces_leak_both_ways_between_joints_of_one_kind() -> None:
 def test_a_simulated_drive_reports_what_the_law_makes_of_its_force(two_link, kind) -> None:
     """The log holds the law of the true force, and the robot moves as without it."""
     joints = two_link.actuated if kind is TorqueCrosstalk else two_link.actuated[:1]
-    effect = kind(joints, ["N m"] * len(joints), **({} if kind is TorqueCrosstalk else {"largest": 30.0}))
+    effect = kind(joints, ["N m"] * len(joints))
+    effect = effect if kind is TorqueCrosstalk else effect.with_settings(largest=30.0)
     model = Model.of(two_link, [effect]).with_values({effect.parameters.names[0]: 0.2})
     moving = move(two_link.actuated, np.zeros(2), np.array([0.1, -0.1]), 0.2)
     run = simulate_drive(model, moving, None, Sensors(), np.random.default_rng(0), feedback="ideal")

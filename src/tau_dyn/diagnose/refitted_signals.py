@@ -150,11 +150,14 @@ class RefittedModel:
 
 
 def shift_safely(force: Callable[[np.ndarray], np.ndarray], q: np.ndarray, joint: int, unit: str) -> np.ndarray:
-    """Return the change of a function at displaced positions; zeros where a loop does not close there."""
+    """Return the change of a function at displaced positions; zeros where a loop does not close there or it is rounding."""
+    here = force(q)
     try:
-        return compute_shifted_forces(force, q, joint, unit)
+        found = compute_shifted_forces(force, q, joint, unit)
     except LoopClosureError:
-        return np.zeros((*force(q).shape, 4))
+        return np.zeros((*here.shape, 4))
+    is_felt = np.abs(found).max(initial=0.0) > _MIN_RELATIVE_NORM * np.abs(here).max(initial=0.0)
+    return found if is_felt else np.zeros_like(found)
 
 
 def _lay_by_joint(x: np.ndarray) -> np.ndarray:

@@ -304,7 +304,8 @@ def _reject_without_gain(channel: Channel, claims: Claims, bars: Waterfall) -> C
         joints = list_felt_joints(channel, one.candidate.effects)
         felt = [k for k, output in enumerate(channel.outputs) if output in joints] or slice(None)
         least = float(np.sqrt(np.mean(compute_least_forces(channel)[felt] ** 2)))
-        if gain.rms_before - gain.rms_after < least:
+        own = np.sqrt(max(0.0, gain.rms_before**2 - gain.rms_after**2))  # rms of the force that the cause takes off
+        if own < least:
             return claims.judge(claims.found.index(one), _NO_FORCE)
     return claims
 

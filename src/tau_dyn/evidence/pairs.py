@@ -33,7 +33,7 @@ MAX_MEMBERS = 5
 def find_rival_pairs(
     candidate: CandidateCause, candidates: Sequence[CandidateCause], ground: NullModel
 ) -> tuple[str, ...]:
-    """Return the pairs of causes, joined by `+`, the stronger one first, that explain as much as a cause on all of its joints.
+    """Return pairs of causes, joined by `+` in the catalogue's order, that explain as much as a cause on all of its joints.
 
     Args:
         candidate: The cause, its settings refined.
@@ -49,7 +49,7 @@ def _list_pairs(fit: GroupTest, cause: str, candidates: Sequence[CandidateCause]
     own = compute_penalised_statistic([fit], fit.overdispersion)
     members = _choose_members(fit, cause, candidates, ground)
     alone = {name: compute_penalised_statistic([test], fit.overdispersion) for name, test in members.items()}
-    for one, other in combinations(sorted(members, key=lambda name: (-alone[name], name)), 2):
+    for one, other in combinations(sorted(members, key=list(EFFECTS).index), 2):
         if max(alone[one], alone[other]) > own - MIN_2LOGL_DIFFERENCE:
             continue
         together = _score_together(fit, (members[one], members[other]), ground)

@@ -116,7 +116,7 @@ def get_voltages(run: PlantRun, forces: np.ndarray) -> dict[str, np.ndarray]:
 def _read_forces(run: PlantRun) -> np.ndarray | None:
     """Return the forces (N, na) that drives report of those they give; None where they report them as they are."""
     reading = [e for e in run.model.effects if isinstance(e, ForceReading)]
-    signals = dict.fromkeys(("force", DELIVERED), run.tau)
+    signals: dict[str, np.ndarray] = {"force": run.tau, DELIVERED: run.tau}
     motion = Motion.of(run.model.robot.actuated, run.q, run.v, run.a, t=run.t, signals=signals)
     forces = [e.force(motion, run.model.effect_parameters) for e in reading]
     return run.tau + np.sum(forces, axis=0) if forces else None
