@@ -155,7 +155,7 @@ def find_changes(regression: Regression, shared: Mapping[Kind, Columns] | None =
     for name in logs:
         places = [k for k, run in enumerate(regression.runs) if run.name == name]
         runs = tuple(regression.runs[k] for k in places)
-        both = {kind: [columns[k] for k in places] for kind, columns in (shared or {}).items()}
+        both: dict[Kind, Columns] = {kind: [columns[k] for k in places] for kind, columns in (shared or {}).items()}
         found += _search_log(replace(regression, runs=runs, everything=None), both, len(logs))
     return tuple(found)
 
