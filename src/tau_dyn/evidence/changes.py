@@ -528,9 +528,9 @@ def _test(data: _LogData, hypothesis: _Hypothesis, time_s: float, n_hypotheses: 
     if step.over_drift < MIN_2LOGL_DIFFERENCE:
         return None, data.drift(hypothesis, step.drift)
     taken = data.take(hypothesis, step.time_s, step.factor).leave_out(step.time_s)
-    share, before, after, unit = _measure(taken, hypothesis, step)
-    if share < 1:
-        return None, data
+    size, before, after, unit = _measure(taken, hypothesis, step)
+    if size < 1:  # accounted for, so that no other kind is named in its place
+        return None, taken
     kind = hypothesis.kind
     if not hypothesis.columns:
         kind = "sign" if step.factor < 0 else "gain"
@@ -680,9 +680,7 @@ def _measure(data: _LogData, hypothesis: _Hypothesis, step: _Step) -> tuple[floa
             continue
         force = np.concatenate([run.y[run.usable[:, k], k] for run in data.runs])
         friction, coulomb = _estimate_friction(data, k)
-        added = (
-            _add_step(data, hypothesis, step, k) if hypothesis.columns else (step.factor - 1) * (force - force.mean())
-        )
+        added = _add_step(data, hypothesis, step, k) if hypothesis.columns else (step.factor - 1) * force
         least = max(MAX_LAW_ERROR * float(np.std(force)), MIN_FRICTION_RATIO * _measure_rms(friction))
         sizes.append(_measure_rms(added) / max(least, 1e-300) if len(added) else 0.0)
     size = max(sizes)
