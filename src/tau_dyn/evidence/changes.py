@@ -52,7 +52,7 @@ from tau_dyn.mechanism import Mechanism
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import find_end_link
 
-LEVEL = 1e-5
+LEVEL = 1e-6
 """Chance, by the test, that any of the logs of one fit gets a change that it does not have. It is stricter than the level of a
 cause: ten blocks of a residual with structure have heavier tails than their F distribution, and a true change exceeds the bound
 by orders of magnitude."""
@@ -81,8 +81,8 @@ POINT_BODY = ("mass", "mx", "my", "mz")
 """Inertial numbers of a body at the tool that is tried; its inertia about its own centre is small against those."""
 
 MIN_FRICTION_RATIO = 0.2
-"""Change of a joint's friction force over that force from which a brake or a contact is reported: friction of geared joints
-varies by tens of per cent with speed, load, position and temperature, and another part of the motion sees another part of it."""
+"""Change of a joint's force over its friction from which it is reported: friction of geared joints varies by tens of per cent
+with speed, load, position and temperature, and another part of the motion sees another part of it."""
 SLOW_SPEED_SHARES = (0.02, 0.06, 0.2)
 """Speeds over the fastest at which Stribeck friction that the model may lack has fallen to a third: a logarithmic grid, as
 polynomials of the speed do not follow it."""
@@ -155,7 +155,7 @@ def find_changes(regression: Regression, shared: Mapping[Kind, Columns] | None =
     for name in logs:
         places = [k for k, run in enumerate(regression.runs) if run.name == name]
         runs = tuple(regression.runs[k] for k in places)
-        both = {kind: [columns[k] for k in places] for kind, columns in (shared or {}).items()}
+        both: dict[Kind, Columns] = {kind: [columns[k] for k in places] for kind, columns in (shared or {}).items()}
         found += _search_log(replace(regression, runs=runs, everything=None), both, len(logs))
     return tuple(found)
 
@@ -528,9 +528,9 @@ def _test(data: _LogData, hypothesis: _Hypothesis, time_s: float, n_hypotheses: 
     if step.over_drift < MIN_2LOGL_DIFFERENCE:
         return None, data.drift(hypothesis, step.drift)
     taken = data.take(hypothesis, step.time_s, step.factor).leave_out(step.time_s)
-    share, before, after, unit = _measure(taken, hypothesis, step)
-    if share < 1:
-        return None, data
+    size, before, after, unit = _measure(taken, hypothesis, step)
+    if size < 1:  # accounted for, so that no other kind is named in its place
+        return None, taken
     kind = hypothesis.kind
     if not hypothesis.columns:
         kind = "sign" if step.factor < 0 else "gain"
@@ -671,29 +671,28 @@ def _list_drifts(t: np.ndarray, begin: float | None = None, end: float | None = 
 def _measure(data: _LogData, hypothesis: _Hypothesis, step: _Step) -> tuple[float, float, float, str]:
     """Return the size of a change over the least that is reported, the values before and after it, and their unit.
 
-    The log has the change accounted for. Its size is the rms of its force, compared with the joint's force without its mean; of
-    friction with the joint's friction, too.
+    The log has the change accounted for. Its size is the rms of its force. Models are wrong by `MAX_LAW_ERROR` of a joint's force
+    without its mean and by `MIN_FRICTION_RATIO` of its friction; the larger is the least.
     """
-    if not hypothesis.columns:
-        return abs(step.factor - 1) / MAX_LAW_ERROR, 1.0, step.factor, ""
-    output, sizes = hypothesis.output, [0.0]
+    sizes, coulomb, output = [0.0], 0.0, hypothesis.output
     for k in range(len(data.regression.outputs)):
+        if output not in (-1, k) or not any(run.usable[:, k].any() for run in data.runs):
+            continue
         force = np.concatenate([run.y[run.usable[:, k], k] for run in data.runs])
-        added = _add_step(data, hypothesis, step, k)
-        if len(added) and np.std(force) > 0:
-            sizes.append(_measure_rms(added) / float(np.std(force)))
-    size, before, after = max(sizes) / MAX_LAW_ERROR, 0.0, float(step.amplitudes[0])
-    unit = data.regression.units[max(output, 0)]
-    if hypothesis.kind == "friction":
-        own, before = _estimate_friction(data, output)
-        least = MIN_FRICTION_RATIO * _measure_rms(own)
-        size = min(size, _measure_rms(_add_step(data, hypothesis, step, output)) / max(least, 1e-300))
-        after += before
-    elif hypothesis.kind == "payload":
-        unit = "kg"
-    elif hypothesis.kind == "gravity_direction":
-        after, unit = float(np.linalg.norm(step.amplitudes)), "rad"
-    return size, before, after, unit
+        friction, coulomb = _estimate_friction(data, k)
+        added = _add_step(data, hypothesis, step, k) if hypothesis.columns else (step.factor - 1) * force
+        least = max(MAX_LAW_ERROR * float(np.std(force)), MIN_FRICTION_RATIO * _measure_rms(friction))
+        sizes.append(_measure_rms(added) / max(least, 1e-300) if len(added) else 0.0)
+    size = max(sizes)
+    if not hypothesis.columns:
+        return size, 1.0, step.factor, ""
+    amplitude = float(step.amplitudes[0])
+    if hypothesis.kind == "payload":
+        return size, 0.0, amplitude, "kg"
+    if hypothesis.kind == "gravity_direction":
+        return size, 0.0, float(np.linalg.norm(step.amplitudes)), "rad"
+    before = coulomb if hypothesis.kind == "friction" else 0.0
+    return size, before, before + amplitude, data.regression.units[output]
 
 
 def _measure_rms(x: np.ndarray) -> float:

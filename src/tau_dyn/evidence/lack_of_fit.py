@@ -97,7 +97,7 @@ def _estimate_noise(
         if len(run.t) < SEGMENT_ROWS:
             continue
         step = float(np.median(np.diff(run.t)))
-        f = np.fft.rfftfreq(SEGMENT_ROWS, step)
+        f = np.asarray(np.fft.rfftfreq(SEGMENT_ROWS, step), np.float64)
         passed = compute_attenuation(f, cutoff_hz) ** -2.0 if np.isfinite(cutoff_hz) else np.ones(len(f))
         top = min(cutoff_hz, f[-1])
         upper = (f >= UPPER_BAND[0] * top) & (f <= UPPER_BAND[1] * top)

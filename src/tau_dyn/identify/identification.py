@@ -18,7 +18,6 @@ import numpy as np
 from tau_dyn.effects import FRICTION_MODELS
 from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Preparation, Regression
 from tau_dyn.evidence import (
-    Change,
     build_shared_columns,
     describe_changes,
     describe_poor_fits,
@@ -124,6 +123,8 @@ def identify(
         warnings += [*built.left_out, *list_resting_warnings(built.regression)]
         refuse_constant_forces(train, built.regression)
         warnings += _list_singularities(fitted, built.regression)
+        changes = find_changes(built.regression, build_shared_columns(built.regression, fitted.mechanism))
+        warnings += describe_changes(changes)
 
         progress("structure")
         solver = Estimator(estimator, fitted, built.data.pieces, gains, find_structural_base(fitted, seed))
@@ -140,14 +141,15 @@ def identify(
         progress("held-out errors")
         errors = _judge_held_out(held_out, settled, offset) if judged else _judge_last_part(settled.built, solver)
         warnings += errors.warnings
+        if held and errors.regression is not None:
+            later = find_changes(errors.regression, build_shared_columns(errors.regression, fitted.mechanism))
+            warnings += describe_changes(later)
+            changes = (*changes, *later)
         _refuse_if_nothing_determined(settled.estimate)
     except CannotAnswer as fault:
         fault.warnings = tuple(dict.fromkeys(warnings))
         raise
-    progress("changes within the logs")
     trained, estimate = build_force_errors(settled.built.regression, settled.estimate.theta), settled.estimate
-    changes = _find_all_changes(_place(fitted, estimate), settled.built.regression, errors.regression if held else None)
-    warnings += describe_changes(changes)
     warnings += describe_poor_fits(find_poor_fits(estimate.regression, estimate.residuals()))
     split = settled.built.regression.parameters
     nominal = fitted.parameters + Parameters([p for p in split if p.name not in fitted.parameters])
@@ -177,15 +179,6 @@ def identify(
         changes=changes,
         motors=estimate_motor_electrics(estimate),
     )
-
-
-def _find_all_changes(model: Model, train: Regression, held: Regression | None) -> tuple[Change, ...]:
-    """Return the changes within training and held-out logs, with a body at the tool and gravity at a fitted model's values."""
-    found: list[Change] = []
-    for regression in (train, held):
-        if regression is not None:
-            found += find_changes(regression, build_shared_columns(regression, model.mechanism))
-    return tuple(found)
 
 
 def _require_wls(estimator: str) -> str:
