@@ -228,7 +228,7 @@ class Data:
                 found += resample_segments(log)
         spoilt = check_integrity(self.model.robot, whole, self.exclude)
         if self.streams:
-            spoilt = [CodedWarning(get_code(w), f"{w} {_NOT_MENDED}") for w in spoilt]
+            spoilt = [CodedWarning(w.code, f"{w} {_NOT_MENDED}") for w in spoilt]
         return [*spoilt, *log_warnings(self.model.robot, [*self.pieces, *found])]
 
     def build(self, at: Model) -> BuiltData:
