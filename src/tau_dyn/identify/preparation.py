@@ -126,9 +126,9 @@ def choose_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ..
     )
 
 
-FINEST_COUNT = 2.0**-22
-"""Encoder noise, as a share of a joint's range, below which positions were smoothed before they were logged, or simulated: a
-motor's encoder of 16 bits behind a gear of 100 counts 2^22.6 a turn of its joint, and flickers by a third of a count or more."""
+FINEST_COUNT = 2.0**-26
+"""Encoder noise, as a share of a joint's range, below which positions were smoothed before they were logged, or simulated: the
+finest encoders resolve 26 bits a turn. The linear drive of EMPS counts 2^22 steps in its range, a UR10's smoothed joints 2^46."""
 
 REST_SHARE = 0.02
 """Share of a joint's fast speed below which it rests where its noise does not show: stick-slip and pre-sliding follow no law of
