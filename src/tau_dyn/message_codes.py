@@ -174,6 +174,10 @@ WARNING_CODES: dict[str, MessageCode] = {
         "the held-out error of a joint is over 3 times the training error", "check machine, tool and load of both logs"
     ),
     "joints_exchanged": MessageCode("columns of two joints are exchanged", "the column map's lines in the sentence"),
+    "clocks_joined": MessageCode("signals of several clocks were put on one", "log all signals by one clock"),
+    "column_without_numbers": MessageCode("a column is empty or nan throughout", "log it, or map another column"),
+    "log_layout": MessageCode("how an unusual text file was read", "check that it was meant so"),
+    "samples_left_out": MessageCode("rows without a number were left out", "let the logger fill every cell"),
     "lost_samples": MessageCode(
         "samples are missing under an even clock", "log time stamps; up to 1 % is corrected, else record again"
     ),

@@ -21,15 +21,12 @@ from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.log.check import JointLimits
 from tau_dyn.log.column_groups import (
     CLOCKS,
-    DEGREE,
     ColumnGroup,
     choose_group,
     find_groups,
-    find_named_scale,
-    split_words,
 )
 from tau_dyn.log.column_map import ColumnMap
-from tau_dyn.log.column_names import format_names, is_contract_name
+from tau_dyn.log.column_names import DEGREE, find_named_scale, format_names, is_contract_name, split_words
 from tau_dyn.log.read import EPISODE, has_topics, read_any
 from tau_dyn.log.table import Table
 from tau_dyn.message_codes import CodedWarning
