@@ -91,6 +91,8 @@ def _doubt(log: Log, joint: str, kind: str, lower: float, upper: float) -> str:
     low, high = _extent(log, joint)
     prismatic = kind == "prismatic"
     unit, foreign, scale = ("m", "mm", 1e-3) if prismatic else ("rad", "degrees", np.pi / 180)
+    if not prismatic and not np.isfinite(upper - lower):
+        return ""  # a joint that turns without end may stand at any angle
     reach = MAX_AXIS_LENGTH_M if prismatic else WIDEST_TURN
     lower, upper = max(lower, -reach), min(upper, reach)
     margin = (upper - lower) / 2

@@ -240,16 +240,22 @@ def _refuse_backwards(group: Clocked) -> None:
         )
 
 
-def describe_coarse_text(cells: NDArray[Any]) -> str:
-    """Return what is wrong with a text clock whose stamps have whole seconds only; empty for another one."""
+def measure_coarse_rate(cells: NDArray[Any]) -> float | None:
+    """Return the samples per second [Hz] of a text clock whose stamps have whole seconds only; None of another one."""
     text = [str(cell) for cell in cells[: 2**16] if not is_blank(cell)]
     changes = [k for k in range(1, len(text)) if text[k] != text[k - 1]]
     if len(changes) < 2 or any(re.search(r":\d+[.,]\d", cell) for cell in text):
-        return ""
+        return None
     rate = (changes[-1] - changes[0]) / (len(changes) - 1)
-    if rate <= 1.0:
+    return rate if rate > 1.0 else None
+
+
+def describe_coarse_text(cells: NDArray[Any]) -> str:
+    """Return what is wrong with a text clock of whole seconds; empty for another one."""
+    rate = measure_coarse_rate(cells)
+    if rate is None:
         return ""
     return (
-        f"the stamps have whole seconds, of which one holds about {rate:.4g} samples; export fractions of a second, or give the "
-        f"rate as `t: {{rate_hz: {rate:.4g}}}` in a column map"
+        f"the stamps have whole seconds, of which one holds about {rate:.4g} samples; export fractions of a second, or give "
+        f"the rate as `t: {{rate_hz: {rate:.4g}}}` in a column map"
     )

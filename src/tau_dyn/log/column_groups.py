@@ -17,17 +17,19 @@ from tau_dyn.message_codes import CodedWarning
 
 _WORDS: Mapping[str, frozenset[str]] = {
     "reference": frozenset("target goal cmd command commanded desired des ref reference setpoint sp d action".split()),
-    "current": frozenset("current currents curr cur ampere amps motorcurrent".split()),
+    "current": frozenset("current currents curr cur i iq ampere amps amp motorcurrent".split()),
     "tau": frozenset("tau torque torques effort efforts trq moment moments".split()),
     "v": frozenset("v vel velocity velocities speed speeds dq qd qdot omega".split()),
     "a": frozenset("a acc acceleration accelerations ddq qdd".split()),
-    "q": frozenset("q qm pos position positions angle angles theta state".split()),
+    "q": frozenset("q qm pos position positions angle angles theta state enc encoder encoders".split()),
     "temp": frozenset("temp temperature temperatures".split()),
     "other": frozenset("tcp tool ee cartesian pose ext external volts voltage error fric friction con load".split()),
 }
 """What a word of a name says; the first row that knows one decides, after `other` and `reference`."""
 
-CLOCKS = frozenset("t time timestamp timestamps stamp clock zeit secs seconds".split())
+CLOCKS = frozenset(
+    "t time timestamp timestamps datetime stamp clock zeit zeitstempel uhrzeit temps hora tijd secs seconds".split()
+)
 
 _MEASURED = frozenset("actual act measured meas".split())
 """Words that make a group the better candidate."""
