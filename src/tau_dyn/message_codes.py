@@ -174,6 +174,7 @@ WARNING_CODES: dict[str, MessageCode] = {
         "the held-out error of a joint is over 3 times the training error", "check machine, tool and load of both logs"
     ),
     "joints_exchanged": MessageCode("columns of two joints are exchanged", "the column map's lines in the sentence"),
+    "clock_converted": MessageCode("dates, times of day or days became seconds", "check the rate"),
     "clocks_joined": MessageCode("signals of several clocks were put on one", "log all signals by one clock"),
     "column_without_numbers": MessageCode("a column is empty or nan throughout", "log it, or map another column"),
     "log_layout": MessageCode("how an unusual text file was read", "check that it was meant so"),

@@ -194,6 +194,17 @@ def _gaps(log: Log, clock: Clock) -> CheckFinding:
     )
 
 
+_READING = {
+    UNCODED: "Let the logger finish its file.",
+    "log_layout": "Check that it was meant so.",
+    "clock_converted": "Check the rate above.",
+    "clocks_joined": "Log all signals by one clock.",
+    "column_without_numbers": "Log it, or map another column.",
+    "samples_left_out": "Let the logger fill every cell.",
+}
+"""Remedies of remarks on reading, by their codes; sentences without a code are about an incomplete last line."""
+
+
 def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
     """Judge whether a log is fit for identification.
 
@@ -212,7 +223,8 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
     """
     findings, numbers = check_clock(log)
     findings += [
-        CheckFinding("warning", "reading", sentence, "Let the logger finish its file.") for sentence in log.warnings
+        CheckFinding("warning", "reading", sentence, _READING.get(get_code(sentence), "See the message."))
+        for sentence in log.warnings
     ]
     findings += _columns(log, robot) + _check_units(log, robot)
     findings += [build_fault(warning) for warning in list_data_warnings(log, () if robot is None else robot.actuated)]

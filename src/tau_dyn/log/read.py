@@ -35,7 +35,9 @@ from tau_dyn.log.column_names import (
     describe_missing_column,
     find_scale_of_unit,
     format_names,
+    is_blank,
     list_used_columns,
+    split_column_name,
 )
 from tau_dyn.log.log import Log, Origin
 from tau_dyn.log.rosbag_log import is_bag_folder, read_bag
@@ -457,7 +459,10 @@ def _build(
     main = parts[0].table
     refuse_few(main.name, main.n_rows)
     _check_episodes(main)
-    said = [*warnings, *(part.clock.remark for part in parts if part.clock.remark)]
+    if not any(split_column_name(c) for part in parts for c in part.channels):
+        _refuse_signals_in_rows(main)
+    remarks = (part.clock.remark for part in parts if part.clock.remark)
+    said = [*warnings, *(CodedWarning("clock_converted", remark) for remark in remarks)]
     lost = [column for part in parts for column in _list_empty(part)]
     said += [
         CodedWarning(
@@ -548,6 +553,27 @@ def _check_episodes(table: Table) -> None:
             f"{table.name} holds {np.unique(numbers).size} episodes, which are logs of their own; choose one in the column "
             f"map, as `episode: {numbers[0]:g}`.",
         )
+
+
+MAX_SIGNALS = 200
+"""Names that a column may hold where signals come in rows; a robot's log has fewer."""
+
+MIN_ROWS_A_SIGNAL = 5
+"""Rows of each name from which they are a signal's samples; a column of comments repeats less."""
+
+
+def _refuse_signals_in_rows(table: Table) -> None:
+    """Refuse a table with the name of a signal in each row and one column of values."""
+    for column, cells in table.cells.items():
+        if cells.dtype.kind != "O" or read_text_clock(cells[:1]) is not None:
+            continue
+        names, counts = np.unique(cells.astype(str), return_counts=True)
+        if 2 <= names.size <= MAX_SIGNALS and counts.min() >= MIN_ROWS_A_SIGNAL and not any(map(is_blank, names)):
+            raise InputError(
+                "file_format",
+                f"{table.name} holds its signals in rows: column {column} names them ({format_names(names, 4)}); a log has a "
+                f"column for each, as pandas' df.pivot(index=CLOCK, columns='{column}', values=VALUE) gives.",
+            )
 
 
 def _check_clock(table: Table, t: NDArray[np.float64]) -> None:
