@@ -244,9 +244,9 @@ def measure_coarse_rate(cells: NDArray[Any]) -> float | None:
     """Return the samples per second [Hz] of a text clock whose stamps have whole seconds only; None of another one."""
     text = [str(cell) for cell in cells[: 2**16] if not is_blank(cell)]
     changes = [k for k in range(1, len(text)) if text[k] != text[k - 1]]
-    if len(changes) < 2 or any(re.search(r":\d+[.,]\d", cell) for cell in text):
+    if not changes or any(re.search(r":\d+[.,]\d", cell) for cell in text):
         return None
-    rate = (changes[-1] - changes[0]) / (len(changes) - 1)
+    rate = (changes[-1] - changes[0]) / (len(changes) - 1) if len(changes) > 1 else len(text) / 2
     return rate if rate > 1.0 else None
 
 

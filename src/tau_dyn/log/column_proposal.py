@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -127,7 +127,8 @@ def propose_columns(path: str | Path, robot: JointLimits) -> ColumnProposal:
     template = () if q.columns else _write_template(table, values, draft.entries, robot)
     if q.columns:
         draft += _name_gaps(table, draft.entries, robot)
-        draft += _read_back(Path(path), draft.entries, robot)
+        if t is not None:  # else the missing clock is listed already
+            draft += _read_back(Path(path), draft.entries, robot)
     warnings = tuple(dict.fromkeys(draft.warnings))
     return ColumnProposal(table.name, table.sha256, tuple(robot.actuated), draft.entries, warnings, template)
 
@@ -152,14 +153,9 @@ def _read_back(path: Path, entries: Mapping[str, Any], robot: JointLimits) -> _D
     except InputError as fault:
         sentence = f"The map is not complete; read by it, the log is refused: {fault}"
         return _Draft({}, [CodedWarning("column_unsure", sentence)])
-    doubts = [
-        s
-        for s in list_unit_warnings(log, robot)
-        if not any(
-            f"q_{j} runs" in s and f"q_{j}" in entries and isinstance(entries[f"q_{j}"], dict) for j in robot.actuated
-        )
-    ]
-    return _Draft({}, [CodedWarning("unit_unsure", sentence) for sentence in doubts])
+    scaled = {key for key, value in entries.items() if isinstance(value, dict)}  # whose doubts are listed already
+    plain = replace(log, channels={key: x for key, x in log.channels.items() if key not in scaled})
+    return _Draft({}, [CodedWarning("unit_unsure", sentence) for sentence in list_unit_warnings(plain, robot)])
 
 
 MAX_TEMPLATE_COLUMNS = 60
@@ -169,14 +165,26 @@ MAX_TEMPLATE_COLUMNS = 60
 def _write_template(
     table: Table, values: Mapping[str, NDArray[np.float64]], entries: Mapping[str, Any], robot: JointLimits
 ) -> tuple[str, ...]:
-    """Return the lines of a map that a person has to complete, and the numeric columns with their ranges."""
+    """Return the lines of a map that a person has to complete, and the numeric columns with their ranges.
+
+    Raises:
+        CannotAnswer: There is no column of numbers but the clock.
+    """
     free = [column for column in values if column not in _list_named(entries)]
+    if not free:
+        joints = robot.actuated
+        raise CannotAnswer(
+            "positions_missing",
+            f"{table.name} has no columns that can be the positions of {format_names(joints)}; it has "
+            f"{format_names(table.cells)}",
+            f"name a position for {count(len(joints), 'joint')} in a column map, as `q_{joints[0]}: COLUMN`, or log them",
+        )
     wanted = [f"{signal}_{joint}" for signal in ("q", "tau") for joint in robot.actuated]
     lines = [f"# {ours}: {{column: COLUMN, scale: 1.0}}" for ours in wanted if ours not in entries]
     ranges = [f"{column} ({values[column].min():.4g} to {values[column].max():.4g})" for column in free]
     more = [f"{len(free) - MAX_TEMPLATE_COLUMNS} more"] if len(free) > MAX_TEMPLATE_COLUMNS else []
     return (
-        "# Complete a line for each joint and remove its #; ours = scale * column, in rad, m, N m or N.",
+        "# Complete a line for each joint and remove its # (rad, m, N m, N).",
         *lines,
         f"# Columns of numbers in {_one_line(table.name)}:",
         *(f"#   {_one_line(text)}" for text in [*ranges[:MAX_TEMPLATE_COLUMNS], *more]),
@@ -393,22 +401,14 @@ class _Positions(NamedTuple):
 def _propose_positions(
     table: Table, groups: Sequence[ColumnGroup], recorded: _Recorded, robot: JointLimits
 ) -> tuple[_Positions, _Draft]:
-    """Return the positions, and their lines; none where no column can be one.
-
-    Raises:
-        CannotAnswer: There are no columns of numbers.
-    """
+    """Return the positions, and their lines; none where no column can be one."""
     joints = tuple(robot.actuated)
     chosen, warnings = choose_group(groups, "q")
     if chosen is None:
-        missing = f"{table.name} has no columns that can be the positions of {format_names(joints)}"
-        if not recorded.values:
-            raise CannotAnswer(
-                "positions_missing",
-                f"{missing}; it has {format_names(table.cells)}",
-                f"name a position for {count(len(joints), 'joint')} in a column map, as `q_{joints[0]}: COLUMN`, or log them",
-            )
-        sentence = f"{missing} by their names; complete the lines of the template by hand."
+        sentence = (
+            f"{table.name} has no columns that can be the positions of {format_names(joints)} by their names; complete the "
+            "lines of the template by hand."
+        )
         return _Positions({}, {}), _Draft({}, [CodedWarning("column_missing", sentence)])
     if not chosen.by_name and len(joints) > 1:
         more = f"; {chosen.more} more are left out." if chosen.more else "."
