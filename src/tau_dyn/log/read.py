@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -198,7 +198,7 @@ def read_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
     if columns is None:
         table = read_any(path)
         channels = _own_columns(table, tuple(c for c in table.cells if c != "t"))
-        log = _build({None: table}, [_Part(table, channels, _read_clock(table, None, {}))], table.warnings, None)
+        log = _build({None: table}, [_Part(table, channels, _read_clock(table, None))], table.warnings, None)
     else:
         log = _read_foreign(Path(path), columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns))
     _LOGGER.info("read %s: %d samples in %.6g s", log.name, log.n_samples, log.duration)
@@ -219,45 +219,44 @@ def _read_foreign(path: Path, map_: ColumnMap) -> Log:
     tables = _tables(path, map_)
     if map_.episode is not None:
         tables = {key: _take_episode(table, map_.episode) for key, table in tables.items()}
-    clock = map_.sources.get("t")
-    key = clock.file if clock is not None else None if None in tables else next(iter(tables))
-    apart = _find_other_clocks(tables, map_, key)
+    clock = map_.sources.get("t", None if map_.rate_hz is not None else Source("t"))
+    key = clock.file if clock is not None and clock.file in tables else next(iter(tables))
+    apart = {} if clock is None else _find_other_clocks(tables, map_, key, clock)
     together, warnings = _same_length({k: table for k, table in tables.items() if k not in apart})
-    main = together[key]
     scaled = _scale_columns({**tables, **together}, map_)
     mine = {c: x for c, x in scaled.items() if map_.sources[c].file not in apart}
-    if map_.rate_hz is not None:
-        mine["t"] = np.arange(main.n_rows) / map_.rate_hz
-    if None in together and key is None:
+    main = together.get(None) or together[key]
+    if None in together:
         taken = {s.column for s in map_.sources.values() if s.file is None} | set(scaled)
         kept = tuple(column for column in main.cells if column not in taken and column != "t")
         mine = {**_own_columns(main, kept, beside=tuple(scaled)), **mine}
+    times = (
+        Clock(np.arange(main.n_rows) / (map_.rate_hz or 1.0)) if clock is None else _read_clock(together[key], clock)
+    )
     others = [
-        _Part(tables[k], {c: x for c, x in scaled.items() if map_.sources[c].file == k}, clock)
-        for k, clock in apart.items()
+        _Part(tables[k], {c: x for c, x in scaled.items() if map_.sources[c].file == k}, other)
+        for k, other in apart.items()
     ]
     said = (*warnings, *(sentence for k in apart for sentence in tables[k].warnings))
-    own = _Part(main, mine, _read_clock(main, map_.sources.get("t"), mine))
-    return _build(tables, [own, *others], said, map_)
+    return _build(tables, [_Part(main, mine, times), *others], said, map_)
 
 
 def _find_other_clocks(
-    tables: Mapping[str | None, Table], map_: ColumnMap, main: str | None
+    tables: Mapping[str | None, Table], map_: ColumnMap, main: str | None, source: Source
 ) -> dict[str | None, Clock]:
     """Return the clocks of files that are not sampled together with the main one, by the files' keys.
 
     A file has a clock where the map gives one, or where a column is called as the main clock is. Equal clocks are one.
     """
-    source = map_.sources.get("t")
-    if source is None:
+    if len(tables) == 1:
         return {}
-    reference = _read_clock(tables[main], source, {})
+    reference = _read_clock(tables[main], source)
     found = {}
     for key, table in tables.items():
-        own = map_.clocks.get(key or "", replace(source, file=key))
-        if key == main or own.column not in table.cells and key not in map_.clocks:
+        own = map_.clocks.get(key or "", source)
+        if key == main or own.column not in table.cells and own is source:
             continue
-        clock = _read_clock(table, own, {})
+        clock = _read_clock(table, own)
         if clock.t.size != reference.t.size or not _are_equal(clock, reference):
             found[key] = clock
     return found
@@ -273,22 +272,24 @@ def _are_equal(one: Clock, other: Clock) -> bool:
     return bool(np.all(difference <= MAX_CLOCK_DIFFERENCE * step))
 
 
-def _read_clock(table: Table, source: Source | None, channels: Mapping[str, NDArray[np.float64]]) -> Clock:
+def _read_clock(table: Table, source: Source | None) -> Clock:
     """Return the clock of a table: numbers, or dates and times of day, or a number of days.
 
     Args:
         table: The table.
-        source: Its clock in a map; None where `channels` hold `t`.
-        channels: Our columns.
+        source: Its clock in a map; None of a log under our own names.
 
     Raises:
         InputError: There is no clock, or a cell is neither a number nor a time.
     """
-    if source is None and "t" in channels:
-        return Clock(channels["t"])
     column = "t" if source is None else source.column
     if column not in table.cells:
-        raise InputError("missing_column", describe_missing_clock(table.name, tuple(table.cells)))
+        raise InputError(
+            "missing_column",
+            describe_missing_clock(table.name, tuple(table.cells))
+            if column == "t"
+            else describe_missing_column(table.name, column, tuple(table.cells), ", which the map takes for t"),
+        )
     clock = read_text_clock(table.cells[column])
     if clock is not None:
         if source is not None and source.scale != 1.0:
@@ -463,15 +464,16 @@ def _build(
         _refuse_signals_in_rows(main)
     remarks = (part.clock.remark for part in parts if part.clock.remark)
     said = [*warnings, *(CodedWarning("clock_converted", remark) for remark in remarks)]
-    lost = [column for part in parts for column in _list_empty(part)]
+    used = frozenset(list_used_columns([c for part in parts for c in part.channels]))
+    lost = [c for part in parts for c in part.channels if c in used and np.isnan(part.channels[c]).all()]
     said += [
         CodedWarning(
             "column_without_numbers", f"{main.name}: column {column} has no number in it and counts as missing."
         )
         for column in lost
     ]
-    channels = {c: x for c, x in parts[0].channels.items() if c != "t" and c not in lost}
-    t, channels, more = _join(parts, channels, lost)
+    channels = {c: x for c, x in parts[0].channels.items() if c not in lost}
+    t, channels, more = _join(parts, channels, used.difference(lost))
     if map_ is not None:
         channels = _undo_couplings(channels, map_)
     digest = compute_joint_sha256(table.sha256 for table in tables.values())
@@ -479,21 +481,12 @@ def _build(
     return Log(t, channels, main.name, digest, tuple(dict.fromkeys((*said, *more))), origin)
 
 
-def _list_used(part: _Part) -> list[str]:
-    """Return the columns of a part whose every number counts."""
-    return [c for c in list_used_columns(part.channels) if c != "t"]
-
-
-def _list_empty(part: _Part) -> list[str]:
-    return [c for c in _list_used(part) if np.isnan(part.channels[c]).all()]
-
-
 def _join(
-    parts: Sequence[_Part], channels: dict[str, NDArray[np.float64]], lost: Sequence[str]
+    parts: Sequence[_Part], channels: dict[str, NDArray[np.float64]], wanted: frozenset[str]
 ) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]], list[str]]:
     """Return the clock, the channels on it and remarks."""
     main = parts[0]
-    used = [c for c in _list_used(main) if c not in lost]
+    used = [c for c in channels if c in wanted]
     holes = np.isnan(main.clock.t)
     for column in used:
         holes |= np.isnan(channels[column])
@@ -502,7 +495,7 @@ def _join(
         return main.clock.t, channels, []
     if len(parts) == 1 and np.mean(~holes) >= MIN_COMPLETE_SHARE:
         return _leave_out(main, channels, holes, used)
-    groups = [group for part in parts for group in _group_by_rows(part, main.clock.epoch, lost)]
+    groups = [group for part in parts for group in _group_by_rows(part, main.clock.epoch, wanted)]
     joined = join_clocks(main.table.name, groups)
     refuse_few(main.table.name, joined.rows.size)
     return groups[joined.main].t[joined.rows], joined.channels, list(joined.warnings)
@@ -526,11 +519,11 @@ def _leave_out(
     return part.clock.t[kept], rows, [CodedWarning("samples_left_out", sentence)]
 
 
-def _group_by_rows(part: _Part, epoch: int, lost: Sequence[str]) -> list[Clocked]:
+def _group_by_rows(part: _Part, epoch: int, wanted: frozenset[str]) -> list[Clocked]:
     """Return the used channels of a part, those that are filled in the same rows together."""
     t = part.clock.t + (part.clock.epoch - epoch) / 1e9
     groups: dict[bytes, list[str]] = {}
-    for column in (c for c in _list_used(part) if c not in lost):
+    for column in (c for c in part.channels if c in wanted):
         filled = np.isfinite(t) & np.isfinite(part.channels[column])
         groups.setdefault(np.packbits(filled).tobytes(), []).append(column)
     several = len(groups) > 1
