@@ -332,3 +332,51 @@ def test_hostile_names_are_quoted(tmp_path):
         pd.DataFrame({"t": T, name: np.sin(T)}).to_csv(log, index=False)
         proposal = propose_columns(log, make_arm("a"))
         assert yaml.safe_load(proposal.to_yaml())["q_a"] == name
+
+
+def test_turns_of_a_joint_without_limits_are_no_degrees(tmp_path):
+    """A spindle turns 22 times: a velocity in rad/s shows the unit of its positions; without one it is doubted."""
+    q, v = make_motion(1, 140.0)
+    for size, scale in ((1.0, 1.0), (np.degrees(1.0), np.pi / 180)):
+        path = tmp_path / "a.csv"
+        pd.DataFrame({"t": T, "q_s": size * q[:, 0], "v_s": v[:, 0]}).to_csv(path, index=False)
+        entries = propose_columns(path, make_arm("s")).entries
+        assert entries["q_s"] == ("q_s" if scale == 1.0 else {"column": "q_s", "scale": pytest.approx(scale)})
+        assert entries["v_s"] == "v_s"
+    pd.DataFrame({"t": T, "q_s": q[:, 0]}).to_csv(path, index=False)
+    alone = propose_columns(path, make_arm("s"))
+    assert alone.entries["q_s"] == "q_s" and "unit_unsure" in codes_of(alone)
+
+
+def test_encoders_and_currents_by_number_have_a_template_or_a_map(tmp_path):
+    """`enc1` is a position by its word; names without a word are listed with their ranges."""
+    q, v = make_motion(2)
+    path = tmp_path / "a.csv"
+    table = {"time": T, "enc1": q[:, 0], "enc2": q[:, 1], "i1_A": v[:, 0], "i2_A": v[:, 1]}
+    pd.DataFrame(table).to_csv(path, index=False)
+    found = propose_columns(path, make_arm("hip", "knee"))
+    assert found.entries["q_knee"] == "enc2" and {"column_unsure", "torque_constant_missing"} <= set(codes_of(found))
+    pd.DataFrame({"time": T, "chan_x": q[:, 0], "chan_y": q[:, 1]}).to_csv(path, index=False)
+    found = propose_columns(path, make_arm("a", "b"))
+    assert found.entries == {"t": "time"} and any("chan_y (" in line for line in found.template)
+    assert yaml.safe_load(found.to_yaml()) == {"t": "time"}
+
+
+@pytest.mark.parametrize(
+    ("times", "entry"),
+    [
+        (1.77e12 + 1000 * T, {"column": "time", "scale": 1e-3}),
+        (1_770_000_000_000_000 + np.round(1e6 * T).astype(np.int64), {"column": "time", "scale": 1e-6}),
+        (1e6 * T, {"column": "time", "scale": 1e-6}),
+        (46_000.5 + T / 86400, "time"),
+        ([f"10:00:{x:06.3f}" for x in T % 60], "time"),
+    ],
+)
+def test_clocks_are_proposed_with_their_unit(tmp_path, times, entry):
+    """By size where they count from 1970, else by step; the log has the same steps when it is read by the map."""
+    q, _ = make_motion(1)
+    path = tmp_path / "a.csv"
+    pd.DataFrame({"time": np.asarray(times)[:1000], "q_s": q[:1000, 0]}).to_csv(path, index=False)
+    found = propose_columns(path, make_arm("s"))
+    assert found.entries["t"] == entry
+    assert read_log(path, found.to_map()).dt == pytest.approx(T[1], rel=1e-3)
