@@ -66,7 +66,7 @@ def read_text_clock(cells: NDArray[Any]) -> Clock | None:
     if cells.dtype.kind in "mM":
         ns, missing = cells.astype(f"{cells.dtype.kind}8[ns]").astype(np.int64), np.isnat(cells)
     elif cells.dtype.kind == "O" and len(cells) and isinstance(cells[0], pd.Timestamp):
-        stamps = pd.to_datetime(pd.Series(cells), utc=True)
+        stamps: Any = pd.to_datetime(pd.Series(cells), utc=True)
         missing = stamps.isna().to_numpy()
         ns = stamps.dt.tz_localize(None).to_numpy().astype("M8[ns]").astype(np.int64)
     elif cells.dtype.kind in "OUS":
@@ -91,8 +91,8 @@ def _parse_text(cells: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.bool
     first = next((cell for cell in cells if not is_blank(cell)), "")
     if not re.match(_TEXT, str(first)):
         return None
-    text = pd.Series(cells).astype(str)
-    parts = text.str.extract(_TEXT)
+    text: Any = pd.Series(cells).astype(str)
+    parts: Any = text.str.extract(_TEXT)
     unread = parts["h"].isna()
     missing = np.zeros(len(cells), dtype=bool)
     missing[unread] = [is_blank(cell) for cell in cells[unread.to_numpy()]]
@@ -110,11 +110,11 @@ def _parse_text(cells: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.bool
     return (ns if dated else _unwrap(ns, missing, period)), missing
 
 
-def _int(values: pd.Series) -> NDArray[np.int64]:
+def _int(values: Any) -> NDArray[np.int64]:
     return values.fillna("0").astype(np.int64).to_numpy()
 
 
-def _compute_time_of_day(parts: pd.DataFrame) -> NDArray[np.int64] | None:
+def _compute_time_of_day(parts: Any) -> NDArray[np.int64] | None:
     """Return the time of day (N,) [ns], less the zone's offset; None for hours or minutes that do not exist."""
     hours, minutes, seconds = (_int(parts[key]) for key in "hms")
     if not parts["s"].notna().any() and parts["f"].notna().any():  # 15:30.5 is minutes and seconds
@@ -129,7 +129,7 @@ def _compute_time_of_day(parts: pd.DataFrame) -> NDArray[np.int64] | None:
     return ((hours * 60 + minutes - offset) * 60 + seconds) * _NS + fraction
 
 
-def _compute_days(parts: pd.DataFrame) -> NDArray[np.int64] | None:
+def _compute_days(parts: Any) -> NDArray[np.int64] | None:
     """Return days from 1970 (N,), or those of a duration; of a date with its year last, in the order in which days follow."""
     if parts["days"].notna().any():
         return _int(parts["days"])
@@ -142,12 +142,14 @@ def _compute_days(parts: pd.DataFrame) -> NDArray[np.int64] | None:
     return np.zeros(len(parts), dtype=np.int64)
 
 
-def _count_days(year: pd.Series, month: pd.Series, day: pd.Series) -> NDArray[np.int64] | None:
+def _count_days(year: Any, month: Any, day: Any) -> NDArray[np.int64] | None:
     years = _int(year)
-    table = pd.DataFrame({"year": np.where(years < 100, 2000 + years, years), "month": _int(month), "day": _int(day)})
+    table: Any = pd.DataFrame(
+        {"year": np.where(years < 100, 2000 + years, years), "month": _int(month), "day": _int(day)}
+    )
     missing = year.isna().to_numpy()
     known = table.drop_duplicates()
-    dates = pd.to_datetime(known[(known["month"] > 0) & (known["day"] > 0)], errors="coerce")
+    dates: Any = pd.to_datetime(known[(known["month"] > 0) & (known["day"] > 0)], errors="coerce")
     keys = (table["year"] * 10_000 + table["month"] * 100 + table["day"]).to_numpy()
     days = dict(zip(keys[dates.index], dates.to_numpy().astype("M8[D]"), strict=True))
     if any(np.isnat(x) for x in days.values()) or set(keys[~missing]) - set(days):

@@ -36,7 +36,7 @@ from tau_dyn.log.column_groups import (
 )
 from tau_dyn.log.column_map import ColumnMap
 from tau_dyn.log.column_names import DEGREE, find_named_scale, format_names, is_contract_name, split_words
-from tau_dyn.log.read import EPISODE, has_topics, read_any, read_log
+from tau_dyn.log.read import EPISODE, has_topics, read_any, read_log, refuse_signals_in_rows
 from tau_dyn.log.table import Table
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import count
@@ -168,8 +168,10 @@ def _write_template(
     """Return the lines of a map that a person has to complete, and the numeric columns with their ranges.
 
     Raises:
+        InputError: Each row holds the name of a signal.
         CannotAnswer: There is no column of numbers but the clock.
     """
+    refuse_signals_in_rows(table)
     free = [column for column in values if column not in _list_named(entries)]
     if not free:
         joints = robot.actuated

@@ -333,7 +333,7 @@ def _find_decimal_sign(layout: _Layout) -> tuple[str, str | None]:
     return ",", "." if any(map(_THOUSANDS.fullmatch, cells)) else None
 
 
-def _read_decimal_commas(cells: pd.Series) -> pd.Series:
+def _read_decimal_commas(cells: Any) -> Any:
     """Return a column of text as numbers where its cells are such, or missing, by one of the two decimal signs."""
     if cells.dtype.kind in "fiub":
         return cells

@@ -461,7 +461,7 @@ def _build(
     refuse_few(main.name, main.n_rows)
     _check_episodes(main)
     if not any(split_column_name(c) for part in parts for c in part.channels):
-        _refuse_signals_in_rows(main)
+        refuse_signals_in_rows(main)
     remarks = (part.clock.remark for part in parts if part.clock.remark)
     said = [*warnings, *(CodedWarning("clock_converted", remark) for remark in remarks)]
     used = frozenset(list_used_columns([c for part in parts for c in part.channels]))
@@ -555,7 +555,7 @@ MIN_ROWS_A_SIGNAL = 5
 """Rows of each name from which they are a signal's samples; a column of comments repeats less."""
 
 
-def _refuse_signals_in_rows(table: Table) -> None:
+def refuse_signals_in_rows(table: Table) -> None:
     """Refuse a table with the name of a signal in each row and one column of values."""
     for column, cells in table.cells.items():
         if cells.dtype.kind != "O" or read_text_clock(cells[:1]) is not None:
