@@ -200,6 +200,11 @@ WARNING_CODES: dict[str, MessageCode] = {
         "a log carries a body at the tool that the others or the model file do not",
         "give it to `payload`, or leave it out",
     ),
+    "clock_converted": MessageCode("dates, times of day or days became seconds", "check the rate"),
+    "clocks_joined": MessageCode("signals of several clocks were put on one", "log all signals by one clock"),
+    "column_without_numbers": MessageCode("a column is empty or nan throughout", "log it, or map another column"),
+    "log_layout": MessageCode("how an unusual text file was read", "check that it was meant so"),
+    "samples_left_out": MessageCode("rows without a number were left out", "let the logger fill every cell"),
     "lost_samples": MessageCode(
         "samples are missing under an even clock",
         "log time stamps; the clock is corrected up to 1 %, else record again",

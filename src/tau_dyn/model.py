@@ -303,7 +303,7 @@ class Model(Shown):
             _expect({key: kind(), **about}, key, kind, f"{path}: robot")
         robot = load_robot_from_urdf(
             content["urdf"],
-            str(about.get("source", path)),
+            _find_source(str(about.get("source", path)), Path(path)),
             actuated=about.get("actuated"),
             tool=about.get("tool") or None,
             arguments=about.get("arguments"),
@@ -322,6 +322,13 @@ class Model(Shown):
 def _expect(content: Mapping[str, Any], key: str, kind: type, where: str) -> None:
     if not isinstance(content.get(key), kind):
         raise InputError("file_format", f"{where}: '{key}' is missing or not a {kind.__name__}")
+
+
+def _find_source(source: str, model: Path) -> str:
+    """Return the path of a saved model's robot file: as saved, else from the model file's folder; as saved where it is gone."""
+    near = [model.parent / source, model.parent / Path(source).name]
+    found = (str(path) for path in near if Path(source).suffix and not Path(source).is_file() and path.is_file())
+    return next(found, source)
 
 
 def _tied_names(robot: Robot) -> set[str]:

@@ -43,7 +43,7 @@ def spoiled(path: Path, line: int, text: str) -> Path:
 @pytest.mark.parametrize(
     ("line", "text", "words"),
     [
-        (100, "0.392,nan,1.0", ["line 100", "q_axis"]),
+        (100, "0.392,inf,1.0", ["line 100", "q_axis"]),
         (100, "0.392,0.1,hello", ["line 100", "tau_axis", "hello"]),
         (100, "0.1,0.1,1.0", ["line 100", "forward in time"]),
         (100, "0.388000,0.1,1.0", ["line 100", "0.388"]),

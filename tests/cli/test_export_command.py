@@ -190,3 +190,67 @@ def test_the_price_with_and_without_the_callback(tmp_path, monkeypatch, capsys) 
     assert whole == told < 0.01 < 0.1 < alone
     assert made["left_out"] == [] and made["callback"] == "m_effects.py" and (tmp_path / "m_effects.py").is_file()
     assert made["by_callback"] == ["effect stribeck of axis stands in the callback"]
+
+
+TRIANGLES = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [0, 1, 0], [0, 0, 1]]], dtype="<f4")
+ARM = """<robot name="arm"><link name="base_link"/><link name="arm_link"><inertial><origin xyz="0.2 0 0"/><mass value="2"/>
+<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
+<visual><geometry><mesh filename="meshes/arm.stl"/></geometry></visual></link>
+<joint name="j" type="revolute"><parent link="base_link"/><child link="arm_link"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="100" velocity="5"/></joint></robot>"""
+
+
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory) -> Path:
+    """Return the folder of a robot with a mesh, a log under foreign names, a map and the model identified from them."""
+    folder = tmp_path_factory.mktemp("mapped")
+    (folder / "meshes").mkdir()
+    rows = [bytes(12) + triangle.tobytes() + bytes(2) for triangle in TRIANGLES]
+    (folder / "meshes" / "arm.stl").write_bytes(bytes(80) + len(rows).to_bytes(4, "little") + b"".join(rows))
+    (folder / "arm.urdf").write_text(ARM)
+    t = np.arange(3000) / 250
+    q = 0.8 * np.sin(2 * t) + 0.3 * np.sin(7 * t)
+    v, a = np.gradient(q, t), np.gradient(np.gradient(q, t), t)
+    tau = 0.1 * a - 2 * 9.81 * 0.2 * np.cos(q) + 3.0 * np.sign(v) + np.where(v > 0, 2.0, 1.0) * v
+    noise = np.random.default_rng(0).normal(size=(2, t.size))
+    table = np.column_stack([t, q + 2e-5 * noise[0], tau + 0.05 * noise[1]])
+    np.savetxt(folder / "log.csv", table, delimiter=",", header="time_s,q_j,tau_j", comments="", fmt="%.9g")
+    (folder / "map.yaml").write_text("t: time_s\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert main(["identify", "arm.urdf", "log.csv", "--columns", "map.yaml", "--out", "m.yaml", "--quiet"]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("form", ["urdf", "xml", "sdf"])
+def test_a_model_of_mapped_logs_is_exported_in_the_folder_of_its_logs(mapped, monkeypatch, capsys, form) -> None:
+    """The model file holds the column map, so that its logs give the price of what the file leaves out."""
+    monkeypatch.chdir(mapped)
+    assert yaml.safe_load((mapped / "m.yaml").read_text())["provenance"]["trained_on"][0]["columns"] == {"t": "time_s"}
+    assert main(["export", "m.yaml", "--to", "mjcf" if form == "xml" else form, "--out", f"x.{form}"]) == 0
+    assert "N m at j" in capsys.readouterr().err
+
+
+def test_a_log_that_cannot_be_read_costs_the_price_alone(mapped, tmp_path) -> None:
+    """Unusable provenance, or a log of another content, ends in a sentence and not in a refusal."""
+    model = Model.load(mapped / "m.yaml")
+    (row,) = model.provenance["trained_on"]
+    for odd in (
+        {**row, "columns": {"t": "nowhere"}},
+        {**row, "columns": [1]},
+        {**row, "sha256": "0"},
+        {"path": 5},
+        "log.csv",
+    ):
+        found = describe_price(replace(model, provenance={"trained_on": [odd]}), [model], mapped)
+        assert found.startswith("what that costs is unknown")
+
+
+def test_meshes_resolve_from_another_folder(mapped, tmp_path, monkeypatch) -> None:
+    """A relative path of a mesh starts at the robot's file: MJCF copies the mesh, URDF has the path from its new place."""
+    monkeypatch.chdir(tmp_path)
+    model = str(mapped / "m.yaml")
+    assert main(["export", model, "--to", "mjcf", "--out", "x.xml"]) == 0 and (tmp_path / "x.arm.stl").is_file()
+    assert main(["export", model, "--to", "urdf", "--out", "x.urdf"]) == 0
+    (name,) = re.findall('mesh filename="([^"]+)"', (tmp_path / "x.urdf").read_text())
+    assert (tmp_path / name).resolve() == (mapped / "meshes" / "arm.stl").resolve()

@@ -143,7 +143,7 @@ def test_one_value_a_line(tmp_path):
 
 
 def test_numbers_are_told_by_their_derivative(tmp_path):
-    """Without a header, the block whose derivative follows is positions; blocks that nothing tells apart are refused."""
+    """Without a header, the block whose derivative follows is positions; for blocks that look alike there is a template."""
     q, v = make_motion(2)
     path = tmp_path / "a.txt"
     np.savetxt(path, np.column_stack([T, 40 + 5 * v**2, q, v]))
@@ -151,8 +151,8 @@ def test_numbers_are_told_by_their_derivative(tmp_path):
     assert [proposal.entries[c] for c in ("t", "q_a", "q_b", "v_a", "v_b")] == [1, 4, 5, 6, 7]
     assert set(codes_of(proposal)) == {"column_unsure", "column_missing"}
     np.savetxt(path, np.column_stack([T, v**2, q**2]))
-    with raises_code("positions_missing"):
-        propose_columns(path, make_arm("a", "b"))
+    blocks = propose_columns(path, make_arm("a", "b"))
+    assert set(blocks.entries) == {"t"} and "# q_a: {column: COLUMN, scale: 1.0}" in blocks.template
 
 
 def write_lerobot(path: Path, episodes: int = 2, degrees: bool = True) -> np.ndarray:
@@ -237,16 +237,16 @@ def test_exact_names_are_kept_beside_one_of_other_words(tmp_path):
 
 
 def test_what_one_joint_lacks_is_named_and_the_rest_is_proposed(tmp_path):
-    """A position without a match and a torque with an empty cell: the map has the rest, the sentences name joint and columns."""
+    """A position without a match and a torque with a word in it: the map has the rest, the sentences name joint and columns."""
     joints = ("hip_joint", "knee_joint")
     q, _ = make_motion(2)
     table = pd.DataFrame({"t": T, "q_hip_joint": q[:, 0], "foo": q[:, 1], "tau_hip_joint": T, "tau_knee_joint": T})
-    table.loc[5, "tau_knee_joint"] = np.nan
+    table["tau_knee_joint"] = [str(x) if k != 5 else "lost" for k, x in enumerate(T)]
     path = tmp_path / "a.csv"
     table.to_csv(path, index=False)
     proposal = propose_columns(path, make_arm(*joints))
     assert list(proposal.entries) == ["t", "q_hip_joint", "tau_hip_joint", "tau_knee_joint"]
-    assert codes_of(proposal) == ["column_unsure", "column_missing"]
+    assert codes_of(proposal) == ["column_unsure", "column_missing", "column_unsure"]
     assert "knee_joint; not mapped: foo." in proposal.warnings[1]
 
 
@@ -296,8 +296,12 @@ def test_the_command(tmp_path, capsys):
     assert "q_axis" in capsys.readouterr().out
     frame[["time [ms]", "motor current"]].to_csv(log, index=False)
     out.unlink()
-    assert main(["columns", str(log), "linear_axis", "--out", str(out), "--json", str(result)]) == 3
-    assert json.loads(result.read_text())["status"] == "cannot_answer" and not out.exists()
+    assert main(["columns", str(log), "linear_axis", "--out", str(out), "--json", str(result)]) == 0
+    assert "motor current (-1 to 1)" in json.loads(result.read_text())["template"][-1]
+    assert yaml.safe_load(out.read_text()) == {"t": {"column": "time [ms]", "scale": 0.001}}
+    frame[["time [ms]"]].to_csv(log, index=False)
+    assert main(["columns", str(log), "linear_axis", "--json", str(result)]) == 3
+    assert json.loads(result.read_text())["status"] == "cannot_answer"
 
 
 @pytest.mark.parametrize(
@@ -328,3 +332,51 @@ def test_hostile_names_are_quoted(tmp_path):
         pd.DataFrame({"t": T, name: np.sin(T)}).to_csv(log, index=False)
         proposal = propose_columns(log, make_arm("a"))
         assert yaml.safe_load(proposal.to_yaml())["q_a"] == name
+
+
+def test_turns_of_a_joint_without_limits_are_no_degrees(tmp_path):
+    """A spindle turns 22 times: a velocity in rad/s shows the unit of its positions; without one it is doubted."""
+    q, v = make_motion(1, 140.0)
+    for size, scale in ((1.0, 1.0), (np.degrees(1.0), np.pi / 180)):
+        path = tmp_path / "a.csv"
+        pd.DataFrame({"t": T, "q_s": size * q[:, 0], "v_s": v[:, 0]}).to_csv(path, index=False)
+        entries = propose_columns(path, make_arm("s")).entries
+        assert entries["q_s"] == ("q_s" if scale == 1.0 else {"column": "q_s", "scale": pytest.approx(scale)})
+        assert entries["v_s"] == "v_s"
+    pd.DataFrame({"t": T, "q_s": q[:, 0]}).to_csv(path, index=False)
+    alone = propose_columns(path, make_arm("s"))
+    assert alone.entries["q_s"] == "q_s" and "unit_unsure" in codes_of(alone)
+
+
+def test_encoders_and_currents_by_number_have_a_template_or_a_map(tmp_path):
+    """`enc1` is a position by its word; names without a word are listed with their ranges."""
+    q, v = make_motion(2)
+    path = tmp_path / "a.csv"
+    table = {"time": T, "enc1": q[:, 0], "enc2": q[:, 1], "i1_A": v[:, 0], "i2_A": v[:, 1]}
+    pd.DataFrame(table).to_csv(path, index=False)
+    found = propose_columns(path, make_arm("hip", "knee"))
+    assert found.entries["q_knee"] == "enc2" and {"column_unsure", "torque_constant_missing"} <= set(codes_of(found))
+    pd.DataFrame({"time": T, "chan_x": q[:, 0], "chan_y": q[:, 1]}).to_csv(path, index=False)
+    found = propose_columns(path, make_arm("a", "b"))
+    assert found.entries == {"t": "time"} and any("chan_y (" in line for line in found.template)
+    assert yaml.safe_load(found.to_yaml()) == {"t": "time"}
+
+
+@pytest.mark.parametrize(
+    ("times", "entry"),
+    [
+        (1.77e12 + 1000 * T, {"column": "time", "scale": 1e-3}),
+        (1_770_000_000_000_000 + np.round(1e6 * T).astype(np.int64), {"column": "time", "scale": 1e-6}),
+        (1e6 * T, {"column": "time", "scale": 1e-6}),
+        (46_000.5 + T / 86400, "time"),
+        ([f"10:00:{x:06.3f}" for x in T % 60], "time"),
+    ],
+)
+def test_clocks_are_proposed_with_their_unit(tmp_path, times, entry):
+    """By size where they count from 1970, else by step; the log has the same steps when it is read by the map."""
+    q, _ = make_motion(1)
+    path = tmp_path / "a.csv"
+    pd.DataFrame({"time": np.asarray(times)[:1000], "q_s": q[:1000, 0]}).to_csv(path, index=False)
+    found = propose_columns(path, make_arm("s"))
+    assert found.entries["t"] == entry
+    assert read_log(path, found.to_map()).dt == pytest.approx(T[1], rel=1e-3)

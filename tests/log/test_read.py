@@ -60,9 +60,9 @@ def test_parquet_gives_the_same_log_as_csv(tmp_path, csv_file, good_lines):
 def test_a_parquet_fault_names_its_row(tmp_path):
     """Rows of Parquet count from 1."""
     frame = pd.DataFrame({"t": np.arange(20.0), "q_axis": np.arange(20.0)})
-    frame.loc[4, "q_axis"] = np.nan
+    frame.loc[4, "q_axis"] = np.inf
     frame.to_parquet(tmp_path / "a.parquet")
-    assert refusal(tmp_path / "a.parquet").startswith("a.parquet, row 5, column q_axis: nan is not a finite number")
+    assert refusal(tmp_path / "a.parquet").startswith("a.parquet, row 5, column q_axis: inf is not a finite number")
 
 
 def test_csv_under_a_parquet_name_is_refused(csv_file, good_lines):
@@ -84,7 +84,7 @@ def test_a_missing_file_a_folder_and_a_foreign_format_are_named(tmp_path, csv_fi
         (b"# only a comment\n\n", "has no header"),
         (b"t,q_axis\n", "ends after its header in line 1"),
         (b"t,q_axis\n0,1\n0.1,2\n", "has 2 samples"),
-        (b"\xff\xfet\x00,\x00", "UTF-16"),
+        (b"\xff\xfet\x00,", "the UTF-16 text is damaged"),
         (b"0.0,1.0,2.0\n0.1,1.0,2.0\n", "the header is missing"),
         (b"t,q_axis,\n0,1,2\n", "column 3 has no name"),
     ],
@@ -117,8 +117,6 @@ def test_a_log_without_a_clock_says_what_it_has(csv_file, good_lines):
 @pytest.mark.parametrize(
     ("cell", "complaint"),
     [
-        ("", "the cell is empty"),
-        ("nan", "nan is not a finite number"),
         ("-inf", "-inf is not a finite number"),
         ("1e999", "is not"),
         ("ERR", "'ERR' is not a number"),
@@ -133,12 +131,6 @@ def test_a_cell_that_is_no_number_is_named_by_line_and_column(csv_file, good_lin
     good_lines[11] = ",".join(cells)
     message = refusal(csv_file(good_lines))
     assert message.startswith(f"monday.csv, line 12, column {name}: ") and complaint in message
-
-
-def test_decimal_commas_are_recognised(csv_file, good_lines):
-    """A German spreadsheet separates by semicolons and writes 0,1000."""
-    lines = [line.replace(",", ";").replace(".", ",") for line in good_lines]
-    assert "has a decimal comma" in refusal(csv_file(lines))
 
 
 def test_time_running_backwards_is_named_with_both_times(csv_file, good_lines):
@@ -205,10 +197,11 @@ def test_foreign_columns_are_kept_if_they_are_numbers(csv_file, good_lines):
     assert np.isnan(log.channels["sparse"]).sum() == 16
 
 
-def test_an_acceleration_beside_its_joint_has_to_be_complete(csv_file, good_lines):
-    """`a_axis` beside `q_axis` is ours, and a hole in it is a fault."""
+def test_an_acceleration_of_a_joint_has_to_be_complete(csv_file, good_lines):
+    """`a_axis` with `q_axis` is ours, and a row without it is a gap."""
     lines = [good_lines[0] + ",a_axis", *(f"{line},{k if k != 3 else ''}" for k, line in enumerate(good_lines[1:]))]
-    assert "line 5, column a_axis: the cell is empty" in refusal(csv_file(lines))
+    log = read_log(csv_file(lines))
+    assert log.n_samples == 19 and "line 5: 1 sample without a number (empty or nan) in a_axis" in log.warnings[0]
 
 
 def test_quoted_cells_may_hold_separators(csv_file, good_lines):

@@ -23,10 +23,10 @@ def written(path, head="t,q_axis,tau_axis", times=None, before="", after=""):
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        ({"times": [f"2026-11-20 10:00:00.{k:03d}" for k in range(40)]}, "is a date or a time of day; write seconds"),
-        ({"times": [f"10:00:00.{k:03d}" for k in range(40)]}, "is a date or a time of day"),
+        ({"times": [f"2026-11-20 10:00:{k // 20:02d}" for k in range(40)]}, "the stamps have whole seconds"),
+        ({"times": [f"week 12 day {k}" for k in range(40)]}, "is not a number"),
         ({"times": [str(1_700_000_000_000_000_000 + 4_000_000 * k) for k in range(40)]}, "a scale in a column map"),
-        ({"after": "s,m,N"}, "line 2 holds units (t: s), not a sample; delete that line"),
+        ({"after": "s,mm,N"}, "write `q_axis: {column: q_axis, scale: 0.001}` into a column map"),
         ({"before": "Recorder export\nDevice X\n"}, "line 3 has 3 cells, and line 1, 'Recorder export', is taken for the header"),
         ({"head": "T,Q_AXIS,TAU_AXIS"}, "has no column t (did you mean T?)"),
         ({"head": "Time,q_axis,tau_axis"}, "write `t: Time`, or `t: {rate_hz: F}` if there is none, into a column map"),

@@ -159,7 +159,7 @@ def _make_exchanged(request: _Request) -> Made:
     if request.to == "mjcf":
         made = build_mjcf(model, f"{request.out.stem}.")
     else:
-        made = {"urdf": build_urdf, "sdf": build_sdf}[request.to](model)
+        made = build_urdf(model, request.out.parent) if request.to == "urdf" else build_sdf(model)
     links = len(model.robot.links)
     kept = f"; nominal values, not identified: {format_list(made.nominal)}" if made.nominal and model.provenance else ""
     shared = f"; one of many splits with the same forces: {format_list(made.split)}" if made.split else ""

@@ -82,7 +82,7 @@ def columns(
         result=proposal.to_dict(),
         warnings=[*machine.warnings, *proposal.warnings],
         inputs=[(log, proposal.sha256), *robot_options.list_files(robot)],
-        lines=[line for line in text.splitlines() if not line.startswith("#")],
+        lines=[*(line for line in text.splitlines() if not line.startswith("#")), *proposal.template],
         files={out: text} if out else {},
         named={"map": out},
     )

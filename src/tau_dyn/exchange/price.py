@@ -6,15 +6,16 @@ and masked as `identify` does it. Where it names training logs alone, what is le
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.files import compute_sha256
 from tau_dyn.identify import build_force_errors, build_regression
-from tau_dyn.log import Log, read_log
+from tau_dyn.log import ColumnMap, Log, read_log
 from tau_dyn.model import Model
 
 
@@ -26,8 +27,8 @@ def describe_price(model: Model, versions: Sequence[Model], folder: Path) -> str
         versions: What the file carries of it; then, where there is a callback, what both carry.
         folder: Where the model file lies; its logs are looked for there and where the program runs.
     """
-    held, trained = (_find_logs(model, use, folder) for use in ("held_out", "trained_on"))
     try:
+        held, trained = (_find_logs(model, use, folder) for use in ("held_out", "trained_on"))
         if held:
             whole, *rest = compute_held_out_errors([model, *versions], held)
             with_each = ", ".join(f"{x:.3g} % with {what}" for x, what in zip(rest, _WHAT, strict=False))
@@ -36,6 +37,8 @@ def describe_price(model: Model, versions: Sequence[Model], folder: Path) -> str
             forces = [_describe_force(model, carried, trained) for carried in versions]
             told = f", with the callback {forces[1]}" if len(forces) > 1 else ""
             return f"what is left out is {forces[0]}{told} (RMS over the training logs' motion)"
+    except OSError as fault:
+        return f"what that costs is unknown: a log cannot be read ({fault.strerror or fault})"
     except (InputError, CannotAnswer) as fault:
         return f"what that costs is unknown: {fault}"
     return "what that costs is unknown: the model's logs are not here"
@@ -66,12 +69,27 @@ def compute_lost_force(model: Model, carried: Model, logs: Sequence[Log]) -> np.
 
 
 def _find_logs(model: Model, use: str, folder: Path) -> list[Log]:
-    """Return a model's logs where all of them are here and are what they were."""
+    """Return a model's logs where all of them are here and are unchanged, each read by its column map."""
     found = []
     for row in model.provenance.get(use, []):
-        places = [p for p in (Path(row["path"]), folder / row["path"], folder / Path(row["path"]).name) if p.is_file()]
-        path = next((p for p in places if compute_sha256(p) == row.get("sha256")), None)
-        if path is None:
+        log = _find_log(row, folder)
+        if log is None:
             return []
-        found.append(read_log(path))
+        found.append(log)
     return found
+
+
+def _find_log(row: Mapping[str, Any], folder: Path) -> Log | None:
+    """Return the log of a row of provenance, or None where no file here has its hash."""
+    columns = row.get("columns") if isinstance(row, Mapping) else None
+    if not isinstance(row, Mapping) or not isinstance(row.get("path"), str) or not isinstance(columns, dict | None):
+        return None
+    map_ = None if columns is None else ColumnMap.from_dict(columns, "the model's column map")
+    several = map_ is not None and bool(map_.files)  # whose hash is that of all their bytes
+    name = Path(row["path"])
+    for path in dict.fromkeys((name, folder / name, folder / name.name)):
+        if path.is_file() and (several or compute_sha256(path) == row.get("sha256")):
+            log = read_log(path, map_)
+            if log.sha256 == row.get("sha256"):
+                return log
+    return None

@@ -7,6 +7,8 @@ drive inertia to Drake's `<drake:rotor_inertia>` (which our loader reads too), m
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -25,14 +27,20 @@ from tau_dyn.exchange.content import (
     split,
 )
 from tau_dyn.model import Model
+from tau_dyn.robot import resolve_mesh
 
 _DRAKE, _OURS = "http://drake.mit.edu", "urn:tau_dyn"
 _HARDWARE = "mock_components/GenericSystem"  # what ros2_control brings for trials; a real drive's plugin replaces it
 _ENTRIES = (("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 1, 2), ("izz", 2, 2))
 
 
-def build_urdf(model: Model) -> Exported:
-    """Return the model's robot as URDF text, which reads back with the same rigid-body forces."""
+def build_urdf(model: Model, folder: Path | None = None) -> Exported:
+    """Return the model's robot as URDF text, which reads back with the same rigid-body forces.
+
+    Args:
+        model: The model.
+        folder: Folder of the file to be written, from which relative paths of meshes start; None for the robot file's.
+    """
     carried = build_carried_model(model, drives=False)
     left_out = list_omissions(model, drives=False)
     root = fromstring(model.robot.urdf, forbid_dtd=True)
@@ -51,6 +59,8 @@ def build_urdf(model: Model) -> Exported:
     _write_drives(root, carried)
     _write_ros2_control(root, model)
     _write_gravity_mass(root, model)
+    if folder is not None:
+        _move_meshes(root, Path(model.robot.source), folder)
     _remove(root, f"{{{_OURS}}}estimated_inertias")
     SubElement(
         root, f"{{{_OURS}}}estimated_inertias"
@@ -61,6 +71,17 @@ def build_urdf(model: Model) -> Exported:
     body = ElementTree.tostring(root, encoding="unicode")
     text = f'<?xml version="1.0"?>\n<!-- {format_header(model, left_out)} -->\n{body}\n'
     return Exported(text, left_out, carried, list_nominal_parameters(model), split(model))
+
+
+def _move_meshes(root: Element, source: Path, folder: Path) -> None:
+    """Let relative paths of meshes, which start at the robot file's folder, start at another one."""
+    if source.parent.resolve() == folder.resolve():
+        return
+    for mesh in root.iter("mesh"):
+        name = mesh.get("filename", "")
+        path = resolve_mesh(name, source)
+        if "://" not in name and not Path(name).is_absolute() and path is not None:
+            mesh.set("filename", Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix())
 
 
 def _fixed_to(root: Element, link: str) -> list[str]:

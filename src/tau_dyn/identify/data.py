@@ -64,11 +64,18 @@ def get_log_list(logs: Log | Recording | Iterable[Log | Recording]) -> list[Log 
 
 
 def list_provenance(train: Sequence[Log | Recording], held: Sequence[Log | Recording], seed: int) -> dict[str, Any]:
-    """Return what a model file says of the logs behind its values: names and hashes, the version, the seed."""
+    """Return the source of a model file's values: the logs' names, hashes and column maps, the version, the seed."""
     from tau_dyn.version import __version__
 
-    trained_on, held_out = ([{"path": log.name, "sha256": log.sha256} for log in logs] for logs in (train, held))
+    trained_on, held_out = ([_describe_source(log) for log in logs] for logs in (train, held))
     return {"tool_version": __version__, "trained_on": trained_on, "held_out": held_out, "seed": seed}
+
+
+def _describe_source(log: Log | Recording) -> dict[str, Any]:
+    """Return a log's name and hash, and the entries of the column map that it was read by."""
+    map_ = log.map_ if isinstance(log, Recording) else log.origin.column_map
+    columns = {} if map_ is None else {"columns": map_.to_dict()}
+    return {"path": log.name, "sha256": log.sha256, **columns}
 
 
 def drop_repeated_logs(train: Sequence[Kind], held: Sequence[Kind]) -> tuple[list[Kind], list[Kind], list[str]]:

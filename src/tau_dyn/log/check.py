@@ -91,6 +91,8 @@ def _doubt(log: Log, joint: str, kind: str, lower: float, upper: float) -> str:
     low, high = _extent(log, joint)
     prismatic = kind == "prismatic"
     unit, foreign, scale = ("m", "mm", 1e-3) if prismatic else ("rad", "degrees", np.pi / 180)
+    if not prismatic and not np.isfinite(upper - lower):
+        return ""  # a joint that turns without end may stand at any angle
     reach = MAX_AXIS_LENGTH_M if prismatic else WIDEST_TURN
     lower, upper = max(lower, -reach), min(upper, reach)
     margin = (upper - lower) / 2
@@ -192,6 +194,17 @@ def _gaps(log: Log, clock: Clock) -> CheckFinding:
     )
 
 
+_READING = {
+    UNCODED: "Let the logger finish its file.",
+    "log_layout": "Check that it was meant so.",
+    "clock_converted": "Check the rate above.",
+    "clocks_joined": "Log all signals by one clock.",
+    "column_without_numbers": "Log it, or map another column.",
+    "samples_left_out": "Let the logger fill every cell.",
+}
+"""Remedies of remarks on reading, by their codes; sentences without a code are about an incomplete last line."""
+
+
 def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
     """Judge whether a log is fit for identification.
 
@@ -210,7 +223,8 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
     """
     findings, numbers = check_clock(log)
     findings += [
-        CheckFinding("warning", "reading", sentence, "Let the logger finish its file.") for sentence in log.warnings
+        CheckFinding("warning", "reading", sentence, _READING.get(get_code(sentence), "See the message."))
+        for sentence in log.warnings
     ]
     findings += _columns(log, robot) + _check_units(log, robot)
     findings += [build_fault(warning) for warning in list_data_warnings(log, () if robot is None else robot.actuated)]

@@ -7,38 +7,29 @@ with most joints counts, filled from columns that say the same in other words.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.log.column_names import format_names, split_column_name
+from tau_dyn.log.column_names import format_names, split_column_name, split_words
 from tau_dyn.message_codes import CodedWarning
-
-DEGREE = np.pi / 180  # rad
 
 _WORDS: Mapping[str, frozenset[str]] = {
     "reference": frozenset("target goal cmd command commanded desired des ref reference setpoint sp d action".split()),
-    "current": frozenset("current currents curr cur ampere amps motorcurrent".split()),
+    "current": frozenset("current currents curr cur i iq ampere amps amp motorcurrent".split()),
     "tau": frozenset("tau torque torques effort efforts trq moment moments".split()),
     "v": frozenset("v vel velocity velocities speed speeds dq qd qdot omega".split()),
     "a": frozenset("a acc acceleration accelerations ddq qdd".split()),
-    "q": frozenset("q qm pos position positions angle angles theta state".split()),
+    "q": frozenset("q qm pos position positions angle angles theta state enc encoder encoders".split()),
     "temp": frozenset("temp temperature temperatures".split()),
     "other": frozenset("tcp tool ee cartesian pose ext external volts voltage error fric friction con load".split()),
 }
 """What a word of a name says; the first row that knows one decides, after `other` and `reference`."""
 
-_SCALES: Mapping[str, Mapping[str, float]] = {
-    "t": {"ns": 1e-9, "nanoseconds": 1e-9, "us": 1e-6, "ms": 1e-3, "msec": 1e-3, "milliseconds": 1e-3, "s": 1.0, "sec": 1.0},
-    "q": {"deg": DEGREE, "degrees": DEGREE, "rad": 1.0, "mm": 1e-3, "m": 1.0},
-    "v": {"deg": DEGREE, "degrees": DEGREE, "rad": 1.0, "rpm": np.pi / 30, "mm": 1e-3},
-    "tau": {"nm": 1.0, "mnm": 1e-3, "ncm": 1e-2},
-}  # fmt: skip
-"""Units that a name may say, and their size in SI."""
-
-CLOCKS = frozenset("t time timestamp timestamps stamp clock zeit secs seconds".split())
+CLOCKS = frozenset(
+    "t time timestamp timestamps datetime stamp clock zeit zeitstempel uhrzeit temps hora tijd secs seconds".split()
+)
 
 _MEASURED = frozenset("actual act measured meas".split())
 """Words that make a group the better candidate."""
@@ -57,17 +48,6 @@ class ColumnGroup(NamedTuple):
     def score(self) -> tuple[bool, int]:
         """Return how likely it is to be what was measured."""
         return self.by_name, len(_MEASURED & set(self.stem)) - ("filt" in self.stem or "filtered" in self.stem)
-
-
-def split_words(name: str) -> tuple[str, ...]:
-    """Return a name's words in lower case, numbers among them."""
-    return tuple(word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name))
-
-
-def find_named_scale(column: str, kind: str) -> float | None:
-    """Return the size of the unit that a column's name says; None where it says none."""
-    words = split_words(column)[1:]
-    return next((scale for unit, scale in _SCALES[kind].items() if unit in words), None)
 
 
 def _classify(words: Sequence[str]) -> str:

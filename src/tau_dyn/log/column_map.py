@@ -2,7 +2,8 @@
 
 A map is YAML. Each key is one of our column names, each value a foreign column's name or a mapping with `column`, and,
 where wanted, `scale`, `offset` and `file`; ours = scale * theirs + offset. Three keys are not columns: `files` names
-further files of the same recording, sampled together, relative to the folder of the log; `episode: N` takes the rows
+further files of the same recording, relative to the folder of the log, sampled together or with a clock each
+(`files: {f: {path: forces.csv, t: stamp}}`; a column named as the clock of `t` counts without that); `episode: N` takes the rows
 whose `episode_index` is N; a column's number, from 1, names it in a file without a header; `couplings` holds matrices for
 coupled transmissions (scale and offset first, then ours = matrix @ theirs + offset, joints in the order of their keys
 in the map); and `t: {rate_hz: F}` makes a clock. Numbers are numbers: nothing in a map is evaluated. The map is applied
@@ -65,6 +66,7 @@ class ColumnMap:
         files: Names of further files, relative to the log's folder.
         name: The map's file name, for messages.
         episode: The `episode_index` whose rows are the log; None for all rows.
+        clocks: Clock of each further file that has one of its own, by the file's key.
     """
 
     sources: Mapping[str, Source]
@@ -73,6 +75,7 @@ class ColumnMap:
     files: Mapping[str, str] = field(default_factory=dict)
     name: str = "column map"
     episode: int | None = None
+    clocks: Mapping[str, Source] = field(default_factory=dict)
 
     @property
     def is_numbered(self) -> bool:
@@ -93,7 +96,7 @@ class ColumnMap:
     def from_dict(cls, entries: Mapping[Any, Any], name: str = "column map") -> "ColumnMap":
         """Check a map's entries, as YAML gives them, and return the map."""
         entries = dict(entries)
-        files = _files(name, entries.pop("files", {}))
+        files, clocks = _files(name, entries.pop("files", {}))
         couplings = entries.pop("couplings", {})
         episode = entries.pop("episode", None)
         if episode is not None and (type(episode) is not int or episode < 0):
@@ -107,7 +110,30 @@ class ColumnMap:
         unused = set(files) - {source.file for source in sources.values()}
         if unused:
             raise _build_error(name, f"no column is taken from file '{min(unused)}'; use it or leave it out of files.")
-        return cls(sources, rate_hz, _couplings(name, couplings, tuple(sources)), files, name, episode)
+        return cls(sources, rate_hz, _couplings(name, couplings, tuple(sources)), files, name, episode, clocks)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entries, as YAML gives them."""
+        files = {
+            key: {"path": path, "t": _to_entry(self.clocks[key])} if key in self.clocks else path
+            for key, path in self.files.items()
+        }
+        couplings = {
+            key: value
+            for signal, coupling in self.couplings.items()
+            for key, value in ((signal, coupling.matrix.tolist()), (f"{signal}_offset", coupling.offset.tolist()))
+        }
+        special = {"files": files, "episode": self.episode, "couplings": couplings}
+        clock = {} if self.rate_hz is None else {"t": {"rate_hz": self.rate_hz}}
+        columns = {ours: _to_entry(source) for ours, source in self.sources.items()}
+        return {**{k: v for k, v in special.items() if v not in (None, {})}, **clock, **columns}
+
+
+def _to_entry(source: Source) -> Any:
+    """Return what a map gives for a source."""
+    more = {"scale": (source.scale, 1.0), "offset": (source.offset, 0.0), "file": (source.file, None)}
+    given = {key: value for key, (value, default) in more.items() if value != default}
+    return {"column": source.column, **given} if given else source.column
 
 
 def _read_entries(path: Path) -> dict[Any, Any]:
@@ -178,21 +204,36 @@ def _rate(name: str, entries: dict[Any, Any]) -> float | None:
     return rate
 
 
-def _files(name: str, value: Any) -> dict[str, str]:
-    if not isinstance(value, dict) or not all(isinstance(x, str) for pair in value.items() for x in pair):
+def _files(name: str, value: Any) -> tuple[dict[str, str], dict[str, Source]]:
+    """Return the paths of further files and the clocks that are given for them, by their keys."""
+    if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
         raise _build_error(name, "files has to be a mapping such as {pos: positions.csv, cur: currents.csv}.")
-    for key, path in value.items():
-        windows = PureWindowsPath(path)  # understands both kinds of separators
-        if (
-            not path.strip()
-            or windows.drive
-            or windows.root
-            or ".." in windows.parts
-            or path.startswith("~")
-            or "\0" in path
-        ):
-            raise _build_error(name, f"files.{key} is '{path}'; name a file in the log's own folder or below it.")
-    return dict(value)
+    paths, clocks = {}, {}
+    for key, given in value.items():
+        path, clock = (given.get("path"), given.get("t")) if isinstance(given, dict) else (given, None)
+        if not isinstance(path, str) or isinstance(given, dict) and set(given) - {"path", "t"}:
+            raise _build_error(
+                name,
+                f"files.{key} has to be a path, or {{path: forces.csv, t: CLOCK}} for a file with a clock of its own.",
+            )
+        _check_path(name, key, path)
+        paths[key] = path
+        if clock is not None:
+            clocks[key] = _source(name, f"files.{key}.t", clock, {})
+    return paths, clocks
+
+
+def _check_path(name: str, key: str, path: str) -> None:
+    windows = PureWindowsPath(path)  # understands both kinds of separators
+    if (
+        not path.strip()
+        or windows.drive
+        or windows.root
+        or ".." in windows.parts
+        or path.startswith("~")
+        or "\0" in path
+    ):
+        raise _build_error(name, f"files.{key} is '{path}'; name a file in the log's own folder or below it.")
 
 
 def _couplings(name: str, value: Any, columns: tuple[str, ...]) -> dict[str, Coupling]:

@@ -7,8 +7,11 @@ words of their own: dates, decimal commas, a line of units, other names, other p
 """
 
 import json
+import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+
+DEGREE = math.pi / 180  # rad
 
 SIGNALS = ("q_ref", "q_link", "voltage", "current", "temp", "tau", "cmd", "pwm", "q", "v", "a")
 """Signals a joint may have; `q_ref` stands before `q`, so that `q_ref_J` is not read as `q` of `ref_J`, and so does `q_link`,
@@ -100,10 +103,30 @@ def describe_bad_cell(cell: object, largest: float) -> str:
     return f"{text[:40]!r} is not a number; write it as 0.125 or 1.25e-1"
 
 
+def is_blank(cell: object) -> bool:
+    """Tell whether a cell stands for a missing number: empty, or a program's word for it."""
+    return cell is None or str(cell).strip().lower() in _MISSING
+
+
+_MISSING = frozenset(
+    ("", "nan", "-nan", "+nan", "na", "n/a", "#n/a", "#na", "null", "<na>", "none", "nat", "-", "--", "---")
+)
+
+
+def is_time_text(cell: object) -> bool:
+    """Tell whether a cell begins as a date or a time of day does."""
+    return bool(_DATE.match(str(cell).strip()))
+
+
 def is_unit_row(first: object, second: object) -> bool:
     """Tell whether a column's first cell is a unit above numbers, such as `[s]`."""
     text = str(first).strip()
-    return bool(text) and not any(c.isdigit() for c in text) and len(text) <= 12 and _is_number(str(second).strip())
+    return (
+        not is_blank(text)
+        and not any(c.isdigit() for c in text)
+        and len(text) <= 12
+        and _is_number(str(second).strip())
+    )
 
 
 def describe_foreign_file(data: bytes) -> str:
@@ -156,13 +179,43 @@ def describe_missing_column(file: str, name: str, columns: Sequence[str], why: s
     return f"{file} has no column {name}{why}{hint}; it has {format_names(columns)}{more}."
 
 
+def split_words(name: str) -> tuple[str, ...]:
+    """Return a name's words in lower case, numbers among them."""
+    return tuple(word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name))
+
+
+def find_named_scale(column: str, kind: str) -> float | None:
+    """Return the size of the unit that a column's name says; None where it says none."""
+    words = split_words(column)[1:]
+    return next((scale for unit, scale in _SCALES[kind].items() if unit in words), None)
+
+
+def find_scale_of_unit(unit: str, column: str) -> float | None:
+    """Return the size in SI of a unit that is given for one of our columns; None where it is none that is known."""
+    pair = split_column_name(column)
+    kind = {"q_ref": "q", "q_link": "q", "t": "t"}.get(pair[0] if pair else column, pair[0] if pair else "")
+    text = unit.strip("[]() ").lower().replace("°", "deg")
+    words = split_words(text.partition("/")[0])
+    return next((_SCALES[kind][word] for word in words if word in _SCALES.get(kind, {})), None)
+
+
 def describe_missing_clock(file: str, columns: Sequence[str]) -> str:
     """Return the sentence about a log without `t`."""
     clock = next((c for c in columns if c.strip("[]() ").lower() in _CLOCKS or c.lower().startswith("time")), "")
-    line = f"`t: {clock or 'NAME'}`, or `t: {{rate_hz: F}}` if there is none,"
+    scale = find_named_scale(clock, "t")
+    entry = clock or "NAME" if scale in (None, 1.0) else f"{{column: {clock}, scale: {scale:g}}}"
+    line = f"`t: {entry}`, or `t: {{rate_hz: F}}` if there is none,"
     more = f"; name the clock t [s], or write {line} into a column map (--columns MAP.yaml)"
     return describe_missing_column(file, "t", columns, more=more)
 
+
+_SCALES: Mapping[str, Mapping[str, float]] = {
+    "t": {"ns": 1e-9, "nanoseconds": 1e-9, "us": 1e-6, "ms": 1e-3, "msec": 1e-3, "milliseconds": 1e-3, "s": 1.0, "sec": 1.0},
+    "q": {"deg": DEGREE, "degrees": DEGREE, "rad": 1.0, "mm": 1e-3, "m": 1.0},
+    "v": {"deg": DEGREE, "degrees": DEGREE, "rad": 1.0, "rpm": math.pi / 30, "mm": 1e-3},
+    "tau": {"nm": 1.0, "mnm": 1e-3, "ncm": 1e-2},
+}  # fmt: skip
+"""Units that a name may say, and their size in SI."""
 
 _CLOCKS = ("t", "time", "zeit", "temps", "timestamp", "stamp", "clock", "sec", "seconds")
 

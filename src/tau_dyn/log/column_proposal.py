@@ -3,13 +3,14 @@
 Names tell which columns may be positions, velocities, torques, references or currents (`column_groups.py`). Units that no name
 says are told by magnitude: positions by the joints' limits, clocks by their step. A velocity has to be the derivative of the
 position, whose slope also tells its unit. Currents are no torques: the torque constant is not in a log, and is not invented.
+The map is read back before it is proposed. Where no column is a position, a template lists the numeric columns.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,20 +18,25 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.log.check import JointLimits
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.log.check import JointLimits, list_unit_warnings
+from tau_dyn.log.clocks import (
+    SECONDS_A_DAY,
+    Clock,
+    describe_coarse_text,
+    find_day_numbers,
+    measure_coarse_rate,
+    read_text_clock,
+)
 from tau_dyn.log.column_groups import (
     CLOCKS,
-    DEGREE,
     ColumnGroup,
     choose_group,
     find_groups,
-    find_named_scale,
-    split_words,
 )
 from tau_dyn.log.column_map import ColumnMap
-from tau_dyn.log.column_names import format_names, is_contract_name
-from tau_dyn.log.read import EPISODE, has_topics, read_any
+from tau_dyn.log.column_names import DEGREE, find_named_scale, format_names, is_contract_name, split_words
+from tau_dyn.log.read import EPISODE, has_topics, read_any, read_log, refuse_signals_in_rows
 from tau_dyn.log.table import Table
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import count
@@ -57,6 +63,7 @@ class ColumnProposal:
         robot_joints: The robot's actuated joints.
         entries: The map, as YAML gives it.
         warnings: What is unsure, a sentence each.
+        template: Lines to complete by hand where no column is a position; empty otherwise.
     """
 
     log: str
@@ -64,6 +71,7 @@ class ColumnProposal:
     robot_joints: tuple[str, ...]
     entries: Mapping[str, Any]
     warnings: tuple[str, ...]
+    template: tuple[str, ...] = ()
 
     def to_map(self) -> ColumnMap:
         """Return the map, checked."""
@@ -73,13 +81,13 @@ class ColumnProposal:
         """Return the text of a file that `--columns` reads, with the doubts as comments."""
         lines = [f"# Proposed for {_one_line(self.log)}; ours = scale * column."]
         lines += [f"# {_one_line(sentence)}" for sentence in self.warnings]
-        return (
-            "\n".join(lines + [f"{_quote(key)}: {_format_entry(value)}" for key, value in self.entries.items()]) + "\n"
-        )
+        lines += [f"{_quote(key)}: {_format_entry(value)}" for key, value in self.entries.items()]
+        return "\n".join([*lines, *self.template]) + "\n"
 
     def to_dict(self) -> dict[str, Any]:
         """Return what JSON holds."""
-        return {"log": self.log, "joints": list(self.robot_joints), "columns": dict(self.entries)}
+        more = {"template": list(self.template)} if self.template else {}
+        return {"log": self.log, "joints": list(self.robot_joints), "columns": dict(self.entries), **more}
 
 
 def propose_columns(path: str | Path, robot: JointLimits) -> ColumnProposal:
@@ -91,7 +99,7 @@ def propose_columns(path: str | Path, robot: JointLimits) -> ColumnProposal:
 
     Raises:
         InputError: The log cannot be read.
-        CannotAnswer: No column can be the joints' positions.
+        CannotAnswer: No column but the clock holds numbers.
     """
     table = _read(Path(path))
     table, draft = _choose_episode(table)
@@ -102,21 +110,87 @@ def propose_columns(path: str | Path, robot: JointLimits) -> ColumnProposal:
         fields = {c: x for c, x in values.items() if not is_contract_name(c)}
         values = fields if any("position" in split_words(c) for c in fields) else values
     else:
-        t, clock = _propose_clock(table.name, values)
+        t, clock = _propose_clock(table, values)
         draft += clock
+    recorded = _Recorded(values, table.units, t)
     named = _list_named(draft.entries)
     if values and all(c.isdigit() for c in values):
         groups, guessed = _guess_numbered([c for c in values if c not in named], values, t, len(robot.actuated))
         draft += guessed
     else:
         groups = find_groups([c for c in values if c not in named], robot.actuated, Path(path).stem)
-    q, positions = _propose_positions(table, groups, values, robot)
+    q, positions = _propose_positions(table, groups, recorded, robot)
     draft += positions
-    draft += _propose_velocities(groups, values, t, q, robot)
-    draft += _propose_forces(groups, robot)
-    draft += _propose_references(groups, q, robot)
-    draft += _name_gaps(table, draft.entries, robot)
-    return ColumnProposal(table.name, table.sha256, tuple(robot.actuated), draft.entries, tuple(draft.warnings))
+    draft += _propose_velocities(groups, recorded, q, robot)
+    draft += _propose_forces(groups, recorded, robot)
+    draft += _propose_references(groups, recorded, q, robot)
+    template = () if q.columns else _write_template(table, values, draft.entries, robot)
+    if q.columns:
+        draft += _name_gaps(table, draft.entries, robot)
+        if t is not None:  # else the missing clock is listed already
+            draft += _read_back(Path(path), draft.entries, robot)
+    warnings = tuple(dict.fromkeys(draft.warnings))
+    return ColumnProposal(table.name, table.sha256, tuple(robot.actuated), draft.entries, warnings, template)
+
+
+class _Recorded(NamedTuple):
+    """A log's columns of numbers (N,), the units that a row below the header gives, and its times (N,) [s], or None."""
+
+    values: Mapping[str, NDArray[np.float64]]
+    units: Mapping[str, str]
+    t: NDArray[np.float64] | None
+
+    def find_scale(self, column: str, kind: str) -> float | None:
+        """Return the size in SI of the unit that a column's name or its unit gives; None without one."""
+        unit = self.units.get(column, "").replace("°", "deg").partition("/")[0]
+        return find_named_scale(f"{column} {unit}", kind)
+
+
+def _read_back(path: Path, entries: Mapping[str, Any], robot: JointLimits) -> _Draft:
+    """Read the log by the proposed map, and return a doubt about each line that does not give a sound column."""
+    try:
+        log = read_log(path, ColumnMap.from_dict(entries))
+    except InputError as fault:
+        sentence = f"The map is not complete; read by it, the log is refused: {fault}"
+        return _Draft({}, [CodedWarning("column_unsure", sentence)])
+    scaled = {key for key, value in entries.items() if isinstance(value, dict)}  # whose doubts are listed already
+    plain = replace(log, channels={key: x for key, x in log.channels.items() if key not in scaled})
+    return _Draft({}, [CodedWarning("unit_unsure", sentence) for sentence in list_unit_warnings(plain, robot)])
+
+
+MAX_TEMPLATE_COLUMNS = 60
+"""Columns that a template lists; a person chooses from a page."""
+
+
+def _write_template(
+    table: Table, values: Mapping[str, NDArray[np.float64]], entries: Mapping[str, Any], robot: JointLimits
+) -> tuple[str, ...]:
+    """Return the lines of a map that a person has to complete, and the numeric columns with their ranges.
+
+    Raises:
+        InputError: Each row holds the name of a signal.
+        CannotAnswer: There is no column of numbers but the clock.
+    """
+    refuse_signals_in_rows(table)
+    free = [column for column in values if column not in _list_named(entries)]
+    if not free:
+        joints = robot.actuated
+        raise CannotAnswer(
+            "positions_missing",
+            f"{table.name} has no columns that can be the positions of {format_names(joints)}; it has "
+            f"{format_names(table.cells)}",
+            f"name a position for {count(len(joints), 'joint')} in a column map, as `q_{joints[0]}: COLUMN`, or log them",
+        )
+    wanted = [f"{signal}_{joint}" for signal in ("q", "tau") for joint in robot.actuated]
+    lines = [f"# {ours}: {{column: COLUMN, scale: 1.0}}" for ours in wanted if ours not in entries]
+    ranges = [f"{column} ({values[column].min():.4g} to {values[column].max():.4g})" for column in free]
+    more = [f"{len(free) - MAX_TEMPLATE_COLUMNS} more"] if len(free) > MAX_TEMPLATE_COLUMNS else []
+    return (
+        "# Complete a line for each joint and remove its # (rad, m, N m, N).",
+        *lines,
+        f"# Columns of numbers in {_one_line(table.name)}:",
+        *(f"#   {_one_line(text)}" for text in [*ranges[:MAX_TEMPLATE_COLUMNS], *more]),
+    )
 
 
 @dataclass(frozen=True)
@@ -174,11 +248,17 @@ def _read(path: Path) -> Table:
 
 
 def _find_numbers(table: Table, column: str) -> NDArray[np.float64] | None:
-    """Return a column (N,) of finite numbers, or None."""
+    """Return a column (N,) of numbers, its gaps bridged for judging it; None of text or without numbers."""
     if table.cells[column].dtype.kind == "b":
         return None
     values = table.numbers_or_none(column)
-    return values if values is not None and values.size and np.all(np.isfinite(values)) else None
+    if values is None or not values.size or np.isinf(values).any() or np.isnan(values).all():
+        return None
+    gaps = np.isnan(values)
+    if gaps.any():
+        rows = np.arange(values.size)
+        values = np.interp(rows, rows[~gaps], values[~gaps])
+    return values
 
 
 def _choose_episode(table: Table) -> tuple[Table, _Draft]:
@@ -194,14 +274,22 @@ def _choose_episode(table: Table) -> tuple[Table, _Draft]:
 
 def _list_named(entries: Mapping[str, Any]) -> set[str]:
     """Return the foreign columns that entries name."""
-    return {value["column"] if isinstance(value, dict) else str(value) for value in entries.values()}
+    return {value.get("column", "") if isinstance(value, dict) else str(value) for value in entries.values()}
 
 
-def _propose_clock(name: str, values: Mapping[str, NDArray[np.float64]]) -> tuple[NDArray[np.float64] | None, _Draft]:
+def _propose_clock(
+    table: Table, values: Mapping[str, NDArray[np.float64]]
+) -> tuple[NDArray[np.float64] | None, _Draft]:
     """Return the times (N,) [s], None where there is no clock, and the clock's line."""
+    recorded, name = _Recorded(values, table.units, None), table.name
     rising = [c for c, x in values.items() if x.size > 1 and np.all(np.diff(x) > 0)]
     named = [c for c in values if CLOCKS & set(split_words(c)[:1] + split_words(c)[-2:])]
     column = next((c for c in named if c in rising), None)
+    texts = {
+        c: clock for c in table.cells if c not in values and (clock := read_text_clock(table.cells[c])) is not None
+    }
+    if column is None and texts:
+        return _propose_text_clock(table, texts)
     warnings: list[str] = []
     if column is None and named:
         sentence = f"{named[0]} is not taken for the clock: it does not rise from row to row."
@@ -212,14 +300,49 @@ def _propose_clock(name: str, values: Mapping[str, NDArray[np.float64]]) -> tupl
     if column is None:
         sentence = f"{name} has no clock; add `t: {{rate_hz: F}}` with the rate of the recording [Hz]."
         return None, _Draft({}, [*warnings, CodedWarning("column_missing", sentence)])
-    step = float(np.median(np.diff(values[column])))
-    scale = find_named_scale(column, "t")
+    times = values[column]
+    step = float(np.median(np.diff(times)))
+    scale = recorded.find_scale(column, "t")
+    if scale is None and find_day_numbers(times):
+        sentence = f"{column} counts days, as spreadsheets do: {1 / (step * SECONDS_A_DAY):.6g} Hz."
+        draft = _Draft({"t": _build_entry(column, 1.0)}, [*warnings, CodedWarning("unit_unsure", sentence)])
+        return SECONDS_A_DAY * (times - times[0]), draft
     if scale is None:
-        scale = next(s for s in (1.0, 1e-3, 1e-6, 1e-9) if step * s <= MAX_SECONDS_STEP or s == 1e-9)
+        scale = _find_clock_scale(float(times[0]), step)
         if scale != 1.0:
             sentence = f"{column} steps by {step:.6g}, taken for {_TIME_UNITS[scale]}: {1 / (step * scale):.6g} Hz."
             warnings.append(CodedWarning("unit_unsure", sentence))
-    return scale * (values[column] - values[column][0]), _Draft({"t": _build_entry(column, scale)}, warnings)
+    return scale * (times - times[0]), _Draft({"t": _build_entry(column, scale)}, warnings)
+
+
+def _propose_text_clock(table: Table, texts: Mapping[str, Clock]) -> tuple[NDArray[np.float64] | None, _Draft]:
+    """Return the times (N,) [s] of a clock of dates or times of day, or None, and its line."""
+    for column, clock in texts.items():
+        known = clock.t[np.isfinite(clock.t)]
+        if np.all(np.diff(known) > 0) and not describe_coarse_text(table.cells[column]):
+            rows = np.arange(clock.t.size)
+            t = np.interp(rows, rows[np.isfinite(clock.t)], known)
+            return t, _Draft({"t": _build_entry(column, 1.0)}, [])
+    column = next(iter(texts))
+    rate = measure_coarse_rate(table.cells[column])
+    if rate is None:
+        sentence = f"{column} is not taken for the clock: it does not rise from row to row."
+        return None, _Draft({}, [CodedWarning("column_unsure", sentence)])
+    sentence = f"{column} has whole seconds only; the rate is counted, about {rate:.4g} samples a second."
+    draft = _Draft({"t": {"rate_hz": float(f"{rate:.4g}")}}, [CodedWarning("column_unsure", sentence)])
+    return np.arange(table.n_rows) / rate, draft
+
+
+_EPOCH_S = (9e8, 4.1e9)
+"""Seconds from 1970 of the years 1998 to 2099: by its size, an epoch clock's unit is known."""
+
+
+def _find_clock_scale(first: float, step: float) -> float:
+    """Return the size of a clock's unit [s], by its size where it counts from 1970, else by its step."""
+    sizes = (1.0, 1e-3, 1e-6, 1e-9)
+    dated = (s for s in sizes if _EPOCH_S[0] <= first * s <= _EPOCH_S[1] and step * s <= MAX_SECONDS_STEP)
+    stepped = (s for s in sizes if step * s <= MAX_SECONDS_STEP or s == 1e-9)
+    return next(dated, None) or next(stepped)
 
 
 _TIME_UNITS = {1e-3: "ms", 1e-6: "us", 1e-9: "ns"}
@@ -278,18 +401,17 @@ class _Positions(NamedTuple):
 
 
 def _propose_positions(
-    table: Table, groups: Sequence[ColumnGroup], values: Mapping[str, NDArray[np.float64]], robot: JointLimits
+    table: Table, groups: Sequence[ColumnGroup], recorded: _Recorded, robot: JointLimits
 ) -> tuple[_Positions, _Draft]:
-    """Return the positions, and their lines."""
+    """Return the positions, and their lines; none where no column can be one."""
     joints = tuple(robot.actuated)
     chosen, warnings = choose_group(groups, "q")
     if chosen is None:
-        raise CannotAnswer(
-            "positions_missing",
-            f"{table.name} has no columns that can be the positions of {format_names(joints)}; it has "
-            f"{format_names(table.cells)}",
-            f"name a position for {count(len(joints), 'joint')} in a column map, as `q_{joints[0]}: COLUMN`, or log them",
+        sentence = (
+            f"{table.name} has no columns that can be the positions of {format_names(joints)} by their names; complete the "
+            "lines of the template by hand."
         )
+        return _Positions({}, {}), _Draft({}, [CodedWarning("column_missing", sentence)])
     if not chosen.by_name and len(joints) > 1:
         more = f"; {chosen.more} more are left out." if chosen.more else "."
         sentence = (
@@ -298,13 +420,14 @@ def _propose_positions(
         )
         warnings.append(CodedWarning("column_unsure", sentence))
     columns, taken = _pair(chosen, joints)
-    scales, doubts = _find_position_scales(columns, values, robot)
+    velocities = _pair(choose_group(groups, "v")[0], joints)[0]
+    scales, doubts = _find_position_scales(columns, velocities, recorded, robot)
     entries = {f"q_{j}": _build_entry(column, scales[j]) for j, column in columns.items()}
     return _Positions(columns, scales), _Draft(entries, [*warnings, *taken, *doubts])
 
 
 def _find_position_scales(
-    columns: Mapping[str, str], values: Mapping[str, NDArray[np.float64]], robot: JointLimits
+    columns: Mapping[str, str], velocities: Mapping[str, str], recorded: _Recorded, robot: JointLimits
 ) -> tuple[dict[str, float], list[str]]:
     """Return what brings each joint's positions to m or rad, and doubts; joints of a kind share a unit."""
     scales, warnings = dict.fromkeys(columns, 1.0), []
@@ -313,15 +436,18 @@ def _find_position_scales(
         mine = {k: columns[joint] for k, (joint, own) in enumerate(pairs) if own == kind and joint in columns}
         if not mine:
             continue
-        named = find_named_scale(next(iter(mine.values())), "q")
+        named = recorded.find_scale(next(iter(mine.values())), "q")
         if named is not None:
             scales |= {robot.actuated[k]: named for k in mine}
             continue
-        outside = [k for k, column in mine.items() if not _is_within(values[column], robot, k)]
+        outside = [k for k, column in mine.items() if not _is_within(recorded.values[column], robot, k)]
         if not outside:
+            found, doubts = _judge_unlimited(mine, velocities, recorded, robot)
+            scales |= found
+            warnings += doubts
             continue
         column, joint = mine[outside[0]], robot.actuated[outside[0]]
-        if all(_is_within(values[column] * small, robot, k) for k, column in mine.items()):
+        if all(_is_within(recorded.values[column] * small, robot, k) for k, column in mine.items()):
             scales |= {robot.actuated[k]: small for k in mine}
             sentence = (
                 f"{column} leaves the limits of {joint} in SI units and not in {unit}, and is taken for {unit}; a gear "
@@ -336,30 +462,58 @@ def _find_position_scales(
     return scales, warnings
 
 
+MANY_TURNS = 4 * np.pi
+"""Travel [rad] of a joint without limits from which its unit is doubted: two turns, or 13 degrees of another unit."""
+
+
+def _judge_unlimited(
+    mine: Mapping[int, str], velocities: Mapping[str, str], recorded: _Recorded, robot: JointLimits
+) -> tuple[dict[str, float], list[str]]:
+    """Return the units of turning joints without limits: degrees where a velocity in rad/s says so, else rad with a doubt."""
+    scales: dict[str, float] = {}
+    warnings: list[str] = []
+    for k, column in mine.items():
+        joint, q = robot.actuated[k], recorded.values[column]
+        if (
+            robot.joint_kinds[k] != "revolute"
+            or np.isfinite(robot.upper[k] - robot.lower[k])
+            or np.ptp(q) <= MANY_TURNS
+        ):
+            continue
+        v = velocities.get(joint)
+        slope = (
+            None if v is None or recorded.t is None else _match_slope(((column,), (v,)), recorded.values, recorded.t)
+        )
+        if slope is not None and abs(slope * DEGREE - 1) <= MAX_SLOPE_ERROR:
+            scales[joint] = DEGREE
+            sentence = f"{column} is {slope:.4g} times the integral of {v}, and is taken for degrees."
+            warnings.append(CodedWarning("unit_unsure", sentence))
+        elif slope is None:
+            sentence = f"{column} is taken for rad; {joint} has no limits, and no velocity shows the unit."
+            warnings.append(CodedWarning("unit_unsure", sentence))
+    return scales, warnings
+
+
 def _is_within(q: NDArray[np.float64], robot: JointLimits, k: int) -> bool:
-    """Tell whether positions lie within a joint's limits; without limits, within two turns or 10 m."""
+    """Tell whether positions lie within a joint's limits; without limits, within 10 m, and any number of turns."""
     low, high = float(robot.lower[k]), float(robot.upper[k])
     if not np.isfinite(high - low):
-        bound = 4 * np.pi if robot.joint_kinds[k] == "revolute" else 10.0
-        return bool(np.all(np.abs(q) <= bound))
+        return robot.joint_kinds[k] == "revolute" or bool(np.all(np.abs(q) <= 10.0))
     margin = LIMIT_MARGIN * (high - low)
     return bool(np.all((q >= low - margin) & (q <= high + margin)))
 
 
 def _propose_velocities(
-    groups: Sequence[ColumnGroup],
-    values: Mapping[str, NDArray[np.float64]],
-    t: NDArray[np.float64] | None,
-    q: _Positions,
-    robot: JointLimits,
+    groups: Sequence[ColumnGroup], recorded: _Recorded, q: _Positions, robot: JointLimits
 ) -> _Draft:
     """Return lines of the velocities that are the positions' derivative."""
+    values, t = recorded.values, recorded.t
     chosen, warnings = choose_group(groups, "v")
     entries: dict[str, Any] = {}
     for joint, column in _pair(chosen, robot.actuated)[0].items():
         if joint not in q.columns:
             continue
-        position, named = q.columns[joint], find_named_scale(column, "v")
+        position, named = q.columns[joint], recorded.find_scale(column, "v")
         if np.ptp(values[position]) == 0.0 or np.ptp(values[column]) == 0.0:  # at rest
             entries[f"v_{joint}"] = _build_entry(column, q.scales[joint] if named is None else named)
             continue
@@ -387,13 +541,13 @@ def _round_scale(slope: float, likely: float) -> float | None:
     return next((s for s in sizes if abs(slope / s - 1) <= MAX_SLOPE_ERROR), None)
 
 
-def _propose_forces(groups: Sequence[ColumnGroup], robot: JointLimits) -> _Draft:
+def _propose_forces(groups: Sequence[ColumnGroup], recorded: _Recorded, robot: JointLimits) -> _Draft:
     """Return lines of measured torques, or what currents and controllers' torques lack."""
     joints = tuple(robot.actuated)
     chosen, warnings = choose_group(groups, "tau")
     if chosen is not None:
         columns, taken = _pair(chosen, joints)
-        scales = {joint: find_named_scale(column, "tau") for joint, column in columns.items()}
+        scales = {joint: recorded.find_scale(column, "tau") for joint, column in columns.items()}
         first = next(iter(columns))
         if columns[first] != f"tau_{first}":
             unit = "" if scales[first] else " in N m (N of a sliding joint)"
@@ -421,13 +575,15 @@ def _propose_forces(groups: Sequence[ColumnGroup], robot: JointLimits) -> _Draft
     return _Draft({}, doubts)
 
 
-def _propose_references(groups: Sequence[ColumnGroup], q: _Positions, robot: JointLimits) -> _Draft:
+def _propose_references(
+    groups: Sequence[ColumnGroup], recorded: _Recorded, q: _Positions, robot: JointLimits
+) -> _Draft:
     """Return lines of the positions that were asked for, in the unit of the positions unless their names say another."""
     chosen, warnings = choose_group(groups, "q_ref")
     columns, taken = _pair(chosen, robot.actuated)
     entries = {}
     for joint, column in columns.items():
-        named = find_named_scale(column, "q")
+        named = recorded.find_scale(column, "q")
         entries[f"q_ref_{joint}"] = _build_entry(column, q.scales.get(joint, 1.0) if named is None else named)
     return _Draft(entries, [*warnings, *taken])
 

@@ -58,7 +58,7 @@ def iterate_text_chunks(path: Path, digest: Any = None, *, foreign: bool = False
                 continue
             shift = lines - 1  # the header is line 1 of what is parsed
             try:
-                cells, places, warnings = parse_delimited(path.name, b"".join([head, *body]), foreign=foreign)
+                cells, places, warnings, _ = parse_delimited(path.name, b"".join([head, *body]), foreign=foreign)
             except InputError as fault:
                 raise InputError(fault.code, _shifted(str(fault), shift)) from None
             yield Table(

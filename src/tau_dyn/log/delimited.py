@@ -3,11 +3,14 @@
 The layout is checked here, line by line, before pandas turns cells into numbers: pandas alone pads short rows and
 forgets where they stood. Byte order marks and all line ends are accepted. Meaning and units are no concern of this
 file. Foreign text may also be separated by blanks, and lack a header or a name in it: such columns are
-called by number, from 1.
+called by number, from 1. Spreadsheets add decimal commas, rows of separators alone, a line `sep=;`, and rows of units below
+the header: all are read, with a remark.
 """
 
 import csv
 import io
+import re
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,12 +18,43 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.column_names import describe_foreign_file
+from tau_dyn.log.column_names import describe_foreign_file, is_blank, is_time_text
+from tau_dyn.message_codes import CodedWarning
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 
 MAX_COLUMNS = 10_000
 """Columns of a table; a header with more is no header."""
+
+
+_EMPTY = ' \t,;"\r'
+"""Characters of a row without a cell in it; spreadsheets write separators for empty rows."""
+
+_DECIMAL_COMMA = re.compile(r"[+-]?(?:\d*|\d{1,3}(?:\.\d{3})+),\d+(?:[eE][+-]?\d+)?")
+
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d+")
+
+_SAMPLED_LINES = 50
+"""Lines with a comma from which the decimal sign is taken; a logger writes all lines by one locale."""
+
+MAX_UNIT_ROWS = 3
+"""Rows of text between header and numbers: units, descriptions and types, as recorders of controllers write them."""
+
+
+class Delimited(NamedTuple):
+    """A text file's columns.
+
+    Attributes:
+        cells: Columns by name, each (N,) as numbers where all its cells are, else as text.
+        lines: The line number (N,) of each row.
+        warnings: Remarks on the layout, and on lines that were left out.
+        units: Units by column, of a file with a row of units below its header.
+    """
+
+    cells: dict[str, NDArray[Any]]
+    lines: NDArray[np.int64]
+    warnings: tuple[str, ...]
+    units: Mapping[str, str]
 
 
 class _Layout(NamedTuple):
@@ -33,9 +67,7 @@ class _Layout(NamedTuple):
     ends_with_newline: bool
 
 
-def parse_delimited(
-    name: str, data: bytes, *, foreign: bool = False
-) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64], tuple[str, ...]]:
+def parse_delimited(name: str, data: bytes, *, foreign: bool = False) -> Delimited:
     """Split a text file into columns.
 
     Args:
@@ -43,48 +75,62 @@ def parse_delimited(
         data: The file's bytes.
         foreign: Whether blanks may separate cells and the header may be missing.
 
-    Returns:
-        Columns by name, each (N,) as numbers where all its cells are, else as text; the line number (N,) of each row;
-        warnings.
-
     Raises:
-        InputError: The bytes are not UTF-8, a header or rows are missing, a name stands twice, or a row has another
-            length.
+        InputError: The bytes are not UTF-8 or UTF-16, a header or rows are missing, a name stands twice, or a row has
+            another length.
     """
-    layout = _lay_out(name, _decode(name, data), foreign)
-    layout, warnings = _check_lengths(layout)
+    text, remarks = _decode(name, data)
+    layout = _drop_trailing_separator(_lay_out(name, text, foreign))
+    layout, dropped = _check_lengths(layout)
     if _last_cell_is_cut(layout):
-        warnings = (*warnings, _dropped(layout))
+        dropped = (*dropped, _dropped(layout))
         layout = _without_last(layout)
-    frame = _parse(layout)
+    layout, units = _take_unit_rows(layout)
+    frame, commas = _parse(layout)
     cells = {column: frame[position].to_numpy() for position, column in enumerate(layout.header)}
-    return cells, np.asarray(layout.numbers, dtype=np.int64), warnings
+    said = [f"{name}: {remark}." for remark in (*remarks, *commas)]
+    said += [f"{name}, line {layout.header_line + 1}: units below the header were left out."] if units else []
+    warnings = (*dropped, *(CodedWarning("log_layout", sentence) for sentence in said))
+    return Delimited(cells, np.asarray(layout.numbers, dtype=np.int64), warnings, units)
 
 
-def _decode(name: str, data: bytes) -> str:
-    """Return the text with Unix line ends and without a byte order mark."""
+def _decode(name: str, data: bytes) -> tuple[str, list[str]]:
+    """Return the text with Unix line ends and without a byte order mark, and remarks."""
     if words := describe_foreign_file(data):
         raise InputError("file_format", f"{name} is {words}.")
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise InputError("cannot_read", f"{name}, line 1: the file is UTF-16; save it as UTF-8.")
+    wide = _find_wide_encoding(data)
     try:
-        text = data.decode("utf-8-sig")
+        text = data.decode(wide or "utf-8-sig").removeprefix("\ufeff")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        wrong = f"byte 0x{data[error.start]:02x} is not UTF-8"
+        wrong = "the UTF-16 text is damaged" if wide else f"byte 0x{data[error.start]:02x} is not UTF-8"
         raise InputError("file_format", f"{name}, line {line}: {wrong}; save the log as CSV in UTF-8.") from None
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    return text.replace("\r\n", "\n").replace("\r", "\n"), ["its text is UTF-16"] if wide else []
+
+
+def _find_wide_encoding(data: bytes) -> str:
+    """Return the name of UTF-16 text's encoding, with a byte order mark or without; empty for other text."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    start = data[:64]
+    zeros = [start[k::2].count(0) for k in (0, 1)]
+    half = len(start) // 2
+    if half < 4 or max(zeros) < half or min(zeros) > 0:
+        return ""
+    return "utf-16-le" if zeros[1] else "utf-16-be"
 
 
 def _lay_out(name: str, text: str, foreign: bool) -> _Layout:
     """Find the header, the separator and the lines that hold rows."""
     lines = text.split("\n")
-    at = next((i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
+    at = next((i for i, line in enumerate(lines) if _begins_table(line)), None)
     if at is None:
         raise InputError(
             "missing_column", f"{name} has no header; a log needs a line naming its columns and one line a sample."
         )
     separator = max(SEPARATORS, key=lambda s: (lines[at].count(s), s == ","))
+    if lines[at].strip('"; ,').lower().startswith("sep=") and at + 1 < len(lines):  # Excel's own line above the header
+        return _lay_out(name, "\n".join(["#" if i == at else line for i, line in enumerate(lines)]), foreign)
     if foreign and _are_blanks_between(lines, at):
         lines, separator = [*lines[:at], *("\t".join(line.split()) for line in lines[at:])], "\t"
     header = [cell.strip() for cell in _cells_of(name, at + 1, lines[at], separator)]
@@ -94,7 +140,7 @@ def _lay_out(name: str, text: str, foreign: bool) -> _Layout:
     else:
         header = [cell or str(k + 1) for k, cell in enumerate(header)] if foreign else header
         _check_header(name, at + 1, header)
-    kept = [i for i in range(first_row, len(lines)) if lines[i].strip()]
+    kept = [i for i in range(first_row, len(lines)) if lines[i].strip(_EMPTY)]
     if not kept:
         raise InputError(
             "too_little_data", f"{name} ends after its header in line {at + 1}; a log needs one line a sample below it."
@@ -103,6 +149,54 @@ def _lay_out(name: str, text: str, foreign: bool) -> _Layout:
     return _Layout(
         name, separator, header, at + 1, rows, [i + 1 for i in kept], ends_with_newline=not lines[-1].strip()
     )
+
+
+def _begins_table(line: str) -> bool:
+    """Tell whether a line is the header: the first one that is no comment and has a cell in it."""
+    return bool(line.strip(_EMPTY)) and not line.lstrip().startswith("#")
+
+
+def _drop_trailing_separator(layout: _Layout) -> _Layout:
+    """Return a layout without the empty column that a separator at the end of every line makes."""
+    sign = layout.separator
+    if layout.header[-1] and not layout.header[-1].isdigit() or len(layout.header) < 2:
+        return layout
+    if not all(line.endswith(sign) and line.count(sign) == len(layout.header) - 1 for line in layout.lines):
+        if not layout.header[-1]:
+            raise InputError(
+                "missing_column",
+                f"{layout.name}, line {layout.header_line}: column {len(layout.header)} has no name; the header must name "
+                "every column.",
+            )
+        return layout
+    return layout._replace(header=layout.header[:-1], lines=[line[: -len(sign)] for line in layout.lines])
+
+
+def _take_unit_rows(layout: _Layout) -> tuple[_Layout, dict[str, str]]:
+    """Return a layout without the rows of text between header and numbers, and the units by column."""
+    first = [_cells_of(layout.name, 0, line, layout.separator) for line in layout.lines[: MAX_UNIT_ROWS + 1]]
+    n_above = next((k for k, cells in enumerate(first) if any(map(_is_cell_number, cells))), 0)
+    above = first[:n_above]
+    if not n_above or not all(_is_text_row(cells) for cells in above):
+        return layout, {}
+    cells = min(above, key=lambda row: sum(len(cell) for cell in row))  # units are the shortest words
+    units = {column: cell.strip() for column, cell in zip(layout.header, cells, strict=True) if cell.strip()}
+    return layout._replace(lines=layout.lines[n_above:], numbers=layout.numbers[n_above:]), units
+
+
+def _is_text_row(cells: Sequence[str]) -> bool:
+    """Tell whether no cell of a row is a sample: a number, a missing number or a time."""
+    filled = [cell.strip() for cell in cells if cell.strip()]
+    return bool(filled) and not any(is_blank(cell) or is_time_text(cell) or _is_list(cell) for cell in filled)
+
+
+def _is_list(cell: str) -> bool:
+    return cell.startswith("[") and any(c.isdigit() for c in cell)
+
+
+def _is_cell_number(cell: str) -> bool:
+    text = cell.strip()
+    return _is_number(text) and not is_blank(text) or bool(_DECIMAL_COMMA.fullmatch(text))
 
 
 def _are_blanks_between(lines: list[str], at: int) -> bool:
@@ -132,6 +226,8 @@ def _check_header(name: str, line: int, header: list[str]) -> None:
         )
     seen: set[str] = set()
     for position, column in enumerate(header, start=1):
+        if not column and position == len(header) > 1:
+            continue  # a separator at the line's end, which the rows show
         if not column:
             raise InputError(
                 "missing_column",
@@ -162,6 +258,12 @@ def _check_lengths(layout: _Layout) -> tuple[_Layout, tuple[str, ...]]:
     if first == len(counts) - 1 and counts[first] < wanted and first > 0:
         return _without_last(layout), (_dropped(layout),)
     where, has = f"{layout.name}, line {layout.numbers[first]}", f"{counts[first]} cells"
+    if layout.separator == "," and wanted < counts[first] <= 2 * wanted and "." not in "".join(layout.lines[:20]):
+        raise InputError(
+            "file_format",
+            f"{where} has {has} and the header {wanted}: commas seem to be both decimal signs and separators; separate the "
+            "cells by semicolons or tabs.",
+        )
     if first == 0 and len(counts) > 1 and (counts[1:] == counts[0]).all() or wanted == 1:
         taken = layout.separator.join(layout.header)
         raise InputError(
@@ -186,8 +288,9 @@ def _count_cells(layout: _Layout) -> NDArray[np.int64]:
     return np.asarray(counts, dtype=np.int64)
 
 
-def _parse(layout: _Layout) -> pd.DataFrame:
+def _parse(layout: _Layout) -> tuple[pd.DataFrame, list[str]]:
     """Let pandas turn rows into numbers, column by column; a column with anything else in it stays text."""
+    decimal, thousands = _find_decimal_sign(layout)
     try:
         frame = pd.read_csv(
             io.StringIO("\n".join(layout.lines)),
@@ -200,6 +303,8 @@ def _parse(layout: _Layout) -> pd.DataFrame:
             skipinitialspace=True,
             float_precision="round_trip",
             low_memory=False,
+            decimal=decimal,
+            thousands=thousands,
         )
     except (pd.errors.ParserError, ValueError) as error:
         raise InputError(
@@ -210,7 +315,35 @@ def _parse(layout: _Layout) -> pd.DataFrame:
             "file_format",
             f"{layout.name} has a quoted cell that runs over its line; close every quote on its own line.",
         )
-    return frame
+    if decimal == ".":
+        return frame, []
+    for column in frame.columns:
+        frame[column] = _read_decimal_commas(frame[column])
+    return frame, ["its numbers have decimal commas"]
+
+
+def _find_decimal_sign(layout: _Layout) -> tuple[str, str | None]:
+    """Return the decimal sign, and the sign between thousands where there is one."""
+    if layout.separator == "," and not any('"' in line for line in layout.lines):
+        return ".", None
+    lines = [line for line in layout.lines if "," in line][:_SAMPLED_LINES]
+    cells = [cell.strip() for line in lines for cell in _cells_of(layout.name, 0, line, layout.separator)]
+    if not any(map(_DECIMAL_COMMA.fullmatch, cells)):
+        return ".", None
+    return ",", "." if any(map(_THOUSANDS.fullmatch, cells)) else None
+
+
+def _read_decimal_commas(cells: Any) -> Any:
+    """Return a column of text as numbers where its cells are such, or missing, by one of the two decimal signs."""
+    if cells.dtype.kind in "fiub":
+        return cells
+    text = cells.astype(str).str.strip()
+    missing = text.map(is_blank)
+    for shown in (text.str.replace(",", ".", regex=False), text):
+        values = pd.to_numeric(shown.where(~missing), errors="coerce")
+        if bool((values.notna() | missing).all()):
+            return values
+    return cells
 
 
 def _last_cell_is_cut(layout: _Layout) -> bool:

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import write_atomically
+from tau_dyn.log.column_map import ColumnMap
 from tau_dyn.log.column_names import ROOM_TEMPERATURE, describe_missing_column, map_joints
 from tau_dyn.results import Shown, count
 
@@ -28,6 +29,19 @@ if TYPE_CHECKING:
 
 _ROWS_AT_ONCE = 10_000  # of a CSV; a megabyte or two of text
 _NAME_IT = "; log it, or let a column map say which column it is"
+
+
+@dataclass(frozen=True, eq=False)
+class Origin:
+    """How a log was read.
+
+    Attributes:
+        column_map: The column map; None of a log under our own names.
+        without_numbers: Columns of ours whose every cell is empty or `nan`, which the log therefore lacks.
+    """
+
+    column_map: ColumnMap | None = None
+    without_numbers: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +54,7 @@ class Log(Shown):
         name: File name for messages, or what the simulator called the log.
         sha256: Hash of the bytes of the file or files; empty for a simulated log.
         warnings: What was doubtful on the way in, one sentence each.
+        origin: How it was read.
 
     Example:
         >>> t = np.arange(0.0, 10.0, 0.01)
@@ -56,6 +71,7 @@ class Log(Shown):
     name: str = "log"
     sha256: str = ""
     warnings: tuple[str, ...] = field(default=())
+    origin: Origin = Origin()
 
     def __post_init__(self) -> None:
         """Freeze the arrays and refuse a clock that stands still or channels of another length."""
@@ -76,7 +92,7 @@ class Log(Shown):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Let a log travel between processes; a mapping proxy cannot."""
-        return Log, (self.t, dict(self.channels), self.name, self.sha256, self.warnings)
+        return Log, (self.t, dict(self.channels), self.name, self.sha256, self.warnings, self.origin)
 
     @property
     def n_samples(self) -> int:
@@ -127,10 +143,17 @@ class Log(Shown):
         columns = [f"{signal}_{name}" for name in names]
         for column in columns:
             if column not in self.channels:
-                raise InputError(
-                    "missing_column", describe_missing_column(self.name, column, ("t", *self.channels), more=_NAME_IT)
-                )
+                raise InputError("missing_column", self.describe_missing(column))
         return np.column_stack([self.channels[c] for c in columns]) if columns else np.empty((self.n_samples, 0))
+
+    def describe_missing(self, column: str) -> str:
+        """Return the sentence about a column that the log lacks."""
+        if column in self.origin.without_numbers:
+            return (
+                f"{self.name}: column {column} has no number in it, every cell is empty or nan; log it, or map another column "
+                f"to {column}."
+            )
+        return describe_missing_column(self.name, column, ("t", *self.channels), more=_NAME_IT)
 
     def temperatures(self, names: Iterable[str]) -> NDArray[np.float64] | None:
         """Return the temperature at each of several joints (N, n) [degC]: their own, else the room's; None without either."""
@@ -190,9 +213,7 @@ class Log(Shown):
         if isinstance(key, slice):
             return self._take(self._to_samples(key))
         if key != "t" and key not in self.channels:
-            raise InputError(
-                "missing_column", describe_missing_column(self.name, key, ("t", *self.channels), more=_NAME_IT)
-            )
+            raise InputError("missing_column", self.describe_missing(key))
         return self.t if key == "t" else self.channels[key]
 
     def _to_samples(self, key: slice) -> slice:

@@ -13,17 +13,36 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import compute_joint_sha256
-from tau_dyn.log.column_map import ColumnMap
-from tau_dyn.log.column_names import describe_missing_clock, describe_missing_column, format_names, list_used_columns
-from tau_dyn.log.log import Log
+from tau_dyn.log.clocks import (
+    SECONDS_A_DAY,
+    Clock,
+    Clocked,
+    describe_coarse_text,
+    find_day_numbers,
+    join_clocks,
+    read_text_clock,
+)
+from tau_dyn.log.column_map import ColumnMap, Source
+from tau_dyn.log.column_names import (
+    describe_missing_clock,
+    describe_missing_column,
+    find_scale_of_unit,
+    format_names,
+    is_blank,
+    list_used_columns,
+    split_column_name,
+)
+from tau_dyn.log.log import Log, Origin
 from tau_dyn.log.rosbag_log import is_bag_folder, read_bag
 from tau_dyn.log.table import Table, read_table
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import count
 
 _LOGGER = logging.getLogger(__name__)
@@ -178,7 +197,8 @@ def read_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
     """
     if columns is None:
         table = read_any(path)
-        log = _build({None: table}, table, _own_columns(table, tuple(table.cells)), warnings=table.warnings)
+        channels = _own_columns(table, tuple(c for c in table.cells if c != "t"))
+        log = _build({None: table}, [_Part(table, channels, _read_clock(table, None))], table.warnings, None)
     else:
         log = _read_foreign(Path(path), columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns))
     _LOGGER.info("read %s: %d samples in %.6g s", log.name, log.n_samples, log.duration)
@@ -199,16 +219,100 @@ def _read_foreign(path: Path, map_: ColumnMap) -> Log:
     tables = _tables(path, map_)
     if map_.episode is not None:
         tables = {key: _take_episode(table, map_.episode) for key, table in tables.items()}
-    tables, warnings = _same_length(tables)
-    main = tables.get(None) or next(iter(tables.values()))
-    channels = compute_mapped_columns(tables, map_)
-    if map_.rate_hz is not None:
-        channels["t"] = np.arange(main.n_rows) / map_.rate_hz
-    if None in tables:
-        taken = {s.column for s in map_.sources.values() if s.file is None} | set(channels)
-        kept = tuple(column for column in main.cells if column not in taken)
-        channels = {**_own_columns(main, kept, beside=tuple(channels)), **channels}
-    return _build(tables, main, channels, warnings)
+    clock = map_.sources.get("t", None if map_.rate_hz is not None else Source("t"))
+    key = clock.file if clock is not None and clock.file in tables else next(iter(tables))
+    apart = {} if clock is None else _find_other_clocks(tables, map_, key, clock)
+    together, warnings = _same_length({k: table for k, table in tables.items() if k not in apart})
+    scaled = _scale_columns({**tables, **together}, map_)
+    mine = {c: x for c, x in scaled.items() if map_.sources[c].file not in apart}
+    main = together.get(None) or together[key]
+    if None in together:
+        taken = {s.column for s in map_.sources.values() if s.file is None} | set(scaled)
+        kept = tuple(column for column in main.cells if column not in taken and column != "t")
+        mine = {**_own_columns(main, kept, beside=tuple(scaled)), **mine}
+    times = (
+        Clock(np.arange(main.n_rows) / (map_.rate_hz or 1.0)) if clock is None else _read_clock(together[key], clock)
+    )
+    others = [
+        _Part(tables[k], {c: x for c, x in scaled.items() if map_.sources[c].file == k}, other)
+        for k, other in apart.items()
+    ]
+    said = (*warnings, *(sentence for k in apart for sentence in tables[k].warnings))
+    return _build(tables, [_Part(main, mine, times), *others], said, map_)
+
+
+def _find_other_clocks(
+    tables: Mapping[str | None, Table], map_: ColumnMap, main: str | None, source: Source
+) -> dict[str | None, Clock]:
+    """Return the clocks of files that are not sampled together with the main one, by the files' keys.
+
+    A file has a clock where the map gives one, or where a column is called as the main clock is. Equal clocks are one.
+    """
+    if len(tables) == 1:
+        return {}
+    reference = _read_clock(tables[main], source)
+    found = {}
+    for key, table in tables.items():
+        own = map_.clocks.get(key or "", source)
+        if key == main or own.column not in table.cells and own is source:
+            continue
+        clock = _read_clock(table, own)
+        if clock.t.size != reference.t.size or not _are_equal(clock, reference):
+            found[key] = clock
+    return found
+
+
+MAX_CLOCK_DIFFERENCE = 0.01
+"""Share of a step by which stamps of files that were sampled together may differ: rounding."""
+
+
+def _are_equal(one: Clock, other: Clock) -> bool:
+    step = float(np.median(np.abs(np.diff(other.t))))
+    difference = np.abs(one.t - other.t + (one.epoch - other.epoch) / 1e9)
+    return bool(np.all(difference <= MAX_CLOCK_DIFFERENCE * step))
+
+
+def _read_clock(table: Table, source: Source | None) -> Clock:
+    """Return the clock of a table: numbers, or dates and times of day, or a number of days.
+
+    Args:
+        table: The table.
+        source: Its clock in a map; None of a log under our own names.
+
+    Raises:
+        InputError: There is no clock, or a cell is neither a number nor a time.
+    """
+    column = "t" if source is None else source.column
+    if column not in table.cells:
+        raise InputError(
+            "missing_column",
+            describe_missing_clock(table.name, tuple(table.cells))
+            if column == "t"
+            else describe_missing_column(table.name, column, tuple(table.cells), ", which the map takes for t"),
+        )
+    clock = read_text_clock(table.cells[column])
+    if clock is not None:
+        if source is not None and source.scale != 1.0:
+            raise InputError(
+                "file_format",
+                f"{table.name}, column {column} holds dates or times of day, which take no scale; leave it out.",
+            )
+        if coarse := describe_coarse_text(table.cells[column]):
+            raise InputError("time_stamps", f"{table.name}, column {column}: {coarse}.")
+        return clock._replace(remark=f"{table.name}: column {column} {clock.remark}.")
+    scale, offset = (1.0, 0.0) if source is None else (source.scale, source.offset)
+    if source is None:
+        _refuse_unit(table, column)
+    numbers = table.numbers(column, scale, gaps=True)
+    if scale == 1.0 and find_day_numbers(numbers):
+        step = np.nanmedian(np.diff(numbers)) * SECONDS_A_DAY
+        why = f"its step is that of {1 / step:.4g} Hz in days"
+        remark = (
+            f"{table.name}: column {column} counts days, as spreadsheets do ({why}); t is in seconds from the first."
+        )
+        first = numbers[np.isfinite(numbers)][0]
+        return Clock((numbers - first) * SECONDS_A_DAY, round(first * SECONDS_A_DAY * 1e9), remark)
+    return Clock(scale * numbers + offset)
 
 
 EPISODE = "episode_index"
@@ -234,11 +338,24 @@ def compute_mapped_columns(tables: Mapping[str | None, Table], map_: ColumnMap) 
     channels = {
         ours: source.scale * _theirs(tables, map_, ours) + source.offset for ours, source in map_.sources.items()
     }
+    return _undo_couplings(channels, map_)
+
+
+def _undo_couplings(channels: dict[str, NDArray[np.float64]], map_: ColumnMap) -> dict[str, NDArray[np.float64]]:
     for signal, coupling in map_.couplings.items():
         names = [f"{signal}_{joint}" for joint in coupling.joints]
         mixed = coupling.apply(np.column_stack([channels[name] for name in names]))
         channels.update(zip(names, mixed.T, strict=True))
     return channels
+
+
+def _scale_columns(tables: Mapping[str | None, Table], map_: ColumnMap) -> dict[str, NDArray[np.float64]]:
+    """Return the map's columns but the clock in our units, each (N,) of its own table, with NaN for missing numbers."""
+    return {
+        ours: source.scale * _theirs(tables, map_, ours, gaps=True) + source.offset
+        for ours, source in map_.sources.items()
+        if ours != "t"
+    }
 
 
 def _tables(path: Path, map_: ColumnMap) -> dict[str | None, Table]:
@@ -275,7 +392,8 @@ def _same_length(tables: dict[str | None, Table]) -> tuple[dict[str | None, Tabl
             raise InputError(
                 "mismatch",
                 f"{table.name} has {table.n_rows} samples and {shortest.name} has {shortest.n_rows}; "
-                "files of one log have to be sampled together and be of equal length.",
+                "files of one log have to be sampled together and be of equal length, or have a clock each, as "
+                "files: {f: {path: forces.csv, t: COLUMN}}.",
             )
         if extra:
             tables[key] = table.first_rows(
@@ -284,7 +402,7 @@ def _same_length(tables: dict[str | None, Table]) -> tuple[dict[str | None, Tabl
     return tables, tuple(sentence for table in tables.values() for sentence in table.warnings)
 
 
-def _theirs(tables: Mapping[str | None, Table], map_: ColumnMap, ours: str) -> NDArray[np.float64]:
+def _theirs(tables: Mapping[str | None, Table], map_: ColumnMap, ours: str, gaps: bool = False) -> NDArray[np.float64]:
     source = map_.sources[ours]
     table = tables[source.file]
     if source.column not in table.cells:
@@ -294,7 +412,7 @@ def _theirs(tables: Mapping[str | None, Table], map_: ColumnMap, ours: str) -> N
                 table.name, source.column, tuple(table.cells), f", which {map_.name} takes for {ours}"
             ),
         )
-    return table.numbers(source.column, source.scale)
+    return table.numbers(source.column, source.scale, gaps=gaps)
 
 
 def _own_columns(
@@ -302,24 +420,121 @@ def _own_columns(
 ) -> dict[str, NDArray[np.float64]]:
     """Return columns under their own names: ours checked cell by cell, foreign ones if they are numbers at all."""
     used = set(list_used_columns((*beside, *columns)))
+    for column in used.intersection(columns):
+        _refuse_unit(table, column)
     channels = {
-        column: table.numbers(column) if column in used else table.numbers_or_none(column) for column in columns
+        column: table.numbers(column, gaps=True) if column in used else table.numbers_or_none(column)
+        for column in columns
     }
     return {column: values for column, values in channels.items() if values is not None}
 
 
+def _refuse_unit(table: Table, column: str) -> None:
+    """Refuse a column of ours that the units below the header give in another unit than an SI one."""
+    unit = table.units.get(column, "")
+    scale = find_scale_of_unit(unit, column)
+    if scale not in (None, 1.0):
+        raise InputError(
+            "file_format",
+            f"{table.name}: the units below its header give {unit} for {column}; write "
+            f"`{column}: {{column: {column}, scale: {scale:.9g}}}` into a column map (--columns MAP.yaml).",
+        )
+
+
+class _Part(NamedTuple):
+    """Columns of one file or of files sampled together, under our names (N,), and their clock."""
+
+    table: Table
+    channels: dict[str, NDArray[np.float64]]
+    clock: Clock
+
+
+MIN_COMPLETE_SHARE = 0.5
+"""Share of rows with all numbers from which the others are gaps; below, columns are filled by clocks of their own."""
+
+
 def _build(
-    tables: Mapping[str | None, Table], main: Table, channels: dict[str, NDArray[np.float64]], warnings: tuple[str, ...]
+    tables: Mapping[str | None, Table], parts: Sequence[_Part], warnings: tuple[str, ...], map_: ColumnMap | None
 ) -> Log:
-    """Check the clock and the length, and freeze everything into a log."""
+    """Check the clocks and the length, fill or leave out gaps, and freeze everything into a log."""
+    main = parts[0].table
     refuse_few(main.name, main.n_rows)
-    if "t" not in channels:
-        raise InputError("missing_column", describe_missing_clock(main.name, tuple(main.cells)))
-    t = channels.pop("t")
     _check_episodes(main)
-    _check_clock(main, t)
+    if not any(split_column_name(c) for part in parts for c in part.channels):
+        refuse_signals_in_rows(main)
+    remarks = (part.clock.remark for part in parts if part.clock.remark)
+    said = [*warnings, *(CodedWarning("clock_converted", remark) for remark in remarks)]
+    used = frozenset(list_used_columns([c for part in parts for c in part.channels]))
+    lost = [c for part in parts for c in part.channels if c in used and np.isnan(part.channels[c]).all()]
+    said += [
+        CodedWarning(
+            "column_without_numbers", f"{main.name}: column {column} has no number in it and counts as missing."
+        )
+        for column in lost
+    ]
+    channels = {c: x for c, x in parts[0].channels.items() if c not in lost}
+    t, channels, more = _join(parts, channels, used.difference(lost))
+    if map_ is not None:
+        channels = _undo_couplings(channels, map_)
     digest = compute_joint_sha256(table.sha256 for table in tables.values())
-    return Log(t, channels, name=main.name, sha256=digest, warnings=tuple(dict.fromkeys(warnings)))
+    origin = Origin(map_, tuple(lost))
+    return Log(t, channels, main.name, digest, tuple(dict.fromkeys((*said, *more))), origin)
+
+
+def _join(
+    parts: Sequence[_Part], channels: dict[str, NDArray[np.float64]], wanted: frozenset[str]
+) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]], list[str]]:
+    """Return the clock, the channels on it and remarks."""
+    main = parts[0]
+    used = [c for c in channels if c in wanted]
+    holes = np.isnan(main.clock.t)
+    for column in used:
+        holes |= np.isnan(channels[column])
+    if len(parts) == 1 and not holes.any():
+        _check_clock(main.table, main.clock.t)
+        return main.clock.t, channels, []
+    if len(parts) == 1 and np.mean(~holes) >= MIN_COMPLETE_SHARE:
+        return _leave_out(main, channels, holes, used)
+    groups = [group for part in parts for group in _group_by_rows(part, main.clock.epoch, wanted)]
+    joined = join_clocks(main.table.name, groups)
+    refuse_few(main.table.name, joined.rows.size)
+    return groups[joined.main].t[joined.rows], joined.channels, list(joined.warnings)
+
+
+def _leave_out(
+    part: _Part, channels: dict[str, NDArray[np.float64]], holes: NDArray[np.bool_], used: Sequence[str]
+) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]], list[str]]:
+    """Return the rows without holes, and a remark on the others."""
+    kept = np.flatnonzero(~holes)
+    table = part.table.take_rows(kept)
+    refuse_few(table.name, table.n_rows)
+    _check_clock(table, part.clock.t[kept])
+    first = int(np.argmax(holes))
+    names = [c for c in used if np.isnan(channels[c]).any()] or ["t"]
+    sentence = (
+        f"{part.table.where(first)}: {count(int(holes.sum()), 'sample')} without a number (empty or nan) in "
+        f"{format_names(names, 3)}, from this line on, {'was' if holes.sum() == 1 else 'were'} left out."
+    )
+    rows = {column: values[kept] for column, values in channels.items()}
+    return part.clock.t[kept], rows, [CodedWarning("samples_left_out", sentence)]
+
+
+def _group_by_rows(part: _Part, epoch: int, wanted: frozenset[str]) -> list[Clocked]:
+    """Return the used channels of a part, those that are filled in the same rows together."""
+    t = part.clock.t + (part.clock.epoch - epoch) / 1e9
+    groups: dict[bytes, list[str]] = {}
+    for column in (c for c in part.channels if c in wanted):
+        filled = np.isfinite(t) & np.isfinite(part.channels[column])
+        groups.setdefault(np.packbits(filled).tobytes(), []).append(column)
+    several = len(groups) > 1
+    return [
+        Clocked(
+            f"{part.table.name}, column {columns[0]}" if several else part.table.name,
+            t[filled := np.isfinite(t) & np.isfinite(part.channels[columns[0]])],
+            {column: part.channels[column][filled] for column in columns},
+        )
+        for columns in groups.values()
+    ]
 
 
 def _check_episodes(table: Table) -> None:
@@ -331,6 +546,27 @@ def _check_episodes(table: Table) -> None:
             f"{table.name} holds {np.unique(numbers).size} episodes, which are logs of their own; choose one in the column "
             f"map, as `episode: {numbers[0]:g}`.",
         )
+
+
+MAX_SIGNALS = 200
+"""Names that a column may hold where signals come in rows; a robot's log has fewer."""
+
+MIN_ROWS_A_SIGNAL = 5
+"""Rows of each name from which they are a signal's samples; a column of comments repeats less."""
+
+
+def refuse_signals_in_rows(table: Table) -> None:
+    """Refuse a table with the name of a signal in each row and one column of values."""
+    for column, cells in table.cells.items():
+        if cells.dtype.kind != "O" or read_text_clock(cells[:1]) is not None:
+            continue
+        names, counts = np.unique(cells.astype(str), return_counts=True)
+        if 2 <= names.size <= MAX_SIGNALS and counts.min() >= MIN_ROWS_A_SIGNAL and not any(map(is_blank, names)):
+            raise InputError(
+                "file_format",
+                f"{table.name} holds its signals in rows: column {column} names them ({format_names(names, 4)}); a log has a "
+                f"column for each, as pandas' df.pivot(index=CLOCK, columns='{column}', values=VALUE) gives.",
+            )
 
 
 def _check_clock(table: Table, t: NDArray[np.float64]) -> None:

@@ -1,4 +1,4 @@
-"""An even clock for filters that need one, a log cut at gaps and at rests, and a signal of one clock on another topic's clock.
+"""An even clock for filters that need one, a log cut at gaps and at rests, and a signal of one clock on another clock.
 
 Uneven samples are interpolated, gaps are never bridged. Stamps that are even but rounded to few digits are recognised and
 replaced by the even clock without touching the channels. Truly uneven stamps (more than 1 % of a step off, or one or two
@@ -14,6 +14,7 @@ interpolation gives what lies between. Nothing is extrapolated. Reference: de Bo
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -133,9 +134,9 @@ def _resample(log: Log, clock: Clock) -> Log:
         sentence = (
             f"{log.name}: its times are rounded; an even clock of {n_steps / log.duration:.6g} Hz was used instead."
         )
-        return Log(grid, log.channels, log.name, log.sha256, log.warnings).with_warnings(sentence)
+        return replace(log, t=grid).with_warnings(sentence)
     channels = {key: interpolate(log.t, values, grid) for key, values in log.channels.items()}
-    return Log(grid, channels, log.name, log.sha256, log.warnings).with_warnings(_uneven_sentence(log, clock))
+    return replace(log, t=grid, channels=channels).with_warnings(_uneven_sentence(log, clock))
 
 
 def describe_gaps(log: Log, clock: Clock) -> str:
@@ -243,16 +244,14 @@ def resample_to_clock(where: str, t: np.ndarray, x: np.ndarray, wanted: np.ndarr
     if np.array_equal(t[at], wanted):
         return x[at], ""
     if t.size < MIN_CLOCK_SAMPLES:
-        raise InputError(
-            "too_little_data", f"{where} has {t.size} samples, too few to be put on another topic's clock."
-        )
+        raise InputError("too_little_data", f"{where} has {t.size} samples, too few to be put on another clock.")
     step = float(np.median(np.diff(t)))
     inside = (t >= wanted[0] - step) & (t <= wanted[-1] + step)
     t, x = t[inside], x[inside]
     if t.size < MIN_CLOCK_SAMPLES:
         raise InputError(
             "too_little_data",
-            f"{where} has {t.size} samples during the log, too few to be put on another topic's clock.",
+            f"{where} has {t.size} samples during the log, too few to be put on another clock.",
         )
     steps = np.diff(t)
     widest = int(np.argmax(steps))
@@ -266,7 +265,7 @@ def resample_to_clock(where: str, t: np.ndarray, x: np.ndarray, wanted: np.ndarr
     if share > MAX_INTERPOLATION_ERROR:
         raise InputError(
             "time_stamps",
-            f"{where} cannot be put on another topic's clock: its samples ({1 / step:.4g} Hz) cannot be told from their "
+            f"{where} cannot be put on another clock: its samples ({1 / step:.4g} Hz) cannot be told from their "
             "neighbours, so neither can what lies between them; record both in one message, or faster.",
         )
     error = 100 * share / 16

@@ -11,7 +11,8 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
-from tau_dyn.log.column_names import describe_bad_cell, describe_missing_column, is_unit_row
+from tau_dyn.log.column_names import describe_bad_cell, describe_missing_column, is_blank, is_unit_row
 from tau_dyn.log.delimited import MAX_COLUMNS, parse_delimited
 
 MAX_INFLATION_RATIO = 200
@@ -75,6 +76,7 @@ class Table:
             file.
         place: The word for it, `line` or `row`.
         warnings: What was left out while reading.
+        units: Units by column, of a text file with a row of units below its header.
     """
 
     name: str
@@ -84,6 +86,7 @@ class Table:
     places: NDArray[np.int64]
     place: str = "line"
     warnings: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def n_rows(self) -> int:
@@ -94,12 +97,13 @@ class Table:
         """Return the file and the line of a row, to open a message."""
         return f"{self.name}, {self.place} {self.places[row]}"
 
-    def numbers(self, column: str, scale: float = 1.0) -> NDArray[np.float64]:
+    def numbers(self, column: str, scale: float = 1.0, *, gaps: bool = False) -> NDArray[np.float64]:
         """Return a column (N,) in which every cell has to be a finite number.
 
         Args:
             column: Its name.
             scale: What brings it to SI units, where its size is judged; the column itself is not scaled.
+            gaps: Whether cells may be empty or `nan`; they come as NaN.
 
         Raises:
             InputError: The column does not exist, or a cell is empty, text, NaN or infinite.
@@ -108,6 +112,12 @@ class Table:
             raise InputError("missing_column", describe_missing_column(self.name, column, tuple(self.cells)))
         values = _to_float(self.cells[column])
         wrong = np.flatnonzero(~(np.abs(values) * abs(scale) < MAX_MAGNITUDE))
+        if gaps:
+            cells = self.cells[column]
+            present = (
+                ~np.isnan(values[wrong]) if cells.dtype.kind == "f" else [not is_blank(cells[row]) for row in wrong]
+            )
+            wrong = wrong[np.asarray(present, dtype=bool)]
         if wrong.size:
             row, cells = int(wrong[0]), self.cells[column]
             if row == 0 and len(cells) > 1 and is_unit_row(cells[0], cells[1]):
@@ -127,7 +137,7 @@ class Table:
             return (text == "True").astype(np.float64)
         values = _to_float(cells)
         missing = np.flatnonzero(np.isnan(values))
-        return values if all(_is_blank(cells[row]) for row in missing) else None
+        return values if all(is_blank(cells[row]) for row in missing) else None
 
     def first_rows(self, n: int, warning: str) -> Table:
         """Return the first `n` rows, with a sentence about the rest."""
@@ -165,10 +175,10 @@ def read_table(path: str | Path, *, most: int | None = None, foreign: bool = Fal
         raise InputError(
             "file_format", f"{path.name} is an MCAP file, which cannot be read here; export it as CSV or Parquet."
         )
-    cells, lines, warnings = parse_delimited(path.name, data, foreign=foreign)
+    cells, lines, warnings, units = parse_delimited(path.name, data, foreign=foreign)
     if foreign:
         cells = _spread_lists(path.name, {column: _read_lists(values) for column, values in cells.items()})
-    return Table(path.name, path, digest, cells, lines, warnings=warnings)
+    return Table(path.name, path, digest, cells, lines, warnings=warnings, units=units)
 
 
 def _read_bytes(path: Path, most: int | None) -> bytes:
@@ -291,7 +301,3 @@ def _to_float(cells: NDArray[Any]) -> NDArray[np.float64]:
     except OverflowError:  # a whole number of hundreds of digits stays one
         shown = pd.Series([str(cell) + ".0" if isinstance(cell, int) else cell for cell in cells])
         return np.asarray(pd.to_numeric(shown, errors="coerce"), dtype=np.float64)
-
-
-def _is_blank(cell: object) -> bool:
-    return cell is None or str(cell).strip().lower() in ("", "nan", "na", "null", "<na>", "none")

@@ -1,0 +1,196 @@
+"""Logs as spreadsheets, databases and recorders write them: the same samples come out, with a remark, or one true sentence."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+from raising import raises_code
+
+from tau_dyn.log import Log, check_log, open_log, read_log
+from tau_dyn.message_codes import get_code
+
+N = 400
+T = 0.004 * np.arange(N)
+Q = np.sin(2 * T)
+TAU = 3.0 * np.cos(2 * T) + 0.25
+START = datetime.datetime(2026, 3, 2, 23, 59, 59, 500_000)  # the log crosses midnight
+
+
+def write_rows(
+    path: Path,
+    times: Sequence[str],
+    *,
+    sign: str = ",",
+    decimal: str = ".",
+    head: str = "t,q_axis,tau_axis",
+    above: str = "",
+    below: str = "",
+    end: str = "",
+    encoding: str = "utf-8",
+) -> Path:
+    rows = [f"{t},{q:.9f},{tau:.9f}" for t, q, tau in zip(times, Q, TAU, strict=True)]
+    rows = [row.replace(",", "\0").replace(".", decimal).replace("\0", sign) + end for row in rows]
+    head = head.replace(",", sign) + end
+    path.write_bytes((above + "\n".join([head, *([below] if below else []), *rows]) + "\n").encode(encoding))
+    return path
+
+
+def get_numbers() -> list[str]:
+    return [f"{t:.3f}" for t in T]
+
+
+def assert_same(log: Log) -> None:
+    assert_allclose(log.t - log.t[0], T, rtol=0, atol=2e-6)
+    assert_allclose(log.channels["q_axis"], Q, rtol=0, atol=1e-8)
+    assert_allclose(log.channels["tau_axis"], TAU, rtol=0, atol=1e-8)
+
+
+LAYOUTS = {
+    "decimal commas, semicolons": {"sign": ";", "decimal": ","},
+    "decimal commas, tabs": {"sign": "\t", "decimal": ","},
+    "UTF-16": {"encoding": "utf-16"},
+    "UTF-16 without a mark": {"encoding": "utf-16-le"},
+    "byte order mark": {"encoding": "utf-8-sig"},
+    "blank first rows": {"above": "\n,,\n , ,\n"},
+    "sep= of Excel": {"above": "sep=;\n", "sign": ";", "decimal": ","},
+    "a separator at the end of each line": {"end": ",", "head": "t,q_axis,tau_axis"},
+    "units below the header": {"below": "s,rad,N m"},
+    "units in brackets": {"below": "[s],[rad],[Nm]"},
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
+def test_layouts_of_spreadsheets_hold_the_same_samples(tmp_path, layout) -> None:
+    """Locale, encoding, empty rows and rows of units change no sample."""
+    assert_same(read_log(write_rows(tmp_path / "a.csv", get_numbers(), **layout)))
+
+
+def test_quoted_decimal_commas_between_commas_are_numbers(tmp_path) -> None:
+    """Cells in quotes keep their comma."""
+    rows = [
+        '"{}","{}","{}"'.format(*(f"{x:.9f}".replace(".", ",") for x in row)) for row in zip(T, Q, TAU, strict=True)
+    ]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["t,q_axis,tau_axis", *rows]) + "\n")
+    assert_same(read_log(path))
+
+
+def test_signs_between_thousands_belong_to_the_number(tmp_path) -> None:
+    """1.234,5 is 1234.5 where decimal commas are in use."""
+    path = tmp_path / "a.csv"
+    path.write_text("t;q_axis\n" + "".join(f"{t:.3f};1.234,5\n".replace(".", ",", 1) for t in T))
+    assert set(read_log(path).channels["q_axis"]) == {1234.5}
+
+
+def test_commas_for_decimals_and_cells_at_once_are_refused(tmp_path) -> None:
+    """0,004,0,5 has two readings; the sentence names the way out."""
+    path = tmp_path / "a.csv"
+    path.write_text("t,q_axis\n" + "".join(f"{t:.3f},0.5\n".replace(".", ",") for t in T))
+    with raises_code("file_format", "decimal signs and separators", "semicolons"):
+        read_log(path)
+
+
+def test_units_other_than_si_ask_for_a_map(tmp_path) -> None:
+    """Degrees below the header are not read as radians; the sentence has the map's line."""
+    path = write_rows(tmp_path / "a.csv", get_numbers(), below="s,deg,N m")
+    with raises_code("file_format", "q_axis: {column: q_axis, scale: 0.0174532925}"):
+        read_log(path)
+
+
+def get_stamps(form: Callable[[datetime.datetime], str]) -> list[str]:
+    return [form(START + datetime.timedelta(microseconds=4000 * k)) for k in range(N)]
+
+
+STAMPS = {
+    "ISO with a blank": lambda x: x.isoformat(" ", "microseconds"),
+    "ISO with T and Z": lambda x: x.isoformat("T", "milliseconds") + "Z",
+    "ISO with a zone": lambda x: x.isoformat() + "+02:00",
+    "ISO without fractions at whole seconds": lambda x: x.isoformat(" "),
+    "day first": lambda x: x.strftime("%d.%m.%Y %H:%M:%S.%f"),
+    "day first, decimal comma": lambda x: x.strftime("%d.%m.%Y %H:%M:%S") + f";{x.microsecond:06d}".replace(";", ","),
+    "month first, AM and PM": lambda x: x.strftime("%m/%d/%Y %I:%M:%S.%f %p"),
+    "time of day": lambda x: x.strftime("%H:%M:%S.%f"),
+    "minutes and seconds": lambda x: x.strftime("%M:%S.%f"),
+    "duration": lambda x: f"0 days {datetime.timedelta(seconds=0.25) + (x - START)}",
+}
+
+
+@pytest.mark.parametrize("form", STAMPS.values(), ids=STAMPS)
+def test_dates_and_times_of_day_are_clocks(tmp_path, form) -> None:
+    """Seconds from the first sample, over midnight as well; the remark names the column."""
+    log = read_log(write_rows(tmp_path / "a.csv", [f'"{x}"' for x in get_stamps(form)]))
+    assert_same(log)
+    assert any("column t" in sentence for sentence in log.warnings)
+
+
+def test_dates_of_parquet_files_are_clocks(tmp_path) -> None:
+    """Stamps with a time zone and without."""
+    for zone in (None, "Europe/Berlin"):
+        stamps = pd.date_range("2026-03-02 23:59:59", periods=N, freq="4ms", tz=zone)
+        pd.DataFrame({"t": stamps, "q_axis": Q, "tau_axis": TAU}).to_parquet(tmp_path / "a.parquet")
+        assert_same(open_log(tmp_path / "a.parquet"))
+
+
+@pytest.mark.parametrize("first", [46_083.427431, 739_678.25, 0.0])
+def test_numbers_that_count_days_become_seconds(tmp_path, first) -> None:
+    """Excel's and MATLAB's day numbers, and days from the start: as seconds they would be a recording at 21.6 MHz."""
+    log = read_log(write_rows(tmp_path / "a.csv", [f"{first + t / 86400:.12f}" for t in T]))
+    assert_allclose(log.t - log.t[0], T, rtol=0, atol=2e-5)
+    assert any("counts days" in sentence for sentence in log.warnings)
+
+
+def test_a_short_fast_recording_in_seconds_counts_no_days(tmp_path) -> None:
+    """A hammer blow at 51.2 kHz, and one at 1 MHz that starts at 12 s."""
+    for t in (np.arange(N) / 51_200, 12.0 + np.arange(N) / 1e6):
+        assert_allclose(read_log(write_rows(tmp_path / "a.csv", [f"{x:.9f}" for x in t])).t, t, atol=1e-9)
+
+
+def test_whole_seconds_are_no_clock(tmp_path) -> None:
+    """250 samples share a stamp; the sentence has their rate."""
+    path = write_rows(tmp_path / "a.csv", [f"10:15:{30 + k // 100}" for k in range(N)])
+    with raises_code("time_stamps", "whole seconds", "{rate_hz: 100}"):
+        read_log(path)
+
+
+@pytest.mark.parametrize("cell", ["", "nan", "NaN", "NULL", "#N/A"])
+def test_samples_without_numbers_are_gaps(tmp_path, cell) -> None:
+    """Rows without a number are left out with a remark; the first may be one, and is no row of units."""
+    frame = pd.DataFrame({"t": get_numbers(), "q_axis": Q.astype(str), "tau_axis": TAU.astype(str)})
+    frame.loc[[0, 7, 8], "tau_axis"] = cell
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    log = read_log(tmp_path / "a.csv")
+    kept = np.delete(np.arange(N), [0, 7, 8])
+    assert_allclose(log.t, T[kept])
+    assert_allclose(log.channels["tau_axis"], TAU[kept])
+    assert [get_code(w) for w in log.warnings] == ["samples_left_out"] and "3 samples" in log.warnings[0]
+
+
+def test_a_column_without_numbers_is_missing(tmp_path) -> None:
+    """A driver that writes nan throughout has no effort: whoever asks for it reads the column's name."""
+    pd.DataFrame({"t": T, "q_axis": Q, "tau_axis": np.nan}).to_csv(tmp_path / "a.csv", index=False, na_rep="nan")
+    log = read_log(tmp_path / "a.csv")
+    assert log.joints("tau") == () and [get_code(w) for w in log.warnings] == ["column_without_numbers"]
+    with raises_code("missing_column", "tau_axis has no number in it"):
+        log.joint("tau", ["axis"])
+    assert not any("finish its file" in finding.remedy for finding in check_log(log).findings)
+
+
+def test_signals_in_rows_are_refused_with_the_way_to_turn_them(tmp_path) -> None:
+    """One value a line with its topic's name: a log has a column for each signal."""
+    rows = [(t, name, x) for t, q, tau in zip(T, Q, TAU, strict=True) for name, x in (("q_axis", q), ("tau_axis", tau))]
+    pd.DataFrame(rows, columns=["t", "topic", "value"]).to_csv(tmp_path / "a.csv", index=False)
+    with raises_code("file_format", "column topic", "pivot"):
+        read_log(tmp_path / "a.csv")
+
+
+def test_the_clock_that_is_advised_carries_its_scale(tmp_path) -> None:
+    """`time_ms` in place of t: the map's line brings it to seconds."""
+    path = write_rows(tmp_path / "a.csv", [f"{1000 * t:.0f}" for t in T], head="time_ms,q_axis,tau_axis")
+    with raises_code("missing_column", "t: {column: time_ms, scale: 0.001}"):
+        read_log(path)
