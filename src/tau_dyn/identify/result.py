@@ -229,7 +229,7 @@ class Identification(Shown):
             "identifiable": self.estimate.identifiable(p.name),
             "nominal": before.value if trusted else None,
             "nominal_stderr": _nominal_stderr(before) if trusted else None,
-            "at_bound": seen and p.at_bound,
+            "at_bound": seen and self.parameters.is_at_bound(p.name),
         }
         if not seen:
             row["depends_on"] = list(self._depends_on(p.name))
