@@ -315,8 +315,14 @@ def _list_singularities(model: Model, regression: Regression) -> list[str]:
 
 
 def _refuse_if_nothing_determined(estimate: Estimate) -> None:
-    """Refuse an estimate of which no base parameter is known to 30 %, and say what is missing."""
-    if np.any(estimate.stderr < MAX_RELATIVE_STDERR * np.abs(estimate.beta)):
+    """Refuse an estimate of which no base parameter is known to 30 %, and say what is missing.
+
+    Coulomb values whose sum is at zero do not count: they are a constant offset, not friction.
+    """
+    p = estimate.parameters
+    offsets = {name for pair in p.friction_sums if p.is_at_bound(pair[0]) for name in pair}
+    counts = np.array([estimate.base.names[kept] not in offsets for kept in estimate.base.kept], dtype=bool)
+    if np.any(counts & (estimate.stderr < MAX_RELATIVE_STDERR * np.abs(estimate.beta))):
         return
     suspected = "".join(f" ({text})" for text in list_friction_sign_warnings(estimate)[:1])
     raise CannotAnswer(
