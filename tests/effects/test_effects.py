@@ -138,7 +138,7 @@ def test_units_follow_the_joint() -> None:
     assert [p[f"j1.{k}"].unit for k in ("coulomb_pos", "viscous_neg")] == ["N", "N/(m/s)"]
     assert [p[f"j2.{k}"].unit for k in ("coulomb_pos", "viscous_neg")] == ["N m", "N m/(rad/s)"]
     assert all(x.lower == (-np.inf if "coulomb" in x.name else 0) for x in p)
-    assert len(p.friction_sums) == 2 and effect("torque_offset").parameters["j1.offset"].lower == -np.inf
+    assert len(p.friction_sums) == len(JOINTS) and effect("torque_offset").parameters["j1.offset"].lower == -np.inf
 
 
 def test_what_cannot_be_is_refused(motion) -> None:

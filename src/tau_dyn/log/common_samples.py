@@ -194,7 +194,8 @@ def _list_clocks(one: Log, other: Log) -> Iterator[tuple[Array, Array]]:
     """Yield the recorded clocks (each from 0) and, if their rates differ, the clocks of logs that match row by row."""
     yield one.t - one.t[0], other.t - other.t[0]
     if abs(one.dt / other.dt - 1.0) > 1e-4:
-        yield one.dt * np.arange(one.n_samples), one.dt * np.arange(other.n_samples)
+        rows, others = (np.arange(log.n_samples, dtype=np.float64) for log in (one, other))
+        yield np.asarray(one.dt * rows, np.float64), np.asarray(one.dt * others, np.float64)
 
 
 def _find_offsets(slow: _Signals, fast: _Signals) -> Iterator[tuple[float, float, float]]:

@@ -30,8 +30,8 @@ NOMINAL_MASS_STDERR = 0.02
 """Standard deviation of a nominal mass, relative to it, against which an estimate is compared, if the file gives none.
 
 It is the accuracy of a CAD volume with a catalogue density, and the level at which a difference is worth a look. A maker's file
-of a sold arm is often further off: `--fix LINK.mass=VALUE+-SIGMA` states its error. `BODY_STDERR` answers another question: how far an estimate may
-move from the file where the data are silent."""
+of a sold arm is often further off: `--fix LINK.mass=VALUE+-SIGMA` states its error. `BODY_STDERR` answers another question: how
+far an estimate may move from the file where the data are silent."""
 
 
 @dataclass(frozen=True, eq=False)
