@@ -31,7 +31,11 @@ from tau_dyn.identify.estimate_warnings import (
 )
 from tau_dyn.identify.estimators import Estimator, Settled, iterate_to_fixed_point
 from tau_dyn.identify.fitted_model import Choices, build_model, build_physical_constraints, find_structural_base
-from tau_dyn.identify.motor_electrics import estimate_motor_electrics, list_voltage_warnings
+from tau_dyn.identify.motor_electrics import (
+    estimate_motor_electrics,
+    list_short_voltage_warnings,
+    list_voltage_warnings,
+)
 from tau_dyn.identify.per_log import (
     average_over_logs,
     choose_per_log,
@@ -144,6 +148,7 @@ def identify(
     warnings += list_unjudged_joint_warnings(trained, errors.errors)
     warnings += list_held_out_warnings(trained, errors.errors if held else None)
     warnings += list_voltage_warnings(train, fitted.robot.actuated)
+    warnings += list_short_voltage_warnings(estimate)
     warnings += list_estimate_warnings(estimate, list_body_stderr(fitted.robot))
     warnings += list_inertia_scale_warnings(estimate, nominal)
     return Identification(
