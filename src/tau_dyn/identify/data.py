@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from tau_dyn.estimate import ROUNDING, Preparation, Regression
 from tau_dyn.exceptions import InputError
+from tau_dyn.identify.common_samples import has_common_samples
 from tau_dyn.identify.fitted_model import scale_outputs
 from tau_dyn.identify.log_integrity import check_integrity
 from tau_dyn.identify.motor_electrics import RECORDED
@@ -36,7 +37,6 @@ from tau_dyn.log import (
     Recording,
     check_signals,
     find_moving_samples,
-    has_common_samples,
     list_unit_warnings,
     mend_log,
     resample_segments,

@@ -9,7 +9,6 @@ from .column_names import (
     format_names as format_names,
 )
 from .column_proposal import ColumnProposal as ColumnProposal, propose_columns as propose_columns
-from .common_samples import has_common_samples as has_common_samples
 from .data_integrity import list_data_warnings as list_data_warnings, mend_log as mend_log
 from .decimating_filter import lowpass_and_decimate as lowpass_and_decimate
 from .delimited import parse_delimited as parse_delimited

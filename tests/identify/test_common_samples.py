@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tau_dyn.log import Log, has_common_samples
+from tau_dyn.identify import has_common_samples
+from tau_dyn.log import Log
 
 RATE_HZ = 250.0
 

@@ -31,9 +31,7 @@ from scipy.signal import lfilter, periodogram
 from scipy.signal.windows import hann
 from scipy.stats import chi2, norm
 
-from tau_dyn.log.filtering import compute_edge_samples, estimate_quantisation_step, lowpass
-from tau_dyn.log.log import Log
-from tau_dyn.log.recording import Recording
+from tau_dyn.log import Log, Recording, compute_edge_samples, estimate_quantisation_step, lowpass
 
 Array = NDArray[np.float64]
 
