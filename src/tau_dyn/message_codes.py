@@ -218,6 +218,10 @@ WARNING_CODES: dict[str, MessageCode] = {
         "plain least squares lies over 3 standard errors outside what is physical", "`diagnose`; a richer motion"
     ),
     "order_at_limit": MessageCode("`modes`: the highest order tried was taken", "`--order N`; a longer log"),
+    "copied_data": MessageCode(
+        "two logs hold the same samples: given twice, an excerpt, another clock or rate, rounded or with added noise",
+        "give each recording once; hold out a recording of its own",
+    ),
     "poor_fit": MessageCode(
         "over a fifth of a joint's force is neither fitted nor noise",
         "`check` and `diagnose`; sign, unit and order of columns",

@@ -69,6 +69,10 @@ class Parameter:
         return bool(abs(self.value - self.lower) < 1e-6 * scale or abs(self.value - self.upper) < 1e-6 * scale)
 
 
+_COULOMB = (".coulomb_pos", ".coulomb_neg")
+"""Ends of the names of a joint's Coulomb values in the two directions."""
+
+
 class Parameters(Shown):
     """An ordered, immutable collection of `Parameter`, addressed by name or by shell pattern."""
 
@@ -121,6 +125,23 @@ class Parameters(Shown):
         more = [f"  and {len(self) - len(shown)} more"] if len(shown) < len(self) else []
         rows = [f"  {p.name:<{width}}  {format_estimate(p)}" for p in shown]
         return "\n".join([f"Parameters: {count(len(self), 'parameter')}", *rows, *more])
+
+    @property
+    def friction_sums(self) -> tuple[tuple[str, str], ...]:
+        """Names of the two Coulomb values of a joint; their sum, twice the friction, is at least zero.
+
+        Each alone may be negative: a constant offset of the force sensor adds to one and takes from the other.
+        """
+        firsts = [name.removesuffix(_COULOMB[0]) for name in self._items if name.endswith(_COULOMB[0])]
+        pairs = ((joint + _COULOMB[0], joint + _COULOMB[1]) for joint in firsts)
+        return tuple(pair for pair in pairs if pair[1] in self._items)
+
+    def is_at_bound(self, name: str) -> bool:
+        """Tell whether a value sits on one of its bounds, or the sum of a joint's Coulomb values on zero."""
+        if self[name].at_bound:
+            return True
+        pairs = [[self[one].value for one in pair] for pair in self.friction_sums if name in pair]
+        return any(abs(sum(pair)) <= 1e-6 * max(map(abs, pair)) for pair in pairs)
 
     @property
     def names(self) -> tuple[str, ...]:

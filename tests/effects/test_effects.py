@@ -130,11 +130,15 @@ def test_effects_of_some_joints_leave_the_others_alone(motion, rng) -> None:
 
 
 def test_units_follow_the_joint() -> None:
-    """A slide's friction is in N and N/(m/s), a hinge's in N m and N m/(rad/s); friction is not negative, an offset may be."""
+    """A slide's friction is in N and N/(m/s), a hinge's in N m and N m/(rad/s).
+
+    Viscous friction and the sum of both Coulomb values are not negative.
+    """
     p = effect("asymmetric_friction").parameters
     assert [p[f"j1.{k}"].unit for k in ("coulomb_pos", "viscous_neg")] == ["N", "N/(m/s)"]
     assert [p[f"j2.{k}"].unit for k in ("coulomb_pos", "viscous_neg")] == ["N m", "N m/(rad/s)"]
-    assert all(x.lower == 0 for x in p) and effect("torque_offset").parameters["j1.offset"].lower == -np.inf
+    assert all(x.lower == (-np.inf if "coulomb" in x.name else 0) for x in p)
+    assert len(p.friction_sums) == len(JOINTS) and effect("torque_offset").parameters["j1.offset"].lower == -np.inf
 
 
 def test_what_cannot_be_is_refused(motion) -> None:

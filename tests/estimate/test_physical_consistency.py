@@ -1,10 +1,13 @@
 """The nearest physical parameters: what is moved, what is left alone, and what is said about it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
+from tau_dyn.effects import AsymmetricFriction
 from tau_dyn.estimate import InertialBody, PhysicalConstraints, find_base, pseudo_inertia, solve_consistent
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import INERTIAL
@@ -145,3 +148,35 @@ def test_data_almost_without_noise_have_an_answer_too(seen, precision, rng):
     J = pseudo_inertia(found.parameters.values)
     assert np.linalg.eigvalsh(J)[0] > -1e-6 * np.trace(J)
     assert "arm_link inertia" in found.moved
+
+
+FRICTION = ("axis.coulomb_pos", "axis.coulomb_neg", "axis.viscous_pos", "axis.viscous_neg")
+
+
+@pytest.mark.parametrize("offset", [-30.0, 0.0, 30.0])
+def test_an_offset_of_the_force_may_exceed_the_coulomb_friction(offset):
+    """A constant offset c makes the two Coulomb values F + c and F - c; their sum stays 2 F, so the estimate is admissible."""
+    friction = AsymmetricFriction(("axis",), {"axis": "N"}).parameters
+    beta = np.array([20.0 + offset, 20.0 - offset, 3.0, 3.0])
+    found = solve_consistent(friction, find_base(np.eye(4), FRICTION), beta, np.eye(4), None)
+    assert_allclose(found.parameters.values, beta, rtol=0, atol=0)
+    assert not found.moved and not any(found.parameters.is_at_bound(name) for name in FRICTION)
+
+
+def test_a_negative_sum_of_coulomb_values_is_moved_to_zero():
+    """Friction that drives on average has no physical reading; of the two values only the difference is left, an offset."""
+    friction = AsymmetricFriction(("axis",), {"axis": "N"}).parameters
+    beta = np.array([-5.0, 1.0, 3.0, 3.0])
+    found = solve_consistent(friction, find_base(np.eye(4), FRICTION), beta, np.eye(4), None)
+    assert_allclose(found.parameters.values, [-3.0, 3.0, 3.0, 3.0], atol=1e-3)
+    assert_allclose(found.moved["axis.coulomb_pos + axis.coulomb_neg"], -4.0)
+    assert [found.parameters.is_at_bound(name) for name in FRICTION] == [True, True, False, False]
+
+
+def test_the_sum_of_coulomb_values_counts_one_that_is_fixed():
+    """With one value given, the other one may fall to its negative."""
+    rows = [Parameter(FRICTION[0], 4.0, "N"), replace(Parameter(FRICTION[1], 2.0, "N"), free=False)]
+    found = solve_consistent(
+        Parameters(rows), find_base(np.eye(1), FRICTION[:1]), np.array([-7.0]), np.eye(1), None
+    ).parameters
+    assert_allclose(found.values, [-2.0, 2.0], atol=1e-5)

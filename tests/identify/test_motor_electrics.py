@@ -80,6 +80,14 @@ def test_voltage_beside_current_gives_the_circuit(arm: Robot):
         assert {row["name"] for row in found.to_dict()["motors"]} == set(motor)
 
 
+def test_too_short_a_log_of_voltages_is_reported(arm: Robot):
+    """20 s of motion give masses and friction; the circuit needs 40 s, and the warning states both lengths."""
+    t, q, u, i = (x[:5000] for x in swing(L=6e-3))
+    found = identify(arm, Log(t, {"q_x": q, "tau_x": K * i, "voltage_x": u, "current_x": i}, "motor.csv"))
+    (said,) = (w for w in found.warnings if w.startswith("resistance, back-EMF and inductance of x are left out"))
+    assert not len(found.motors) and "20 s of motion" in said and "40 s or more" in said
+
+
 def test_of_a_voltage_alone_back_emf_is_viscous_friction(arm: Robot):
     """The arm's first moment is right, viscous friction is `b + k_t k_e / R`, and both answers say what would divide it."""
     log = log_voltage()

@@ -6,6 +6,7 @@ import numpy as np
 
 from tau_dyn.identify import drop_repeated_logs
 from tau_dyn.log import Log
+from tau_dyn.message_codes import get_code
 
 
 def made(name: str, start: float = 0.0) -> Log:
@@ -20,5 +21,16 @@ def test_each_log_counts_once_and_on_one_side() -> None:
     train, held, warnings = drop_repeated_logs([one, one, later], [one, other, other])
     assert train == [one, later] and held == [other]
     assert [w.split(" is ")[0] for w in warnings] == ["a.csv", "a.csv", "b.csv"]
+    assert {get_code(w) for w in warnings} == {"copied_data"}
     assert "counts once" in warnings[0] and "held-out errors" in warnings[1] and "counts once" in warnings[2]
     assert drop_repeated_logs([one], [other]) == ([one], [other], [])
+
+
+def test_a_copy_under_another_name_is_left_out_with_its_original() -> None:
+    """A file with one more newline has another hash and the same samples."""
+    random, t = np.random.default_rng(0), np.arange(500) / 100
+    channels = {"q_axis": np.sin(t), "tau_axis": np.cos(t) + 0.1 * random.standard_normal(500)}
+    one, copy = (Log(t, channels, name, sha256=name) for name in ("monday.csv", "copy.csv"))
+    train, held, warnings = drop_repeated_logs([one], [copy])
+    assert (train, held) == ([one], [])
+    assert "copy.csv is both trained on and held out: it holds samples of monday.csv" in warnings[0]

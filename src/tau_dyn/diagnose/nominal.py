@@ -28,7 +28,7 @@ from tau_dyn.evidence import (
 )
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.robot import NOMINAL_MASS_STDERR, Robot
+from tau_dyn.robot import Robot, compute_nominal_stderr
 
 SIGNIFICANCE_LEVEL = 0.01  # over all parameters together (Bonferroni)
 MAX_GAIN_RANGE = (0.5, 2.0)
@@ -108,9 +108,9 @@ def _is_known(p: Parameter, nominal: Parameters) -> bool:
 
 
 def _combined_stderr(p: Parameter, n: Parameter) -> float:
-    given = n.prior_stderr if n.prior_stderr is not None else n.stderr  # of a robot file, or of an identified model
-    trusted = given if given is not None else NOMINAL_MASS_STDERR * abs(n.value)
-    return float(np.hypot(p.stderr or 0.0, trusted))
+    of_model = n.stderr if n.prior_stderr is None else None  # of an identified model
+    trusted = of_model if of_model is not None else compute_nominal_stderr(n)
+    return float(np.hypot(p.stderr or 0.0, trusted or 0.0))
 
 
 def _is_common_factor(ratio: np.ndarray, sigma: np.ndarray) -> bool:

@@ -42,6 +42,10 @@ class AsymmetricFriction(JointwiseEffect):
     quantities = (("coulomb_pos", "F"), ("coulomb_neg", "F"), ("viscous_pos", "F/(V)"), ("viscous_neg", "F/(V)"))
     nonnegative = True
 
+    def lower(self, quantity: str) -> float:
+        """Return the smallest admissible value: none of a Coulomb value, whose sum with the other one is bounded instead."""
+        return -np.inf if quantity.startswith("coulomb") else 0.0
+
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
         """Return each direction's law, weighted by how much the joint moves that way."""
         forward, backward = (1 + joint.sign) / 2, (1 - joint.sign) / 2

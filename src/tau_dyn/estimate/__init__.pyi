@@ -6,7 +6,7 @@ from .base_parameters import (
     find_base as find_base,
     read_expression as read_expression,
 )
-from .covariance import Whitener as Whitener, assign_blocks as assign_blocks
+from .covariance import BLOCK_S as BLOCK_S, Whitener as Whitener, assign_blocks as assign_blocks
 from .estimate import (
     MAX_RELATIVE_STDERR as MAX_RELATIVE_STDERR,
     Estimate as Estimate,

@@ -3,16 +3,17 @@
     minimise  || R (theta_B + K theta_D - beta) ||^2 + eps || (theta - theta_nominal) / scale ||^2
     subject to  lower <= theta <= upper,   J = [[ 1/2 tr(I) 1 - I,  m c ], [ (m c)',  m ]]  >=  0   of every body
 
-`J` is the pseudo-inertia, `I` about the joint frame's origin: it is positive semidefinite if and only if some distribution of
-positive mass has these ten numbers. A conic program (cvxpy, clarabel). The second term chooses, of all vectors the data cannot
-tell apart, the one nearest the robot file; `eps` is too small to move what the data see. Reference: Sousa & Cortesao 2014;
-Wensing, Kim & Slotine 2018.
+The two Coulomb values of a joint are bounded by their sum alone, which is at least zero: a constant offset of the force sensor
+adds to one and takes from the other. `J` is the pseudo-inertia, `I` about the joint frame's origin: it is positive semidefinite
+if and only if some distribution of positive mass has these ten numbers. A conic program (cvxpy, clarabel). The second term
+chooses, of all vectors the data cannot tell apart, the one nearest the robot file; `eps` is too small to move what the data see.
+Reference: Sousa & Cortesao 2014; Wensing, Kim & Slotine 2018.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -142,7 +143,17 @@ def _plain_values(parameters: Parameters, base: BaseParameters, beta: np.ndarray
 
 
 def _within_bounds(parameters: Parameters) -> bool:
-    return all(p.lower <= p.value <= p.upper for p in parameters if p.free)
+    inside = all(p.lower <= p.value <= p.upper for p in parameters if p.free)
+    return inside and all(_add(parameters, pair) >= 0.0 for pair in _list_free_sums(parameters))
+
+
+def _list_free_sums(parameters: Parameters) -> list[tuple[str, str]]:
+    """Return the sums of Coulomb values that a fit may change."""
+    return [pair for pair in parameters.friction_sums if any(parameters[name].free for name in pair)]
+
+
+def _add(parameters: Parameters, names: Iterable[str]) -> float:
+    return sum(parameters[name].value for name in names)
 
 
 def _smallest(body: InertialBody, parameters: Parameters) -> tuple[float, float]:
@@ -173,6 +184,8 @@ def _program(
     lower, upper = np.array([p.lower for p in free]), np.array([p.upper for p in free])
     constraints = _within(x, lower / scale, upper / scale)
     position = {name: k for k, name in enumerate(base.names)}
+    sums = [pair for pair in _list_free_sums(parameters) if any(name in position for name in pair)]
+    constraints += [_sum_of(pair, parameters, position, theta) >= 0 for pair in sums]
     for body in bodies:
         constraints.append(_pseudo_inertia_of(body, parameters, position, theta) >> 0)
     # what the data do not see keeps its value; what they see is pulled by far less than its own uncertainty
@@ -180,7 +193,17 @@ def _program(
     solution = np.clip(scale * x.value, lower, upper)
     for edge in (lower, upper):  # an interior-point solver stops just short of an edge
         solution = np.where(np.abs(solution - edge) < _EDGE * scale, edge, solution)
+    for pair in sums:
+        known = {name: solution[position[name]] if name in position else parameters[name].value for name in pair}
+        last = position[next(name for name in reversed(pair) if name in position)]
+        if sum(known.values()) < _EDGE * scale[last]:
+            solution[last] -= sum(known.values())
     return solution
+
+
+def _sum_of(pair: Iterable[str], parameters: Parameters, position: Mapping[str, int], theta: Any) -> Any:
+    """Return the sum of some parameters as an expression of the program's variables."""
+    return sum(theta[position[name]] if name in position else parameters[name].value for name in pair)
 
 
 def _within(x: Any, lower: np.ndarray, upper: np.ndarray) -> list[Any]:
@@ -247,7 +270,10 @@ def _scale(free: Parameters, base: BaseParameters, beta: np.ndarray) -> np.ndarr
 def _out_of_bounds(plain: Parameters, base: BaseParameters) -> dict[str, float]:
     """Return the parameters that the data alone put outside their bounds, with plain values."""
     seen = [plain[name] for name, alone in zip(base.names, base.alone, strict=True) if alone]
-    return {p.name: p.value for p in seen if not p.lower <= p.value <= p.upper}
+    names = {p.name for p in seen}
+    sums = {" + ".join(pair): _add(plain, pair) for pair in plain.friction_sums if names.issuperset(pair)}
+    found = {p.name: p.value for p in seen if not p.lower <= p.value <= p.upper}
+    return found | {name: value for name, value in sums.items() if value < 0.0}
 
 
 def _made_physical(solved: Parameters, plain: Parameters, bodies: list[InertialBody]) -> dict[str, float]:

@@ -1,5 +1,6 @@
 """Torque logs -> masses and friction."""
 
+from .common_samples import has_common_samples as has_common_samples
 from .data import (
     Data as Data,
     drop_repeated_logs as drop_repeated_logs,

@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from tau_dyn.estimate import ROUNDING, Preparation, Regression
 from tau_dyn.exceptions import InputError
+from tau_dyn.identify.common_samples import has_common_samples
 from tau_dyn.identify.fitted_model import scale_outputs
 from tau_dyn.identify.log_integrity import check_integrity
 from tau_dyn.identify.motor_electrics import RECORDED
@@ -86,7 +87,11 @@ def drop_repeated_logs(train: Sequence[Kind], held: Sequence[Kind]) -> tuple[lis
     trained, doubled = _keep_once(train)
     both = [log for log in held if any(has_common_samples(log, other) for other in trained)]
     doubled += [
-        f"{log.name} is both trained on and held out; its errors are not held-out errors and are left out"
+        CodedWarning(
+            "copied_data",
+            f"{log.name} is both trained on and held out{_name_original(log, trained)}; its errors are not held-out errors "
+            "and are left out",
+        )
         for log in both
     ]
     judged, more = _keep_once([log for log in held if log not in both])
@@ -99,10 +104,17 @@ def _keep_once(logs: Sequence[Kind]) -> tuple[list[Kind], list[str]]:
     doubled = []
     for log in logs:
         if any(has_common_samples(log, other) for other in once):
-            doubled.append(f"{log.name} is given twice, or overlaps with a log given before; it counts once")
+            sentence = f"{log.name} is given twice, or overlaps with a log given before{_name_original(log, once)}"
+            doubled.append(CodedWarning("copied_data", f"{sentence}; it counts once"))
         else:
             once.append(log)
     return once, doubled
+
+
+def _name_original(log: Log | Recording, others: Sequence[Log | Recording]) -> str:
+    """Return the name of the log that a copy under another name shares its samples with, as part of a sentence."""
+    original = next(other for other in others if has_common_samples(log, other))
+    return "" if original.name == log.name else f": it holds samples of {original.name}"
 
 
 def log_warnings(robot: Robot, logs: Sequence[Log]) -> list[str]:
@@ -140,17 +152,6 @@ def _channel_warnings(robot: Robot, log: Log) -> list[str]:
     found = check_signals(channels, moving)[0]
     doubtful = [f for f in found if f.topic in _CHANNEL_FAULTS and f.severity != "ok"]
     return [CodedWarning(f.code, f.sentence) if f.code else f.sentence for f in doubtful]
-
-
-def has_common_samples(one: Log | Recording, other: Log | Recording) -> bool:
-    """Return whether two logs hold the same samples; parts of one file that do not overlap in time are different data."""
-    if one is other:
-        return True
-    if not one.sha256 or one.sha256 != other.sha256:
-        return False
-    if isinstance(one, Recording) or isinstance(other, Recording):
-        return True
-    return bool(one.t[0] <= other.t[-1] and other.t[0] <= one.t[-1])
 
 
 def require_forces(robot: Robot, logs: Sequence[Log | Recording]) -> None:

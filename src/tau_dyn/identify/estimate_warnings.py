@@ -146,12 +146,13 @@ def _moved(estimate: Estimate) -> list[str]:
     for name, plain in estimate.moved.items():
         if name.endswith(" inertia"):
             continue
-        p = estimate.parameters[name]
         if _excess(estimate, name, plain) < _OBJECTS:
             continue
+        terms = [estimate.parameters[term] for term in name.split(" + ")]
+        value, unit = sum(p.value for p in terms), terms[0].unit
         sentence = (
-            f"{name}: the unconstrained estimate {plain:.4g} {p.unit} lies more than {_OBJECTS:g} standard errors outside its "
-            f"bounds; the nearest consistent estimate is {p.value:.4g} {p.unit} and changes other values "
+            f"{name}: the unconstrained estimate {plain:.4g} {unit} lies more than {_OBJECTS:g} standard errors outside its "
+            f"bounds; the nearest consistent estimate is {value:.4g} {unit} and changes other values "
             "(the model lacks a force, or the excitation is poor)"
         )
         found.append(CodedWarning("not_physical", sentence))
@@ -160,11 +161,14 @@ def _moved(estimate: Estimate) -> list[str]:
 
 def _excess(estimate: Estimate, name: str, plain: float) -> float:
     """Return how far a plain estimate lies outside its bounds, in standard errors; none where it is not determined alone."""
-    p = estimate.parameters[name]
-    alone = [k for k, kept in enumerate(estimate.base.kept) if estimate.base.names[kept] == name]
-    if not alone or not estimate.stderr[alone[0]] > 0:
+    terms = name.split(" + ")
+    rows = [k for k, kept in enumerate(estimate.base.kept) if estimate.base.names[kept] in terms]
+    if len(rows) < len(terms) or not np.all(estimate.stderr[rows] > 0):
         return 0.0
-    return max(p.lower - plain, plain - p.upper) / float(estimate.stderr[alone[0]])
+    if len(terms) > 1:  # a sum of Coulomb values, at least zero
+        return -plain / float(np.sqrt(max(estimate.cov[np.ix_(rows, rows)].sum(), 1e-300)))
+    p = estimate.parameters[name]
+    return max(p.lower - plain, plain - p.upper) / float(estimate.stderr[rows[0]])
 
 
 def list_friction_sign_warnings(estimate: Estimate) -> list[CodedWarning]:
@@ -175,7 +179,9 @@ def list_friction_sign_warnings(estimate: Estimate) -> list[CodedWarning]:
     found = []
     for joint in estimate.regression.outputs:
         friction = [n for n in estimate.base.names if n.rsplit(".", 1)[0] == joint and n.rsplit(".", 1)[1] in _RESISTS]
-        pushing = [n for n in friction if n in estimate.moved and _excess(estimate, n, estimate.moved[n]) > _OBJECTS]
+        moved = [n for n in estimate.moved if n.startswith(f"{joint}.") and not n.endswith(" inertia")]
+        beyond = [n for n in moved if _excess(estimate, n, estimate.moved[n]) > _OBJECTS]
+        pushing = [term for name in beyond for term in name.split(" + ") if term in friction]
         if len(pushing) >= max(2, len(friction) / 2):
             sentence = (
                 f"{joint}: estimated friction is negative; check the sign of tau_{joint} (what the actuator "
@@ -208,10 +214,11 @@ def _held_by_physics(estimate: Estimate, bodies: list[str]) -> list[str]:
 
 
 def _at_bound(estimate: Estimate) -> list[str]:
+    moved = {term for name in estimate.moved for term in name.split(" + ")}
     at = [
         p.name
         for p in estimate.parameters
-        if p.free and p.at_bound and p.stderr is not None and p.name not in estimate.moved
+        if p.free and estimate.parameters.is_at_bound(p.name) and p.stderr is not None and p.name not in moved
     ]
     return [f"at a bound: {', '.join(at)}"] if at else []
 

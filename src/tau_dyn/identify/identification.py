@@ -38,7 +38,11 @@ from tau_dyn.identify.estimate_warnings import (
 )
 from tau_dyn.identify.estimators import Estimator, Settled, iterate_to_fixed_point
 from tau_dyn.identify.fitted_model import Choices, build_model, build_physical_constraints, find_structural_base
-from tau_dyn.identify.motor_electrics import estimate_motor_electrics, list_voltage_warnings
+from tau_dyn.identify.motor_electrics import (
+    estimate_motor_electrics,
+    list_short_voltage_warnings,
+    list_voltage_warnings,
+)
 from tau_dyn.identify.per_log import (
     average_over_logs,
     choose_per_log,
@@ -158,6 +162,7 @@ def identify(
     warnings += list_unjudged_joint_warnings(trained, errors.errors)
     warnings += list_held_out_warnings(trained, errors.errors if held else None)
     warnings += list_voltage_warnings(train, fitted.robot.actuated)
+    warnings += list_short_voltage_warnings(estimate)
     warnings += list_estimate_warnings(estimate, list_body_stderr(fitted.robot))
     warnings += list_inertia_scale_warnings(estimate, nominal)
     return Identification(
@@ -330,8 +335,14 @@ def _list_singularities(model: Model, regression: Regression) -> list[str]:
 
 
 def _refuse_if_nothing_determined(estimate: Estimate) -> None:
-    """Refuse an estimate of which no base parameter is known to 30 %, and say what is missing."""
-    if np.any(estimate.stderr < MAX_RELATIVE_STDERR * np.abs(estimate.beta)):
+    """Refuse an estimate of which no base parameter is known to 30 %, and say what is missing.
+
+    Coulomb values whose sum is at zero do not count: they are a constant offset, not friction.
+    """
+    p = estimate.parameters
+    offsets = {name for pair in p.friction_sums if p.is_at_bound(pair[0]) for name in pair}
+    counts = np.array([estimate.base.names[kept] not in offsets for kept in estimate.base.kept], dtype=bool)
+    if np.any(counts & (estimate.stderr < MAX_RELATIVE_STDERR * np.abs(estimate.beta))):
         return
     suspected = "".join(f" ({text})" for text in list_friction_sign_warnings(estimate)[:1])
     raise CannotAnswer(

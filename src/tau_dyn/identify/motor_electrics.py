@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from tau_dyn.effects import PULSE_WIDTH, VOLTAGE
-from tau_dyn.estimate import Estimate, Regression, RegressionRun, assign_blocks
+from tau_dyn.estimate import BLOCK_S, Estimate, Regression, RegressionRun, assign_blocks
 from tau_dyn.log import Log
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.parameters import Parameter, Parameters
@@ -77,6 +77,22 @@ def estimate_motor_electrics(estimate: Estimate) -> Parameters:
         if not made:
             found += _estimate_joint(regression, runs, estimate.theta, k)
     return Parameters(found)
+
+
+def list_short_voltage_warnings(estimate: Estimate) -> list[str]:
+    """Return why resistance, back-EMF and inductance are left out of logs with voltages that are too short for them."""
+    runs = [run for run in estimate.regression.runs if VOLTAGE in run.signals]
+    if estimate.regression.everything is not None or not runs:
+        return []
+    blocks = sum(len(np.unique(assign_blocks(run.t - run.t[0])[run.usable.any(axis=1)])) for run in runs)
+    made = np.any([_is_proportional(run.y_all, run.signals[VOLTAGE]) for run in runs], axis=0)
+    joints = [joint for joint, is_voltage in zip(estimate.regression.outputs, made, strict=True) if not is_voltage]
+    if blocks >= _MIN_BLOCKS or not joints:
+        return []
+    return [
+        f"resistance, back-EMF and inductance of {', '.join(joints)} are left out: the logs hold {BLOCK_S * blocks:.0f} s "
+        f"of motion with voltages, and their errors need {BLOCK_S * _MIN_BLOCKS:.0f} s or more; log voltage and current that long"
+    ]
 
 
 def _estimate_joint(

@@ -21,7 +21,7 @@ from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Z95, Shown
-from tau_dyn.robot import NOMINAL_MASS_STDERR, list_body_stderr
+from tau_dyn.robot import compute_nominal_stderr, list_body_stderr
 
 SMALL_SHARE = 0.1
 """Share of what the robot file leaves open of a number from which a standard error is small: 2.5 % of the body's size."""
@@ -232,8 +232,8 @@ class Identification(Shown):
         row |= {
             "identifiable": self.estimate.identifiable(p.name),
             "nominal": before.value if trusted else None,
-            "nominal_stderr": _nominal_stderr(before) if trusted else None,
-            "at_bound": seen and p.at_bound,
+            "nominal_stderr": compute_nominal_stderr(before) if trusted else None,
+            "at_bound": seen and self.parameters.is_at_bound(p.name),
         }
         if not seen:
             row["depends_on"] = list(self._depends_on(p.name))
@@ -279,9 +279,3 @@ def _uncertainty(value: float, stderr: float | None, p: Parameter | None) -> dic
         "ci95": [max(lower, value - Z95 * stderr), min(upper, value + Z95 * stderr)],
         "determined": bool(stderr < MAX_RELATIVE_STDERR * abs(value)),
     }
-
-
-def _nominal_stderr(p: Parameter) -> float | None:
-    if p.prior_stderr is not None:
-        return p.prior_stderr
-    return NOMINAL_MASS_STDERR * abs(p.value) if p.name.endswith(".mass") else None

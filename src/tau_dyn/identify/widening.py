@@ -123,6 +123,7 @@ def measure_physics(estimate: Estimate, C: np.ndarray, bodies: list[InertialBody
     """Return by how much physics moves the estimate: chi-square over its expectation, where that is significant; else 1."""
     moved = estimate.beta - estimate.beta_plain
     active = sum(p.free and p.at_bound for p in estimate.parameters)
+    active += sum(estimate.parameters.is_at_bound(pair[0]) for pair in estimate.parameters.friction_sums)
     for body in bodies:
         J = pseudo_inertia(body.map @ estimate.parameters.select(body.parameters).values)
         active += int(np.sum(np.linalg.eigvalsh(J) < _ACTIVE * max(float(np.trace(J)), 1e-12)))

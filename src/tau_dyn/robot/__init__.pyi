@@ -26,6 +26,7 @@ from .robot import (
     Robot as Robot,
     compute_body_stderr as compute_body_stderr,
     compute_inertia_matrix as compute_inertia_matrix,
+    compute_nominal_stderr as compute_nominal_stderr,
     find_end_link as find_end_link,
     list_body_stderr as list_body_stderr,
 )

@@ -26,7 +26,12 @@ NOT_GIVEN = "not given"
 """Origin of a drive inertia that the robot file says nothing about."""
 BODY_STDERR = 0.25
 """Standard deviation of a body's mass, moments and inertia against the robot file, relative to its size, if not weighed."""
-NOMINAL_MASS_STDERR = 0.02  # relative; what a nominal mass is trusted to unless a file says otherwise
+NOMINAL_MASS_STDERR = 0.02
+"""Standard deviation of a nominal mass, relative to it, against which an estimate is compared, if the file gives none.
+
+It is the accuracy of a CAD volume with a catalogue density, and the level at which a difference is worth a look. A maker's file
+of a sold arm is often further off: `--fix LINK.mass=VALUE+-SIGMA` states its error. `BODY_STDERR` answers another question: how
+far an estimate may move from the file where the data are silent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,6 +321,13 @@ def get_inertial_parameters(link: LinkInertia) -> list[Parameter]:
         lower = 0.0 if INERTIAL[k] in ("mass", "ixx", "iyy", "izz") else -np.inf
         rows.append(Parameter(f"{link.link}.{INERTIAL[k]}", float(link.nominal[k]), _UNITS[k], lower))
     return rows
+
+
+def compute_nominal_stderr(p: Parameter) -> float | None:
+    """Return how well a nominal value is known: the robot file's error, else `NOMINAL_MASS_STDERR` of a mass; None of others."""
+    if p.prior_stderr is not None:
+        return p.prior_stderr
+    return NOMINAL_MASS_STDERR * abs(p.value) if p.name.endswith(".mass") else None
 
 
 def compute_body_stderr(link: LinkInertia, total: float) -> np.ndarray:

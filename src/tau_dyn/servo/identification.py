@@ -18,7 +18,7 @@ from tau_dyn.identify import find_structural_base, list_provenance
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
-from tau_dyn.robot import NOMINAL_MASS_STDERR, Robot
+from tau_dyn.robot import Robot, compute_nominal_stderr
 from tau_dyn.servo.by_gain import compare_gains
 from tau_dyn.servo.data import LoopData, Mixing, fit_coupled
 from tau_dyn.servo.doubts import list_loop_warnings, list_unsettled
@@ -178,12 +178,11 @@ def _list_body_rows(
     for k in free:
         p = parameters[parameters.names[k]]
         seen = p.name in alone
-        nominal_stderr = NOMINAL_MASS_STDERR * abs(p.value) if p.name.endswith(".mass") else None
         sigma = float(np.sqrt(max(total[k, k], 0.0)))
         rows.append(
             LoopParameter(
                 p.name, float(theta[k]) if seen else p.value, p.unit, sigma if seen else None, p.value,
-                p.prior_stderr if p.prior_stderr is not None else nominal_stderr, identifiable=seen,
+                compute_nominal_stderr(p), identifiable=seen,
             )
         )  # fmt: skip
     combined, spread = P @ theta[full], P @ total[np.ix_(full, full)] @ P.T

@@ -13,7 +13,7 @@ from tau_dyn.estimate import MAX_RELATIVE_STDERR
 from tau_dyn.identify import Identification
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.robot import NOMINAL_MASS_STDERR, load_robot_from_urdf
+from tau_dyn.robot import compute_nominal_stderr, load_robot_from_urdf
 
 _RIGID_BODY = "Rigid body"
 State = Literal["known", "weak", "unseen", "fold"]
@@ -276,10 +276,6 @@ def build_extended_rows(model: Model, before: Parameters) -> tuple[list[Paramete
 def _raw(p: Parameter, nominal: Parameters) -> dict[str, Any]:
     known = nominal[p.name] if p.name in nominal else None
     sigma = p.stderr
-    trust = None
-    if known is not None:
-        mass = NOMINAL_MASS_STDERR * abs(known.value) if p.name.endswith(".mass") else None
-        trust = mass if known.prior_stderr is None else known.prior_stderr
     return {
         "name": p.name,
         "value": p.value,
@@ -290,7 +286,7 @@ def _raw(p: Parameter, nominal: Parameters) -> dict[str, Any]:
         else [max(p.lower, p.value - r.Z95 * sigma), min(p.upper, p.value + r.Z95 * sigma)],
         "determined": sigma is not None and bool(sigma < MAX_RELATIVE_STDERR * abs(p.value)),
         "nominal": None if known is None else known.value,
-        "nominal_stderr": trust,
+        "nominal_stderr": None if known is None else compute_nominal_stderr(known),
         "at_bound": sigma is not None and p.at_bound,
     }
 
