@@ -41,6 +41,9 @@ WEAK_LINE = 8.0
 LINE_SHARE = 0.8
 """Share of a comb's lines that must be there, and share of its updates that must differ from what is between them."""
 
+MAX_CHANGES = 1.2
+"""Changes of a held channel for each of its updates; a pulse has two."""
+
 MIN_HELD_SHARE = 0.35
 """Share of samples without a change from which a channel is held: half of them are in one that is updated every second sample."""
 
@@ -146,6 +149,8 @@ def find_comb(x: NDArray[np.float64]) -> UpdateRate | None:
         return None
     if np.mean(at > between.mean()) < LINE_SHARE * (1 - np.mean(local < 0.01 * size.mean())):
         return None  # the true period is a multiple, or the channel changes too seldom to tell
+    if held and np.count_nonzero(size) > MAX_CHANGES * n / period:
+        return None  # pulses, which change twice
     return UpdateRate((), period, (phase + 1.0) % period, held)
 
 
