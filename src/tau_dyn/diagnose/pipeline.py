@@ -174,15 +174,15 @@ def diagnose_channel(
     rng = np.random.default_rng(seed)
     spoiled = _describe_spoiled(warnings) if case else ""
     progress("looking for causes")
-    noise = case and NoiseOnlyBootstrap(lambda: [case.noise_only(rng) for _ in range(N_BOOTSTRAP_DRAWS)])
+    noise = case and _build_bootstrap(case, rng)
     hunt, structure = _search(channel, rng, progress, noise)
     loads = find_loads(case, channel, build_effects(hunt.found), np.random.default_rng(seed)) if case else []
     without = None
     if case and not spoiled and any(one.is_confirmed for one in loads):
         without = fit_extended_model(channel, (), case.physics, np.random.default_rng(seed)).errors
         case = add_loads(case, loads)
-        channel = case.carry_loads(channel)
-        noise = NoiseOnlyBootstrap(lambda: [case.noise_only(rng) for _ in range(N_BOOTSTRAP_DRAWS)])
+        channel = case.carry_loads(channel, case.channel.prepared)
+        noise = _build_bootstrap(case, rng)
         hunt, structure = _search(channel, rng, progress, noise)
     physics, nominal = (case.physics, case.pad_nominal()) if case else (None, None)
     progress("confirming")
@@ -201,6 +201,11 @@ def diagnose_channel(
     warnings = (*warnings, *(list_load_warnings(loads) if without else ()))
     answer = _answer(found, findings, unexplained, model, case, rng, seed=seed, how=how, warnings=warnings)
     return report_loads(answer, loads, without)
+
+
+def _build_bootstrap(case: FittedBaseline, rng: np.random.Generator) -> NoiseOnlyBootstrap:
+    """Return what encoder noise alone makes of a baseline's logs."""
+    return NoiseOnlyBootstrap(lambda: [case.noise_only(rng) for _ in range(N_BOOTSTRAP_DRAWS)])
 
 
 class _Found(NamedTuple):
