@@ -188,7 +188,9 @@ class _Study:
         names = self.channel.parameters.names
         bodies = np.isin(names, self.robot.parameters.names)
         values = np.array([trusted[n].value if mine else 0.0 for n, mine in zip(names, bodies, strict=True)])
-        pairs = [(trusted[n].stderr, own.parameters[n].stderr) for n in self.robot.parameters.names]
+        logs = tuple(dict.fromkeys(run.name for run in self.channel.runs))
+        fit = solve_with_fallback(self.regression([logs], TRAIN, TEST), None)
+        pairs = [(trusted[n].stderr, fit.parameters[n].stderr) for n in self.robot.parameters.names]
         ratios = [a / b for a, b in pairs if a and b]
         share = 1 / max(1.0, float(np.sqrt(np.mean(np.square(ratios))))) if ratios else 1.0
         runs, parts = list(self.channel.runs), list(self.channel.parts)
