@@ -55,9 +55,9 @@ def build_campaigns(load: float = 0.0, friction: float = 0.0, scale: float = 0.0
     return channel, {"payload": bodies, "friction": drags, "force": forces, "bodies": bodies}
 
 
-def select(**differences: float) -> list[CampaignChange]:
+def select(seed: int = 0, **differences: float) -> list[CampaignChange]:
     """Return the changes between the three logs."""
-    channel, kinds = build_campaigns(**differences)
+    channel, kinds = build_campaigns(**differences, seed=seed)
     logs = [run.name for run in channel.runs]
     return select_campaign_changes(channel, WHITE, kinds, logs, likelier="payload", companions=["friction"])
 

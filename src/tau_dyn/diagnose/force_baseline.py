@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -72,6 +73,7 @@ _WAVE_LEVEL = 1e-6
 """Of any wave at all in positions that hold noise alone; true ones exceed it by far, since positions are hardly noisy."""
 
 
+AnyChannel = TypeVar("AnyChannel", bound=Channel)
 CarriedLoad = tuple[tuple[str, ...], Parameters]
 """Names of logs, and the ten inertial numbers of the body that they carry."""
 
@@ -137,7 +139,7 @@ class FittedBaseline:
         prepared = prepare_segments(self.nominal, logs, self.preparation, self.smooth_hz)
         regression = build_force_regression(self.nominal, prepared, self.preparation)
         drawn = replace_measurements(self.channel, self.model, prepared, self.held, regression, self.clear_hz)
-        return self.carry_loads(drawn, known=True)
+        return self.carry_loads(drawn, drawn.prepared, known=True)
 
     @property
     def has_known_load(self) -> bool:
@@ -148,12 +150,20 @@ class FittedBaseline:
         """Return the nominal values with those of the loads, zero (p,)."""
         return np.concatenate([self.nominal.parameters.values, *(np.zeros(len(p)) for _, p in self.loads)])
 
-    def carry_loads(self, channel: ForceChannel, *, known: bool = False) -> ForceChannel:
-        """Return a channel with the columns of the loads; with `known`, forces of a load that is known are added, too."""
+    def carry_loads(
+        self, channel: AnyChannel, prepared: Sequence[PreparedSegment], *, known: bool = False
+    ) -> AnyChannel:
+        """Return a channel with the columns of the loads.
+
+        Args:
+            channel: The measurements without loads.
+            prepared: Its pieces.
+            known: Whether forces of a load that a model file alone determines are added to the measurements.
+        """
         if not self.loads:
             return channel
         runs = list(channel.runs)
-        loads = compute_load_columns(self.nominal, channel.prepared)
+        loads = compute_load_columns(self.nominal, prepared)
         for logs, parameters in self.loads:
             for k, (run, (W, W_all)) in enumerate(zip(runs, loads, strict=True)):
                 here = float(run.name in logs)

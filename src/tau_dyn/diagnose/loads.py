@@ -174,7 +174,7 @@ class _Study:
             divide_every_log(channel, gap_s), channel.scene, (),
         )  # fmt: skip
         plain = solve_with_fallback(regression, case.physics)
-        loads = compute_load_columns(case.nominal, case.channel.prepared)
+        loads = [masked for masked, _ in compute_load_columns(case.nominal, case.channel.prepared)]
         kinds = _list_kinds(case, body, campaigns, plain, loads)
         own = solve_with_fallback(_give_every_log_its_own(campaigns, kinds), None)
         study = cls(robot, body, campaigns, own.noise, kinds, case.physics)
@@ -188,7 +188,9 @@ class _Study:
         names = self.channel.parameters.names
         bodies = np.isin(names, self.robot.parameters.names)
         values = np.array([trusted[n].value if mine else 0.0 for n, mine in zip(names, bodies, strict=True)])
-        pairs = [(trusted[n].stderr, own.parameters[n].stderr) for n in self.robot.parameters.names]
+        logs = tuple(dict.fromkeys(run.name for run in self.channel.runs))
+        fit = solve_with_fallback(self.regression([logs], TRAIN, TEST), None)
+        pairs = [(trusted[n].stderr, fit.parameters[n].stderr) for n in self.robot.parameters.names]
         ratios = [a / b for a, b in pairs if a and b]
         share = 1 / max(1.0, float(np.sqrt(np.mean(np.square(ratios))))) if ratios else 1.0
         runs, parts = list(self.channel.runs), list(self.channel.parts)
@@ -264,8 +266,8 @@ class _Study:
         others = [g for g in groups if g != group]
         columns = self.channel.mask_columns(self.kinds[PAYLOAD], group)
         test = confirm_campaign_change(self.carry(others), self.noise, columns)
-        residuals = [self.regression(g, TEST).residuals(self.solve(g, TRAIN).theta) for g in (others, groups)]
-        gain = compute_campaign_gain(self.channel, group, *residuals, rng, test)
+        before, after = (self.regression(g, TEST).residuals(self.solve(g, TRAIN).theta) for g in (others, groups))
+        gain = compute_campaign_gain(self.channel, group, before, after, rng, test)
         why = self._doubt(found, change, gain, test.is_confirmed)
         unloaded = [log for log in logs if all(log not in g for g in groups)]
         finding = Finding(
@@ -316,7 +318,7 @@ def _list_kinds(
     """Return the columns (n, m, k) of each run of every kind of change that may be in one log alone."""
     names, robot = channel.parameters.names, case.nominal.robot
     bodies = np.isin(names, robot.parameters.names)
-    kinds = {PAYLOAD: [c for c, _ in loads]}
+    kinds = {PAYLOAD: [*loads]}
     for joint in robot.actuated:
         mine = [k for k, n in enumerate(names) if n in case.nominal.effect_parameters and n.startswith(f"{joint}.")]
         if mine:

@@ -197,7 +197,7 @@ def diagnose_channel(
         if not doubt and any(one.is_confirmed for one in loads):
             without = fit_extended_model(channel, (), case.physics, np.random.default_rng(seed)).errors
             case = add_loads(case, loads)
-            channel, first = case.carry_loads(channel), None
+            channel, first = case.carry_loads(channel, case.channel.prepared), None
             options = _build_options(case, rng, progress, doubt)
             warnings = (*warnings, *list_load_warnings(loads))
     found = examine_channel(channel, options, first)

@@ -177,7 +177,11 @@ def _explains(
         NullModel.of(ColumnCache(channel), (TRAIN,), noise), channel.mask_columns(whole, [one.log])
     )
     everything = left + one.statistic
-    return not dof or stats.chi2.sf(left, dof) > MIN_LEFT_P_VALUE or one.statistic > MIN_EXPLAINED_SHARE * everything
+    return (
+        not dof
+        or float(stats.chi2.sf(left, dof)) > MIN_LEFT_P_VALUE
+        or one.statistic > MIN_EXPLAINED_SHARE * everything
+    )
 
 
 def compute_score(ground: NullModel, columns: Sequence[np.ndarray]) -> tuple[float, int]:
