@@ -132,6 +132,10 @@ ERROR_CODES = INPUT_CODES | UNANSWERED_CODES | DEFECT_CODES
 
 WARNING_CODES: dict[str, MessageCode] = {
     "note": MessageCode("anything else", "read the sentence"),
+    "poses_reread": MessageCode(
+        "a pose file follows another convention than documented: sign, zero, order, unit, orientation or rows",
+        "correct the file, or a column map (`--columns`); the answer uses the reading that is named",
+    ),
     "contact": MessageCode("the tool rests on something", "keep such samples out of training; the fit leaves them out"),
     "droop": MessageCode("a proportional servo stays behind its command at rest", "nothing; it is no backlash"),
     "gain_unknown": MessageCode(

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.calibrate.addition_tests import find_rivals
+from tau_dyn.calibrate.conventions import FoundReading
 from tau_dyn.calibrate.crossvalidation import (
     CrossValidationGain,
     compare_paired,
@@ -24,7 +25,7 @@ from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_geome
 from tau_dyn.calibrate.models import Family, Spec
 from tau_dyn.calibrate.outliers import MovedFrame
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.effects import GEOMETRY_CAUSES
+from tau_dyn.effects import CONVENTIONS, GEOMETRY_CAUSES
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -179,6 +180,18 @@ def as_finding(moved: MovedFrame) -> CalibrationFinding:
     return CalibrationFinding(cause, (), status, moved.gain, (), GEOMETRY_CAUSES[cause], moved.move)
 
 
+def as_reading_findings(found: FoundReading, seed: int) -> tuple[CalibrationFinding, ...]:
+    """Return the conventions of a pose file as findings; those of a file without a stated convention are none."""
+    gain, whole = found.compute_gain(seed), {change.cause for change in found.reading}
+    alike = [tuple(c.cause for c in reading if c.cause) for reading in found.alike]
+    others = tuple(dict.fromkeys("+".join(causes) for causes in alike if causes and set(causes) != whole))
+    return tuple(
+        CalibrationFinding(c.cause, c.joints, "confirmed", gain, (), GEOMETRY_CAUSES[c.cause], (), others)
+        for c in found.reading
+        if c.cause
+    )
+
+
 def find_causes(
     family: Family, chosen: CandidateModel, holdout: PoseSet | None, options: Options
 ) -> tuple[CalibrationFinding, ...]:
@@ -279,5 +292,6 @@ def _parameters(cause: str, joints: tuple[str, ...], fitted: GeometryFit) -> tup
 
 
 def suspect_all(findings: tuple[CalibrationFinding, ...]) -> tuple[CalibrationFinding, ...]:
-    """Return findings of a model that misses its poses by far: none is confirmed but moves before the held-out poses."""
-    return tuple(f if f.cause.endswith("_moved") else replace(f, status="suspected") for f in findings)
+    """Return findings of a model that misses its poses by far: none is confirmed but conventions and moves between files."""
+    sure = ("device_moved", "target_moved", *CONVENTIONS)
+    return tuple(f if f.cause in sure else replace(f, status="suspected") for f in findings)

@@ -112,7 +112,7 @@ def leave_out_outliers(
     """Return training poses without gross outliers, and sentences that name them."""
     said: list[str] = []
     for _ in range(_LOOKS_FOR_OUTLIERS):
-        fitted = _robust(family, poses, options, model)
+        fitted = fit_robustly(family, poses, options, model)
         bad = find_outliers(fitted)
         if not len(bad):
             break
@@ -182,7 +182,7 @@ def _measure_distances(
     return np.sqrt(np.sum(rows**2 / (variance * poses.relative_errors(m) ** 2 + more), axis=1))
 
 
-def _robust(family: Family, poses: PoseSet, options: Options, model: str | None) -> GeometryFit:
+def fit_robustly(family: Family, poses: PoseSet, options: Options, model: str | None) -> GeometryFit:
     """Return a robust fit of the largest structure that the poses bear.
 
     Raises:

@@ -22,6 +22,7 @@ ROTATION_STDERR = "rot_tool_stderr"
 QUATERNION = ("qx_tool", "qy_tool", "qz_tool", "qw_tool")
 _MAX_JOINT_DIFFERENCE = 1e-6  # [rad or m]; encoders of a standing robot repeat far better
 _MAX_COORDINATE_M = 1e3  # [m] from the device; farther is a file in mm
+_MAX_ROOM_M = 50.0  # [m] from the device in most rows; farther, single far rows are no slips but all rows are in mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,8 @@ class PoseSet(Brief):
         approach: From which side each actuated joint came (N, na): +1, -1, or 0 where nobody knows.
         position_stderr: Standard errors of the measured coordinates (N, 3) [m], None where none are stated.
         rotation_stderr: Of the measured orientation about each axis (N,) [rad], None where none are stated.
+        angles: Three numbers of the orientation as written (N, 3), which `rotation` takes for rotation vectors; None where four
+            numbers or none are given.
         source: File, for messages.
         sha256: Hash of the file, '' where there is none.
         warnings: What was doubtful.
@@ -56,6 +59,7 @@ class PoseSet(Brief):
     approach: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     position_stderr: np.ndarray | None = None
     rotation_stderr: np.ndarray | None = None
+    angles: np.ndarray | None = None
     source: str = "poses"
     sha256: str = ""
     warnings: tuple[str, ...] = ()
@@ -122,6 +126,7 @@ class PoseSet(Brief):
             approach=self.approach[index],
             position_stderr=None if self.position_stderr is None else self.position_stderr[index],
             rotation_stderr=None if self.rotation_stderr is None else self.rotation_stderr[index],
+            angles=None if self.angles is None else self.angles[index],
         )
 
     def relative_errors(self, m: int) -> np.ndarray:
@@ -189,6 +194,7 @@ def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
         approach=np.concatenate([s.approach for s in sets]),
         position_stderr=_join_stated([s.position_stderr for s in sets]),
         rotation_stderr=_join_stated([s.rotation_stderr for s in sets]),
+        angles=_join_stated([s.angles for s in sets]),
         source=", ".join(s.source for s in sets),
         warnings=tuple(w for s in sets for w in s.warnings),
     )
@@ -235,11 +241,10 @@ def read_poses(
     _check_columns(table, actuated)
     q = np.column_stack([_numbers(table, f"q_{joint}") for joint in actuated])
     position = np.column_stack([_numbers(table, name) for name in POSITION])
-    _check_units(table, position)
     campaign, campaigns = _number_words(table, "campaign")
     target, targets = _number_words(table, "target")
     (stated, said), (turned, more) = _read_stated(table, STDERRS), _read_stated(table, (ROTATION_STDERR,))
-    return PoseSet(
+    poses = PoseSet(
         q=q,
         position=position,
         rotation=_rotations(table),
@@ -255,6 +260,9 @@ def read_poses(
         sha256=table.sha256,
         warnings=(*table.warnings, *said, *more),
     )
+    if np.median(np.abs(position).max(axis=1)) < _MAX_ROOM_M:  # else the whole file has another unit
+        check_units(poses)
+    return poses
 
 
 def _rename_columns(table: Table, map_: ColumnMap) -> Table:
@@ -344,12 +352,17 @@ def _numbers(table: Table, name: str) -> np.ndarray:
     return values
 
 
-def _check_units(table: Table, position: np.ndarray) -> None:
-    far = np.abs(position).max(axis=1)
+def check_units(poses: PoseSet) -> None:
+    """Refuse positions that no device measures in m.
+
+    Raises:
+        InputError: Names the farthest pose.
+    """
+    far = np.abs(poses.position).max(axis=1)
     if np.any(far > _MAX_COORDINATE_M):
         k = int(np.argmax(far))
         raise InputError(
-            "wrong_unit", f"{table.where(k)}: the tool is {far[k]:.0f} m from the device; positions are in m, not in mm"
+            "wrong_unit", f"{poses.names[k]}: the tool is {far[k]:.0f} m from the device; positions are in m, not in mm"
         )
 
 

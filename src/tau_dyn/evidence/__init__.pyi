@@ -73,6 +73,10 @@ from .plausibility import (
     measure_net_forces as measure_net_forces,
     measure_scales as measure_scales,
 )
+from .readings import (
+    find_equivalent as find_equivalent,
+    prefer_reading as prefer_reading,
+)
 from .result import (
     Choice as Choice,
     Finding as Finding,
