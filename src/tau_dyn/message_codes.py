@@ -136,6 +136,13 @@ WARNING_CODES: dict[str, MessageCode] = {
         "a pose file follows another convention than documented: sign, zero, order, unit, orientation or rows",
         "correct the file, or a column map (`--columns`); the answer uses the reading that is named",
     ),
+    "frame_undetermined": MessageCode(
+        "training poses leave open where the device or the target is, so a move cannot be tested",
+        "train on poses that turn every joint",
+    ),
+    "orientation_unused": MessageCode(
+        "training and held-out poses do not both have orientations", "measure both alike; positions alone are compared"
+    ),
     "contact": MessageCode("the tool rests on something", "keep such samples out of training; the fit leaves them out"),
     "droop": MessageCode("a proportional servo stays behind its command at rest", "nothing; it is no backlash"),
     "gain_unknown": MessageCode(

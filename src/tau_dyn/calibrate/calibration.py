@@ -28,6 +28,7 @@ from tau_dyn.calibrate.pose_errors import estimate_measurement_noise
 from tau_dyn.calibrate.pose_set import PoseSet, check_units, number_alike
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
 
 _ENOUGH_TO_SPLIT = 40  # poses; with fewer, a held-out part is too small for an rms error
@@ -148,9 +149,13 @@ def _reread(
     robot: Robot, poses: PoseSet, holdout: PoseSet | None, options: Options
 ) -> tuple[PoseSet, PoseSet | None, FoundReading | None, tuple[str, ...]]:
     """Return training and held-out poses as their file means them, how that is found, and sentences."""
+    said: list[str] = []
+    if holdout is not None and poses.rotation is None and holdout.rotation is not None:
+        said.append(_describe_unused_orientation(poses, holdout))
+        holdout = holdout.without_rotation()
     geometry = get_family(robot, poses).build(Spec("frames"))
     found = find_reading(geometry, poses, (robot.lower, robot.upper), lambda some: _measure_left(robot, some, options))
-    said = [found.describe(poses.source)] if found else []
+    said += [found.describe(poses.source)] if found else []
     if found and holdout is not None:
         meant = found.apply(holdout)
         at = [geometry.forward(geometry.parameters.values, some.q) for some in (holdout, meant)]
@@ -165,6 +170,14 @@ def _reread(
     for one in (poses, *([holdout] if holdout is not None else [])):
         check_units(one)
     return poses, holdout, found, tuple(said)
+
+
+def _describe_unused_orientation(poses: PoseSet, holdout: PoseSet) -> str:
+    sentence = (
+        f"{holdout.source} has orientations and {poses.source} has none, so that the target's own orientation is unknown; "
+        "positions alone are compared"
+    )
+    return CodedWarning("orientation_unused", sentence)
 
 
 def _measure_left(robot: Robot, poses: PoseSet, options: Options) -> float:
@@ -185,11 +198,11 @@ def _settle_holdout(
     """
     if holdout is None:
         return None, None, [], ()
-    moved = find_moved_frames(fitted, holdout) if split == "given" else []
-    kept, said = leave_out_held_outliers(fitted, holdout, undo_moves(moved, holdout))
+    moved, said = find_moved_frames(fitted, holdout) if split == "given" else ([], ())
+    kept, more = leave_out_held_outliers(fitted, holdout, undo_moves(moved, holdout))
     if kept is not holdout and split == "given":
-        moved = find_moved_frames(fitted, kept)
-    return kept, undo_moves(moved, kept), moved, said
+        moved, said = find_moved_frames(fitted, kept)
+    return kept, undo_moves(moved, kept), moved, (*more, *said)
 
 
 def _split(poses: PoseSet, holdout: PoseSet | None, seed: int) -> tuple[PoseSet, PoseSet | None, str]:

@@ -35,6 +35,9 @@ from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Brief
 
+_UNKNOWN_FRAME = 1.0
+"""Standard deviation [m or rad] of a frame along a direction that no pose shows: anywhere in a room, turned anyhow."""
+
 
 def count_required_poses(rank: int, per_pose: int) -> int:
     """Return the fewest poses that leave at least one pose's numbers over for judging the noise."""
@@ -178,6 +181,22 @@ class GeometryFit(Brief):
         left = max(self.residuals.size - self.n_estimated, 1)
         half = float(stats.t.ppf(0.5 + share / 2, left)) * parameter.stderr
         return parameter.value - half, parameter.value + half
+
+    @property
+    def prediction_cov(self) -> np.ndarray:
+        """Covariance of the free unknowns (f, f) for predictions elsewhere: with what these poses do not determine.
+
+        A direction that they do not show is as uncertain as the robot file; along those of the frames nothing is known.
+        """
+        found, free = self.identifiability, self.unknowns.free
+        n_geometry, ends = self.unknowns.n_geometry, self.unknowns.n_device + self.unknowns.n_tool
+        number = np.flatnonzero(free)
+        frame = (number >= n_geometry) & (number < n_geometry + ends)
+        size = np.where(frame, _UNKNOWN_FRAME, self.unknowns.scales[free])[found.dropped]
+        blind = np.zeros((len(number), len(found.dropped)))
+        blind[found.dropped, np.arange(len(found.dropped))] = 1.0
+        blind[found.kept] = -found.factors
+        return self.cov + (blind * size**2) @ blind.T
 
     @property
     def correlation(self) -> np.ndarray:

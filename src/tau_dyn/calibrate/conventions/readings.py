@@ -1,8 +1,8 @@
 """Readings of a pose file: changes without parameters of how joints count and how poses are written.
 
-A change acts on measured poses and names its cause; a reading is a tuple of changes, applied in order. Joints: sign, quarter turns
-of the zero, exchanged columns, degrees or millimetres. Poses: exchanged or reversed axes, unit, order of the quaternion, inverse
-orientations or poses, the kind of three angles, and rows shifted between joints and poses.
+A change acts on measured poses and names its cause; a reading is a tuple of changes, applied in order. Joints: sign, quarter
+turns of the zero, exchanged columns, degrees or millimetres. Poses: exchanged or reversed axes, unit, order of the quaternion,
+inverse orientations or poses, the kind of three angles, and rows shifted between joints and poses.
 """
 
 from __future__ import annotations
@@ -33,12 +33,14 @@ class Change:
         joints: Joints that it is about.
         words: What the file does, as a clause.
         apply: Returns the poses as they are meant.
+        unit: Metres of the unit of the file's positions.
     """
 
     cause: str
     joints: tuple[str, ...]
     words: str
     apply: Callable[[PoseSet], PoseSet]
+    unit: float = 1.0
 
     @property
     def place(self) -> tuple[str, tuple[str, ...]]:
@@ -133,9 +135,9 @@ def _list_axis_changes(oriented: bool) -> list[Change]:
             words = f"the position columns are exchanged: x, y, z are in {names}"
             changes.append(Change("columns_exchanged", (), words, _turn_positions(np.eye(3)[list(order)])))
     for signs in product((1.0, -1.0), repeat=3):
-        reversed_ = [name for name, sign in zip(POSITION, signs, strict=True) if sign < 0]
-        if 0 < len(reversed_) < 3:
-            words = f"{' and '.join(reversed_)} {'has' if len(reversed_) == 1 else 'have'} the opposite sign of the orientation's axes"
+        turned = [name for name, sign in zip(POSITION, signs, strict=True) if sign < 0]
+        if 0 < len(turned) < 3:
+            words = f"the sign of {' and '.join(turned)} is the opposite of the orientation's axes"
             changes.append(Change("axis_sign", (), words, _turn_positions(np.diag(signs))))
     return changes
 
@@ -156,7 +158,7 @@ def _list_unit_changes() -> list[Change]:
 
         return apply
 
-    return [Change("position_unit", (), f"the positions are in {u}", scale(f)) for u, f in _POSITION_UNITS.items()]
+    return [Change("position_unit", (), f"the positions are in {u}", scale(f), f) for u, f in _POSITION_UNITS.items()]
 
 
 def _list_shifts(poses: PoseSet) -> list[Change]:

@@ -23,8 +23,14 @@ from tau_dyn.mechanism import Poses
 
 _TRIMMED_SHARE = 0.2
 """Share of the poses that take no part: the largest share that counts as outliers elsewhere in this room."""
-_CONCENTRATION_STEPS = 2
-"""Fits after the first, each without the worst poses of the one before; they settle in a few steps (Rousseeuw & Van Driessen)."""
+_CONCENTRATION_STEPS = 1
+"""Fits after the first, without the worst poses of the one before: two fits rank readings as their limit does."""
+_FIRST_STEPS = 3
+"""Steps from every start before the best is followed."""
+_NEWTON_STEPS = 5
+"""Gauss-Newton steps from there; they converge quadratically."""
+_BLIND = 1e-6
+"""Share of the largest singular value below which a turn of both frames cannot be seen."""
 _PROCRUSTES_STEPS = 12
 """Steps of the device's and the target's orientation in turn; the error left falls by a constant factor in each."""
 _MIN_POSES = 8
@@ -40,6 +46,7 @@ class Misfit(NamedTuple):
         spread: Rms distance of the robot's own tool positions from their middle [m].
         distances: Of every pose that was compared (N,) [m].
         angles: Of its orientation (N,) [rad], None where none are compared.
+        unit: Metres of the unit in which the file has positions: likelihoods are of the numbers as written.
     """
 
     position: float
@@ -47,12 +54,13 @@ class Misfit(NamedTuple):
     spread: float
     distances: np.ndarray
     angles: np.ndarray | None
+    unit: float = 1.0
 
     @classmethod
-    def of(cls, distances: np.ndarray, angles: np.ndarray | None, spread: float) -> Misfit:
+    def of(cls, distances: np.ndarray, angles: np.ndarray | None, spread: float, unit: float = 1.0) -> Misfit:
         """Return the misfit of distances (N,) [m] and angles (N,) [rad]."""
         rotation = None if angles is None else compute_trimmed_rms(angles)
-        return cls(compute_trimmed_rms(distances), rotation, spread, distances, angles)
+        return cls(compute_trimmed_rms(distances), rotation, spread, distances, angles, unit)
 
     @property
     def n_numbers(self) -> int:
@@ -62,7 +70,8 @@ class Misfit(NamedTuple):
     @property
     def value(self) -> float:
         """Geometric mean of the errors: its logarithm is the log-likelihood of a coordinate, up to its sign and a constant."""
-        return self.position if self.rotation is None else float(np.sqrt(self.position * self.rotation))
+        size = self.position / self.unit
+        return size if self.rotation is None else float(np.sqrt(size * self.rotation))
 
 
 UNREACHED = Misfit(float("inf"), None, 1.0, np.zeros(0), None)
@@ -153,12 +162,31 @@ def align_orientations(seen: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarra
     """Return `R_D` and `R_T` (3, 3) that take nominal orientations (N, 3, 3) nearest to the measured ones."""
     shared = np.einsum("nij,nkl->ijkl", seen, nominal)  # sum of R_m[i, j] R[k, l]
     tool = _list_quarter_turns()
-    device = tool
-    for _ in range(_PROCRUSTES_STEPS):
+    for step in range(_PROCRUSTES_STEPS):
         device = _nearest_rotations(np.einsum("ijkl,alj->aik", shared, tool))
         tool = _nearest_rotations(np.einsum("ijkl,aik->alj", shared, device))
-    best = int(np.argmax(np.einsum("ijkl,aik,alj->a", shared, device, tool)))
-    return device[best], tool[best]
+        if step == _FIRST_STEPS:
+            best = int(np.argmax(np.einsum("ijkl,aik,alj->a", shared, device, tool)))
+            device, tool = device[best : best + 1], tool[best : best + 1]
+    return _refine_orientations(seen, nominal, device[0], tool[0])
+
+
+def _refine_orientations(
+    seen: np.ndarray, nominal: np.ndarray, device: np.ndarray, tool: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the orientations after Gauss-Newton steps, which need no wide motion as Procrustes steps do; the best of all."""
+    found, least = (device, tool), np.inf
+    for _ in range(_NEWTON_STEPS):
+        turned = device @ nominal @ tool
+        left = compute_rotation_between(seen, turned)
+        size = float(np.sum(left**2))
+        if size < least:
+            found, least = (device, tool), size
+        rows = np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2).reshape(-1, 6)
+        step = np.linalg.lstsq(rows, left.ravel(), rcond=_BLIND)[0]
+        device = Rotation.from_rotvec(step[:3]).as_matrix() @ device
+        tool = tool @ Rotation.from_rotvec(step[3:]).as_matrix()
+    return found
 
 
 def _nearest_rotations(matrices: np.ndarray) -> np.ndarray:

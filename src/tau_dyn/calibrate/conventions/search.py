@@ -31,10 +31,12 @@ _PLAUSIBLE_ROTATION = 0.1
 """Rms orientation error [rad] up to which the same is true: six joints 40 mrad off."""
 _MAX_CAUSES = 3
 """Causes in one file; more are another file's."""
-_BRANCHES = 6
+_BRANCHES = 3
 """Best readings that are combined with every further cause."""
-_MAX_POSES = 200
+_MAX_POSES = 60
 """Poses that the readings are compared at; more do not tell them apart better."""
+_FIRST_POSES = 8
+"""Poses that are computed first: a robot with loops that reaches fewer than half of them is not asked for the others."""
 _DRAWS = 200
 """Bootstrap draws of a gain's interval; orders of magnitude need no finer ends."""
 _LIMIT_MARGIN = 0.05
@@ -95,7 +97,7 @@ def _redraw(misfit: Misfit, rng: np.random.Generator) -> float:
     """Return the misfit's value at poses drawn with replacement."""
     index = rng.integers(0, len(misfit.distances), len(misfit.distances))
     angles = None if misfit.angles is None else misfit.angles[index]
-    return Misfit.of(misfit.distances[index], angles, misfit.spread).value
+    return Misfit.of(misfit.distances[index], angles, misfit.spread, misfit.unit).value
 
 
 def _describe(misfit: Misfit) -> str:
@@ -119,11 +121,20 @@ class _Search:
             step = -(-poses.n // _MAX_POSES)
             poses = poses.take(np.arange(0, poses.n, step)) if step > 1 else poses
             try:
-                found = self.geometry.forward(self.geometry.parameters.values, poses.q)
-                self.known[key] = measure_misfit(poses, found.poses, found.ok, turns=self.geometry.orients)
+                unit = float(np.prod([change.unit for change in reading]))
+                self.known[key] = self._measure(poses)._replace(unit=unit)
             except (TauDynError, np.linalg.LinAlgError):
                 self.known[key] = UNREACHED
         return self.known[key]
+
+    def _measure(self, poses: PoseSet) -> Misfit:
+        """Return the misfit of poses as they are meant."""
+        theta = self.geometry.parameters.values
+        first = self.geometry.forward(theta, poses.q[:_FIRST_POSES])
+        if 2 * first.ok.sum() < len(first.ok):
+            return UNREACHED
+        found = self.geometry.forward(theta, poses.q)
+        return measure_misfit(poses, found.poses, found.ok, turns=self.geometry.orients)
 
 
 def find_reading(
@@ -145,6 +156,7 @@ def find_reading(
     best, last = [((), written)], [((), written)]
     for _ in range(_MAX_CAUSES):
         grown = {frozenset(map(id, r)): r for base, _ in last for more in single if (r := _join(base, more))}
+        single = [reading for reading in single if len(reading) == 1]
         ranked = sorted(((r, search.measure(r)) for r in grown.values()), key=lambda one: one[1].value)
         best, last = [*best, *ranked], ranked[:_BRANCHES]
         enough = last and _is_below(last[0][1], _PLAUSIBLE_POSITION, _PLAUSIBLE_ROTATION)
