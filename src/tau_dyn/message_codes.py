@@ -136,6 +136,9 @@ WARNING_CODES: dict[str, MessageCode] = {
         "a pose file follows another convention than documented: sign, zero, order, unit, orientation or rows",
         "correct the file, or a column map (`--columns`); the answer uses the reading that is named",
     ),
+    "columns_read": MessageCode(
+        "columns of a pose file have foreign names and are read by them", "our names, or a column map (`--columns`)"
+    ),
     "frame_undetermined": MessageCode(
         "training poses leave open where the device or the target is, so a move cannot be tested",
         "train on poses that turn every joint",

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tau_dyn.calibrate.pose_columns import ANGLES, name_pose_columns, read_angles
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import ColumnMap, Table, compute_mapped_columns, format_names, read_table
 from tau_dyn.mechanism import Poses
@@ -221,9 +222,11 @@ def read_poses(
 ) -> PoseSet:
     """Read measured poses from CSV or Parquet, with the columns `q_J`, `x_tool y_tool z_tool` and maybe `qx_tool` .. `qw_tool`.
 
-    `x_tool_stderr` .. `z_tool_stderr` [m] and `rot_tool_stderr` [rad] are standard errors that weigh the poses; a zero counts
-    as the smallest of its column above zero. A column `campaign` tells measuring campaigns apart, a column `target` the
-    targets on the tool; the signs of `v_J` tell from which side a joint came, and without them the order of the file does.
+    Without a quaternion `rx_tool ry_tool rz_tool` are a rotation vector or three angles; other usual names are read, with a
+    warning (`pose_columns.py`). `x_tool_stderr` .. `z_tool_stderr` [m] and `rot_tool_stderr` [rad] are standard errors that
+    weigh the poses; a zero counts as the smallest of its column above zero. A column `campaign` tells measuring campaigns apart,
+    a column `target` the targets on the tool; the signs of `v_J` tell from which side a joint came, and without them the order
+    of the file does.
 
     Args:
         path: File.
@@ -238,16 +241,18 @@ def read_poses(
     if columns is not None:
         table = _rename_columns(table, columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns))
     table = _follow_mimics(table, mimics or {})
+    table = name_pose_columns(table, actuated)
     _check_columns(table, actuated)
     q = np.column_stack([_numbers(table, f"q_{joint}") for joint in actuated])
     position = np.column_stack([_numbers(table, name) for name in POSITION])
     campaign, campaigns = _number_words(table, "campaign")
     target, targets = _number_words(table, "target")
     (stated, said), (turned, more) = _read_stated(table, STDERRS), _read_stated(table, (ROTATION_STDERR,))
+    rotation, angles, how = read_angles(table) if _has_angles(table) else (_rotations(table), None, "")
     poses = PoseSet(
         q=q,
         position=position,
-        rotation=_rotations(table),
+        rotation=rotation,
         names=tuple(table.where(k) for k in range(table.n_rows)),
         campaign=campaign,
         campaigns=campaigns,
@@ -256,9 +261,15 @@ def read_poses(
         approach=_approach(table, actuated, q),
         position_stderr=stated,
         rotation_stderr=None if turned is None else turned[:, 0],
+        angles=angles,
         source=table.name,
         sha256=table.sha256,
-        warnings=(*table.warnings, *said, *more),
+        warnings=(
+            *table.warnings,
+            *([CodedWarning("columns_read", f"{table.name}: {how}")] if how else []),
+            *said,
+            *more,
+        ),
     )
     if np.median(np.abs(position).max(axis=1)) < _MAX_ROOM_M:  # else the whole file has another unit
         check_units(poses)
@@ -295,7 +306,8 @@ def _check_columns(table: Table, actuated: Sequence[str]) -> None:
             "missing_column",
             f"{table.name} has no column {format_names(missing)}; calibration poses need {format_names(wanted)} "
             f"and, where the orientation "
-            f"was measured, {format_names(QUATERNION)}; it has {format_names(table.cells)}",
+            f"was measured, {format_names(QUATERNION)}, or a rotation vector or Euler angles {format_names(ANGLES)}; "
+            f"it has {format_names(table.cells)}",
         )
     some = [name for name in QUATERNION if name in table.cells]
     if some and len(some) < 4:
@@ -364,6 +376,11 @@ def check_units(poses: PoseSet) -> None:
         raise InputError(
             "wrong_unit", f"{poses.names[k]}: the tool is {far[k]:.0f} m from the device; positions are in m, not in mm"
         )
+
+
+def _has_angles(table: Table) -> bool:
+    """Tell whether orientations are three numbers; a quaternion goes first."""
+    return QUATERNION[0] not in table.cells and all(name in table.cells for name in ANGLES)
 
 
 def _rotations(table: Table) -> np.ndarray | None:
