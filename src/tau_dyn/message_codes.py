@@ -139,6 +139,10 @@ WARNING_CODES: dict[str, MessageCode] = {
     "columns_read": MessageCode(
         "columns of a pose file have foreign names and are read by them", "our names, or a column map (`--columns`)"
     ),
+    "implausible_effect": MessageCode(
+        "a law with a sign or size that no machine has explains poses best",
+        "check gravity and masses in the robot file",
+    ),
     "frame_undetermined": MessageCode(
         "training poses leave open where the device or the target is, so a move cannot be tested",
         "train on poses that turn every joint",

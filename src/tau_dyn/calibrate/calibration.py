@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from tau_dyn.calibrate.addition_tests import find_move_within, find_unit_coupling
-from tau_dyn.calibrate.causes import as_finding, as_reading_findings, find_causes, suspect_all
+from tau_dyn.calibrate.causes import as_finding, as_reading_findings, find_causes, suspect_all, suspect_laws
 from tau_dyn.calibrate.conventions import FoundReading, find_reading, measure_misfit
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.model_selection import Options, check_patterns, fit_models
+from tau_dyn.calibrate.model_selection import Options, check_patterns, describe_implausible, fit_models
 from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Spec, get_family
 from tau_dyn.calibrate.outliers import (
     MovedFrame,
@@ -115,6 +115,7 @@ def calibrate(
     chosen = models[-1]
     plain = next((one for one in reversed(models) if set(one.spec.additions) <= set(BETWEEN_CAMPAIGNS)), chosen)
     within = find_move_within(plain.fit, family, plain.spec)
+    odd = describe_implausible(steps)
     holdout, still, moved, held = _settle_holdout(chosen.fit, holdout, split)
     found = Calibration(
         robot=robot,
@@ -131,7 +132,7 @@ def calibrate(
         warnings=tuple(
             dict.fromkeys(
                 (
-                    *(*poses.warnings, *reread, *said, *named, *late, *held, *more),
+                    *(*poses.warnings, *reread, *said, *named, *late, *held, *more, *odd),
                     *(one.describe() for one in moved),
                     *([within.describe()] if within else []),
                     *_doubts(chosen.fit),
@@ -142,6 +143,8 @@ def calibrate(
         measured=measured,
     )
     misses = replace(found, holdout=still).misses_poses
+    if odd:
+        found = replace(found, findings=suspect_laws(found.findings))
     return replace(found, findings=suspect_all(found.findings)) if misses or within else found
 
 

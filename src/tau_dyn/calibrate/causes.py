@@ -22,7 +22,7 @@ from tau_dyn.calibrate.crossvalidation import (
 from tau_dyn.calibrate.geometry import ConstrainedGeometry, Geometry, constrain_parameters
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_geometry, transfer_state
-from tau_dyn.calibrate.models import Family, Spec
+from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Family, Spec
 from tau_dyn.calibrate.outliers import MovedFrame
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.effects import CONVENTIONS, GEOMETRY_CAUSES
@@ -289,6 +289,12 @@ def _parameters(cause: str, joints: tuple[str, ...], fitted: GeometryFit) -> tup
     what = _PATTERNS[cause]
     found = [n for n in names if any(w in n.partition(".")[2] for w in what) and not n.startswith(("device", "tool"))]
     return tuple(n for n in found if not joints or n.partition(".")[0] in joints)
+
+
+def suspect_laws(findings: tuple[CalibrationFinding, ...]) -> tuple[CalibrationFinding, ...]:
+    """Return findings with the laws of joints and drives suspected: another law explains the poses better."""
+    laws = {cause for addition, cause in _OF_ADDITION.items() if addition not in BETWEEN_CAMPAIGNS}
+    return tuple(replace(f, status="suspected") if f.cause in laws else f for f in findings)
 
 
 def suspect_all(findings: tuple[CalibrationFinding, ...]) -> tuple[CalibrationFinding, ...]:

@@ -24,6 +24,7 @@ from tau_dyn.calibrate.frames import (
     IDENTITY,
     DeviceFrames,
     compute_mean_rotation,
+    estimate_campaign_frames,
     estimate_initial_frames,
 )
 from tau_dyn.calibrate.geometry import Geometry
@@ -293,7 +294,11 @@ def fit_geometry_to_poses(
     state = _starting_state(geometry, poses, start, frames, device)
     devices = len(poses.campaigns) if apart[0] else len(state.frames.device)
     tools = len(poses.campaigns) if apart[1] else max(len(poses.targets), len(state.frames.tool))
+    fresh = devices > len(state.frames.device) and frames is None and device
     state = state._replace(frames=state.frames.apart(devices, tools))
+    if fresh:
+        own_frames = estimate_campaign_frames(poses, state.base, state.ok, state.frames)
+        state = state._replace(frames=own_frames)
     own = {"fix": fix, "free": free, "device": device, "tool": tool, "backlash": backlash, "prior": prior}
     problem = Problem(geometry, poses, collect(geometry, state.frames, turned=turned, **own), residual, turned)
     check_count(problem, what)

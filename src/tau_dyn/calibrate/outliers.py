@@ -125,23 +125,41 @@ def leave_out_outliers(
         bad = find_outliers(fitted)
         if not len(bad):
             break
-        if len(bad) > _MAX_OUTLIER_SHARE * poses.n:
-            said.append(
-                f"{poses.source}: {len(bad)} of {poses.n} poses are far from what fits the others; nothing was left out, "
-                "for so many are no outliers: were frames moved in between, or is the robot another one?"
-            )
+        kept = _keep_campaigns(poses, bad)
+        if len(kept) < len(bad):
+            said.append(_describe_many(poses, np.setdiff1d(bad, kept)))
+            bad = kept
+        if not len(bad):
             break
         said.append(describe_outliers(poses, fitted, bad))
         poses = poses.take(np.setdiff1d(np.arange(poses.n), bad))
     return poses, tuple(said)
 
 
+def _keep_campaigns(poses: PoseSet, bad: np.ndarray) -> np.ndarray:
+    """Return the outliers of campaigns in which they are few; many in one campaign are another situation."""
+    total = np.bincount(poses.campaign)
+    share = np.bincount(poses.campaign[bad], minlength=len(total)) / np.maximum(total, 1)
+    return bad[share[poses.campaign[bad]] <= _MAX_OUTLIER_SHARE]
+
+
+def _describe_many(poses: PoseSet, many: np.ndarray) -> str:
+    """Return the sentence about poses far off that are too many to be outliers."""
+    names = [poses.campaigns[k] for k in np.unique(poses.campaign[many])]
+    where = f" of campaign {', '.join(names)}" if len(poses.campaigns) > 1 else ""
+    own = int(np.isin(poses.campaign, np.unique(poses.campaign[many])).sum())
+    return (
+        f"{poses.source}: {len(many)} of {own} poses{where} are far from what fits the others; none of them was left out, "
+        "for so many are no outliers: were frames moved in between, or is the robot another one?"
+    )
+
+
 def leave_out_late_outliers(chosen: CandidateModel, options: Options) -> tuple[PoseSet, tuple[str, ...]]:
     """Return the training poses without those that only a good model tells as gross outliers, and a sentence that names them."""
     first, robust = chosen.fit, replace(options, robust="biweight")
     fitted = fit_geometry(first.geometry, chosen.spec, first.poses, robust, first.state, f"the model {chosen.name}")
-    bad = find_outliers(fitted)
-    if not 0 < len(bad) <= _MAX_OUTLIER_SHARE * first.poses.n:
+    bad = _keep_campaigns(first.poses, find_outliers(fitted))
+    if not len(bad):
         return first.poses, ()
     kept = first.poses.take(np.setdiff1d(np.arange(first.poses.n), bad))
     return kept, (describe_outliers(first.poses, fitted, bad),)
@@ -200,15 +218,21 @@ def fit_robustly(family: Family, poses: PoseSet, options: Options, model: str | 
     robust = replace(options, robust="biweight")
     specs = [family.spec(model)] if model and model != "auto" else []
     coupled = {a: own for a, own in specs[0].additions.items() if a == "coupling"} if specs else {}
+    frames = {"base_frame": family.can_have("base_frame")} if _can_place_each(poses) else {}
     specs += [Spec(s) for s in reversed(family.structures) if s != "paths"]
     fault: Exception | None = None
     for spec in specs:
         try:
-            return fit_spec(family, Spec(spec.structure, {**options.additions, **coupled}), poses, robust)
+            return fit_spec(family, Spec(spec.structure, {**options.additions, **coupled, **frames}), poses, robust)
         except (InputError, CannotAnswer) as error:
             fault = error
     assert fault is not None
     raise fault
+
+
+def _can_place_each(poses: PoseSet) -> bool:
+    """Tell whether there are campaigns, each with poses enough for a device frame of its own."""
+    return len(poses.campaigns) > 1 and np.bincount(poses.campaign, minlength=len(poses.campaigns)).min() > _MIN_POSES
 
 
 _SIGNIFICANCE_LEVEL = 1e-3  # of the Wald test, for each campaign's device and target
