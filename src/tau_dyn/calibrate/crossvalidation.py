@@ -72,9 +72,9 @@ def split_in_order(poses: PoseSet) -> list[np.ndarray]:
     parts: list[list[np.ndarray]] = [[] for _ in range(FOLDS)]
     for campaign in np.unique(poses.campaign):
         own = np.flatnonzero(poses.campaign == campaign)
-        first = poses.configuration[own]
-        for k, block in enumerate(np.array_split(np.unique(first), FOLDS)):
-            parts[k].append(own[np.isin(first, block)])
+        number = poses.configuration[own]
+        for k, block in enumerate(np.array_split(list(dict.fromkeys(number.tolist())), FOLDS)):
+            parts[k].append(own[np.isin(number, block)])
     return [np.sort(np.concatenate(part)) for part in parts if sum(map(len, part))]
 
 

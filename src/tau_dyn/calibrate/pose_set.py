@@ -96,11 +96,11 @@ class PoseSet(Brief):
 
     @property
     def configuration(self) -> np.ndarray:
-        """Which poses have the same joint positions, such as several targets seen from one or repeats (N,), from 0 in order."""
-        _, first, group = np.unique(
-            np.round(self.q / _MAX_JOINT_DIFFERENCE), axis=0, return_index=True, return_inverse=True
-        )
-        return np.argsort(np.argsort(first))[group.ravel()]
+        """Which poses have the same joint positions, such as several targets seen from one or repeats (N,), from 0.
+
+        Numbered by the positions, so that parts drawn of them do not depend on the order of rows.
+        """
+        return np.unique(np.round(self.q / _MAX_JOINT_DIFFERENCE), axis=0, return_inverse=True)[1].ravel()
 
     @property
     def setup(self) -> np.ndarray:

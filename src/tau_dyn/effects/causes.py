@@ -41,7 +41,7 @@ GEOMETRY_CAUSES = {
     "guideway_compliance": "A displaced by guideway_compliance F across, drive_compliance F along the guideway, F the rods' pull",
     "backlash": "q_real = q - backlash / 2 sign of the approach",
     "joint_coupling": "q_real = q + coupling q_other",
-    "gravity_deflection": "q_real = q + gravity_compliance tau(q) + load_deflection tau_1(q), tau the pull of gravity, tau_1 on 1 kg",
+    "gravity_deflection": "q_real = q + gravity_compliance tau(q) + load_deflection tau_1(q), tau by gravity, tau_1 on 1 kg",
     "joint_eccentricity": "q_real = q + eccentricity_sin sin(q) + eccentricity_cos cos(q)",
     "tool_frame": "the target sits elsewhere on the tool in another campaign",
     "device_moved": "the device stood elsewhere when the held-out poses were measured",
