@@ -100,7 +100,7 @@ def test_a_horizontal_arm_yields_by_its_weight_times_its_lever(robot):
     assert [p.unit for p in law.parameters] == ["rad/(N m)", "rad kg/(N m)"]
     off = moments.weights({"j1": 0.9, "j4": -0.5})  # j1's link does not load j2
     lighter = law.select(moments.torques(gravity, off))[0]
-    assert lighter == pytest.approx([masses - 0.5 * 9.81 * 3 * 1.0, load], rel=1e-9)
+    assert lighter == pytest.approx([-masses + 0.5 * 9.81 * 3 * 1.0, -load], rel=1e-9)
     assert law.bodies == ("j2", "j3", "j4")
     assert not build_gravity_laws(tree, ("j1",), np.full(4, -1.5), np.full(4, 1.5))  # its axis is vertical
 

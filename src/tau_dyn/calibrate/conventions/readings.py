@@ -112,7 +112,7 @@ def _list_joint_changes(joints: Sequence[str], units: Sequence[str]) -> list[Cha
 
 def _unit_groups(index: np.ndarray) -> list[np.ndarray]:
     """Return all joints of a kind, then each alone."""
-    return [index, *([one] for one in index if len(index) > 1)] if len(index) else []  # type: ignore[list-item]
+    return [index, *(np.array([one]) for one in index if len(index) > 1)] if len(index) else []
 
 
 def _shift_joint(own: np.ndarray, turn: float) -> Callable[[PoseSet], PoseSet]:

@@ -111,7 +111,8 @@ class _Search:
     """Misfits of readings, each computed once."""
 
     def __init__(self, geometry: Geometry, poses: PoseSet) -> None:
-        self.geometry, self.poses, self.known = geometry, poses, {}
+        self.geometry, self.poses = geometry, poses
+        self.known: dict[frozenset[int], Misfit] = {}
 
     def measure(self, reading: Reading) -> Misfit:
         """Return the misfit of a reading."""
