@@ -195,18 +195,18 @@ def _find_held_outliers(fitted: GeometryFit, holdout: PoseSet, held: PoseErrors)
     noise = np.repeat(train.noise(), 3)[:m] / np.sqrt(spare)
     columns = fitted.compute_prediction_columns(holdout.q, state.base, holdout.setup)[:, :m]
     model = np.einsum("nif,fg,nig->ni", columns, fitted.prediction_cov, columns)
-    crowd = _measure_distances(train, fitted.poses, noise**2)
-    distance = _measure_distances(held, holdout, noise**2, model)
+    crowd = _measure_distances(train, fitted.poses, fitted.poses, noise**2)
+    distance = _measure_distances(held, holdout, fitted.poses, noise**2, model)
     return _find_far(distance, crowd, m)
 
 
 def _measure_distances(
-    errors: PoseErrors, poses: PoseSet, variance: np.ndarray, more: np.ndarray | float = 0.0
+    errors: PoseErrors, poses: PoseSet, over: PoseSet, variance: np.ndarray, more: np.ndarray | float = 0.0
 ) -> np.ndarray:
-    """Return errors (N,) in units of their standard deviation; variances (m,) hold at the median stated error."""
+    """Return errors (N,) in units of their standard deviation; variances (m,) hold at the median stated error of `over`."""
     m = len(variance)
     rows = errors.position if errors.rotation is None or m == 3 else np.hstack([errors.position, errors.rotation])
-    return np.sqrt(np.sum(rows**2 / (variance * poses.relative_errors(m) ** 2 + more), axis=1))
+    return np.sqrt(np.sum(rows**2 / (variance * poses.relative_errors(m, over) ** 2 + more), axis=1))
 
 
 def fit_robustly(family: Family, poses: PoseSet, options: Options, model: str | None) -> GeometryFit:
@@ -345,7 +345,7 @@ def _find_move(
     both = zip((fitted.frames.device, fitted.frames.tool), poses.setup[0], strict=True)
     start = DeviceFrames(*((frames[min(k, len(frames) - 1)],) for frames, k in both))
     m = 6 if poses.rotation is not None and fitted.geometry.orients else 3
-    sigma = poses.relative_errors(m) * np.repeat(np.array(fitted.noise)[: m // 3], 3)
+    sigma = poses.relative_errors(m, fitted.poses) * np.repeat(np.array(fitted.noise)[: m // 3], 3)
     before = _compute_residuals(start, poses, base, sigma)
     owners = ("device", "target") if fitted.geometry.orients else ("device",)
     fits = {owner: _fit_move(owner, start, fitted, poses, base, sigma) for owner in owners}

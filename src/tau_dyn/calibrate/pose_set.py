@@ -130,13 +130,18 @@ class PoseSet(Brief):
             angles=None if self.angles is None else self.angles[index],
         )
 
-    def relative_errors(self, m: int) -> np.ndarray:
-        """Return stated standard errors (N, m) over their median, position before orientation; ones where none are stated."""
-        out = np.ones((self.n, m))
-        if self.position_stderr is not None:
-            out[:, :3] = self.position_stderr / np.median(self.position_stderr)
-        if self.rotation_stderr is not None and m > 3:
-            out[:, 3:] = (self.rotation_stderr / np.median(self.rotation_stderr))[:, None]
+    def relative_errors(self, m: int, over: PoseSet | None = None) -> np.ndarray:
+        """Return stated standard errors (N, m) over their median, position before orientation; ones where none are stated.
+
+        Args:
+            m: Numbers of a pose, 3 or 6.
+            over: Poses whose medians count, such as those that a noise was estimated of; these unless given.
+        """
+        out, known = np.ones((self.n, m)), self if over is None else over
+        if self.position_stderr is not None and known.position_stderr is not None:
+            out[:, :3] = self.position_stderr / np.median(known.position_stderr)
+        if self.rotation_stderr is not None and known.rotation_stderr is not None and m > 3:
+            out[:, 3:] = (self.rotation_stderr / np.median(known.rotation_stderr))[:, None]
         return out
 
     def without_rotation(self) -> PoseSet:
