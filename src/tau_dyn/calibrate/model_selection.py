@@ -287,12 +287,9 @@ def _additions(
                 refused.add((hint.addition, hint.joints))
                 continue
             gain = compare_paired(now.unseen, candidate.unseen, options.seed)
-            good = (
-                gain.is_significant
-                and has_plausible_laws(candidate.fit)
-                and not is_worse_in_order(now.fit, candidate.fit)
-            )
-            steps.append(SelectionStep(candidate.name, now.name, gain, good))
+            odd = gain.is_significant and not has_plausible_laws(candidate.fit)
+            good = gain.is_significant and not odd and not is_worse_in_order(now.fit, candidate.fit)
+            steps.append(SelectionStep(candidate.name, now.name, gain, good, odd))
             if good:
                 taken.append(candidate)
                 now, periods = candidate, tried
