@@ -147,6 +147,24 @@ ERROR_CODES = INPUT_CODES | UNANSWERED_CODES | DEFECT_CODES
 
 WARNING_CODES: dict[str, MessageCode] = {
     "note": MessageCode("anything else", "read the sentence"),
+    "poses_reread": MessageCode(
+        "a pose file follows another convention than documented: sign, zero, order, unit, orientation or rows",
+        "correct the file, or a column map (`--columns`); the answer uses the reading that is named",
+    ),
+    "columns_read": MessageCode(
+        "columns of a pose file have foreign names and are read by them", "our names, or a column map (`--columns`)"
+    ),
+    "implausible_effect": MessageCode(
+        "a law with a sign or size that no machine has explains poses best",
+        "check gravity and masses in the robot file",
+    ),
+    "frame_undetermined": MessageCode(
+        "training poses leave open where the device or the target is, so a move cannot be tested",
+        "train on poses that turn every joint",
+    ),
+    "orientation_unused": MessageCode(
+        "training and held-out poses do not both have orientations", "measure both alike; positions alone are compared"
+    ),
     "contact": MessageCode("the tool rests on something", "keep such samples out of training; the fit leaves them out"),
     "changes_within_log": MessageCode(
         "a sign, gain, friction, tool or the base changes inside a log", "cut the log at the time stated"

@@ -33,6 +33,7 @@ from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.unknowns import collect
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import forward_kinematics
+from tau_dyn.message_codes import get_code
 from tau_dyn.render.kinds.calibration_words import describe_verdict
 from tau_dyn.robot import load_robot
 
@@ -294,12 +295,17 @@ def test_poses_in_a_plane_are_refused_with_the_experiment():
         calibrate(rods.robot, PoseSet(q[near], flat))
 
 
-def test_a_left_handed_device_is_told():
-    """One mirrored axis fits no rotation; the sentence says which kind of fault it is."""
+def test_a_mirrored_device_is_read_with_two_axes_exchanged():
+    """One mirrored axis fits no rotation; exchanged columns are the same for positions, and the answer is as exact as without."""
     poses = _poses(50)
     mirrored = replace(poses, position=poses.position * np.array([1.0, -1.0, 1.0]))
-    with raises_code("invalid_value", "x_tool"):
-        calibrate(rods_of().robot, mirrored)
+    found, plain = (calibrate(rods_of().robot, p, model="nonparallel") for p in (mirrored, poses))
+    assert [f.cause for f in found.findings if f.cause == "columns_exchanged"] and "poses_reread" in map(
+        get_code, found.warnings
+    )
+    assert found.errors(found.chosen).position_size.rms == pytest.approx(
+        plain.errors(plain.chosen).position_size.rms, rel=0.05
+    )
 
 
 def test_duplicated_poses_count_once():

@@ -283,7 +283,7 @@ def find_strongest_periods(fitted: GeometryFit, family: Family, joints: tuple[st
     return {joint: hint.period for joint, hint in found.items() if hint is not None}
 
 
-_STEP_PLACES = 60  # places in the file tried for a move; a coarse grid finds a step within a hundredth of the poses
+_STEP_PLACES = 60  # places in the file tried first for a move; every pose about the best one follows
 _MIN_STEP_POSES = 6  # poses on either side; with fewer, the six numbers of a frame fit noise
 _MIN_STEP_GAIN_PERCENT = 20.0
 """Reduction of the rms residual from which a move is said: effects that the model lacks look like small moves."""
@@ -313,6 +313,20 @@ class MoveWithin(NamedTuple):
         )
 
 
+def _try_step(
+    rest: _ProjectedResidual, owner: str, columns: np.ndarray, place: int
+) -> tuple[float, float, MoveWithin, int]:
+    """Return the p-value, minus the share, the move and the place of a step from a pose on; columns (N, m, p) of its frame."""
+    poses = rest.fitted.poses
+    later = np.where(np.arange(poses.n)[:, None, None] >= place, columns / rest.sigma[:, :, None], 0.0)
+    freed = rest.free(np.concatenate(later))
+    move = np.linalg.lstsq(freed, rest.r, rcond=1e-6)[0]
+    gain = rest.total - float(np.sum((rest.r - freed @ move) ** 2))
+    p, share = rest.judged(gain, len(move), 2 * (poses.n - 2 * _MIN_STEP_POSES + 1))
+    percent = 100 * (1 - np.sqrt(max(1 - share, 0.0)))
+    return p, -share, MoveWithin(owner, poses.names[place], float(np.linalg.norm(move[:3])), percent), place
+
+
 def find_move_within(fitted: GeometryFit, family: Family, spec: Spec) -> MoveWithin | None:
     """Return the move during the measurement, if it explains the residuals of poses in order better than any addition."""
     poses, m = fitted.poses, fitted.sigma.shape[1]
@@ -322,20 +336,14 @@ def find_move_within(fitted: GeometryFit, family: Family, spec: Spec) -> MoveWit
     device, tool = fitted.frames.columns(
         fitted.state.base, fitted.frames.measured(fitted.state.base, poses.setup), poses.setup
     )
-    places = np.unique(np.linspace(_MIN_STEP_POSES, poses.n - _MIN_STEP_POSES, _STEP_PLACES).astype(int))
-    found: list[tuple[float, float, MoveWithin]] = []
-    for owner, columns in (("device", device[:, :m]), ("target", tool[:, :m, : 3 if m == 3 else 6])):
-        columns = columns / fitted.sigma[:, :, None]
-        for place in places:
-            later = np.where(np.arange(poses.n)[:, None, None] >= place, columns, 0.0)
-            freed = rest.free(np.concatenate(later))
-            move = np.linalg.lstsq(freed, rest.r, rcond=1e-6)[0]
-            gain = rest.total - float(np.sum((rest.r - freed @ move) ** 2))
-            p, share = rest.judged(gain, len(move), 2 * len(places))
-            percent = 100 * (1 - np.sqrt(max(1 - share, 0.0)))
-            seen = MoveWithin(owner, poses.names[place], float(np.linalg.norm(move[:3])), percent)
-            found.append((p, -share, seen))
-    p, share, step = min(found, key=lambda one: one[:2])
+    both = {"device": device[:, :m], "target": tool[:, :m, : 3 if m == 3 else 6]}
+    first, last = _MIN_STEP_POSES, poses.n - _MIN_STEP_POSES
+    places = np.unique(np.linspace(first, last, _STEP_PLACES).astype(int)).tolist()
+    found = [_try_step(rest, owner, columns, place) for owner, columns in both.items() for place in places]
+    best, gap = min(found, key=lambda one: one[:2])[2:], -(-(last - first) // _STEP_PLACES)
+    near = range(max(first, best[1] - gap), min(last, best[1] + gap) + 1)
+    found += [_try_step(rest, best[0].owner, both[best[0].owner], place) for place in near]
+    p, share, step, _ = min(found, key=lambda one: one[:2])
     if not p < SIGNIFICANCE_LEVEL or step.percent < _MIN_STEP_GAIN_PERCENT:
         return None
     others = screen_additions(fitted, family, spec)

@@ -8,23 +8,27 @@ from dataclasses import replace
 import numpy as np
 
 from tau_dyn.calibrate.addition_tests import find_move_within, find_unit_coupling
-from tau_dyn.calibrate.causes import as_finding, find_causes, suspect_all
+from tau_dyn.calibrate.causes import as_finding, as_reading_findings, find_causes, suspect_all, suspect_laws
+from tau_dyn.calibrate.conventions import FoundReading, find_reading, measure_misfit
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.model_selection import Options, check_patterns, fit_models
+from tau_dyn.calibrate.model_selection import Options, check_patterns, describe_implausible, fit_models
 from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Spec, get_family
 from tau_dyn.calibrate.outliers import (
     MovedFrame,
     check_spread,
     drop_duplicate_poses,
     find_moved_frames,
+    fit_robustly,
     leave_out_held_outliers,
     leave_out_late_outliers,
     leave_out_outliers,
     undo_moves,
 )
 from tau_dyn.calibrate.pose_errors import estimate_measurement_noise
-from tau_dyn.calibrate.pose_set import PoseSet, number_alike
+from tau_dyn.calibrate.pose_set import PoseSet, check_units, number_alike
 from tau_dyn.calibrate.result import Calibration
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
 
 _ENOUGH_TO_SPLIT = 40  # poses; with fewer, a held-out part is too small for an rms error
@@ -85,6 +89,8 @@ def calibrate(
         [2.053]
     """
     options = Options(tuple(fix), tuple(free), residual, robust, device, tool, seed, prior=tuple(prior))
+    progress("checking conventions of the pose file")
+    poses, holdout, reading, reread = _reread(robot, poses, holdout, options)
     poses, said = drop_duplicate_poses(poses)
     measured = estimate_measurement_noise(poses, accuracy)
     holdout = None if holdout is None else number_alike(poses, holdout)
@@ -109,6 +115,7 @@ def calibrate(
     chosen = models[-1]
     plain = next((one for one in reversed(models) if set(one.spec.additions) <= set(BETWEEN_CAMPAIGNS)), chosen)
     within = find_move_within(plain.fit, family, plain.spec)
+    odd = describe_implausible(steps)
     holdout, still, moved, held = _settle_holdout(chosen.fit, holdout, split)
     found = Calibration(
         robot=robot,
@@ -117,11 +124,15 @@ def calibrate(
         split=split,
         models=tuple(models),
         steps=tuple(steps),
-        findings=(*find_causes(family, chosen, still, options), *(as_finding(one) for one in moved)),
+        findings=(
+            *(as_reading_findings(reading, seed) if reading else ()),
+            *find_causes(family, chosen, still, options),
+            *(as_finding(one) for one in moved),
+        ),
         warnings=tuple(
             dict.fromkeys(
                 (
-                    *(*poses.warnings, *said, *named, *late, *held, *more),
+                    *(*poses.warnings, *reread, *said, *named, *late, *held, *more, *odd),
                     *(one.describe() for one in moved),
                     *([within.describe()] if within else []),
                     *_doubts(chosen.fit),
@@ -132,7 +143,53 @@ def calibrate(
         measured=measured,
     )
     misses = replace(found, holdout=still).misses_poses
+    if odd:
+        found = replace(found, findings=suspect_laws(found.findings))
     return replace(found, findings=suspect_all(found.findings)) if misses or within else found
+
+
+def _reread(
+    robot: Robot, poses: PoseSet, holdout: PoseSet | None, options: Options
+) -> tuple[PoseSet, PoseSet | None, FoundReading | None, tuple[str, ...]]:
+    """Return training and held-out poses as their file means them, how that is found, and sentences."""
+    said: list[str] = []
+    if holdout is not None and poses.rotation is None and holdout.rotation is not None:
+        said.append(_describe_unused_orientation(poses, holdout))
+        holdout = holdout.without_rotation()
+    geometry = get_family(robot, poses).build(Spec("frames"))
+    found = find_reading(geometry, poses, (robot.lower, robot.upper), lambda some: _measure_left(robot, some, options))
+    said += [found.describe(poses.source)] if found else []
+    if found and holdout is not None:
+        meant = found.apply(holdout)
+        at = [geometry.forward(geometry.parameters.values, some.q) for some in (holdout, meant)]
+        pairs = zip((holdout, meant), at, strict=True)
+        written, read = (measure_misfit(p, x.poses, x.ok, turns=geometry.orients).value for p, x in pairs)
+        if written < read:
+            said.append(
+                f"{holdout.source} follows the documented convention, unlike {poses.source}, and is read as written"
+            )
+        holdout = holdout if written < read else meant
+    poses = found.apply(poses) if found else poses
+    for one in (poses, *([holdout] if holdout is not None else [])):
+        check_units(one)
+    return poses, holdout, found, tuple(said)
+
+
+def _describe_unused_orientation(poses: PoseSet, holdout: PoseSet) -> str:
+    sentence = (
+        f"{holdout.source} has orientations and {poses.source} has none, so that the target's own orientation is unknown; "
+        "positions alone are compared"
+    )
+    return CodedWarning("orientation_unused", sentence)
+
+
+def _measure_left(robot: Robot, poses: PoseSet, options: Options) -> float:
+    """Return the error level that free dimensions leave of poses, positions and orientations together."""
+    try:
+        fitted = fit_robustly(get_family(robot, poses), poses, options, None)
+    except (InputError, CannotAnswer):
+        return float("inf")
+    return float(np.exp(np.mean(np.log(fitted.noise))))
 
 
 def _settle_holdout(
@@ -144,11 +201,11 @@ def _settle_holdout(
     """
     if holdout is None:
         return None, None, [], ()
-    moved = find_moved_frames(fitted, holdout) if split == "given" else []
-    kept, said = leave_out_held_outliers(fitted, holdout, undo_moves(moved, holdout))
+    moved, said = find_moved_frames(fitted, holdout) if split == "given" else ([], ())
+    kept, more = leave_out_held_outliers(fitted, holdout, undo_moves(moved, holdout))
     if kept is not holdout and split == "given":
-        moved = find_moved_frames(fitted, kept)
-    return kept, undo_moves(moved, kept), moved, said
+        moved, said = find_moved_frames(fitted, kept)
+    return kept, undo_moves(moved, kept), moved, (*more, *said)
 
 
 def _split(poses: PoseSet, holdout: PoseSet | None, seed: int) -> tuple[PoseSet, PoseSet | None, str]:

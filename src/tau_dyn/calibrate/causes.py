@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.calibrate.addition_tests import find_rivals
+from tau_dyn.calibrate.conventions import FoundReading
 from tau_dyn.calibrate.crossvalidation import (
     CrossValidationGain,
     compare_paired,
@@ -21,10 +22,10 @@ from tau_dyn.calibrate.crossvalidation import (
 from tau_dyn.calibrate.geometry import ConstrainedGeometry, Geometry, constrain_parameters
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_geometry, transfer_state
-from tau_dyn.calibrate.models import Family, Spec
+from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Family, Spec
 from tau_dyn.calibrate.outliers import MovedFrame
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.effects import GEOMETRY_CAUSES
+from tau_dyn.effects import CONVENTIONS, GEOMETRY_CAUSES
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -179,6 +180,18 @@ def as_finding(moved: MovedFrame) -> CalibrationFinding:
     return CalibrationFinding(cause, (), status, moved.gain, (), GEOMETRY_CAUSES[cause], moved.move)
 
 
+def as_reading_findings(found: FoundReading, seed: int) -> tuple[CalibrationFinding, ...]:
+    """Return the conventions of a pose file as findings; those of a file without a stated convention are none."""
+    gain, whole = found.compute_gain(seed), {change.cause for change in found.reading}
+    alike = [tuple(c.cause for c in reading if c.cause) for reading in found.alike]
+    others = tuple(dict.fromkeys("+".join(causes) for causes in alike if causes and set(causes) != whole))
+    return tuple(
+        CalibrationFinding(c.cause, c.joints, "confirmed", gain, (), GEOMETRY_CAUSES[c.cause], (), others)
+        for c in found.reading
+        if c.cause
+    )
+
+
 def find_causes(
     family: Family, chosen: CandidateModel, holdout: PoseSet | None, options: Options
 ) -> tuple[CalibrationFinding, ...]:
@@ -278,6 +291,13 @@ def _parameters(cause: str, joints: tuple[str, ...], fitted: GeometryFit) -> tup
     return tuple(n for n in found if not joints or n.partition(".")[0] in joints)
 
 
+def suspect_laws(findings: tuple[CalibrationFinding, ...]) -> tuple[CalibrationFinding, ...]:
+    """Return findings with the laws of joints and drives suspected: another law explains the poses better."""
+    laws = {cause for addition, cause in _OF_ADDITION.items() if addition not in BETWEEN_CAMPAIGNS}
+    return tuple(replace(f, status="suspected") if f.cause in laws else f for f in findings)
+
+
 def suspect_all(findings: tuple[CalibrationFinding, ...]) -> tuple[CalibrationFinding, ...]:
-    """Return findings of a model that misses its poses by far: none is confirmed but moves before the held-out poses."""
-    return tuple(f if f.cause.endswith("_moved") else replace(f, status="suspected") for f in findings)
+    """Return findings of a model that misses its poses by far: none is confirmed but conventions and moves between files."""
+    sure = ("device_moved", "target_moved", *CONVENTIONS)
+    return tuple(f if f.cause in sure else replace(f, status="suspected") for f in findings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from scipy import stats
 from tau_dyn.calibrate.fit_problem import FitState, Problem, WeightedProblem, descend_near
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.pose_errors import PoseErrors
+from tau_dyn.calibrate.pose_set import PoseSet
 
 FOLDS = 5  # a common choice between bias and variance (Hastie et al. 2009, section 7.10)
 _REFIT_STEPS = 6  # from the whole fit's optimum, which is near
@@ -65,13 +67,24 @@ def split_folds(configuration: np.ndarray, seed: int, many: int = FOLDS) -> list
     return [np.flatnonzero(np.isin(configuration, part)) for part in parts]
 
 
-def cross_validate(fitted: GeometryFit, seed: int = 0) -> PoseErrors:
-    """Return errors at training poses predicted by refits without their fold."""
+def split_in_order(poses: PoseSet) -> list[np.ndarray]:
+    """Return the indices of each fold: a block in the file's order of every campaign; neighbours are left out together."""
+    parts: list[list[np.ndarray]] = [[] for _ in range(FOLDS)]
+    for campaign in np.unique(poses.campaign):
+        own = np.flatnonzero(poses.campaign == campaign)
+        number = poses.configuration[own]
+        for k, block in enumerate(np.array_split(list(dict.fromkeys(number.tolist())), FOLDS)):
+            parts[k].append(own[np.isin(number, block)])
+    return [np.sort(np.concatenate(part)) for part in parts if sum(map(len, part))]
+
+
+def cross_validate(fitted: GeometryFit, seed: int = 0, parts: Sequence[np.ndarray] | None = None) -> PoseErrors:
+    """Return errors at training poses predicted by refits without their fold; folds at random unless given."""
     poses = fitted.poses
     position = np.full((poses.n, 3), np.nan)
     turned = poses.rotation is not None and fitted.geometry.orients
     rotation = np.full((poses.n, 3), np.nan) if turned else None
-    for part in split_folds(poses.configuration, seed):
+    for part in split_folds(poses.configuration, seed) if parts is None else parts:
         rest = np.setdiff1d(np.arange(poses.n), part)
         errors = _without(fitted, rest).errors(poses.take(part))
         position[part] = errors.position
@@ -110,6 +123,19 @@ def compare_paired(small: PoseErrors, large: PoseErrors, seed: int = 0) -> Cross
     before, after = (float(np.sqrt(x.squared_distance().mean())) for x in (small, large))
     turned = [None if e.orientation_size is None or not e.oriented else e.orientation_size.rms for e in (small, large)]
     return CrossValidationGain(before, after, percent, (float(low), float(high)), p, *turned)
+
+
+_MAX_ERROR_GROWTH = 1.5
+"""Largest error with an addition over that without, in folds by order: the largest of many poses varies by a tenth by chance."""
+
+
+def is_worse_in_order(small: GeometryFit, large: GeometryFit) -> bool:
+    """Tell whether a larger model predicts blocks of neighbouring poses worse: on the whole, or the worst of them."""
+    parts = split_in_order(small.poses)
+    a, b = (cross_validate(fitted, parts=parts) for fitted in (small, large))
+    noise = b.noise()
+    before, after = a.score(noise), b.score(noise)
+    return bool(after.sum() > before.sum() or after.max() > _MAX_ERROR_GROWTH**2 * before.max())
 
 
 def compute_rms_interval(unseen: PoseErrors, seed: int = 0) -> tuple[float, float]:

@@ -220,6 +220,41 @@ def estimate_initial_frames(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
     )
 
 
+_NEAREST = 1e-3
+"""Weight of the common orientation in a campaign's own, relative to its poses: it decides what poses in a line leave open."""
+
+
+def estimate_campaign_frames(poses: PoseSet, base: Poses, ok: np.ndarray, frames: DeviceFrames) -> DeviceFrames:
+    """Return frames with the device of each campaign at its own poses, where they fit better so than at the common place.
+
+    Args:
+        poses: Measured poses (N), several campaigns.
+        base: Tool poses (N) in the robot's base frame.
+        ok: Whether they are known (N,).
+        frames: A device for every campaign, and targets.
+    """
+    seen = frames.measured(base, poses.setup)
+    device = list(frames.device)
+    for k, old in enumerate(device):
+        own = ok & (poses.campaign == k)
+        if own.sum() < 3:
+            continue
+        known = (seen.position[own] - old.translation) @ old.rotation
+        new = _align_near(poses.position[own], known, old.rotation)
+        sizes = [np.sum((poses.position[own] - f.translation - known @ f.rotation.T) ** 2) for f in (old, new)]
+        device[k] = new if sizes[1] < sizes[0] else old
+    return replace(frames, device=tuple(device))
+
+
+def _align_near(seen: np.ndarray, known: np.ndarray, rotation: np.ndarray) -> Frame:
+    """Return the frame that best takes `known` points (N, 3) to `seen` ones, near a rotation where they leave it open."""
+    a, b = seen.mean(axis=0), known.mean(axis=0)
+    u, s, vt = np.linalg.svd((seen - a).T @ (known - b))
+    u, _, vt = np.linalg.svd((u * s) @ vt + _NEAREST * s[0] * rotation)
+    turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return Frame(turn, a - turn @ b)
+
+
 def _each(poses: PoseSet) -> range:
     """Return the targets' numbers."""
     return range(len(poses.targets))

@@ -24,6 +24,7 @@ from tau_dyn.calibrate.frames import (
     IDENTITY,
     DeviceFrames,
     compute_mean_rotation,
+    estimate_campaign_frames,
     estimate_initial_frames,
 )
 from tau_dyn.calibrate.geometry import Geometry
@@ -34,6 +35,9 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Brief
+
+_UNKNOWN_FRAME = 1.0
+"""Standard deviation [m or rad] of a frame along a direction that no pose shows: anywhere in a room, turned anyhow."""
 
 
 def count_required_poses(rank: int, per_pose: int) -> int:
@@ -180,6 +184,22 @@ class GeometryFit(Brief):
         return parameter.value - half, parameter.value + half
 
     @property
+    def prediction_cov(self) -> np.ndarray:
+        """Covariance of the free unknowns (f, f) for predictions elsewhere: with what these poses do not determine.
+
+        A direction that they do not show is as uncertain as the robot file; along those of the frames nothing is known.
+        """
+        found, free = self.identifiability, self.unknowns.free
+        n_geometry, ends = self.unknowns.n_geometry, self.unknowns.n_device + self.unknowns.n_tool
+        number = np.flatnonzero(free)
+        frame = (number >= n_geometry) & (number < n_geometry + ends)
+        size = np.where(frame, _UNKNOWN_FRAME, self.unknowns.scales[free])[found.dropped]
+        blind = np.zeros((len(number), len(found.dropped)))
+        blind[found.dropped, np.arange(len(found.dropped))] = 1.0
+        blind[found.kept] = -found.factors
+        return self.cov + (blind * size**2) @ blind.T
+
+    @property
     def correlation(self) -> np.ndarray:
         """Correlations of the free unknowns (f, f), zero where not estimated."""
         error = np.sqrt(np.diag(self.cov))
@@ -274,7 +294,11 @@ def fit_geometry_to_poses(
     state = _starting_state(geometry, poses, start, frames, device)
     devices = len(poses.campaigns) if apart[0] else len(state.frames.device)
     tools = len(poses.campaigns) if apart[1] else max(len(poses.targets), len(state.frames.tool))
+    fresh = devices > len(state.frames.device) and frames is None and device
     state = state._replace(frames=state.frames.apart(devices, tools))
+    if fresh:
+        own_frames = estimate_campaign_frames(poses, state.base, state.ok, state.frames)
+        state = state._replace(frames=own_frames)
     own = {"fix": fix, "free": free, "device": device, "tool": tool, "backlash": backlash, "prior": prior}
     problem = Problem(geometry, poses, collect(geometry, state.frames, turned=turned, **own), residual, turned)
     check_count(problem, what)

@@ -191,8 +191,11 @@ class GravityLaw:
         )
 
     def select(self, torques: np.ndarray) -> np.ndarray:
-        """Return the joint's columns (N, p, ..) of torques or their slopes (N, na, 2, ..)."""
-        return torques[:, self.actuator][:, np.array(self.sizes) > 0]
+        """Return the joint's columns (N, p, ..) of torques or their slopes (N, na, 2, ..).
+
+        The torques are those that hold the arm; it yields to gravity, the other way, so that a compliance is positive.
+        """
+        return -torques[:, self.actuator][:, np.array(self.sizes) > 0]
 
 
 def build_gravity_laws(
@@ -356,7 +359,7 @@ class ArmGeometry(GeometryDefaults):
         tilted = [at.moments.torques(np.cross(np.eye(3)[axis], self._gravity), at.weights) for axis in self._tilts]
         for law, v in at.yielding:
             if law.sizes[0] > 0:
-                out[:, law.actuator, :many] += v[0] * own[:, law.actuator]
+                out[:, law.actuator, :many] -= v[0] * own[:, law.actuator]
             for k, torques in enumerate(tilted):
                 out[:, law.actuator, many + k] += law.select(torques) @ v
         return out

@@ -13,7 +13,12 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from tau_dyn.calibrate.addition_tests import find_strongest_periods, screen_additions
-from tau_dyn.calibrate.crossvalidation import CrossValidationGain, compare_paired, cross_validate
+from tau_dyn.calibrate.crossvalidation import (
+    CrossValidationGain,
+    compare_paired,
+    cross_validate,
+    is_worse_in_order,
+)
 from tau_dyn.calibrate.fit_problem import FitState
 from tau_dyn.calibrate.frames import AXES
 from tau_dyn.calibrate.geometry import Geometry
@@ -22,6 +27,7 @@ from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Family, Spec
 from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError, UnknownName
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import Brief
 
 
@@ -51,12 +57,14 @@ class SelectionStep:
         over: Model that it was compared with.
         gain: On training poses by cross-validation.
         taken: Whether it was worth its parameters.
+        implausible: Whether its laws have a sign or a size that no machine has.
     """
 
     name: str
     over: str
     gain: CrossValidationGain
     taken: bool
+    implausible: bool = False
 
 
 @dataclass(frozen=True)
@@ -279,8 +287,10 @@ def _additions(
                 refused.add((hint.addition, hint.joints))
                 continue
             gain = compare_paired(now.unseen, candidate.unseen, options.seed)
-            steps.append(SelectionStep(candidate.name, now.name, gain, gain.is_significant))
-            if gain.is_significant:
+            odd = gain.is_significant and not has_plausible_laws(candidate.fit)
+            good = gain.is_significant and not odd and not is_worse_in_order(now.fit, candidate.fit)
+            steps.append(SelectionStep(candidate.name, now.name, gain, good, odd))
+            if good:
                 taken.append(candidate)
                 now, periods = candidate, tried
                 break
@@ -288,6 +298,36 @@ def _additions(
         if now is before:
             break
     return taken, steps
+
+
+_MAX_ECCENTRICITY_RAD = 5e-3
+"""Amplitude of a joint's error once a turn: an encoder disc of 20 mm radius 0.1 mm off its axis; more is another effect."""
+_N_STDERR = 2.0  # standard errors by which a number may miss its range and count as within it
+
+
+def describe_implausible(steps: Sequence[SelectionStep]) -> tuple[str, ...]:
+    """Return a sentence where a model that no machine can be explains the poses better than what was taken instead."""
+    odd = [step for step in steps if step.implausible]
+    taken = {step.over: step.gain.percent for step in steps if step.taken}
+    odd = [step for step in odd if step.gain.percent > taken.get(step.over, 0.0)]
+    if not odd:
+        return ()
+    best = max(odd, key=lambda step: step.gain.percent)
+    sentence = (
+        f"{best.name} takes away {best.gain.percent:.0f} % of the error, yet with a joint that rises against its load or turns "
+        "further off its axis than machines do; it is not taken, and effects in its place are suspected only: check the "
+        "direction of gravity and the masses in the robot file, and joints that the poses' controller corrects itself"
+    )
+    return (CodedWarning("implausible_effect", sentence),)
+
+
+def has_plausible_laws(fitted: GeometryFit) -> bool:
+    """Tell whether no joint rises against the load that it carries, and none turns off its axis by more than machines do."""
+    laws = [p for p in fitted.parameters if p.stderr is not None]
+    yielding = [p for p in laws if p.name.endswith("_compliance")]
+    turning = [p for p in laws if ".eccentricity_" in p.name]
+    rises = any(p.value < -_N_STDERR * (p.stderr or 0.0) for p in yielding)
+    return not rises and not any(abs(p.value) - _N_STDERR * (p.stderr or 0.0) > _MAX_ECCENTRICITY_RAD for p in turning)
 
 
 def fit_models(

@@ -25,6 +25,7 @@ from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.estimate import DescentRules, LinearSystem, descend, factor_system
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.mechanism import Poses
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.parameters import Parameter
 
 _TIMES = 6.0
@@ -35,21 +36,29 @@ _MAX_DUPLICATE_DISTANCE = 1e-9  # [m] or [rad]: positions of joints that are one
 
 
 def check_spread(family: Family, poses: PoseSet) -> None:
-    """Refuse poses in one plane where the robot can leave it.
+    """Refuse joints that stand still, and positions in a plane of a robot whose tool neither turns nor stays in a plane.
+
+    All else is for the rank to decide: a tip held in a hole shows the dimensions by its attitudes.
 
     Raises:
-        CannotAnswer: They lie in a plane.
+        CannotAnswer: Says which.
     """
-    geometry, rng = family.build(Spec("frames")), np.random.default_rng(0)
-    low, high = poses.q.min(axis=0), poses.q.max(axis=0)
-    q = 0.5 * (low + high) + np.maximum(high - low, 0.1) * (rng.random((64, poses.na)) - 0.5)
-    workspace = geometry.forward(geometry.parameters.values, q)
-    if not is_flat(poses.position) or is_flat(workspace.poses.position[workspace.ok]):
+    if not np.ptp(poses.configuration):
+        raise CannotAnswer(
+            "poor_excitation",
+            f"{poses.source}: the joints have the same positions in all {poses.n} poses, so that no dimension shows",
+            "measure poses all over the workspace",
+        )
+    geometry = family.build(Spec("frames"))
+    if geometry.orients or not is_flat(poses.position):
+        return
+    own = geometry.forward(geometry.parameters.values, poses.q)
+    if own.ok.sum() < 3 or is_flat(own.poses.position[own.ok]):
         return
     raise CannotAnswer(
         "poor_excitation",
-        f"{poses.source}: all {poses.n} poses lie in one plane, so that nothing is known of the robot across it",
-        "measure poses all over the workspace, some at least a tenth of its size off that plane",
+        f"{poses.source}: all {poses.n} positions lie in one plane, and the joints move the tool out of any plane",
+        "check the columns x_tool, y_tool, z_tool; one of them does not follow the tool",
     )
 
 
@@ -112,27 +121,45 @@ def leave_out_outliers(
     """Return training poses without gross outliers, and sentences that name them."""
     said: list[str] = []
     for _ in range(_LOOKS_FOR_OUTLIERS):
-        fitted = _robust(family, poses, options, model)
+        fitted = fit_robustly(family, poses, options, model)
         bad = find_outliers(fitted)
         if not len(bad):
             break
-        if len(bad) > _MAX_OUTLIER_SHARE * poses.n:
-            said.append(
-                f"{poses.source}: {len(bad)} of {poses.n} poses are far from what fits the others; nothing was left out, "
-                "for so many are no outliers: were frames moved in between, or is the robot another one?"
-            )
+        kept = _keep_campaigns(poses, bad)
+        if len(kept) < len(bad):
+            said.append(_describe_many(poses, np.setdiff1d(bad, kept)))
+            bad = kept
+        if not len(bad):
             break
         said.append(describe_outliers(poses, fitted, bad))
         poses = poses.take(np.setdiff1d(np.arange(poses.n), bad))
     return poses, tuple(said)
 
 
+def _keep_campaigns(poses: PoseSet, bad: np.ndarray) -> np.ndarray:
+    """Return the outliers of campaigns in which they are few; many in one campaign are another situation."""
+    total = np.bincount(poses.campaign)
+    share = np.bincount(poses.campaign[bad], minlength=len(total)) / np.maximum(total, 1)
+    return bad[share[poses.campaign[bad]] <= _MAX_OUTLIER_SHARE]
+
+
+def _describe_many(poses: PoseSet, many: np.ndarray) -> str:
+    """Return the sentence about poses far off that are too many to be outliers."""
+    names = [poses.campaigns[k] for k in np.unique(poses.campaign[many])]
+    where = f" of campaign {', '.join(names)}" if len(poses.campaigns) > 1 else ""
+    own = int(np.isin(poses.campaign, np.unique(poses.campaign[many])).sum())
+    return (
+        f"{poses.source}: {len(many)} of {own} poses{where} are far from what fits the others; none of them was left out, "
+        "for so many are no outliers: were frames moved in between, or is the robot another one?"
+    )
+
+
 def leave_out_late_outliers(chosen: CandidateModel, options: Options) -> tuple[PoseSet, tuple[str, ...]]:
     """Return the training poses without those that only a good model tells as gross outliers, and a sentence that names them."""
     first, robust = chosen.fit, replace(options, robust="biweight")
     fitted = fit_geometry(first.geometry, chosen.spec, first.poses, robust, first.state, f"the model {chosen.name}")
-    bad = find_outliers(fitted)
-    if not 0 < len(bad) <= _MAX_OUTLIER_SHARE * first.poses.n:
+    bad = _keep_campaigns(first.poses, find_outliers(fitted))
+    if not len(bad):
         return first.poses, ()
     kept = first.poses.take(np.setdiff1d(np.arange(first.poses.n), bad))
     return kept, (describe_outliers(first.poses, fitted, bad),)
@@ -167,22 +194,22 @@ def _find_held_outliers(fitted: GeometryFit, holdout: PoseSet, held: PoseErrors)
     spare = max(fitted.residuals.size - fitted.n_estimated, 1) / fitted.residuals.size
     noise = np.repeat(train.noise(), 3)[:m] / np.sqrt(spare)
     columns = fitted.compute_prediction_columns(holdout.q, state.base, holdout.setup)[:, :m]
-    model = np.einsum("nif,fg,nig->ni", columns, fitted.cov, columns)
-    crowd = _measure_distances(train, fitted.poses, noise**2)
-    distance = _measure_distances(held, holdout, noise**2, model)
+    model = np.einsum("nif,fg,nig->ni", columns, fitted.prediction_cov, columns)
+    crowd = _measure_distances(train, fitted.poses, fitted.poses, noise**2)
+    distance = _measure_distances(held, holdout, fitted.poses, noise**2, model)
     return _find_far(distance, crowd, m)
 
 
 def _measure_distances(
-    errors: PoseErrors, poses: PoseSet, variance: np.ndarray, more: np.ndarray | float = 0.0
+    errors: PoseErrors, poses: PoseSet, over: PoseSet, variance: np.ndarray, more: np.ndarray | float = 0.0
 ) -> np.ndarray:
-    """Return errors (N,) in units of their standard deviation; variances (m,) hold at the median stated error."""
+    """Return errors (N,) in units of their standard deviation; variances (m,) hold at the median stated error of `over`."""
     m = len(variance)
     rows = errors.position if errors.rotation is None or m == 3 else np.hstack([errors.position, errors.rotation])
-    return np.sqrt(np.sum(rows**2 / (variance * poses.relative_errors(m) ** 2 + more), axis=1))
+    return np.sqrt(np.sum(rows**2 / (variance * poses.relative_errors(m, over) ** 2 + more), axis=1))
 
 
-def _robust(family: Family, poses: PoseSet, options: Options, model: str | None) -> GeometryFit:
+def fit_robustly(family: Family, poses: PoseSet, options: Options, model: str | None) -> GeometryFit:
     """Return a robust fit of the largest structure that the poses bear.
 
     Raises:
@@ -191,15 +218,21 @@ def _robust(family: Family, poses: PoseSet, options: Options, model: str | None)
     robust = replace(options, robust="biweight")
     specs = [family.spec(model)] if model and model != "auto" else []
     coupled = {a: own for a, own in specs[0].additions.items() if a == "coupling"} if specs else {}
+    frames = {"base_frame": family.can_have("base_frame")} if _can_place_each(poses) else {}
     specs += [Spec(s) for s in reversed(family.structures) if s != "paths"]
     fault: Exception | None = None
     for spec in specs:
         try:
-            return fit_spec(family, Spec(spec.structure, {**options.additions, **coupled}), poses, robust)
+            return fit_spec(family, Spec(spec.structure, {**options.additions, **coupled, **frames}), poses, robust)
         except (InputError, CannotAnswer) as error:
             fault = error
     assert fault is not None
     raise fault
+
+
+def _can_place_each(poses: PoseSet) -> bool:
+    """Tell whether there are campaigns, each with poses enough for a device frame of its own."""
+    return len(poses.campaigns) > 1 and np.bincount(poses.campaign, minlength=len(poses.campaigns)).min() > _MIN_POSES
 
 
 _SIGNIFICANCE_LEVEL = 1e-3  # of the Wald test, for each campaign's device and target
@@ -208,6 +241,9 @@ _MIN_GAIN_PERCENT = 20.0
 _MIN_POSES = 6  # poses; with fewer, the six numbers of a frame fit noise
 _RULES = DescentRules(20, small_step=1e-6, small_gain=0.0)
 """A turn by half a radian takes six steps; the last moves residuals by a millionth of the noise."""
+_UNDETERMINED_RATIO = (
+    4.0  # of variances: what the training poses leave open makes the standard error of an axis twice as large
+)
 _ALIKE = 10.0  # difference of twice the log-likelihoods below which device and target are not told apart
 
 
@@ -273,12 +309,16 @@ class _Fit(NamedTuple):
     columns: np.ndarray  # whitened, (N, m, p)
     residuals: np.ndarray  # whitened, (N, m)
     move: np.ndarray
-    cov: np.ndarray
+    cov: np.ndarray  # with what the training poses do not determine
+    determined: np.ndarray  # covariance without it
 
 
-def find_moved_frames(fitted: GeometryFit, holdout: PoseSet) -> list[MovedFrame]:
-    """Return for each campaign and target of the held-out poses the move that they ask for, if any."""
-    found, state = [], fitted.predict(holdout)
+def find_moved_frames(fitted: GeometryFit, holdout: PoseSet) -> tuple[list[MovedFrame], tuple[str, ...]]:
+    """Return for each campaign and target of the held-out poses the move that they ask for, and sentences.
+
+    A sentence names the directions along which the training poses do not determine a frame that seems to have moved.
+    """
+    found, said, state = [], [], fitted.predict(holdout)
     for campaign, target in np.unique(holdout.setup, axis=0):
         own = np.all(holdout.setup == (campaign, target), axis=1) & state.ok
         if own.sum() >= _MIN_POSES:
@@ -289,28 +329,37 @@ def find_moved_frames(fitted: GeometryFit, holdout: PoseSet) -> list[MovedFrame]
             )
             where += f", target {holdout.targets[target]}" if len(holdout.targets) > 1 else ""
             moved = _find_move(fitted, holdout, own, state.base.take(own), where)
-            found += [moved] if moved else []
-    return found
+            found += [moved] if isinstance(moved, MovedFrame) else []
+            said += [CodedWarning("frame_undetermined", moved)] if isinstance(moved, str) else []
+    return found, tuple(said)
 
 
-def _find_move(fitted: GeometryFit, holdout: PoseSet, own: np.ndarray, base: Poses, where: str) -> MovedFrame | None:
-    """Return the move of the device or the target of one set-up, the likelier one; None where neither is significant."""
+def _find_move(
+    fitted: GeometryFit, holdout: PoseSet, own: np.ndarray, base: Poses, where: str
+) -> MovedFrame | str | None:
+    """Return the move of the device or the target of one set-up, the likelier one; None where neither is significant.
+
+    A sentence instead where the training poses do not determine the frame well enough to compare it.
+    """
     poses = holdout.take(own)
     both = zip((fitted.frames.device, fitted.frames.tool), poses.setup[0], strict=True)
     start = DeviceFrames(*((frames[min(k, len(frames) - 1)],) for frames, k in both))
     m = 6 if poses.rotation is not None and fitted.geometry.orients else 3
-    sigma = poses.relative_errors(m) * np.repeat(np.array(fitted.noise)[: m // 3], 3)
+    sigma = poses.relative_errors(m, fitted.poses) * np.repeat(np.array(fitted.noise)[: m // 3], 3)
     before = _compute_residuals(start, poses, base, sigma)
     owners = ("device", "target") if fitted.geometry.orients else ("device",)
     fits = {owner: _fit_move(owner, start, fitted, poses, base, sigma) for owner in owners}
     sizes = {owner: float(np.sum(fit.residuals**2)) for owner, fit in fits.items()}
     owner = min(sizes, key=lambda o: sizes[o])
     fit = fits[owner]
-    p_value = float(stats.chi2.sf(fit.move @ np.linalg.pinv(fit.cov) @ fit.move, len(fit.move)))
+    p_value, p_determined = (_test_move(fit.move, cov) for cov in (fit.cov, fit.determined))
+    level = _SIGNIFICANCE_LEVEL / len(owners)
     after = _leave_out_each(fit)
     gain = compare_paired(_as_errors(before * sigma, poses), _as_errors(after * sigma, poses))
-    if not p_value < _SIGNIFICANCE_LEVEL / len(owners) or not gain.percent > _MIN_GAIN_PERCENT:
+    if not gain.percent > _MIN_GAIN_PERCENT or not p_determined < level:
         return None
+    if not p_value < level:
+        return _describe_undetermined(owner, fit, where)
     near = [o for o in owners if o != owner and before.size * np.log(sizes[o] / max(sizes[owner], 1e-300)) < _ALIKE]
     error = np.sqrt(np.maximum(np.diag(fit.cov), 0.0))
     move = tuple(
@@ -319,6 +368,23 @@ def _find_move(fitted: GeometryFit, holdout: PoseSet, own: np.ndarray, base: Pos
     )
     pair = [(f.device if owner == "device" else f.tool)[0] for f in (start, fit.frames)]
     return MovedFrame(owner, near[0] if near else "", where, move, gain, own, *pair)
+
+
+def _test_move(move: np.ndarray, cov: np.ndarray) -> float:
+    """Return the p-value of a move (p,) by Wald's test, in units in which its entries are equally uncertain."""
+    size = np.sqrt(np.maximum(np.diag(cov), 1e-300))
+    scaled = cov / np.outer(size, size)
+    return float(stats.chi2.sf((move / size) @ np.linalg.pinv(scaled, hermitian=True) @ (move / size), len(move)))
+
+
+def _describe_undetermined(owner: str, fit: _Fit, where: str) -> str:
+    """Return the sentence of a frame that cannot be compared, with the axes along which it is undetermined."""
+    ratio = np.diag(fit.cov) / np.maximum(np.diag(fit.determined), 1e-300)
+    axes = [axis for axis, r in zip(AXES, ratio, strict=False) if r > _UNDETERMINED_RATIO] or list(AXES[: len(ratio)])
+    return (
+        f"{where}: the {owner} cannot be compared with where it was along {', '.join(axes)}: the training poses do not determine "
+        "it there, so a move and wrong dimensions look alike; train on poses that turn every joint"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -376,8 +442,11 @@ def _fit_move(
     inverse = np.linalg.pinv(columns.reshape(-1, free))
     by_parameters = inverse @ _compute_prediction_columns(fitted, poses, base, sigma)
     scale = max(1.0, float(np.sum(residuals**2)) / max(residuals.size - free, 1))
-    cov = scale * inverse @ inverse.T + by_parameters @ fitted.cov @ by_parameters.T
-    return _Fit(frames, columns, residuals, move[:free], cov)
+    determined, cov = (
+        scale * inverse @ inverse.T + by_parameters @ known @ by_parameters.T
+        for known in (fitted.cov, fitted.prediction_cov)
+    )
+    return _Fit(frames, columns, residuals, move[:free], cov, determined)
 
 
 def _compute_residuals(frames: DeviceFrames, poses: PoseSet, base: Poses, sigma: np.ndarray) -> np.ndarray:

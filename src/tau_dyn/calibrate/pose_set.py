@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tau_dyn.calibrate.pose_columns import ANGLES, name_pose_columns, read_angles
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import ColumnMap, Table, compute_mapped_columns, format_names, read_table
 from tau_dyn.mechanism import Poses
@@ -22,6 +23,7 @@ ROTATION_STDERR = "rot_tool_stderr"
 QUATERNION = ("qx_tool", "qy_tool", "qz_tool", "qw_tool")
 _MAX_JOINT_DIFFERENCE = 1e-6  # [rad or m]; encoders of a standing robot repeat far better
 _MAX_COORDINATE_M = 1e3  # [m] from the device; farther is a file in mm
+_MAX_ROOM_M = 50.0  # [m] from the device in most rows; farther, single far rows are no slips but all rows are in mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +42,8 @@ class PoseSet(Brief):
         approach: From which side each actuated joint came (N, na): +1, -1, or 0 where nobody knows.
         position_stderr: Standard errors of the measured coordinates (N, 3) [m], None where none are stated.
         rotation_stderr: Of the measured orientation about each axis (N,) [rad], None where none are stated.
+        angles: Three numbers of the orientation as written (N, 3), which `rotation` takes for rotation vectors; None where four
+            numbers or none are given.
         source: File, for messages.
         sha256: Hash of the file, '' where there is none.
         warnings: What was doubtful.
@@ -56,6 +60,7 @@ class PoseSet(Brief):
     approach: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     position_stderr: np.ndarray | None = None
     rotation_stderr: np.ndarray | None = None
+    angles: np.ndarray | None = None
     source: str = "poses"
     sha256: str = ""
     warnings: tuple[str, ...] = ()
@@ -91,11 +96,11 @@ class PoseSet(Brief):
 
     @property
     def configuration(self) -> np.ndarray:
-        """Which poses have the same joint positions, such as several targets seen from one or repeats (N,), from 0 in order."""
-        _, first, group = np.unique(
-            np.round(self.q / _MAX_JOINT_DIFFERENCE), axis=0, return_index=True, return_inverse=True
-        )
-        return np.argsort(np.argsort(first))[group.ravel()]
+        """Which poses have the same joint positions, such as several targets seen from one or repeats (N,), from 0.
+
+        Numbered by the positions, so that parts drawn of them do not depend on the order of rows.
+        """
+        return np.unique(np.round(self.q / _MAX_JOINT_DIFFERENCE), axis=0, return_inverse=True)[1].ravel()
 
     @property
     def setup(self) -> np.ndarray:
@@ -122,15 +127,21 @@ class PoseSet(Brief):
             approach=self.approach[index],
             position_stderr=None if self.position_stderr is None else self.position_stderr[index],
             rotation_stderr=None if self.rotation_stderr is None else self.rotation_stderr[index],
+            angles=None if self.angles is None else self.angles[index],
         )
 
-    def relative_errors(self, m: int) -> np.ndarray:
-        """Return stated standard errors (N, m) over their median, position before orientation; ones where none are stated."""
-        out = np.ones((self.n, m))
-        if self.position_stderr is not None:
-            out[:, :3] = self.position_stderr / np.median(self.position_stderr)
-        if self.rotation_stderr is not None and m > 3:
-            out[:, 3:] = (self.rotation_stderr / np.median(self.rotation_stderr))[:, None]
+    def relative_errors(self, m: int, over: PoseSet | None = None) -> np.ndarray:
+        """Return stated standard errors (N, m) over their median, position before orientation; ones where none are stated.
+
+        Args:
+            m: Numbers of a pose, 3 or 6.
+            over: Poses whose medians count, such as those that a noise was estimated of; these unless given.
+        """
+        out, known = np.ones((self.n, m)), self if over is None else over
+        if self.position_stderr is not None and known.position_stderr is not None:
+            out[:, :3] = self.position_stderr / np.median(known.position_stderr)
+        if self.rotation_stderr is not None and known.rotation_stderr is not None and m > 3:
+            out[:, 3:] = (self.rotation_stderr / np.median(known.rotation_stderr))[:, None]
         return out
 
     def without_rotation(self) -> PoseSet:
@@ -189,6 +200,7 @@ def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
         approach=np.concatenate([s.approach for s in sets]),
         position_stderr=_join_stated([s.position_stderr for s in sets]),
         rotation_stderr=_join_stated([s.rotation_stderr for s in sets]),
+        angles=_join_stated([s.angles for s in sets]),
         source=", ".join(s.source for s in sets),
         warnings=tuple(w for s in sets for w in s.warnings),
     )
@@ -215,9 +227,11 @@ def read_poses(
 ) -> PoseSet:
     """Read measured poses from CSV or Parquet, with the columns `q_J`, `x_tool y_tool z_tool` and maybe `qx_tool` .. `qw_tool`.
 
-    `x_tool_stderr` .. `z_tool_stderr` [m] and `rot_tool_stderr` [rad] are standard errors that weigh the poses; a zero counts
-    as the smallest of its column above zero. A column `campaign` tells measuring campaigns apart, a column `target` the
-    targets on the tool; the signs of `v_J` tell from which side a joint came, and without them the order of the file does.
+    Without a quaternion `rx_tool ry_tool rz_tool` are a rotation vector or three angles; other usual names are read, with a
+    warning (`pose_columns.py`). `x_tool_stderr` .. `z_tool_stderr` [m] and `rot_tool_stderr` [rad] are standard errors that
+    weigh the poses; a zero counts as the smallest of its column above zero. A column `campaign` tells measuring campaigns apart,
+    a column `target` the targets on the tool; the signs of `v_J` tell from which side a joint came, and without them the order
+    of the file does.
 
     Args:
         path: File.
@@ -232,17 +246,18 @@ def read_poses(
     if columns is not None:
         table = _rename_columns(table, columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns))
     table = _follow_mimics(table, mimics or {})
+    table = name_pose_columns(table, actuated)
     _check_columns(table, actuated)
     q = np.column_stack([_numbers(table, f"q_{joint}") for joint in actuated])
     position = np.column_stack([_numbers(table, name) for name in POSITION])
-    _check_units(table, position)
     campaign, campaigns = _number_words(table, "campaign")
     target, targets = _number_words(table, "target")
     (stated, said), (turned, more) = _read_stated(table, STDERRS), _read_stated(table, (ROTATION_STDERR,))
-    return PoseSet(
+    rotation, angles, how = read_angles(table) if _has_angles(table) else (_rotations(table), None, "")
+    poses = PoseSet(
         q=q,
         position=position,
-        rotation=_rotations(table),
+        rotation=rotation,
         names=tuple(table.where(k) for k in range(table.n_rows)),
         campaign=campaign,
         campaigns=campaigns,
@@ -251,10 +266,19 @@ def read_poses(
         approach=_approach(table, actuated, q),
         position_stderr=stated,
         rotation_stderr=None if turned is None else turned[:, 0],
+        angles=angles,
         source=table.name,
         sha256=table.sha256,
-        warnings=(*table.warnings, *said, *more),
+        warnings=(
+            *table.warnings,
+            *([CodedWarning("columns_read", f"{table.name}: {how}")] if how else []),
+            *said,
+            *more,
+        ),
     )
+    if np.median(np.abs(position).max(axis=1)) < _MAX_ROOM_M:  # else the whole file has another unit
+        check_units(poses)
+    return poses
 
 
 def _rename_columns(table: Table, map_: ColumnMap) -> Table:
@@ -287,7 +311,8 @@ def _check_columns(table: Table, actuated: Sequence[str]) -> None:
             "missing_column",
             f"{table.name} has no column {format_names(missing)}; calibration poses need {format_names(wanted)} "
             f"and, where the orientation "
-            f"was measured, {format_names(QUATERNION)}; it has {format_names(table.cells)}",
+            f"was measured, {format_names(QUATERNION)}, or a rotation vector or Euler angles {format_names(ANGLES)}; "
+            f"it has {format_names(table.cells)}",
         )
     some = [name for name in QUATERNION if name in table.cells]
     if some and len(some) < 4:
@@ -344,13 +369,23 @@ def _numbers(table: Table, name: str) -> np.ndarray:
     return values
 
 
-def _check_units(table: Table, position: np.ndarray) -> None:
-    far = np.abs(position).max(axis=1)
+def check_units(poses: PoseSet) -> None:
+    """Refuse positions that no device measures in m.
+
+    Raises:
+        InputError: Names the farthest pose.
+    """
+    far = np.abs(poses.position).max(axis=1)
     if np.any(far > _MAX_COORDINATE_M):
         k = int(np.argmax(far))
         raise InputError(
-            "wrong_unit", f"{table.where(k)}: the tool is {far[k]:.0f} m from the device; positions are in m, not in mm"
+            "wrong_unit", f"{poses.names[k]}: the tool is {far[k]:.0f} m from the device; positions are in m, not in mm"
         )
+
+
+def _has_angles(table: Table) -> bool:
+    """Tell whether orientations are three numbers; a quaternion goes first."""
+    return QUATERNION[0] not in table.cells and all(name in table.cells for name in ANGLES)
 
 
 def _rotations(table: Table) -> np.ndarray | None:

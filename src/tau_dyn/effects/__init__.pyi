@@ -10,6 +10,7 @@ from .catalogue import (
     register as register,
 )
 from .causes import (
+    CONVENTIONS as CONVENTIONS,
     GEOMETRY_CAUSES as GEOMETRY_CAUSES,
     LOOP_CAUSES as LOOP_CAUSES,
     PARAMETER_CAUSES as PARAMETER_CAUSES,

@@ -17,7 +17,20 @@ PARAMETER_CAUSES = {
     "force_scale": "tau_log = force_scale tau, of one joint",
 }
 """Causes that only a trusted nominal value shows, with their equations; `drive_gain` is an effect, too."""
+CONVENTIONS = {
+    "joint_sign": "q_real = -q",
+    "joint_zero": "q_real = q + k pi / 2",
+    "columns_exchanged": "two columns of joints or of x, y, z are exchanged",
+    "joint_unit": "q in degrees or millimetres",
+    "axis_sign": "x, y or z has the opposite sign of the orientation's axes",
+    "position_unit": "x, y, z in mm, cm or inch",
+    "quaternion_order": "quaternion w x y z, or three angles in another order",
+    "inverse_poses": "the device in the target's frame, X_m = X^-1",
+    "row_shift": "joints of row k belong to the pose of row k + n",
+}
+"""Conventions of a pose file that `calibrate` names and applies, with their equations: they have no parameter to fit."""
 GEOMETRY_CAUSES = {
+    **CONVENTIONS,
     "rod_length": "|A - B| = L + dL",
     "joint_placement": "A or B displaced by a constant in its link's frame",
     "guideway_nonparallel": "A = A_0 + q v_i, v_i different for each guideway",
@@ -28,7 +41,7 @@ GEOMETRY_CAUSES = {
     "guideway_compliance": "A displaced by guideway_compliance F across, drive_compliance F along the guideway, F the rods' pull",
     "backlash": "q_real = q - backlash / 2 sign of the approach",
     "joint_coupling": "q_real = q + coupling q_other",
-    "gravity_deflection": "q_real = q + gravity_compliance tau(q) + load_deflection tau_1(q), tau_1 of 1 kg at the tool",
+    "gravity_deflection": "q_real = q + gravity_compliance tau(q) + load_deflection tau_1(q), tau by gravity, tau_1 on 1 kg",
     "joint_eccentricity": "q_real = q + eccentricity_sin sin(q) + eccentricity_cos cos(q)",
     "tool_frame": "the target sits elsewhere on the tool in another campaign",
     "device_moved": "the device stood elsewhere when the held-out poses were measured",

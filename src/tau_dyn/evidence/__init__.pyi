@@ -106,11 +106,13 @@ from .readings import (
     ReadingFit as ReadingFit,
     ReadingTest as ReadingTest,
     compute_zero_mean_nats as compute_zero_mean_nats,
+    find_equivalent as find_equivalent,
     is_hopeless as is_hopeless,
     is_part_missing as is_part_missing,
     is_preferred_in_each_half as is_preferred_in_each_half,
     permits_size as permits_size,
     permits_speed_scale as permits_speed_scale,
+    prefer_reading as prefer_reading,
 )
 from .result import (
     Choice as Choice,

@@ -219,3 +219,33 @@ def compute_zero_mean_nats(mean: np.ndarray, expected: np.ndarray, size: np.ndar
     least = np.maximum(np.abs(mean), ROUNDING_SHARE * size)
     nats = np.log(np.maximum(np.abs(expected) / least, 1.0))
     return np.where(np.abs(expected) > MIN_MEAN_SHARE * size, nats, 0.0)
+
+
+MAX_ERROR_LEFT = 0.3
+"""Error with the right reading over that as written: effects of a machine's own size seldom take more than two thirds."""
+_READING_LEVEL = 1e-3
+"""Share of the likelihood of all readings that the one as written may keep; of findings that need no held-out part."""
+_EQUAL_ERRORS = 1e-3
+"""Relative difference of errors below which two readings are one: equivalent conventions differ by iteration only."""
+
+
+def prefer_reading(errors: Sequence[float], n_numbers: int) -> bool:
+    """Return whether the best reading of a pose file replaces the first, the one as written.
+
+    Readings of poses fit the same parameters, so their maximum log-likelihoods `-n log(error)` are compared directly. Misfits of a
+    model that is wrong in other ways are similar between measurements, so the error has to fall by a factor as well. Reference:
+    Burnham & Anderson 2002, 2.2.
+
+    Args:
+        errors: Error level of each reading, the one as written first.
+        n_numbers: Numbers that each was compared at.
+    """
+    best = min(errors)
+    if not best < MAX_ERROR_LEFT * errors[0]:
+        return False
+    return n_numbers * np.log(errors[0] / max(best, 1e-300)) > np.log(len(errors) / _READING_LEVEL)
+
+
+def find_equivalent(errors: Sequence[float]) -> np.ndarray:
+    """Return the indices of readings that the data do not distinguish from the best one."""
+    return np.flatnonzero(np.asarray(errors) <= (1 + _EQUAL_ERRORS) * min(errors))

@@ -21,6 +21,7 @@ and `current` [A] are a motor's, `pwm` its share of the supply."""
 TOOL_COLUMNS = (
     "x_tool", "y_tool", "z_tool",
     "qx_tool", "qy_tool", "qz_tool", "qw_tool",
+    "rx_tool", "ry_tool", "rz_tool",
     "ax_tool", "ay_tool", "az_tool",
 )  # fmt: skip
 """Tool position [m], orientation quaternion and acceleration [m/s^2]."""

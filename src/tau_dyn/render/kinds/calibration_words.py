@@ -53,6 +53,15 @@ CAUSES = {
     "base_frame": "The base moved between campaigns",
     "device_moved": "The device moved before the held-out poses",
     "target_moved": "The target moved before the held-out poses",
+    "joint_sign": "The file counts the joint the other way (sign)",
+    "joint_zero": "The joint's zero is a quarter turn or a half turn away",
+    "columns_exchanged": "Columns of the pose file are exchanged",
+    "joint_unit": "Joint positions are in another unit",
+    "axis_sign": "An axis of the positions has the opposite sign",
+    "position_unit": "Positions are in another unit than m",
+    "quaternion_order": "The quaternion's order is w x y z",
+    "inverse_poses": "The poses or orientations are inverse",
+    "row_shift": "Joints and poses are shifted by rows",
 }
 """Causes as sentences."""
 

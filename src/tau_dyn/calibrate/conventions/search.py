@@ -1,0 +1,206 @@
+"""The reading of a pose file with which the robot file fits: found without parameters, then applied and named.
+
+The robot file's dimensions, with device and targets placed in closed form, are compared at every reading of one cause; where
+none is enough, the best are combined. A reading is taken if the likelihood prefers it (`evidence`) and the robot file then misses
+the poses by no more than a machine is built off its drawing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tau_dyn.calibrate.conventions.readings import Reading, apply_reading, list_readings
+from tau_dyn.calibrate.conventions.rigid_fit import UNREACHED, Misfit, measure_misfit
+from tau_dyn.calibrate.crossvalidation import CrossValidationGain
+from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.evidence import find_equivalent, prefer_reading
+from tau_dyn.exceptions import TauDynError
+from tau_dyn.message_codes import CodedWarning
+
+_BUILT_POSITION = 0.01
+"""Rms position error over the spread of the tool below which a file is read as it is written: an arm out of the box has 0.002."""
+_BUILT_ROTATION = 0.02
+"""Rms orientation error [rad] below which the same is true."""
+_PLAUSIBLE_POSITION = 0.05
+"""Rms position error over the spread of the tool up to which dimensions explain it: joints 20 mrad off move a tool so far."""
+_PLAUSIBLE_ROTATION = 0.1
+"""Rms orientation error [rad] up to which the same is true: six joints 40 mrad off."""
+_MAX_CAUSES = 3
+"""Causes in one file; more are another file's."""
+_BRANCHES = 3
+"""Best readings that are combined with every further cause."""
+_MAX_POSES = 60
+"""Poses that the readings are compared at; more do not tell them apart better."""
+_FIRST_POSES = 8
+"""Poses that are computed first: a robot with loops that reaches fewer than half of them is not asked for the others."""
+_DRAWS = 200
+"""Bootstrap draws of a gain's interval; orders of magnitude need no finer ends."""
+_LIMIT_MARGIN = 0.05
+"""Distance beyond a joint's limit [rad or m] that counts as within it."""
+
+
+@dataclass(frozen=True, eq=False)
+class FoundReading:
+    """How a file is meant.
+
+    Attributes:
+        reading: Changes, in order; none where the file is read as it is written.
+        alike: Readings that such poses do not tell from it.
+        written: Misfit as the file is written.
+        meant: Misfit as it is meant.
+        n_tried: Readings that were compared.
+    """
+
+    reading: Reading
+    alike: tuple[Reading, ...]
+    written: Misfit
+    meant: Misfit
+    n_tried: int
+
+    def apply(self, poses: PoseSet) -> PoseSet:
+        """Return poses as the file means them."""
+        return apply_reading(self.reading, poses)
+
+    def compute_gain(self, seed: int = 0) -> CrossValidationGain:
+        """Return what it gains, with the robot file's dimensions; the interval is by bootstrap over poses."""
+        p_value = float(np.exp(-self.meant.n_numbers * np.log(self.written.value / max(self.meant.value, 1e-300))))
+        rng = np.random.default_rng(seed)
+        if not np.isfinite(self.written.value):
+            ends = (100.0, 100.0)
+        else:
+            ratios = [_redraw(self.meant, rng) / _redraw(self.written, rng) for _ in range(_DRAWS)]
+            low, high = np.percentile(ratios, [2.5, 97.5])
+            ends = (100 * (1 - float(high)), 100 * (1 - float(low)))
+        percent = 100 * (1 - self.meant.value / self.written.value)
+        turned = (self.written.rotation, self.meant.rotation) if self.written.rotation is not None else (None, None)
+        return CrossValidationGain(
+            self.written.position, self.meant.position, percent, ends, min(1.0, p_value * self.n_tried), *turned
+        )
+
+    def describe(self, source: str) -> str:
+        """Return it as a sentence."""
+        said = "; ".join(change.words for change in self.reading)
+        others = [" and ".join(c.words for c in one) for one in self.alike[:3]]
+        alike = f"; the same poses also mean that {' or that '.join(others)}" if others else ""
+        return CodedWarning(
+            "poses_reread",
+            f"{source}: {said}; the robot file misses the poses by {_describe(self.meant)} with that and by "
+            f"{_describe(self.written)} as written, so they are read so{alike}",
+        )
+
+
+def _redraw(misfit: Misfit, rng: np.random.Generator) -> float:
+    """Return the misfit's value at poses drawn with replacement."""
+    index = rng.integers(0, len(misfit.distances), len(misfit.distances))
+    angles = None if misfit.angles is None else misfit.angles[index]
+    return Misfit.of(misfit.distances[index], angles, misfit.spread, misfit.unit).value
+
+
+def _describe(misfit: Misfit) -> str:
+    if not np.isfinite(misfit.position):
+        return "more than its reach"
+    turned = "" if misfit.rotation is None else f" and {1e3 * misfit.rotation:.3g} mrad"
+    return f"{1e3 * misfit.position:.3g} mm{turned}"
+
+
+class _Search:
+    """Misfits of readings, each computed once."""
+
+    def __init__(self, geometry: Geometry, poses: PoseSet) -> None:
+        self.geometry, self.poses = geometry, poses
+        self.known: dict[frozenset[int], Misfit] = {}
+
+    def measure(self, reading: Reading) -> Misfit:
+        """Return the misfit of a reading."""
+        key = frozenset(id(change) for change in reading)
+        if key not in self.known:
+            poses = apply_reading(reading, self.poses)
+            step = -(-poses.n // _MAX_POSES)
+            poses = poses.take(np.arange(0, poses.n, step)) if step > 1 else poses
+            try:
+                unit = float(np.prod([change.unit for change in reading]))
+                self.known[key] = self._measure(poses)._replace(unit=unit)
+            except (TauDynError, np.linalg.LinAlgError):
+                self.known[key] = UNREACHED
+        return self.known[key]
+
+    def _measure(self, poses: PoseSet) -> Misfit:
+        """Return the misfit of poses as they are meant."""
+        theta = self.geometry.parameters.values
+        first = self.geometry.forward(theta, poses.q[:_FIRST_POSES])
+        if 2 * first.ok.sum() < len(first.ok):
+            return UNREACHED
+        found = self.geometry.forward(theta, poses.q)
+        return measure_misfit(poses, found.poses, found.ok, turns=self.geometry.orients)
+
+
+def find_reading(
+    geometry: Geometry, poses: PoseSet, limits: tuple[np.ndarray, np.ndarray], fit: Callable[[PoseSet], float]
+) -> FoundReading | None:
+    """Return how a file is meant, None where it is read as it is written.
+
+    Args:
+        geometry: The robot with its file's dimensions.
+        poses: Poses as written.
+        limits: Lower and upper limits of the joints (na,).
+        fit: Returns the error level that the robot's dimensions leave of poses; asked where dimensions may explain the misfit.
+    """
+    search = _Search(geometry, poses)
+    written = search.measure(())
+    if _is_below(written, _BUILT_POSITION, _BUILT_ROTATION):
+        return None
+    single = list_readings(poses, geometry.actuated, geometry.position_units, turns=geometry.orients)
+    best, last = [((), written)], [((), written)]
+    for _ in range(_MAX_CAUSES):
+        grown = {frozenset(map(id, r)): r for base, _ in last for more in single if (r := _join(base, more))}
+        single = [reading for reading in single if len(reading) == 1]
+        ranked = sorted(((r, search.measure(r)) for r in grown.values()), key=lambda one: one[1].value)
+        best, last = [*best, *ranked], ranked[:_BRANCHES]
+        enough = last and _is_below(last[0][1], _PLAUSIBLE_POSITION, _PLAUSIBLE_ROTATION)
+        if not last or enough or _is_below(written, _PLAUSIBLE_POSITION, _PLAUSIBLE_ROTATION):
+            break
+    return _decide(search, best, limits, fit)
+
+
+def _join(base: Reading, more: Reading) -> Reading | None:
+    """Return a reading with more changes, None where it has one of their places already."""
+    places = {change.place for change in base}
+    return None if any(change.place in places for change in more) else (*base, *more)
+
+
+def _is_below(misfit: Misfit, position: float, rotation: float) -> bool:
+    """Tell whether a misfit is within a share of the spread and an angle [rad]."""
+    return misfit.position <= position * misfit.spread and (misfit.rotation is None or misfit.rotation <= rotation)
+
+
+def _decide(
+    search: _Search,
+    tried: list[tuple[Reading, Misfit]],
+    limits: tuple[np.ndarray, np.ndarray],
+    fit: Callable[[PoseSet], float],
+) -> FoundReading | None:
+    """Return the preferred one of the readings that were tried, the one as written first; None where that stays."""
+    written = tried[0][1]
+    errors = [misfit.value for _, misfit in tried]
+    equal = [tried[k] for k in find_equivalent(errors)]
+    reading, meant = min(equal, key=lambda one: _rank(search.poses, one[0], limits))
+    n = meant.n_numbers
+    if not reading or not prefer_reading(errors, n) or not _is_below(meant, _PLAUSIBLE_POSITION, _PLAUSIBLE_ROTATION):
+        return None
+    if _is_below(written, _PLAUSIBLE_POSITION, _PLAUSIBLE_ROTATION):
+        refitted = [fit(search.poses), fit(apply_reading(reading, search.poses))]
+        if not prefer_reading(refitted, n):
+            return None
+    alike = [r for r, _ in equal if r is not reading and len(r) <= max(len(reading), 2)]
+    return FoundReading(reading, tuple(alike), written, meant, len(tried))
+
+
+def _rank(poses: PoseSet, reading: Reading, limits: tuple[np.ndarray, np.ndarray]) -> tuple[int, int]:
+    """Return how far-fetched a reading is: positions beyond the joints' limits, then its number of changes."""
+    q = apply_reading(reading, poses).q
+    beyond = int(np.sum((q < limits[0] - _LIMIT_MARGIN) | (q > limits[1] + _LIMIT_MARGIN)))
+    return len(reading), beyond

@@ -1,0 +1,160 @@
+"""Conventions of a pose file are found without parameters, named, and applied; sound files are read as written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tau_dyn.calibrate import PoseSet, calibrate, read_poses
+from tau_dyn.calibrate.conventions import FoundReading, find_reading
+from tau_dyn.calibrate.models import TreeFamily, get_family
+from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
+from tau_dyn.calibrate.tree_geometry import build_tree_geometry
+from tau_dyn.message_codes import get_code
+from tau_dyn.robot import Robot, load_robot_from_urdf
+
+NOISE = (1e-4, 3e-4)
+LIMITS = (np.full(4, -3.0), np.full(4, 3.0))
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    """Return an arm of four turning joints, none of whose axes meet at right angles."""
+    rows = ['<robot name="four"><link name="l0_link"/>']
+    places = (("0 0 0.4", "0 0 0"), ("0.1 0 0", "1.4 0.2 0"), ("0.5 0 0.05", "0.1 0.3 0"), ("0.35 0.05 0", "0.2 1.3 0"))
+    for k, (xyz, rpy) in enumerate(places):
+        rows.append(
+            f'<link name="l{k + 1}_link"/><joint name="j{k + 1}" type="revolute"><origin xyz="{xyz}" rpy="{rpy}"/>'
+            f'<parent link="l{k}_link"/><child link="l{k + 1}_link"/><axis xyz="0 0 1"/>'
+            '<limit lower="-3" upper="3" velocity="2" effort="90"/></joint>'
+        )
+    rows.append('<link name="tool"/><joint name="flange" type="fixed"><origin xyz="0.2 0.02 0.05"/>')
+    return load_robot_from_urdf("".join(rows) + '<parent link="l4_link"/><child link="tool"/></joint></robot>', "four")
+
+
+def measure(robot: Robot, seed: int, n: int = 40, *, size: float = 3e-3, turned: bool = True) -> PoseSet:
+    """Return poses of an arm built 3 mm and 3 mrad off its file."""
+    rng, arm = np.random.default_rng(seed), build_tree_geometry(robot)
+    theta = arm.parameters.values + size * rng.standard_normal(len(arm.parameters)) * arm.parameters.free
+    return simulate_poses(arm, theta, rng.uniform(-1.3, 1.3, (n, 4)), rng, noise=NOISE, frames=TRACKER, turned=turned)
+
+
+def search(robot: Robot, poses: PoseSet) -> FoundReading | None:
+    """Return the reading that is found, with a fit that may not be asked."""
+    family = get_family(robot, poses)
+    assert isinstance(family, TreeFamily)
+    return find_reading(
+        family.build(family.spec("frames")), poses, LIMITS, lambda _: pytest.fail("dimensions were fitted")
+    )
+
+
+def _exchange(poses: PoseSet) -> PoseSet:
+    return replace(poses, q=poses.q[:, [0, 2, 1, 3]])
+
+
+def _invert(poses: PoseSet) -> PoseSet:
+    assert poses.rotation is not None
+    back = np.swapaxes(poses.rotation, 1, 2)
+    return replace(poses, rotation=back, position=-np.einsum("nij,nj->ni", back, poses.position))
+
+
+def _roll(poses: PoseSet) -> PoseSet:
+    assert poses.rotation is not None
+    wxyz = np.roll(Rotation.from_matrix(poses.rotation).as_quat(), 1, axis=1)
+    return replace(poses, rotation=Rotation.from_quat(wxyz).as_matrix())
+
+
+WRONG: dict[str, tuple[Callable[[PoseSet], PoseSet], tuple[str, ...]]] = {
+    "joint_sign": (lambda p: replace(p, q=p.q * [1, 1, -1, 1]), ("j3",)),
+    "joint_zero": (lambda p: replace(p, q=p.q + [0, np.pi / 2, 0, 0]), ("j2",)),
+    "columns_exchanged": (_exchange, ("j2", "j3")),
+    "joint_unit": (lambda p: replace(p, q=np.rad2deg(p.q)), ()),
+    "position_unit": (lambda p: replace(p, position=1e3 * p.position), ()),
+    "axis_sign": (lambda p: replace(p, position=p.position * [1, 1, -1]), ()),
+    "quaternion_order": (_roll, ()),
+    "inverse_poses": (_invert, ()),
+    "row_shift": (lambda p: replace(p.take(np.arange(p.n - 1)), q=p.q[1:], approach=p.approach[1:]), ()),
+}
+"""What a file may do, and the joints that are named for it."""
+
+
+@pytest.mark.parametrize("cause", WRONG)
+def test_a_wrong_convention_is_named(robot, cause: str):
+    """The robot file misses the poses by half its reach as they are written, and by millimetres as they are meant."""
+    spoil, joints = WRONG[cause]
+    found = search(robot, spoil(measure(robot, 1)))
+    assert found is not None
+    assert [(change.cause, change.joints) for change in found.reading] == [(cause, joints)]
+    assert found.meant.position < 0.02 and found.meant.value < 0.1 * found.written.value
+
+
+def test_two_wrong_conventions_are_named_together(robot):
+    """Degrees and millimetres in one table: neither alone makes the robot fit."""
+    poses = measure(robot, 2)
+    found = search(robot, replace(poses, q=np.rad2deg(poses.q), position=1e3 * poses.position))
+    assert found is not None and {change.cause for change in found.reading} == {"joint_unit", "position_unit"}
+
+
+def test_positions_alone_show_a_sign(robot):
+    """A target anywhere on the tool, without orientations."""
+    poses = measure(robot, 3, turned=False)
+    found = search(robot, replace(poses, q=poses.q * [1, -1, 1, 1]))
+    assert found is not None and [c.joints for c in found.reading] == [("j2",)]
+
+
+@pytest.mark.parametrize("turned", [True, False])
+def test_sound_files_are_read_as_written(robot, turned: bool):
+    """Twenty arms 3 mm and 3 mrad off their file: no reading is proposed."""
+    assert [k for k in range(20) if search(robot, measure(robot, k, turned=turned))] == []
+
+
+def test_an_arm_far_off_its_file_is_read_as_written(robot):
+    """20 mrad in every angle miss the poses by per cents of the reach, as no convention does."""
+    poses = measure(robot, 5, size=2e-2)
+    family = get_family(robot, poses)
+    assert find_reading(family.build(family.spec("frames")), poses, LIMITS, lambda _: 1.0) is None
+
+
+def test_the_geometry_is_fitted_as_the_file_is_meant(robot):
+    """A reversed joint costs no accuracy, no other cause is confirmed, and held-out poses are read alike."""
+    poses = measure(robot, 6, 80)
+    wrong = replace(poses, q=poses.q * [1, 1, -1, 1])
+    found = calibrate(robot, wrong.take(np.arange(50)), wrong.take(np.arange(50, 80)))
+    causes = [(f.cause, f.joints, f.status) for f in found.findings if f.cause != "joint_placement"]
+    assert causes == [("joint_sign", ("j3",), "confirmed")]
+    assert found.errors(found.chosen).position_size.rms < 2.5 * NOISE[0] and "poses_reread" in map(
+        get_code, found.warnings
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "sequence", "unit"),
+    [
+        ("rx,ry,rz", "", 1.0),
+        ("roll,pitch,yaw", "xyz", 1.0),
+        ("w,p,r", "xyz", 57.29577951308232),
+        ("rx,ry,rz", "XYZ", 1.0),
+    ],
+)
+def test_three_angles_are_read(robot, tmp_path, names: str, sequence: str, unit: float):
+    """Rotation vectors, roll pitch yaw, degrees, and an order of axes that no name gives."""
+    poses = measure(robot, 7)
+    assert poses.rotation is not None
+    turned = Rotation.from_matrix(poses.rotation)
+    angles = unit * (turned.as_euler(sequence) if sequence else turned.as_rotvec())
+    head = ",".join([f"q_j{k + 1}" for k in range(4)] + ["x_mm,y_mm,z_mm", names])
+    np.savetxt(
+        tmp_path / "p.csv", np.c_[poses.q, 1e3 * poses.position, angles], delimiter=",", header=head, comments=""
+    )
+    read = read_poses(tmp_path / "p.csv", robot.actuated)
+    found = search(robot, read)
+    read = read if found is None else found.apply(read)
+    assert read.rotation is not None and "columns_read" in map(get_code, read.warnings)
+    assert read.rotation == pytest.approx(poses.rotation, abs=1e-6) and read.position == pytest.approx(
+        poses.position, abs=1e-9
+    )
+    assert (found is not None) == (sequence == "XYZ")
