@@ -232,8 +232,8 @@ _EQUAL_ERRORS = 1e-3
 def prefer_reading(errors: Sequence[float], n_numbers: int) -> bool:
     """Return whether the best reading of a pose file replaces the first, the one as written.
 
-    Readings of poses fit the same parameters, so their maximum log-likelihoods `-n log(error)` are compared directly. Misfits of a
-    model that is wrong in other ways are similar between measurements, so the error has to fall by a factor as well. Reference:
+    Readings of poses fit the same parameters, so their maximum log-likelihoods `-n log(error)` are compared directly. Misfits of
+    a model that is wrong in other ways are similar between measurements, so the error has to fall by a factor as well. Reference:
     Burnham & Anderson 2002, 2.2.
 
     Args:

@@ -10,7 +10,6 @@ from .column_names import (
 )
 from .column_proposal import ColumnProposal as ColumnProposal, propose_columns as propose_columns
 from .data_integrity import list_data_warnings as list_data_warnings, mend_log as mend_log
-from .decimating_filter import lowpass_and_decimate as lowpass_and_decimate
 from .delimited import parse_delimited as parse_delimited
 from .even_segments import (
     EvenSegment as EvenSegment,
@@ -30,6 +29,7 @@ from .filtering import (
     find_motion_band as find_motion_band,
     find_reversals as find_reversals,
     lowpass as lowpass,
+    lowpass_and_decimate as lowpass_and_decimate,
 )
 from .log import Log as Log
 from .read import compute_mapped_columns as compute_mapped_columns, read_log as read_log, read_measured as read_measured
