@@ -240,9 +240,9 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
         else {}
     )
     findings += _find_jumps(raw, robot)
-    known = " ".join(finding.sentence for finding in findings if finding.topic == "integrity")
+    known = " ".join(finding.sentence for finding in findings if finding.topic == "frozen")
     for more, figures in (check_signals(raw, moving), check_motion(part)):
-        findings += [f for f in more if f.topic != "frozen" or f"{_name_column(log, f)} has the same" not in known]
+        findings += [f for f in more if f.topic != "frozen" or f"{_name_column(log, f)} stays at the same" not in known]
         numbers.update(figures)
     findings.append(_force_lag(log))
     return LogCheck(log.name, tuple(findings), numbers)

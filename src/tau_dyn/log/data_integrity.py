@@ -524,10 +524,10 @@ def _leave_out_frozen(log: Log, joints: Sequence[str]) -> Repair:
 
 
 def _frozen_sentence(log: Log, frozen: FrozenStretch) -> str:
-    span = f"from {log.t[frozen.start]:.6g} s to {log.t[frozen.stop - 1]:.6g} s"
+    span = f"from {log.t[frozen.start]:.6g} to {log.t[frozen.stop - 1]:.6g} s"
     return (
-        f"{log.name}: {frozen.column} has the same value {span}, although {frozen.reason}. These samples are left out; look at "
-        "the sensor or its bus."
+        f"{log.name}: {frozen.column} stays at the same value {span}, although {frozen.reason}. These samples are left out; look "
+        "at the sensor or its bus."
     )
 
 

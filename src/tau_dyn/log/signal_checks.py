@@ -52,9 +52,9 @@ def choose_finding(topic: str, fine: str, *doubts: tuple[bool, str, str]) -> Che
 def build_fault(warning: str) -> CheckFinding:
     """Return a coded warning as a fault of the log, or as a warning where it was repaired; its sentence holds the remedy."""
     mended = isinstance(warning, RepairedWarning)
-    held = get_code(warning) == "updated_less_often" or (mended and get_code(warning) == "held_channel")
-    severity: Severity = "warning" if mended else "fault"
-    return CheckFinding(severity, "held" if held else "integrity", str(warning), code=get_code(warning))
+    still = "held" if mended else "frozen"
+    topic = {"updated_less_often": "held", "held_channel": still}.get(get_code(warning), "integrity")
+    return CheckFinding("warning" if mended else "fault", topic, str(warning), code=get_code(warning))
 
 
 @dataclass(frozen=True)
