@@ -28,7 +28,8 @@ large slow part from leaking over everything else, and divided by their gain. Th
 of the sampling rate. The motion band reaches from the spectral peak as far as the signal stays ten times above that floor; its
 edge is where 99.9 % of the *velocity's* power is reached. Acceleration would count vibration.
 
-**Low-pass with decimation**: away from the ends a zero-phase filter is a convolution with the response `h` to one sample. Of the filtered signal every
+**Low-pass with decimation**: away from the ends a zero-phase filter is a convolution with the response `h` to one sample. Of
+the filtered signal every
 `factor`-th sample is wanted, so
 
     y[j] = sum_k h[k] x[j factor - k],     |k| <= half,
