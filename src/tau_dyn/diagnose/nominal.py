@@ -54,6 +54,34 @@ def find_parameter_changes(
     return [_suspect_implausible(finding, model.robot, nominal) for finding in found]
 
 
+MIN_DIFFERENCE_SHARE = 0.01
+"""Share of the measured force by which the bodies' forces differ from the file's for a reader to be told; a torque is measured to
+about one per cent."""
+
+
+def describe_body_difference(model: Model, nominal: Parameters, estimate: Estimate | None) -> str:
+    """Return that the bodies differ from their trusted values and no single cause explains it; empty where that is not so.
+
+    Args:
+        model: Names links.
+        nominal: Trusted values.
+        estimate: The fit whose base parameters are compared.
+    """
+    if estimate is None or not any(len(link.own) > 1 for link in model.robot.links):
+        return ""
+    difference = compare_with_trusted(model.robot, nominal, estimate)
+    n = len(difference.d)
+    if not n or find_explanation(model.robot, difference) is not None:
+        return ""
+    share = difference.force_share
+    if stats.chi2.sf(difference.misfit, n) >= SIGNIFICANCE_LEVEL or share < MIN_DIFFERENCE_SHARE:
+        return ""
+    return (
+        f"The bodies differ from the file: their force changes by {100 * share:.2g} % of the measured force, and no single "
+        "body, load or gain explains it."
+    )
+
+
 def _find_deviations(model: Model, nominal: Parameters, fitted: Parameters, estimate: Estimate | None) -> list[Finding]:
     if estimate is not None and any(len(link.own) > 1 for link in model.robot.links):
         difference = compare_with_trusted(model.robot, nominal, estimate)

@@ -17,7 +17,7 @@ import numpy as np
 from tau_dyn.diagnose.deflection_channel import build_deflection_channel
 from tau_dyn.diagnose.force_baseline import FittedBaseline, Progress
 from tau_dyn.diagnose.loads import add_loads, find_loads, list_load_warnings, report_loads
-from tau_dyn.diagnose.nominal import find_parameter_changes
+from tau_dyn.diagnose.nominal import describe_body_difference, find_parameter_changes
 from tau_dyn.diagnose.preparation import compute_border_gap_s
 from tau_dyn.diagnose.resonances import add_band_note, add_resonances
 from tau_dyn.diagnose.tool_channel import build_tool_channel
@@ -239,7 +239,10 @@ def _with_parameters(found: Examination, model: Model, case: FittedBaseline, dou
     sizes = measure_net_forces(found.hunt.library, found.claims.kept, after.parameters)
     least = np.maximum(MAX_LAW_ERROR * sizes.max(axis=0, initial=0.0), compute_least_forces(channel))
     unexplained = demote_small(found.unexplained, channel.outputs, after.errors.rms, least)
-    return replace(found, findings=findings, unexplained=unexplained)
+    remark = ""
+    if not (changed or case.has_known_load):
+        remark = describe_body_difference(model, model.parameters, after.estimate)
+    return replace(found, findings=findings, unexplained=unexplained, remark=remark)
 
 
 def _answer(
@@ -261,6 +264,7 @@ def _answer(
     if not spoiled:
         errors = before.errors, after.errors
         sentence = describe_diagnosis(channel, verdict, findings, aliased, unexplained, errors)
+        sentence = f"{sentence} {found.remark}".rstrip()
     experiments = (f.experiment for f in aliased or findings if f.experiment and verdict == "cannot_tell")
     limits, untestable = compute_detection_limits(hunt, [f.cause for f in findings])
     use = Recommendation("neither", spoiled) if spoiled else recommend(hunt, claims, bars, rng, case and case.physics)

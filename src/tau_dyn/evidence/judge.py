@@ -13,7 +13,7 @@ rejected candidate is shown by the validation data; else the verdict is `unexpla
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -79,6 +79,8 @@ class Examination:
         consistency: Test of each output's residual against its noise; empty if a cause is confirmed.
         findings: The selected and the rejected causes as findings.
         unexplained: Structure without a name.
+        aliased: Findings whose period is open.
+        remark: A fact about the nominal values for the reader, as a sentence.
     """
 
     hunt: StepwiseSelection
@@ -89,7 +91,8 @@ class Examination:
     consistency: tuple[NoiseConsistency, ...] = ()
     findings: tuple[Finding, ...] = ()
     unexplained: tuple[Unexplained, ...] = ()
-    aliased: tuple[Finding, ...] = field(default=())
+    aliased: tuple[Finding, ...] = ()
+    remark: str = ""
 
 
 Selection = tuple[StepwiseSelection, Structure | None]
