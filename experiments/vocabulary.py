@@ -158,6 +158,10 @@ def list_messages(trees: dict[str, ast.Module]) -> Iterator[tuple[str, str]]:
                 yield f"{path}:{node.lineno}", "".join(plain)
 
 
+GENERATED_PAGES = tuple(f"docs/reference/{name}.md" for name in ("causes", "commands", "message_codes"))
+"""Pages that scripts write from tables of the code; their words are counted there."""
+
+
 def read_pages(root: Path) -> dict[str, str]:
     """Return the text of README and of every page, code blocks, comments and pictures left out."""
     pages = {}
@@ -177,7 +181,8 @@ def split_sentences(text: str) -> Iterator[str]:
 def measure_prose(root: Path, trees: dict[str, ast.Module]) -> list[Measure]:
     """Measure the words, the long sentences and the mentions of history in documentation and messages."""
     pages = read_pages(root)
-    words = {page: len(re.findall(r"\w[\w'-]*", text)) for page, text in pages.items() if page.startswith("docs/")}
+    written = {page: text for page, text in pages.items() if page.startswith("docs/") and page not in GENERATED_PAGES}
+    words = {page: len(re.findall(r"\w[\w'-]*", text)) for page, text in written.items()}
     total = sum(words.values())
     texts = [*pages.items(), *list_messages(trees)]
     sentences = [(where, s) for where, text in texts for s in split_sentences(text)]
@@ -186,7 +191,7 @@ def measure_prose(root: Path, trees: dict[str, ast.Module]) -> list[Measure]:
     old = [f"{page}: {m.group()}" for page, text in pages.items() for m in HISTORY.finditer(text)]
     by_size = [f"{n:6d} {page}" for page, n in sorted(words.items(), key=lambda x: -x[1])]
     return [
-        Measure("words in docs", f"{total:,}", "< 35,000", total < 35_000, by_size),
+        Measure("words in docs", f"{total:,}", "< 33,000", total < 33_000, by_size),
         Measure("sentences over 30 words", f"{len(far)} of {len(sentences)} ({share:.1f} %)", "< 2 %", share < 2, far),
         Measure("mentions of history in README and docs", str(len(old)), "0", not old, old),
     ]

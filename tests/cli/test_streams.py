@@ -151,4 +151,4 @@ def test_bash_completes_commands_and_options(tmp_path, capsys):
     ask = 'complete_line() { COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); _tau_dyn; echo "${COMPREPLY[*]}"; }'
     lines = f"source {script}; {ask}; complete_line tau-dyn ide; complete_line tau-dyn identify --hol"
     done = subprocess.run(["bash", "-c", lines], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["identify", "--holdout"]
+    assert done.stdout.split() == ["identify", "--holdout", "--hold"]

@@ -122,6 +122,8 @@ SIZES = {
     "static_friction": 20.0, "cogging": 5.0,
 }  # fmt: skip
 NOT_BY_A_STATE = {
+    "joint_zero",
+    "torque_saturation",  # of the recording, not of the robot
     "delay",
     "thermal_drift",
     "hysteresis",
@@ -142,7 +144,8 @@ NOT_BY_A_STATE = {
     "winding_heat",
     "supply_sag",
 }
-OF_HINGES = {"directional_efficiency"}  # fmt: skip
+OF_HINGES = {"directional_efficiency"}
+OF_PAIRS = {"torque_crosstalk"}  # of the recording of two joints
 ROBOTS = ("gantry_tau", "linear_axis")
 
 
@@ -158,7 +161,7 @@ def extended(name: str, cause: str, size: float = 1e-3) -> Model:
 
 def test_every_cause_enters_the_feedforward_or_is_left_out() -> None:
     """Nobody adds a cause without deciding whether a controller can compensate it."""
-    assert set(SIZES) | NOT_BY_A_STATE | OF_HINGES == {name for name, cls in EFFECTS.items() if cls.cause}
+    assert set(SIZES) | NOT_BY_A_STATE | OF_HINGES | OF_PAIRS == {name for name, cls in EFFECTS.items() if cls.cause}
 
 
 @pytest.mark.parametrize(

@@ -188,7 +188,9 @@ def test_what_is_missing_is_said(rng) -> None:
     """No second encoder, one that a later log lacks, samples lost, a log too short: each is one sentence."""
     t, q, tau = motion(rng)
     log = recorded(t, q, tau, q, rng)
-    bare = Log(t, {k: x for k, x in log.channels.items() if "link" not in k}, name="bare")
+    s, p, force = motion(rng)
+    other = recorded(s, p, force, p, rng)
+    bare = Log(s, {k: x for k, x in other.channels.items() if "link" not in k}, name="bare")
     with raises_code("missing_column", "q_link_shoulder"):
         diagnose_deflection(robot, bare)
     with raises_code("missing_column", "q_link_shoulder"):

@@ -9,6 +9,7 @@ from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify import identify
 from tau_dyn.message_codes import get_code
 from tau_dyn.render.kinds.identification import describe_verdict
+from tau_dyn.simulate import build_named_motion
 
 
 def scale_force(log, make, time_s: float, factor: float):
@@ -40,9 +41,10 @@ def test_a_sound_log_has_neither_a_change_nor_a_poor_fit(axis, axis_log):
     assert not {"changes_within_log", "poor_fit"} & set(fields["warning_codes"])
 
 
-def test_a_change_in_a_held_out_log_is_reported_with_that_log(axis, axis_log, make):
+def test_a_change_in_a_held_out_log_is_reported_with_that_log(axis, true_axis, axis_log, make):
     """Training is sound; the drive of the held-out log loses a quarter of its force half-way."""
-    held = scale_force(axis_log, make, 9.0, 0.75)
+    other = make.recorded(true_axis, build_named_motion("fourier", true_axis, 20.0, 5), force_noise=2.0, seed=7)
+    held = scale_force(other, make, 9.0, 0.75)
     held = type(held)(held.t, dict(held.channels), "held.csv")
     (change,) = identify(axis, axis_log, holdout=held, estimator="wls").changes
     assert (change.log, change.kind) == ("held.csv", "gain")

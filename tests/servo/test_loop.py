@@ -55,7 +55,7 @@ def test_a_late_command_is_named():
     answer = diagnose_loop(ARM, [record(ARM, TRUTH, late, s, 16.0) for s in (3, 4)], law=known)
     best = answer.findings[0]
     assert (best.cause, best.status) == ("command_delay", "confirmed")
-    assert best.value == pytest.approx(0.02, abs=0.002)
+    assert best.parameters[0].value == pytest.approx(0.02, abs=0.002)
     assert answer.recommendation == "extended"
 
 

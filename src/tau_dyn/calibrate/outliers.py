@@ -241,9 +241,9 @@ _MIN_GAIN_PERCENT = 20.0
 _MIN_POSES = 6  # poses; with fewer, the six numbers of a frame fit noise
 _RULES = DescentRules(20, small_step=1e-6, small_gain=0.0)
 """A turn by half a radian takes six steps; the last moves residuals by a millionth of the noise."""
-_UNDETERMINED_RATIO = (
-    4.0  # of variances: what the training poses leave open makes the standard error of an axis twice as large
-)
+_UNDETERMINED_RATIO = 4.0
+"""Ratio of variances from which the directions that the training poses leave open count:
+the standard error of an axis doubles."""
 _ALIKE = 10.0  # difference of twice the log-likelihoods below which device and target are not told apart
 
 

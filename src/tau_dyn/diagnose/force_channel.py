@@ -95,7 +95,7 @@ class ForceChannel(Channel):
         """
         found, begin = [], self._begins()
         for motion, start in zip(self.thinned, begin, strict=True):
-            row = name_by_joint(motion.joints, q=motion.q, v=motion.v, a=motion.a, tau=motion.signals["force"])
+            row = name_by_joint(motion.joints, q=motion.q, v=motion.v, a=motion.a, **_get_forces(motion))
             row["t"] = np.asarray(motion.t)
             if max(begin) > 0:
                 row[WHOLE_TIME] = row["t"] + start
@@ -111,6 +111,11 @@ class ForceChannel(Channel):
             ends[piece.log.name] = max(ends.get(piece.log.name, 0.0), float(piece.log.t[-1]))
         begin = dict(zip(ends, np.cumsum([0.0, *ends.values()]), strict=False))
         return [float(begin[piece.log.name]) for piece in self.prepared]
+
+
+def _get_forces(motion: Motion) -> dict[str, np.ndarray]:
+    """Return the predicted forces (n, na) of a motion by the name of the variable; an empty dict without a fitted model."""
+    return {"tau": motion.signals["force"]} if "force" in motion.signals else {}
 
 
 def prepare_segments(

@@ -29,7 +29,6 @@ from tau_dyn.evidence import (
     MAX_LAW_ERROR,
     N_BOOTSTRAP_DRAWS,
     N_NULL_DRAWS,
-    Change,
     Channel,
     Claims,
     Diagnosis,
@@ -37,6 +36,7 @@ from tau_dyn.evidence import (
     Examination,
     ExaminationOptions,
     Finding,
+    LogChange,
     NoiseOnlyBootstrap,
     Recommendation,
     Step,
@@ -91,14 +91,14 @@ def diagnose_forces(
     return replace(found, further=list_changes(changes))
 
 
-def find_case_changes(case: FittedBaseline) -> tuple[Change, ...]:
+def find_case_changes(case: FittedBaseline) -> tuple[LogChange, ...]:
     """Return the changes within the logs of a case."""
     channel = case.channel
     regression = Regression(channel.parameters, channel.outputs, channel.units, channel.runs, case.preparation)
     return find_changes(regression, build_shared_columns(regression, case.model.mechanism))
 
 
-def _describe_broken(changes: Sequence[Change]) -> str:
+def _describe_broken(changes: Sequence[LogChange]) -> str:
     """Return why no cause may be confirmed if the force of a joint has another sign or scale in a part of a log; else empty."""
     broken = [one for one in changes if one.kind in ("sign", "gain")]
     if not broken:

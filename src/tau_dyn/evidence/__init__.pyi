@@ -14,7 +14,7 @@ from .candidate_scan import (
     find_nonnegative as find_nonnegative,
 )
 from .changes import (
-    Change as Change,
+    LogChange as LogChange,
     build_shared_columns as build_shared_columns,
     describe_changes as describe_changes,
     find_changes as find_changes,

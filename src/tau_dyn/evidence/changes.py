@@ -98,7 +98,7 @@ Columns = Sequence[np.ndarray]
 
 
 @dataclass(frozen=True)
-class Change:
+class LogChange:
     """A change within a log.
 
     Attributes:
@@ -138,7 +138,7 @@ class Change:
         }
 
 
-def find_changes(regression: Regression, shared: Mapping[Kind, Columns] | None = None) -> tuple[Change, ...]:
+def find_changes(regression: Regression, shared: Mapping[Kind, Columns] | None = None) -> tuple[LogChange, ...]:
     """Return the changes within each log of a regression, in time order.
 
     Args:
@@ -151,7 +151,7 @@ def find_changes(regression: Regression, shared: Mapping[Kind, Columns] | None =
     if any(not {"q", "v"} <= set(run.signals) for run in regression.runs):
         return ()
     logs = list(dict.fromkeys(run.name for run in regression.runs))
-    found: list[Change] = []
+    found: list[LogChange] = []
     for name in logs:
         places = [k for k, run in enumerate(regression.runs) if run.name == name]
         runs = tuple(regression.runs[k] for k in places)
@@ -178,19 +178,19 @@ def build_shared_columns(regression: Regression, mechanism: Mechanism) -> dict[K
     return found
 
 
-def describe_changes(changes: Sequence[Change]) -> list[str]:
+def describe_changes(changes: Sequence[LogChange]) -> list[str]:
     """Return a warning with the code `changes_within_log` for each change."""
     return [_describe(change) for change in changes]
 
 
-def list_changes(changes: Sequence[Change]) -> dict[str, Any]:
+def list_changes(changes: Sequence[LogChange]) -> dict[str, Any]:
     """Return the two fields of a JSON result: `changes`, and their times [s] as `time_s`; none without a change."""
     if not changes:
         return {}
     return {"changes": [one.to_dict() for one in changes], "time_s": [one.time_s for one in changes]}
 
 
-def _describe(change: Change) -> CodedWarning:
+def _describe(change: LogChange) -> CodedWarning:
     at = f"at t = {change.time_s:.4g} s (± {change.time_stderr_s:.2g} s)"
     joint, size = change.joint, f"{change.after - change.before:+.3g} {change.unit}"
     sentence = {
@@ -313,7 +313,7 @@ class _WhiteRows:
         return np.where(self.output == hypothesis.output, self.fit, 0.0)[:, None]
 
 
-def _search_log(regression: Regression, shared: Mapping[Kind, Columns], n_logs: int) -> list[Change]:
+def _search_log(regression: Regression, shared: Mapping[Kind, Columns], n_logs: int) -> list[LogChange]:
     """Return the changes of one log, the largest first taken into account before the next is looked for."""
     regression = _thin(regression)
     data, found = _LogData(regression), []
@@ -331,7 +331,7 @@ def _search_log(regression: Regression, shared: Mapping[Kind, Columns], n_logs: 
     return sorted(found, key=lambda one: one.time_s)
 
 
-def _is_one_event(change: Change, other: Change, memory_s: float) -> bool:
+def _is_one_event(change: LogChange, other: LogChange, memory_s: float) -> bool:
     """Return whether a change is part of one found before: at the same time, at its joint or at all joints."""
     apart = abs(change.time_s - other.time_s) - 2 * (change.time_stderr_s + other.time_stderr_s)
     return apart < memory_s and other.joint in ("", change.joint)
@@ -517,7 +517,9 @@ def _find_gap(white: _WhiteRows, output: int, start: int) -> tuple[float, float]
     return float(before[before < white.t[start]].max()), float(white.t[start])
 
 
-def _test(data: _LogData, hypothesis: _Hypothesis, time_s: float, n_hypotheses: int) -> tuple[Change | None, _LogData]:
+def _test(
+    data: _LogData, hypothesis: _Hypothesis, time_s: float, n_hypotheses: int
+) -> tuple[LogChange | None, _LogData]:
     """Return a change if a hypothesis holds, and the log with it, or with the drift that explains as much, accounted for."""
     step = _refine(data, hypothesis, time_s)
     if step is None:
@@ -536,7 +538,7 @@ def _test(data: _LogData, hypothesis: _Hypothesis, time_s: float, n_hypotheses: 
         kind = "sign" if step.factor < 0 else "gain"
     joint = "" if hypothesis.output < 0 else data.regression.outputs[hypothesis.output]
     name = data.regression.runs[0].name
-    found = Change(name, joint, step.time_s, step.time_stderr_s, kind, before, after, unit, p_value)
+    found = LogChange(name, joint, step.time_s, step.time_stderr_s, kind, before, after, unit, p_value)
     return found, taken
 
 

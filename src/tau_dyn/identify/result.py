@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Regression, SufficientStatistics
-from tau_dyn.evidence import Change, list_changes
+from tau_dyn.evidence import LogChange, list_changes
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.bands import PredictiveBands
 from tau_dyn.identify.per_log import PerLogParameter
@@ -133,7 +133,7 @@ class Identification(Shown):
     force_offset: ForceOffset | None = None
     per_log: tuple[PerLogParameter, ...] = ()
     bands: PredictiveBands | None = None
-    changes: tuple[Change, ...] = ()
+    changes: tuple[LogChange, ...] = ()
     motors: Parameters = Parameters(())
 
     @property
@@ -222,6 +222,10 @@ class Identification(Shown):
             "preparation": self.estimate.regression.preparation.to_dict(),
         }
 
+    def _is_at_bound(self, p: Parameter) -> bool:
+        """Return whether a parameter is at a bound; one of a single log has only its own bounds."""
+        return self.parameters.is_at_bound(p.name) if p.name in self.parameters else p.at_bound
+
     def _row(self, p: Parameter) -> dict[str, Any]:
         before = self.nominal[p.name]
         seen = p.stderr is not None
@@ -233,7 +237,7 @@ class Identification(Shown):
             "identifiable": self.estimate.identifiable(p.name),
             "nominal": before.value if trusted else None,
             "nominal_stderr": compute_nominal_stderr(before) if trusted else None,
-            "at_bound": seen and self.parameters.is_at_bound(p.name),
+            "at_bound": seen and self._is_at_bound(p),
         }
         if not seen:
             row["depends_on"] = list(self._depends_on(p.name))

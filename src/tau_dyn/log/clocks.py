@@ -22,6 +22,7 @@ from tau_dyn.log.resample import resample_to_clock
 from tau_dyn.message_codes import CodedWarning
 
 SECONDS_A_DAY = 86400.0
+"""Length of a day [s]; leap seconds are not in the clocks of recorders."""
 
 MAX_RATE_HZ = 2e5
 """No recorder of machines samples faster [Hz]: faster clocks count another unit."""
@@ -47,6 +48,7 @@ _TEXT = (
 with a fraction, as spreadsheets show them."""
 
 _NS = 10**9
+"""Nanoseconds of a second."""
 
 
 class Clock(NamedTuple):

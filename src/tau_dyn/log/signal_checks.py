@@ -280,6 +280,7 @@ MIN_LONGER = 10.0
 """How much longer a frozen stretch is than the sixth longest stretch without a change; an encoder dies a few times at most."""
 
 _SIXTH = 6
+"""Rank of the stretch that stands for the usual ones: up to five stretches of one log may be frozen."""
 
 STOP_RATIO = 3.0
 """Change of speed at the ends of a frozen stretch, over the largest one anywhere else within the same time."""

@@ -25,7 +25,7 @@ _POSITION_UNITS = {"mm": 1e-3, "cm": 1e-2, "inch": 0.0254}
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
+class PoseReading:
     """One change of how a file is read.
 
     Attributes:
@@ -48,7 +48,7 @@ class Change:
         return self.cause, self.joints
 
 
-Reading = tuple[Change, ...]
+Reading = tuple[PoseReading, ...]
 
 
 def apply_reading(reading: Reading, poses: PoseSet) -> PoseSet:
@@ -80,33 +80,33 @@ def list_readings(poses: PoseSet, joints: Sequence[str], units: Sequence[str], *
     return [*((change,) for change in [*signs, *single]), *(some for n in sizes for some in combinations(signs, n))]
 
 
-def _reverse(joints: Sequence[str], k: int) -> Change:
+def _reverse(joints: Sequence[str], k: int) -> PoseReading:
     sign = np.where(np.arange(len(joints)) == k, -1.0, 1.0)
     words = f"the sign of {joints[k]} is reversed: it counts the other way than the robot file"
-    return Change("joint_sign", (joints[k],), words, _scale_joints(sign))
+    return PoseReading("joint_sign", (joints[k],), words, _scale_joints(sign))
 
 
 def _scale_joints(factor: np.ndarray) -> Callable[[PoseSet], PoseSet]:
     return lambda poses: replace(poses, q=poses.q * factor, approach=poses.approach * np.sign(factor))
 
 
-def _list_joint_changes(joints: Sequence[str], units: Sequence[str]) -> list[Change]:
-    changes: list[Change] = []
+def _list_joint_changes(joints: Sequence[str], units: Sequence[str]) -> list[PoseReading]:
+    changes: list[PoseReading] = []
     turning, numbers = np.array([unit == "rad" for unit in units]), np.arange(len(joints))
     for k in np.flatnonzero(turning):
         for turn in (90, -90, 180):
             words = f"the zero of {joints[k]} is {turn:d} degrees away from the robot file's"
-            changes.append(Change("joint_zero", (joints[k],), words, _shift_joint(numbers == k, np.deg2rad(turn))))
+            changes.append(PoseReading("joint_zero", (joints[k],), words, _shift_joint(numbers == k, np.deg2rad(turn))))
     for a, b in combinations(range(len(joints)), 2):
         order = np.where(numbers == a, b, np.where(numbers == b, a, numbers))
         words = f"the columns of {joints[a]} and {joints[b]} are exchanged"
-        changes.append(Change("columns_exchanged", (joints[a], joints[b]), words, _order_joints(order)))
+        changes.append(PoseReading("columns_exchanged", (joints[a], joints[b]), words, _order_joints(order)))
     for own, unit, factor in ((turning, "degrees", np.pi / 180), (~turning, "millimetres", 1e-3)):
         for some in _unit_groups(np.flatnonzero(own)):
             who = "joint positions" if len(some) == own.sum() else f"positions of {joints[some[0]]}"
             scale = np.where(np.isin(numbers, some), factor, 1.0)
             where = () if len(some) == own.sum() else (joints[some[0]],)
-            changes.append(Change("joint_unit", where, f"{who} are in {unit}", _scale_joints(scale)))
+            changes.append(PoseReading("joint_unit", where, f"{who} are in {unit}", _scale_joints(scale)))
     return changes
 
 
@@ -123,22 +123,22 @@ def _order_joints(order: np.ndarray) -> Callable[[PoseSet], PoseSet]:
     return lambda poses: replace(poses, q=poses.q[:, order], approach=poses.approach[:, order])
 
 
-def _list_axis_changes(oriented: bool) -> list[Change]:
+def _list_axis_changes(oriented: bool) -> list[PoseReading]:
     """Return exchanges and reversals of x, y and z; without orientations all odd ones are one mirrored device."""
     if not oriented:
         words = "x_tool and y_tool are exchanged, or one axis is reversed: positions alone show a mirrored frame, not which axes"
-        return [Change("columns_exchanged", (), words, _turn_positions(np.eye(3)[[1, 0, 2]]))]
+        return [PoseReading("columns_exchanged", (), words, _turn_positions(np.eye(3)[[1, 0, 2]]))]
     changes = []
     for order in permutations(range(3)):
         if order != (0, 1, 2):
             names = ", ".join(POSITION[k] for k in order)
             words = f"the position columns are exchanged: x, y, z are in {names}"
-            changes.append(Change("columns_exchanged", (), words, _turn_positions(np.eye(3)[list(order)])))
+            changes.append(PoseReading("columns_exchanged", (), words, _turn_positions(np.eye(3)[list(order)])))
     for signs in product((1.0, -1.0), repeat=3):
         turned = [name for name, sign in zip(POSITION, signs, strict=True) if sign < 0]
         if 0 < len(turned) < 3:
             words = f"the sign of {' and '.join(turned)} is the opposite of the orientation's axes"
-            changes.append(Change("axis_sign", (), words, _turn_positions(np.diag(signs))))
+            changes.append(PoseReading("axis_sign", (), words, _turn_positions(np.diag(signs))))
     return changes
 
 
@@ -150,7 +150,7 @@ def _turn_positions(matrix: np.ndarray) -> Callable[[PoseSet], PoseSet]:
     return apply
 
 
-def _list_unit_changes() -> list[Change]:
+def _list_unit_changes() -> list[PoseReading]:
     def scale(factor: float) -> Callable[[PoseSet], PoseSet]:
         def apply(poses: PoseSet) -> PoseSet:
             stated = None if poses.position_stderr is None else factor * poses.position_stderr
@@ -158,10 +158,12 @@ def _list_unit_changes() -> list[Change]:
 
         return apply
 
-    return [Change("position_unit", (), f"the positions are in {u}", scale(f), f) for u, f in _POSITION_UNITS.items()]
+    return [
+        PoseReading("position_unit", (), f"the positions are in {u}", scale(f), f) for u, f in _POSITION_UNITS.items()
+    ]
 
 
-def _list_shifts(poses: PoseSet) -> list[Change]:
+def _list_shifts(poses: PoseSet) -> list[PoseReading]:
     def shift(rows: int) -> Callable[[PoseSet], PoseSet]:
         def apply(poses: PoseSet) -> PoseSet:
             index = np.arange(max(0, -rows), min(poses.n, poses.n - rows))
@@ -173,21 +175,21 @@ def _list_shifts(poses: PoseSet) -> list[Change]:
     for rows in (*range(1, _MAX_ROW_SHIFT + 1), *range(-_MAX_ROW_SHIFT, 0)):
         count = f"{abs(rows)} row{'s' if abs(rows) > 1 else ''}"
         words = f"the joints' rows are {count} {'later' if rows > 0 else 'earlier'} than the poses they belong to (row shift)"
-        changes.append(Change("row_shift", (), words, shift(rows)))
+        changes.append(PoseReading("row_shift", (), words, shift(rows)))
     return [change for change in changes if poses.n > 4 * _MAX_ROW_SHIFT]
 
 
-def _list_orientation_changes(poses: PoseSet) -> list[Change]:
+def _list_orientation_changes(poses: PoseSet) -> list[PoseReading]:
     """Return other meanings of the orientation's columns."""
     changes = [
-        Change("quaternion_order", (), "the quaternion's order is w x y z instead of x y z w", _roll_quaternion),
-        Change(
+        PoseReading("quaternion_order", (), "the quaternion's order is w x y z instead of x y z w", _roll_quaternion),
+        PoseReading(
             "inverse_poses",
             (),
             "the poses are inverse: the device in the target's frame, or base and tool exchanged",
             _invert,
         ),
-        Change(
+        PoseReading(
             "inverse_poses", ("orientation",), "the orientations alone are inverse (conjugate quaternions)", _transpose
         ),
     ]
@@ -229,12 +231,12 @@ ANGLE_KINDS = {
 """Kinds of three angles, with SciPy's sequence; angles named after axes cover all twelve orders by these."""
 
 
-def _read_angles(kind: str, unit: str) -> Change:
+def _read_angles(kind: str, unit: str) -> PoseReading:
     def apply(poses: PoseSet) -> PoseSet:
         assert poses.angles is not None
         return replace(poses, rotation=turn_by_angles(poses.angles, ANGLE_KINDS[kind], degrees=unit == "deg"))
 
-    return Change("", (), f"the three columns of the orientation are {kind} in {unit}", apply)
+    return PoseReading("", (), f"the three columns of the orientation are {kind} in {unit}", apply)
 
 
 def turn_by_angles(angles: np.ndarray, sequence: str, *, degrees: bool) -> np.ndarray:
