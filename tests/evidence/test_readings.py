@@ -82,3 +82,13 @@ def test_a_mean_of_zero_is_evidence_only_where_the_model_has_one() -> None:
     nats = compute_zero_mean_nats(np.zeros(2), np.array([6.0, 0.1]), SIZE)
     assert nats[0] > 15 and nats[1] == 0
     assert compute_zero_mean_nats(np.array([3.0, 0.0]), np.array([6.0, 0.0]), SIZE)[0] < 1
+
+
+def test_forces_that_the_bodies_explain_better_do_not_lack_them():
+    """Residuals of 3 and 0.4 % are both below the model error; the reading that leaves 3 % is refused although it is likelier."""
+    size = np.array([100.0])
+    test = ReadingTest(size, 0.05)
+    full = ReadingFit(10.0, 10.0, (0.004 * size) ** 2, 0.0, np.zeros((1, 1)))
+    bare = ReadingFit(40.0, 40.0, (0.03 * size) ** 2, 0.0, np.zeros((1, 1)))
+    assert not test.accepts_lack(full, bare)
+    assert test.accepts_lack(ReadingFit(10.0, 10.0, (0.03 * size) ** 2, 0.0, np.zeros((1, 1))), bare)

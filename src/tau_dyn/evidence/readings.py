@@ -32,6 +32,10 @@ MIN_GAIN_NATS = 30.0
 MIN_LACK_NATS = 12.0
 """The same for forces that lack a known part [nats]: a reading without a number among some ten; 1 log in 1e4 by chance."""
 
+MAX_LACK_POWER_RATIO = 2.0
+"""Residual power of forces that lack a part over that of the log as read: the true reading leaves the noise, which no other fit
+goes below by half. Bodies that are in the forces leave far more once they are denied, also below the model error."""
+
 ALIAS_NATS = 5.0
 """Readings closer than this cannot be distinguished [nats]; both are reported."""
 
@@ -127,7 +131,8 @@ class ReadingTest:
     def accepts_lack(self, before: ReadingFit, after: ReadingFit) -> bool:
         """Return whether forces that lack a part, a reading without a number, gain enough."""
         explained = not self.is_fine or np.all(np.sqrt(after.power) <= EXPLAINED * self.size)
-        return bool(explained and after.log_p - before.log_p > MIN_LACK_NATS)
+        as_good = np.all(after.power <= MAX_LACK_POWER_RATIO * before.power)
+        return bool(explained and as_good and after.log_p - before.log_p > MIN_LACK_NATS)
 
     def accepts(self, before: ReadingFit | None, after: ReadingFit) -> bool:
         """Return whether a reading gains enough, and mends a joint or spares the bodies; `before` is None where no fit exists."""
