@@ -149,7 +149,7 @@ def test_errors_of_drives_reach_the_tool(name):
 
 @pytest.mark.parametrize("name", newcomers.ROBOTS)
 def test_calibration_finds_moved_joints(name):
-    """Poses of a robot with joints 1 mm off are explained to the device's noise."""
+    """Poses of a robot with joints 1 mm off are explained to the device's noise of position and of orientation."""
     robot, rng = newcomers.ROBOTS[name](), np.random.default_rng(0)
     geometry = RodGeometry(build_rods(robot))
     theta = geometry.parameters.values.copy()
@@ -159,6 +159,8 @@ def test_calibration_finds_moved_joints(name):
     poses = simulate_poses(geometry, theta, q, rng, noise=(1e-5, 1e-5))
     found = calibrate(robot, poses, model="complete")
     assert np.median(found.errors(found.chosen).distance) < 4e-5
+    assert found.chosen.fit.converged
+    assert_allclose(found.chosen.fit.noise, 1e-5, rtol=0.3)
 
 
 def test_the_workspace_of_a_five_bar_is_where_both_arms_reach_on_homes_side():

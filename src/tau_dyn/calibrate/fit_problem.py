@@ -344,18 +344,25 @@ class Rounds(NamedTuple):
 
 
 def descend_in_rounds(problem: Problem, robust: str, noise: tuple[float, ...] | None, state: FitState) -> Rounds:
-    """Walk down from a state in rounds that settle noise and weights; a given noise stays."""
+    """Walk down from a state in rounds that settle noise and weights; a given noise stays.
+
+    The noise of all blocks falls in proportion, by the block that falls least, until that block settles. A block at its own
+    noise from the start holds the parameters in a narrow curved valley, along which the other block needs hundreds of steps.
+    """
     weighted = WeightedProblem.of(problem, robust, noise or (1.0,) * len(problem.blocks))
     if noise is None:
         r = (problem.residuals(state) / problem.relative)[state.ok]
         first = tuple(max(float(np.sqrt(np.mean(r[:, cut] ** 2))), _MIN_NOISE) for cut in weighted.cuts)
         weighted = replace(weighted, noise=first)
-    steps, near = 0, False
+    steps, near, together = 0, False, True
     for _ in range(_MAX_ROUNDS):
         end = descend(weighted, state, replace(_RULES, max_steps=_MAX_STEPS if near else 3))
         state, steps = end.state, steps + end.trials
         new = weighted.estimate_noise(state) if noise is None else noise
         change = max(abs(a / b - 1) for a, b in zip(new, weighted.noise, strict=True))
+        ratio = max(a / b for a, b in zip(new, weighted.noise, strict=True))
+        together = together and abs(ratio - 1) >= _SETTLED_NOISE_CHANGE
+        new = tuple(ratio * size for size in weighted.noise) if together else new
         weighted, near = replace(weighted, noise=new), change < _SETTLED_NOISE_CHANGE
         if end.converged and change < _RELATIVE_CHANGE_TOL:
             return Rounds(state, weighted, steps, True)

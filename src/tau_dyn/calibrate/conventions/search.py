@@ -15,7 +15,7 @@ import numpy as np
 from tau_dyn.calibrate.conventions.readings import Reading, apply_reading, list_readings
 from tau_dyn.calibrate.conventions.rigid_fit import UNREACHED, Misfit, measure_misfit
 from tau_dyn.calibrate.crossvalidation import CrossValidationGain
-from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.geometry import Geometry, Predicted
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.evidence import find_equivalent, prefer_reading
 from tau_dyn.exceptions import TauDynError
@@ -108,11 +108,12 @@ def _describe(misfit: Misfit) -> str:
 
 
 class _Search:
-    """Misfits of readings, each computed once."""
+    """Misfits of readings and tool poses of joint positions, each computed once."""
 
     def __init__(self, geometry: Geometry, poses: PoseSet) -> None:
         self.geometry, self.poses = geometry, poses
         self.known: dict[frozenset[int], Misfit] = {}
+        self.placed: dict[bytes, Predicted] = {}
 
     def measure(self, reading: Reading) -> Misfit:
         """Return the misfit of a reading."""
@@ -130,12 +131,18 @@ class _Search:
 
     def _measure(self, poses: PoseSet) -> Misfit:
         """Return the misfit of poses as they are meant."""
-        theta = self.geometry.parameters.values
-        first = self.geometry.forward(theta, poses.q[:_FIRST_POSES])
+        first = self._place(poses.q[:_FIRST_POSES])
         if 2 * first.ok.sum() < len(first.ok):
             return UNREACHED
-        found = self.geometry.forward(theta, poses.q)
+        found = self._place(poses.q)
         return measure_misfit(poses, found.poses, found.ok, turns=self.geometry.orients)
+
+    def _place(self, q: np.ndarray) -> Predicted:
+        """Return the tool poses that the robot file predicts at joint positions (N, na)."""
+        key = q.tobytes()
+        if key not in self.placed:
+            self.placed[key] = self.geometry.forward(self.geometry.parameters.values, q)
+        return self.placed[key]
 
 
 def find_reading(
