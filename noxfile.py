@@ -36,9 +36,16 @@ def docs(session: nox.Session) -> None:
 
 @nox.session
 def tests(session: nox.Session) -> None:
-    """Run the tests, all or those named."""
+    """Run the fast tests, all or those named."""
     session.install("-e", ".[test]")
     session.run("pytest", *session.posargs, env=ONE_THREAD)
+
+
+@nox.session
+def tests_all(session: nox.Session) -> None:
+    """Run all tests, the long ones too."""
+    session.install("-e", ".[test]")
+    session.run("pytest", "-m", "not slow", *session.posargs, env=ONE_THREAD)
 
 
 @nox.session

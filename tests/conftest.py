@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from cpu_limit import pytest_runtest_call  # noqa: F401
+from tiers import pytest_collection_modifyitems  # noqa: F401
 from witnesses import (  # noqa: F401
     pytest_make_collect_report,
     pytest_runtest_makereport,

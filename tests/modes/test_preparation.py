@@ -40,6 +40,16 @@ def test_the_last_third_is_held_out_around_one_origin(log):
     assert np.all(np.abs((raw - joined)[0] - 50 - rest) < 4 * noise / np.sqrt(700) + 0.02 * noise)
 
 
+def test_a_sensor_that_died_is_named(log):
+    """An output that keeps one value for 0.6 s while its neighbour vibrates is named with the times; a live one is not."""
+    place = log.channels["place1"].copy()
+    place[400:460] = place[400]
+    dead = Log(log.t, {**log.channels, "place1": place}, name="dead.csv")
+    (warning,) = prepare_records([dead], IN, OUT).warnings
+    assert warning.code == "held_channel" and "place1 stands still from t = 4 to 4.59 s" in warning
+    assert not prepare_records([log], IN, OUT).warnings
+
+
 def test_blows_are_recognised_and_cut():
     """Hammer blows are told from lasting excitation; each becomes a record of its own, and some are held out."""
     data = prepare_records([log_of(pulses(structure(), 300, 6), offset=3.0)], IN, OUT)

@@ -49,5 +49,6 @@ from .signal_checks import (
     LogCheck as LogCheck,
     check_jumps as check_jumps,
     check_signals as check_signals,
+    list_long_runs as list_long_runs,
 )
 from .table import MAX_MAGNITUDE as MAX_MAGNITUDE, Table as Table, read_table as read_table

@@ -325,21 +325,28 @@ def find_frozen_positions(log: Log, joint: str) -> list[FrozenStretch]:
     flicker at rest.
     """
     x = log.channels[f"q_{joint}"]
-    runs = find_constant_runs(x)
-    if len(runs.starts) < 10 * _SIXTH:
-        return []
-    usual = float(np.sort(runs.lengths)[-_SIXTH])
-    least = max(MIN_FROZEN_S * log.rate_hz, MIN_LONGER * usual)
-    long = [(int(a), int(a + n)) for a, n in zip(runs.starts, runs.lengths, strict=True) if n >= least]
-    live = np.ones(log.n_samples, bool)
-    for start, stop in long:
-        live[max(start - 1, 0) : stop + 1] = False
+    long, live = list_long_runs(x, log.rate_hz)
     found = []
-    for start, stop in long if long else ():
+    for start, stop in long:
         reason = _find_sudden_stop(x, live, start, stop, log.dt) or _find_flicker(log, joint, live, start, stop)
         if reason:
             found.append(FrozenStretch(f"q_{joint}", start, stop, reason))
     return found
+
+
+def list_long_runs(x: NDArray[np.float64], rate_hz: float) -> tuple[list[tuple[int, int]], NDArray[np.bool_]]:
+    """Return first sample and end of the stretches of one value that are unusually long, and which samples are elsewhere (N,).
+
+    Unusual is a stretch of 0.1 s or more, ten times as long as the sixth longest of the channel (N,).
+    """
+    runs, live = find_constant_runs(x), np.ones(len(x), bool)
+    if len(runs.starts) < 10 * _SIXTH:
+        return [], live
+    least = max(MIN_FROZEN_S * rate_hz, MIN_LONGER * float(np.sort(runs.lengths)[-_SIXTH]))
+    long = [(int(a), int(a + n)) for a, n in zip(runs.starts, runs.lengths, strict=True) if n >= least]
+    for start, stop in long:
+        live[max(start - 1, 0) : stop + 1] = False
+    return long, live
 
 
 def find_frozen_force(log: Log, joint: str, moves: NDArray[np.bool_]) -> list[FrozenStretch]:

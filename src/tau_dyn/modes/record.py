@@ -15,7 +15,8 @@ from itertools import pairwise
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.log import Log, describe_missing_column, resample_segments
+from tau_dyn.log import Log, describe_missing_column, list_long_runs, resample_segments
+from tau_dyn.message_codes import CodedWarning
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +171,7 @@ PULSE_ROOM = 100  # samples that a pulse's response needs, at least
 SAMPLES_PER_CHANNEL = 40  # training samples for each input and output; with fewer there is nothing to choose from
 PULSES = 10_000  # samples of all pulses together that are fitted to: the ends of long decays say little more
 MAX_REST_SAMPLES = 20_000  # samples in which rest is looked for at a record's begin
+LIVE_SHARE = 0.2  # of its standard deviation over the record: a channel that varies by more goes on
 STEP_TOLERANCE = 1e-3  # relative difference of sampling rates that counts as one rate
 
 
@@ -229,6 +231,7 @@ def prepare_records(
     warnings = (
         *dict.fromkeys(w for piece in pieces for w in piece.warnings),
         *(f"{name} is both trained on and held out; its errors are not held-out errors" for name in both),
+        *(warning for log in (*logs, *holdout) for warning in _list_dead_sensors(log, inputs, outputs)),
     )
     if all(_is_pulses(r) for r in train):
         return _pulses(train, held, warnings)
@@ -265,6 +268,22 @@ def _is_pulses(record: Record) -> bool:
     return (
         record.n_samples >= 2 * PULSE_ROOM and bool(np.mean(_away(record)) < PULSE_SHARE) and bool(cut_pulses(record))
     )
+
+
+def _list_dead_sensors(log: Log, inputs: Sequence[str], outputs: Sequence[str]) -> list[CodedWarning]:
+    """Return a warning for each output that keeps one value for long while the other channels go on."""
+    found = []
+    for name in outputs:
+        others = [log.channels[c] for c in (*inputs, *outputs) if c != name]
+        for start, stop in list_long_runs(log.channels[name], log.rate_hz)[0]:
+            if not any(np.std(x[start:stop]) > LIVE_SHARE * np.std(x) for x in others):
+                continue
+            sentence = (
+                f"{log.name}: {name} stands still from t = {log.t[start]:.4g} to {log.t[stop - 1]:.4g} s while the rest goes on: "
+                "the sensor gave no values there. Cut the record there, or measure again."
+            )
+            found.append(CodedWarning("held_channel", sentence))
+    return found
 
 
 def _pulses(train: list[Record], held: list[Record], warnings: tuple[str, ...]) -> PreparedRecords:

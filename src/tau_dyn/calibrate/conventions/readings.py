@@ -93,7 +93,7 @@ def _scale_joints(factor: np.ndarray) -> Callable[[PoseSet], PoseSet]:
 def _list_joint_changes(joints: Sequence[str], units: Sequence[str]) -> list[PoseReading]:
     changes: list[PoseReading] = []
     turning, numbers = np.array([unit == "rad" for unit in units]), np.arange(len(joints))
-    for k in np.flatnonzero(turning):
+    for k in np.flatnonzero(turning).tolist():
         for turn in (90, -90, 180):
             words = f"the zero of {joints[k]} is {turn:d} degrees away from the robot file's"
             changes.append(PoseReading("joint_zero", (joints[k],), words, _shift_joint(numbers == k, np.deg2rad(turn))))
@@ -102,17 +102,17 @@ def _list_joint_changes(joints: Sequence[str], units: Sequence[str]) -> list[Pos
         words = f"the columns of {joints[a]} and {joints[b]} are exchanged"
         changes.append(PoseReading("columns_exchanged", (joints[a], joints[b]), words, _order_joints(order)))
     for own, unit, factor in ((turning, "degrees", np.pi / 180), (~turning, "millimetres", 1e-3)):
-        for some in _unit_groups(np.flatnonzero(own)):
+        for some in _unit_groups(np.flatnonzero(own).tolist()):
             who = "joint positions" if len(some) == own.sum() else f"positions of {joints[some[0]]}"
             scale = np.where(np.isin(numbers, some), factor, 1.0)
-            where = () if len(some) == own.sum() else (joints[some[0]],)
+            where: tuple[str, ...] = () if len(some) == own.sum() else (joints[some[0]],)
             changes.append(PoseReading("joint_unit", where, f"{who} are in {unit}", _scale_joints(scale)))
     return changes
 
 
-def _unit_groups(index: np.ndarray) -> list[np.ndarray]:
+def _unit_groups(index: list[int]) -> list[list[int]]:
     """Return all joints of a kind, then each alone."""
-    return [index, *(np.array([one]) for one in index if len(index) > 1)] if len(index) else []
+    return [index, *([one] for one in index if len(index) > 1)] if index else []
 
 
 def _shift_joint(own: np.ndarray, turn: float) -> Callable[[PoseSet], PoseSet]:
