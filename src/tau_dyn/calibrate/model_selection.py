@@ -306,7 +306,7 @@ _N_STDERR = 2.0  # standard errors by which a number may miss its range and coun
 
 
 def describe_implausible(steps: Sequence[SelectionStep]) -> tuple[str, ...]:
-    """Return a sentence where a model that no machine can be explains the poses better than what was taken instead."""
+    """Return a sentence if a model with implausible values fits the poses better than the selected one."""
     odd = [step for step in steps if step.implausible]
     taken = {step.over: step.gain.percent for step in steps if step.taken}
     odd = [step for step in odd if step.gain.percent > taken.get(step.over, 0.0)]

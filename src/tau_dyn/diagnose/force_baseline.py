@@ -105,7 +105,7 @@ class FittedBaseline:
         nominal: The baseline before the fit.
         model: The baseline at fitted values.
         channel: All data, with the baseline's columns.
-        physics: What makes the baseline's values physical.
+        physics: Physical consistency of the baseline's values.
         preparation: Filters and masks.
         smooth_hz: Low-pass of each piece's positions [Hz].
         clear_hz: Low-pass of the forces that springs carry [Hz].

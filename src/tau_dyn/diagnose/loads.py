@@ -69,7 +69,7 @@ class Load:
         logs: Names of the logs.
         values: Its ten inertial numbers in the end link's joint frame (10,).
         known: Whether the values are taken as they are, because a model file is the only reference.
-        finding: What is reported of it.
+        finding: The finding that reports it.
     """
 
     logs: tuple[str, ...]
@@ -151,7 +151,7 @@ class _Study:
         channel: Runs of all logs and of the reference, with the columns that they share.
         noise: Noise model of each output.
         kinds: Columns (n, m, k) of each run, by kind of change.
-        physics: What makes the baseline's values physical.
+        physics: Physical consistency of the baseline's values.
     """
 
     robot: Robot
@@ -402,10 +402,10 @@ def add_loads(case: FittedBaseline, loads: Sequence[Load]) -> FittedBaseline:
 
 
 def report_loads(answer: Diagnosis, loads: Sequence[Load], without: OutputErrors | None) -> Diagnosis:
-    """Return a diagnosis with what was found of loads.
+    """Return a diagnosis with the findings of loads.
 
     Args:
-        answer: The diagnosis beside the loads.
+        answer: The diagnosis of everything else.
         loads: What logs carry.
         without: Errors of the refit without loads; None where none was accepted.
     """

@@ -156,7 +156,7 @@ def build_waterfall(
         claims: What was found; confirmed causes come in that order.
         rng: For intervals.
         nominal: The baseline's values before any fit (p,); by default its parameters' own.
-        physics: What makes the baseline's values physical.
+        physics: Physical consistency of the baseline's values.
         aside: Parts with the blocks set aside of the training logs, see `divide_training`.
     """
     channel, gains, kept = hunt.channel, [], claims.kept

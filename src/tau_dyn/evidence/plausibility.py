@@ -27,7 +27,7 @@ from tau_dyn.parameters import Parameters
 
 
 class Implausible(str):
-    """The reason why no machine has a cause as it was fitted: an amplitude, a setting, or a difference between joints."""
+    """Why a fitted cause is implausible: its amplitude, a setting, or a difference between joints."""
 
 
 INCONSISTENT_LEVEL = 1e-3

@@ -3,7 +3,7 @@
 The floor is the white part of the measured positions, rounding included. Residuals above it are regressed on smooth functions
 (Legendre, degree 4) of each joint's position, speed, acceleration and position error and of time, with and without the
 direction of motion; what the search's data show must be there again in the two parts that it did not see. Residuals that
-depend on none of these, but are far above the floor and coloured, are told as such.
+depend on none of these, but are far above the floor and coloured, are reported as well.
 """
 
 from __future__ import annotations
@@ -19,13 +19,18 @@ from tau_dyn.servo.records import LoopRecord
 
 DEGREE = 4  # of the Legendre polynomials, as in a diagnosis of forces
 MIN_SHARE = 0.1
-"""Share of the residual's variance on data not fitted, from which a dependence is told; less changes no simulation."""
+"""Share of the residual's variance on data not fitted, from which a dependence is reported; less changes no simulation."""
 FAMILY_LEVEL = 0.01
 """Chance that any variable of a joint without structure seems to matter."""
 ABOVE_FLOOR = 1.5
-"""Residual over the floor from which colour without a cause is told: more than half of its variance is not the encoder's."""
+"""Residual over the floor from which colour without a cause is reported: more than half of its variance is not the encoder's."""
 MAX_LAG_S = 0.5  # over which autocorrelations are tested
 _MOVING = 0.02  # rad/s; below it a joint has no direction
+
+_Part = tuple[Sequence[LoopRecord], np.ndarray, np.ndarray]
+"""Records, residuals (N, na, S) and blocks (N, S) of a part of the data."""
+_Rows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Residual of a joint (M,), variables (M, k), direction of motion (M,) and blocks (M,)."""
 
 
 def compute_noise_floor(records: Sequence[LoopRecord]) -> np.ndarray:
@@ -35,7 +40,7 @@ def compute_noise_floor(records: Sequence[LoopRecord]) -> np.ndarray:
 
 def find_structure(
     joints: Sequence[str],
-    parts: Sequence[tuple[Sequence[LoopRecord], np.ndarray, np.ndarray]],
+    parts: Sequence[_Part],
     floor: np.ndarray,
 ) -> tuple[Unexplained, ...]:
     """Return what is left at each joint.
@@ -57,7 +62,7 @@ def find_structure(
     return tuple(found)
 
 
-def _build_variables(joints: Sequence[str], sets: Sequence[Sequence[LoopRecord]]):  # noqa: ANN202
+def _build_variables(joints: Sequence[str], sets: Sequence[Sequence[LoopRecord]]) -> tuple[list[str], list[np.ndarray]]:
     """Return names, and for each part the values (M, k) of all records' used samples, with each joint's direction (M, na)."""
     names = [f"{kind}_{j}" for kind in ("q", "v", "a", "error") for j in joints] + ["t"]
     tables = []
@@ -67,7 +72,7 @@ def _build_variables(joints: Sequence[str], sets: Sequence[Sequence[LoopRecord]]
     return names, tables
 
 
-def _gather(part, table: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # noqa: ANN001
+def _gather(part: _Part, table: np.ndarray, j: int) -> _Rows:
     """Return the residual of a joint (M,), the variables (M, k), the direction (M,) and the blocks (M,)."""
     records, residual, blocks = part
     na = residual.shape[1]
@@ -77,7 +82,8 @@ def _gather(part, table: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray, np
     return r, table, np.where(np.abs(v) > _MOVING, np.sign(v), 0.0), b
 
 
-def _find_dependence(joint: str, names: Sequence[str], rows) -> Unexplained | None:  # noqa: ANN001
+def _find_dependence(joint: str, names: Sequence[str], rows: Sequence[_Rows]) -> Unexplained | None:
+    """Return the variable on which a residual depends most, alike in all parts."""
     best = None
     for k, name in enumerate(names):
         low, high = np.percentile(rows[0][1][:, k], [0.5, 99.5])
@@ -106,7 +112,7 @@ def _test(predicted: np.ndarray, r: np.ndarray, blocks: np.ndarray) -> tuple[flo
     return float(gained.sum()) / max(spread, 1e-300), float(gained.sum() / max((r**2).sum(), 1e-300))
 
 
-def _find_colour(joint: str, part, j: int, floor: float) -> Unexplained | None:  # noqa: ANN001
+def _find_colour(joint: str, part: _Part, j: int, floor: float) -> Unexplained | None:
     """Return colour of a residual that is far above the floor, by a portmanteau test of samples in order (Ljung & Box 1978)."""
     records, residual, _ = part
     x = residual[:, j] * np.stack([np.pad(r.used, (0, len(residual) - len(r.t))) for r in records], axis=1)
