@@ -116,9 +116,9 @@ def test_after_a_rejection_the_next_candidate_is_tried(make, rng, second, status
         assert limit is not None and 0 < limit.amplitude < 150
 
 
-def finding(status: str, *, shown: bool = False, twins: tuple[str, ...] = ()) -> Finding:
+def finding(status: str, cause: str = "stribeck", *, shown: bool = False, twins: tuple[str, ...] = ()) -> Finding:
     """Return a finding with a status."""
-    return Finding("stribeck", ("x",), cast(Any, status), 9.0, 0.01, (), None, twins, "", "", is_shown=shown)
+    return Finding(cause, ("x",), cast(Any, status), 9.0, 0.01, (), None, twins, "", "", is_shown=shown)
 
 
 @pytest.mark.parametrize(
@@ -130,6 +130,8 @@ def finding(status: str, *, shown: bool = False, twins: tuple[str, ...] = ()) ->
         ([finding("confirmed"), finding("suspected", shown=True)], "named"),
         ([finding("parameter")], "named"),
         ([finding("parameter", twins=("drive_gain",))], "cannot_tell"),
+        ([finding("parameter", "drive_gain", twins=("link_mass",))], "cannot_tell"),
+        ([finding("parameter", "drive_gain")], "named"),
     ],
 )
 def test_a_rejected_cause_that_validation_data_show_forbids_nothing_found(findings, verdict):

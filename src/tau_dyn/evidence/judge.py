@@ -249,6 +249,12 @@ def _confirm_rejected(hunt: StepwiseSelection, one: SelectedCause) -> Confirmati
     return confirm(hunt.ground, hunt.columns(one.candidate.effects), build_effects(hunt.found))
 
 
+def _is_gain_or_body(finding: Finding) -> bool:
+    """Return whether a gain of the drives and a body explain the same difference, whichever of them gives the name."""
+    twins = finding.indistinguishable_from
+    return "drive_gain" in twins or (finding.cause == "drive_gain" and bool(twins))
+
+
 def decide_verdict(
     findings: Sequence[Finding], unexplained: Sequence[Unexplained], aliased: Sequence[Finding] = ()
 ) -> Verdict:
@@ -262,7 +268,7 @@ def decide_verdict(
     if any(f.status == "confirmed" for f in findings):
         return "named"
     parameters = [f for f in findings if f.status == "parameter"]
-    if aliased or any("drive_gain" in f.indistinguishable_from for f in parameters):
+    if aliased or any(map(_is_gain_or_body, parameters)):
         return "cannot_tell"
     if parameters:
         return "named"
