@@ -7,6 +7,10 @@ from .base_parameters import (
     read_expression as read_expression,
 )
 from .covariance import BLOCK_S as BLOCK_S, Whitener as Whitener, assign_blocks as assign_blocks
+from .determined_combinations import (
+    DeterminedCombinations as DeterminedCombinations,
+    find_determined_combinations as find_determined_combinations,
+)
 from .estimate import (
     MAX_RELATIVE_STDERR as MAX_RELATIVE_STDERR,
     Estimate as Estimate,

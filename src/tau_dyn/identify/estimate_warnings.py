@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 from scipy.stats import chi2
 
-from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Regression
+from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Regression, find_determined_combinations
 from tau_dyn.evidence import MAX_HELD_OUT_RATIO, describe_foreign_joints
 from tau_dyn.identify.result import ForceErrors, list_poorly_determined
 from tau_dyn.message_codes import CodedWarning
@@ -65,7 +65,7 @@ def list_estimate_warnings(estimate: Estimate, sizes: Mapping[str, float] = Mapp
         *_at_bound(estimate),
         *_unseen(estimate),
         *_undetermined(estimate, sizes),
-        *_conditioning(estimate),
+        *_conditioning(estimate, sizes),
     ]
 
 
@@ -248,12 +248,20 @@ def _undetermined(estimate: Estimate, sizes: Mapping[str, float]) -> list[str]:
     return [f"poorly determined (standard error above 30 %): {listed}{more}"]
 
 
-def _conditioning(estimate: Estimate) -> list[str]:
+def _conditioning(estimate: Estimate, sizes: Mapping[str, float]) -> list[str]:
     found = []
     if estimate.cond > _ILL_CONDITIONED:
         found.append(
             f"the regression is ill-conditioned (condition number {estimate.cond:.3g}); estimates are sensitive to noise"
         )
+    determined = find_determined_combinations(estimate, sizes)
+    if determined is not None:
+        lost = estimate.base.rank - determined.base.rank
+        found.append(
+            f"{lost} of {estimate.base.rank} base parameters are known no better than from the robot file; the other "
+            f"{determined.base.rank} combinations are determined and are listed with their values"
+        )
+        return found
     correlation = np.abs(np.triu(estimate.correlation, 1))
     for i, j in np.argwhere(correlation > _CORRELATED)[:5]:
         a, b = estimate.base.expression(int(i)), estimate.base.expression(int(j))

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import inf
 from typing import Any
 
 import numpy as np
 
-from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Regression, SufficientStatistics
+from tau_dyn.estimate import (
+    MAX_RELATIVE_STDERR,
+    DeterminedCombinations,
+    Estimate,
+    Regression,
+    SufficientStatistics,
+    find_determined_combinations,
+)
 from tau_dyn.evidence import LogChange, list_changes
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.bands import PredictiveBands
@@ -190,6 +198,27 @@ class Identification(Shown):
             rows.append(row)
         return rows
 
+    @cached_property
+    def determined_combinations(self) -> DeterminedCombinations | None:
+        """Combinations that the logs tell better than the robot file; None where they tell every base parameter."""
+        return find_determined_combinations(self.estimate, list_body_stderr(self.model.robot))
+
+    def combination_rows(self) -> list[dict[str, Any]]:
+        """Return the determined combinations of several parameters in the contract's form; empty if all base parameters are."""
+        found = self.determined_combinations
+        if found is None:
+            return []
+        before = found.base.combine(self.nominal.select(found.base.names).values)
+        rows = []
+        for k, (column, value, sigma) in enumerate(zip(found.base.kept, found.values, found.stderr, strict=True)):
+            if found.base.alone[column]:
+                continue
+            p = self.estimate.parameters[found.base.names[column]]
+            row = {"expression": found.base.expression(k), "value": float(value), "unit": p.unit}
+            row |= _uncertainty(float(value), float(sigma), None)
+            rows.append(row | {"nominal": None if self._is_friction(p.name) else float(before[k])})
+        return rows
+
     @property
     def estimator(self) -> str:
         """Name of the estimator that answered; see `estimators.py`."""
@@ -207,6 +236,7 @@ class Identification(Shown):
             "parameters": self.rows(),
             "fixed_parameters": [{"name": p.name, "value": p.value, "unit": p.unit, "origin": p.origin} for p in fixed],
             "base_parameters": self.base_rows(),
+            "determined_combinations": self.combination_rows(),
             **({"per_log": [one.to_dict() for one in self.per_log]} if self.per_log else {}),
             **({"motors": [_build_motor_row(p) for p in self.motors]} if len(self.motors) else {}),
             "correlation": self.estimate.correlation.tolist(),

@@ -301,6 +301,8 @@ def list_correlations(found: Identification, most: int = 8) -> list[tuple[str, s
 def list_combinations(found: Identification) -> list[str]:
     """Return what the data do see of parameters that they cannot see alone, with values; best known (relative error) first."""
     together = [row for row in found.base_rows() if row["expression"] != row["name"]]
+    if found.determined_combinations is not None:
+        together = found.combination_rows()
     together.sort(key=lambda row: row["stderr"] / max(abs(row["value"]), 1e-300))
     return [
         f"{r.format_expression(row['expression'])} = {r.format_with_uncertainty(row['value'], row['stderr'], row['unit'])}"
