@@ -252,6 +252,10 @@ WARNING_CODES: dict[str, MessageCode] = {
     "scale_wrong": MessageCode(
         "positions, forces or the clock have another scale", "the column map's line in the sentence"
     ),
+    "setups_differ": MessageCode(
+        "a resonance lies at different frequencies in the set-ups of one test",
+        "move the sensor without changing mass, temperature or posture; keep sensors of equal mass at all places",
+    ),
     "short_log": MessageCode(
         "segments left out, or few independent values", "record without gaps, half a minute or more"
     ),

@@ -11,6 +11,7 @@ import pytest
 from raising import raises_code
 
 from tau_dyn.log import Log
+from tau_dyn.message_codes import get_code
 from tau_dyn.modes import OperationalModes, find_operational_modes
 from tau_dyn.render import build_page
 
@@ -120,3 +121,40 @@ def test_bad_input_is_refused():
     short = replace(log, t=log.t[:100], channels={k: v[:100] for k, v in log.channels.items()})
     with raises_code("too_little_data"):
         find_operational_modes(short, OUTPUTS)
+
+
+@pytest.fixture(scope="module")
+def set_ups() -> list[Log]:
+    """Two logs that share `y1`; the second sensor stands at `y2` and then at `y3`, under five times the force."""
+    logs = []
+    for seed, (name, size) in enumerate([("y2", 1.0), ("y3", 5.0)]):
+        whole = record_ambient(20_000, seed, HZ, DAMPING)
+        channels = {key: size * whole.channels[key] for key in ("y1", name)}
+        logs.append(Log(whole.t, channels, f"{name}.csv"))
+    return logs
+
+
+def test_set_ups_with_a_sensor_that_moves_on_give_one_shape(set_ups):
+    """Frequencies within 3 standard errors, and each shape over all three outputs as that of the structure."""
+    found = find_operational_modes(set_ups, OUTPUTS)
+    assert len(found.modes) == 3
+    for mode, f, true in zip(found.modes, HZ, SHAPES, strict=True):
+        assert abs(mode.frequency_hz - f) < 3.5 * mode.frequency_stderr
+        np.testing.assert_allclose(mode.shape / mode.shape[0], true / true[0], atol=0.08)
+    assert "2 set-ups are joined by y1 (y2.csv: y2; y3.csv: y3)" in found.warnings
+
+
+def test_a_frequency_that_differs_between_set_ups_is_told(set_ups):
+    """A sensor of other mass moves a resonance by 2 %: the joined shape is not that of one structure."""
+    heavier = record_ambient(20_000, 7, HZ * [1.0, 0.98, 1.0], DAMPING)
+    other = Log(heavier.t, {key: heavier.channels[key] for key in ("y1", "y3")}, "heavier.csv")
+    found = find_operational_modes([set_ups[0], other], OUTPUTS)
+    (said,) = [w for w in found.warnings if get_code(w) == "setups_differ"]
+    assert "7.9" in said and "heavier.csv" in said
+
+
+def test_set_ups_without_a_sensor_that_stays_are_refused(set_ups):
+    """Two logs that share no output say nothing of the scale of one shape against the other."""
+    alone = [Log(log.t, {key: log.channels[key]}, key) for log, key in zip(set_ups, ("y2", "y3"), strict=True)]
+    with raises_code("mismatch", "stays in its place"):
+        find_operational_modes(alone, ["y2", "y3"])

@@ -38,7 +38,8 @@ def modes(
 
     Args:
         logs: CSV, Parquet, MCAP, a ROS bag or .mat with t and any columns; never joined
-        inputs: What excites; without any, operational modal analysis of the outputs
+        inputs: What excites; without any, operational modal analysis of the outputs (logs with other outputs are further
+            set-ups, joined by the outputs that all have)
         outputs: What responds; as many as inputs and in their order, they are taken as measured where the forces act
         reference: What a feedback loop was asked to follow, where one was closed
         holdout: Held-out logs, for evaluation only (without any, the last 30 % of each log)

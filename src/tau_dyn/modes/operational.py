@@ -8,11 +8,16 @@ so that the left singular vectors of the block-Hankel matrix H give A and C. Mod
 orders belong to the structure; what noise makes of spare states wanders. Standard errors are those of the delete-one-block
 jackknife of the correlations, to first order the covariance propagation of Reynders, Pintelon & De Roeck 2008 and Döhler &
 Mevel 2013. References: Peeters & De Roeck 1999 (SSI-cov); Efron & Stein 1981.
+
+A sensor that moves on makes several set-ups, which share outputs that stay in their places (references). Each set-up gives modes
+of its own; the same mode of all has the mean of its frequencies and damping ratios, each weighed by its covariance, and a shape
+phi_s of a set-up is scaled to that of the first by its references, c = phi_s^ref' phi_1^ref / |phi_s^ref|^2. So set-ups need not
+be excited alike. Reference: Reynders, Magalhães, De Roeck & Cunha 2009 (PoSER merging).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +27,7 @@ from tau_dyn.log import Log
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.modes.modal import FREQUENCY_TOLERANCE, Mode, build_stabilisation_diagram, compute_frequency_and_damping
 from tau_dyn.modes.order import read_whole_number
-from tau_dyn.modes.record import Record, build_records
+from tau_dyn.modes.record import STEP_TOLERANCE, Record, build_records
 from tau_dyn.modes.result import OperationalModes
 
 MAX_HANKEL_ROWS = 240
@@ -36,6 +41,11 @@ STABLE_SHARE = 0.7  # share of orders, from its first on, in which a mode of the
 MAX_DAMPING = 0.2  # damping ratio above which forces that are not white cannot be told from a mode
 MAX_FREQUENCY_STDERR = 0.02  # relative standard error above which a frequency is not known
 MAX_DAMPING_STDERR = 0.3  # relative standard error above which a damping ratio is hardly known
+MAX_SETUP_DIFFERENCE = 0.05  # relative difference of frequencies up to which two set-ups may show the same mode
+MAX_SETUP_STDERRS = 4.0  # standard errors up to which the frequencies of two set-ups agree
+MIN_REFERENCE = (
+    0.05  # size of a shape at the references, relative to its largest output, below which they are at a node
+)
 
 
 def find_operational_modes(
@@ -44,8 +54,8 @@ def find_operational_modes(
     """Find the modes of a structure that unmeasured forces excite.
 
     Args:
-        logs: Logs; never joined.
-        outputs: Columns that respond.
+        logs: Logs; never joined in time. Logs with different outputs are set-ups of one test, whose sensors moved on.
+        outputs: Columns that respond; each is in one log at least, and at least one in all.
         order: The highest order of model; `auto` takes 40, or what the data carry.
         seed: Kept with the result; nothing here is random.
 
@@ -55,11 +65,99 @@ def find_operational_modes(
     """
     if not outputs:
         raise InputError("bad_option", "no outputs are named; name the columns that respond with --outputs")
-    several = [logs] if isinstance(logs, Log) else list(logs)
-    records = [r for log in several for r in build_records(log, (), tuple(outputs))]
-    if not all(np.isfinite(r.y).all() for r in records):
+    setups = _divide([logs] if isinstance(logs, Log) else list(logs), tuple(outputs))
+    found = [_analyse(one, order) for one in setups]
+    modes, warnings = found[0].modes, found[0].warnings
+    if len(setups) > 1:
+        modes, joined = _join([one.modes for one in found], setups, tuple(outputs))
+        warnings = (*joined, *dict.fromkeys(w for one in found for w in one.warnings))
+    if not modes:
+        raise CannotAnswer(
+            "not_identifiable",
+            "no mode appears at the same place in models of different order, in every set-up",
+            "a longer log, under forces that reach all frequencies of interest, without strong tones of machines",
+        )
+    by_order: dict[int, tuple[Mode, ...]] = {}
+    for one in found:
+        by_order |= {n: (*by_order.get(n, ()), *some) for n, some in one.by_order.items()}
+    return OperationalModes(
+        tuple(outputs),
+        setups[0].records[0].dt,
+        max(by_order),
+        modes,
+        build_stabilisation_diagram(by_order),
+        sum(one.n_samples for one in setups),
+        warnings,
+        seed,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _SetUp:
+    """Records with the same outputs.
+
+    Attributes:
+        records: Unbroken stretches.
+        outputs: Its outputs (p,), in the order of the call.
+    """
+
+    records: tuple[Record, ...]
+    outputs: tuple[str, ...]
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples."""
+        return sum(r.n_samples for r in self.records)
+
+    @property
+    def names(self) -> str:
+        """Names of its logs."""
+        return ", ".join(dict.fromkeys(r.name for r in self.records))
+
+
+@dataclass(frozen=True, eq=False)
+class _Analysis:
+    """Modes of a set-up, those of all orders, and what is doubtful."""
+
+    modes: tuple[Mode, ...]
+    by_order: Mapping[int, tuple[Mode, ...]]
+    warnings: tuple[str, ...]
+
+
+def _divide(logs: Sequence[Log], outputs: tuple[str, ...]) -> list[_SetUp]:
+    """Return the logs by the outputs that they hold.
+
+    Raises:
+        InputError: No log has an output, or no output is in every log.
+    """
+    held = [tuple(name for name in outputs if name in log.channels) for log in logs]
+    if any(not any(name in names for names in held) for name in outputs) or len(logs) == 1:
+        held = [outputs for _ in logs]  # `build_records` says what is missing
+    elif not set.intersection(*map(set, held)):
+        listed = "; ".join(f"{log.name} has {', '.join(some) or 'none'}" for log, some in zip(logs, held, strict=True))
+        raise InputError(
+            "mismatch",
+            f"no output is in every log ({listed}); set-ups are joined by a sensor that stays in its place: name its column",
+        )
+    records: dict[tuple[str, ...], list[Record]] = {}
+    for log, names in zip(logs, held, strict=True):
+        records.setdefault(names, []).extend(build_records(log, (), names))
+    every = [r for some in records.values() for r in some]
+    if not all(np.isfinite(r.y).all() for r in every):
         raise InputError("bad_sample", "outputs hold samples that are no numbers; mend them, or cut the log there")
-    p, n = len(outputs), sum(r.n_samples for r in records)
+    if any(abs(r.dt / every[0].dt - 1) > STEP_TOLERANCE for r in every):
+        raise InputError("time_stamps", "the logs differ in sampling step; resample them alike")
+    return [_SetUp(tuple(some), names) for names, some in records.items()]
+
+
+def _analyse(setup: _SetUp, order: str | int) -> _Analysis:
+    """Return the modes of a set-up.
+
+    Raises:
+        InputError: The order does not fit.
+        CannotAnswer: The logs are too short.
+    """
+    p, n = len(setup.outputs), setup.n_samples
     rows = int(min(np.clip(MAX_HANKEL_ROWS // p, MIN_BLOCK_ROWS, MAX_BLOCK_ROWS), n // (20 * p)))
     if rows < 4:
         raise CannotAnswer(
@@ -67,21 +165,78 @@ def find_operational_modes(
             f"{n} samples of {p} outputs are too few",
             "a longer log, of some thousand periods of the slowest mode",
         )
-    blocks, scale = _correlate_blocks(records, 2 * rows)
+    blocks, scale = _correlate_blocks(setup.records, 2 * rows)
     carried = (rows - 1) * p
     asked = read_whole_number("order", order, 2, carried, f"states from 2 to {carried}")
     highest = min(MAX_ORDER, carried) if asked is None else asked
-    found = _find_modes_by_order(blocks, range(2, highest + 1, 2), records[0].dt, scale)
+    dt = setup.records[0].dt
+    found = _find_modes_by_order(blocks, range(2, highest + 1, 2), dt, scale)
     modes = _select_stable_modes(found)
-    if not modes:
-        raise CannotAnswer(
-            "not_identifiable",
-            "no mode appears at the same place in models of different order",
-            "a longer log, under forces that reach all frequencies of interest, without strong tones of machines",
-        )
-    warnings = _warn(modes, n * records[0].dt / len(blocks))
-    diagram = build_stabilisation_diagram(found)
-    return OperationalModes(tuple(outputs), records[0].dt, highest, modes, diagram, n, warnings, seed)
+    return _Analysis(modes, found, _warn(modes, n * dt / len(blocks)))
+
+
+def _join(
+    modes: Sequence[Sequence[Mode]], setups: Sequence[_SetUp], outputs: tuple[str, ...]
+) -> tuple[tuple[Mode, ...], tuple[str, ...]]:
+    """Return the modes that every set-up shows, over all outputs, and what is to be said of it."""
+    fixed = [name for name in outputs if all(name in one.outputs for one in setups)]
+    moved = "; ".join(f"{one.names}: {', '.join(n for n in one.outputs if n not in fixed)}" for one in setups)
+    said: list[str] = [f"{len(setups)} set-ups are joined by {', '.join(fixed)} ({moved})"]
+    joined, alone, differs = [], [], []
+    for first in modes[0]:
+        same = [first, *(_find_partner(first, modes[0], some) for some in modes[1:])]
+        found = [m for m in same if m is not None]
+        if len(found) < len(setups):
+            alone.append(first)
+            continue
+        joined.append(_join_mode(found, setups, outputs, fixed))
+        spread = [abs(m.frequency_hz - first.frequency_hz) / np.hypot(m.frequency_stderr, first.frequency_stderr)
+                  for m in found[1:]]  # fmt: skip
+        if max(spread) > MAX_SETUP_STDERRS:
+            differs.append(" and ".join(f"{m.frequency_hz:.4g} Hz" for m in found))
+    if alone:
+        said.append(f"{_names(alone)} of {setups[0].names} is not in every set-up and left out")
+    if differs:
+        listed = f"one resonance is at {differs[0]} in {'; '.join(one.names for one in setups)}"
+        why = "the structure changed between the set-ups, so joined frequencies and shapes are off"
+        said.append(CodedWarning("setups_differ", f"{listed}: {why}"))
+    nodes = [m for m in joined if max(abs(m.shape[outputs.index(n)]) for n in fixed) < MIN_REFERENCE]
+    if nodes:
+        said.append(f"{', '.join(fixed)} hardly moves at {_names(nodes)}: joined shapes are rough there")
+    return tuple(joined), tuple(said)
+
+
+def _find_partner(mode: Mode, mine: Sequence[Mode], others: Sequence[Mode]) -> Mode | None:
+    """Return the other set-up's mode of the nearest frequency, None if it is far away or nearer to another of `mine`."""
+
+    def nearest(some: Sequence[Mode], f: float) -> Mode | None:
+        return min(some, key=lambda m: abs(m.frequency_hz - f), default=None)
+
+    found = nearest(others, mode.frequency_hz)
+    if found is None or abs(found.frequency_hz / mode.frequency_hz - 1) > MAX_SETUP_DIFFERENCE:
+        return None
+    return found if nearest(mine, found.frequency_hz) is mode else None
+
+
+def _join_mode(found: Sequence[Mode], setups: Sequence[_SetUp], outputs: tuple[str, ...], fixed: Sequence[str]) -> Mode:
+    """Return the mean of a mode over set-ups, weighed by covariance, and its shape over all outputs."""
+    information, weighed = np.zeros((2, 2)), np.zeros(2)
+    sums, count = np.zeros(len(outputs), complex), np.zeros(len(outputs))
+    at_first = found[0].shape[[setups[0].outputs.index(name) for name in fixed]]
+    for mode, setup in zip(found, setups, strict=True):
+        errors = np.array([mode.frequency_stderr, mode.damping_stderr])
+        correlation = np.array([[1.0, mode.correlation], [mode.correlation, 1.0]])
+        inverse = np.linalg.pinv(correlation * np.outer(errors, errors), hermitian=True, rcond=1e-12)
+        information += inverse
+        weighed += inverse @ [mode.frequency_hz, mode.damping_ratio]
+        here = mode.shape[[setup.outputs.index(name) for name in fixed]]
+        places = [outputs.index(name) for name in setup.outputs]
+        sums[places] += mode.shape * np.vdot(here, at_first) / np.vdot(here, here)
+        count[places] += 1
+    cov = np.linalg.pinv(information, hermitian=True, rcond=1e-12)
+    (f, zeta), (sf, sz), shape = cov @ weighed, np.sqrt(np.diag(cov)), sums / count
+    correlation = float(cov[0, 1] / (sf * sz))
+    return Mode(float(f), float(zeta), float(sf), float(sz), shape / shape[np.argmax(np.abs(shape))], correlation)
 
 
 def _correlate_blocks(records: Sequence[Record], lags: int) -> tuple[np.ndarray, np.ndarray]:

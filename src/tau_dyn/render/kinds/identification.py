@@ -115,14 +115,10 @@ def _build_errors(found: Identification) -> r.ResultTable:
     for k, joint in enumerate(judged.joints):
         share = float(judged.per_joint_percent[k])
         bar = r.Bar(share / worst, tick=float(train.per_joint_percent[k]) / worst if held else None)
-        cells = [
-            joint,
-            bar,
-            bar,
-            r.format_percent(share),
-            f"{r.format_number(float(judged.rms[k]), 3)} {r.format_unit(units[k])}",
-        ]
-        cells += [r.format_percent(float(train.per_joint_percent[k]))] if held else []
+        rms = f"{r.format_number(float(judged.rms[k]), 3)} {r.format_unit(units[k])}"
+        cells = [joint, bar, bar, *(("–", "–") if joint in judged.unjudged else (r.format_percent(share), rms))]
+        trained = "–" if joint in train.unjudged else r.format_percent(float(train.per_joint_percent[k]))
+        cells += [trained] if held else []
         if every is not None:
             used = judged.used_shares[k] if judged.used_shares else judged.used_share
             cells += [r.format_percent(float(every.per_joint_percent[k])), r.format_percent(100 * used)]
