@@ -147,6 +147,10 @@ ERROR_CODES = INPUT_CODES | UNANSWERED_CODES | DEFECT_CODES
 
 WARNING_CODES: dict[str, MessageCode] = {
     "note": MessageCode("anything else", "read the sentence"),
+    "positions_from_loop": MessageCode(
+        "positions of drives follow over a loop from those of its other joints",
+        "nothing, if those encoders' signs and zeros are the robot file's",
+    ),
     "poses_reread": MessageCode(
         "a pose file follows another convention than documented: sign, zero, order, unit, orientation or rows",
         "correct the file, or a column map (`--columns`); the answer uses the reading that is named",

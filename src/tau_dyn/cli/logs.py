@@ -41,10 +41,12 @@ def check(
             known = set(machine.warnings)
             machine = robot_options.hold_silent_joints(machine, robot, [read])
             said = [sentence for sentence in machine.warnings if sentence not in known]
+
+            from tau_dyn.identify import check_against_robot, complete_positions
+
+            (read,) = complete_positions(machine, [read])
         checked = check_log(read, machine)
         if machine is not None:
-            from tau_dyn.identify import check_against_robot
-
             step("holding the log against the robot file")
             checked = checked.with_faults(check_against_robot(machine, [read]))
 

@@ -32,6 +32,7 @@ from tau_dyn.identify import (
     Identification,
     Preparation,
     build_model,
+    complete_positions,
     drop_repeated_logs,
     get_log_list,
     list_provenance,
@@ -219,7 +220,9 @@ def diagnose(
             raise InputError(
                 "bad_option", "diagnose does not take --fix JOINT.drive_gain; scale the forces in the column map"
             )
-        given, judged, doubled = drop_repeated_logs(get_log_list(logs), get_log_list(holdout))
+        given, judged, doubled = drop_repeated_logs(
+            *(complete_positions(prepared.robot, get_log_list(some)) for some in (logs, holdout))
+        )
         warnings += doubled
         train, held = load_into_memory(given), load_into_memory(judged)
         if not train:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from scipy import linalg
@@ -57,7 +58,7 @@ def find_determined_combinations(estimate: Estimate, sizes: Mapping[str, float])
     known = directions[:, variances < 1.0].T  # in units of the prior
     if not len(known) or len(known) == base.rank:
         return None
-    order = linalg.qr(known, mode="r", pivoting=True)[1]
+    _, order = cast("tuple[np.ndarray, np.ndarray]", linalg.qr(known, mode="r", pivoting=True))
     first = np.sort(order[: len(known)])
     others = np.setdiff1d(np.arange(base.rank), first)
     factors = np.linalg.solve(known[:, first], known[:, others]) * prior[first][:, None] / prior[others]

@@ -27,6 +27,7 @@ from .log_integrity import (
     check_integrity as check_integrity,
     is_diagnosis_invalid as is_diagnosis_invalid,
 )
+from .loop_positions import complete_positions as complete_positions
 from .motor_electrics import RECORDED as RECORDED
 from .per_log import (
     LogValue as LogValue,

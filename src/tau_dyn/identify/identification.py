@@ -38,6 +38,7 @@ from tau_dyn.identify.estimate_warnings import (
 )
 from tau_dyn.identify.estimators import Estimator, Settled, iterate_to_fixed_point
 from tau_dyn.identify.fitted_model import Choices, build_model, build_physical_constraints, find_structural_base
+from tau_dyn.identify.loop_positions import complete_positions
 from tau_dyn.identify.motor_electrics import (
     estimate_motor_electrics,
     list_short_voltage_warnings,
@@ -226,7 +227,7 @@ def _gather_data(
             "the logs that it was fitted to, and the new one with --holdout",
         )
     gains = choices.gains(fitted.robot.actuated)
-    train, held, doubled = drop_repeated_logs(given, judged)
+    train, held, doubled = drop_repeated_logs(*(complete_positions(fitted.robot, some) for some in (given, judged)))
     require_forces(fitted.robot, [*train, *held])
     how = {**how, "factors": {joint: factor for joint, (factor, _) in gains.items()}}
     data = Data.of(

@@ -44,6 +44,10 @@ from .legs import (
 )
 from .loop_arrays import LoopArrays as LoopArrays
 from .loops import LoopSolver as LoopSolver, TreeState as TreeState, find_passive_pairs as find_passive_pairs
+from .measured_joints import (
+    compute_actuated_positions_from as compute_actuated_positions_from,
+    list_loop_joints as list_loop_joints,
+)
 from .mechanism import (
     SINGULAR as SINGULAR,
     Mechanism as Mechanism,

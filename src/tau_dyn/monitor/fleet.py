@@ -29,6 +29,7 @@ from tau_dyn.identify import (
     Data,
     build_model,
     build_physical_constraints,
+    complete_positions,
     compute_data_covariance,
     draw_samples,
     drop_repeated_logs,
@@ -203,7 +204,7 @@ def identify_fleet(
     if doubled:
         raise InputError("bad_option", f"{doubled[0].split(';')[0]}; a recording is of one unit, and counts once")
     fitted = (choices or Choices()).apply(build_model(robot, model))
-    logs = name_apart([log for group in units.values() for log in group])
+    logs = name_apart(complete_positions(fitted.robot, [log for group in units.values() for log in group]))
     names = [log.name for log in logs]
     owner = dict(zip(names, [unit for unit, group in units.items() for _ in group], strict=True))
     require_forces(fitted.robot, logs)

@@ -33,6 +33,7 @@ from tau_dyn.identify import (
     Data,
     build_model,
     build_physical_constraints,
+    complete_positions,
     compute_contrast_p_value,
     drop_repeated_logs,
     list_information_warnings,
@@ -282,7 +283,7 @@ def _tell_apart(robot: Robot, empty: Sequence[Log], loaded: Sequence[Log]) -> tu
     """
     if not empty or not loaded:
         raise InputError("missing_input", "a payload takes logs without it and, after --loaded, logs with it")
-    once, held, said = drop_repeated_logs(empty, loaded)
+    once, held, said = drop_repeated_logs(*(complete_positions(robot, some) for some in (empty, loaded)))
     if said:
         raise InputError("bad_option", f"{said[0].split(';')[0]}; an empty and a loaded log are two recordings")
     require_forces(robot, [*once, *held])

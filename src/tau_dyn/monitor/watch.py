@@ -22,6 +22,7 @@ from tau_dyn.identify import (
     TooShort,
     check_against_robot,
     choose_preparation,
+    complete_positions,
     log_warnings,
     prepare_segment,
     require_forces,
@@ -166,6 +167,7 @@ class Watch:
             InputError: It lacks a column, or the robot cannot move as logged.
             CannotAnswer: The first log is too short for the filters.
         """
+        (log,) = complete_positions(self.model.robot, [log])
         require_forces(self.model.robot, [log])
         if log.name not in self.logs:
             self.logs.append(log.name)
