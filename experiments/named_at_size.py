@@ -2,13 +2,13 @@
 
     python experiments/named_at_size.py [--what zero saturation gravity guideway] [--sets 30] [--seed 0] [--jobs 1] [--out DIR]
 
-In: nothing. `zero`: the encoder of one joint whose zero forces can tell is 5 to
-300 mrad off (a cart's 1 to 20 mm). `saturation`: one joint's logged force
-exceeds the true one by 10 % at the largest force, with the third power. `gravity`: the forces that hold the robot still are
-subtracted. All three on the robots, motions and sensors of `hidden_effects_parts/`. `guideway`: one guideway of the L1
-Gantry-Tau is 1 mrad out of parallel; 300 positions of the tool with 40 um of noise, closed by Newton's method on three spheres.
-A fault is named if the first confirmed finding has its name, or has it as a twin, at its joint; gravity if its warning is
-there. Other confirmed causes are counted beside it. Out: `named_at_size.csv`, a row a set; the counts on the screen.
+In: nothing. `zero`: the encoder of a joint whose zero forces can tell is 5 to 300 mrad off (a cart's 1 to 20 mm).
+`saturation`: one joint's logged force exceeds the true one by 10 % at the largest force, with the third power. `gravity`: the
+forces that hold the robot still are subtracted. All three on the robots, motions and sensors of `hidden_effects_parts/`.
+`guideway`: one guideway of the L1 Gantry-Tau is 1 mrad out of parallel; 300 positions of the tool with 40 um of noise, closed by
+Newton's method on three spheres. A fault is named if the first confirmed finding has its name, or has it as a twin, at its
+joint; gravity if its warning is there. Faults of forces are drawn until they are stronger than lambda = 120 (`strength.py`).
+Other confirmed causes are counted beside the named ones. Out: `named_at_size.csv`, a row a set; the counts on the screen.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -25,6 +26,8 @@ from hidden_effects_parts.forms import either, log_uniform, one
 from hidden_effects_parts.recording import Recording, draw_motion, draw_sensing
 from hidden_effects_parts.robots import DRAWS, TURNING, Rig, draw_rig
 from hidden_effects_parts.sensing_forms import TorqueSaturation
+from hidden_effects_parts.sets import hidden_force
+from hidden_effects_parts.strength import Ruler, base_columns
 
 from tau_dyn.diagnose import diagnose
 from tau_dyn.evidence import Diagnosis
@@ -38,6 +41,8 @@ from tau_dyn.scale import run_many
 SECONDS = (70.0, 40.0)
 """Length of the training log and of the held-out log [s]."""
 TOOL_NOISE_M = 4e-5
+STRONG = 120.0
+"""Strength lambda from which a fault is to be named: the error of its size is below 9 %."""
 TOLD = {"l1": (0, 1, 2), "arm": (1,), "geared": (1, 2, 3, 4)}
 """Joints whose zero a force log can tell: a vertical first axis and the last link's centre of mass are exact aliases."""
 SATURATION_SHARE = 0.1
@@ -65,6 +70,16 @@ def spoil_gravity(rig: Rig, runs: list[Recording], rng: np.random.Generator) -> 
     return [run.plus(-force) for run, force in zip(runs, still, strict=True)], "gravity_subtracted", ""
 
 
+class Trial(NamedTuple):
+    """An answer, the robot, the name of the fault and its joint, and its strength lambda; see `strength.py`."""
+
+    found: Diagnosis
+    robot: str
+    name: str
+    joint: str
+    strength: float = np.inf
+
+
 SPOILED: dict[str, tuple[Callable, str]] = {
     "zero": (spoil_zero, "several"),
     "saturation": (spoil_saturation, "any"),
@@ -72,19 +87,32 @@ SPOILED: dict[str, tuple[Callable, str]] = {
 }
 
 
-def diagnose_forces(what: str, number: int, seed: int) -> tuple[Diagnosis, str, str, str]:
-    """Return the answer for a spoiled force log, the robot, the name of the fault and its joint."""
+def diagnose_forces(what: str, number: int, seed: int) -> Trial:
+    """Return the answer for a spoiled force log, drawn until the fault is strong enough."""
     rng = np.random.default_rng([seed, number, sum(map(ord, what))])
+    while True:
+        trial = draw_forces(what, number, rng)
+        if trial is not None:
+            return trial
+
+
+def draw_forces(what: str, number: int, rng: np.random.Generator) -> Trial | None:
+    """Return the answer for a spoiled force log; None where the fault is weak."""
     spoil, robots = SPOILED[what]
     rig = draw_rig(DRAWS[robots](rng), str(rng.choice(("asymmetric", "symmetric"))), rng, off=0.02)
     sensing = draw_sensing(rig, rng)
     runs = [Recording.of(rig, draw_motion(rig, s, rng), sensing.rate_hz, k) for k, s in enumerate(SECONDS)]
     spoiled, name, joint = spoil(rig, runs, rng)
+    ruler = Ruler.of(runs[:1], [base_columns(runs[0])], sensing, 1.0)
+    strength = ruler.strength([hidden_force(runs[0], spoiled[0])])
+    if strength < STRONG:
+        return None
     train, held = (run.log(sensing, rng, f"log{run.number + 1}.csv") for run in spoiled)
-    return diagnose(rig.nominal, [train], holdout=[held], model=rig.model, seed=number), rig.name, name, joint
+    found = diagnose(rig.nominal, [train], holdout=[held], model=rig.model, seed=number)
+    return Trial(found, rig.name, name, joint, strength)
 
 
-def diagnose_guideway(number: int, seed: int) -> tuple[Diagnosis, str, str, str]:
+def diagnose_guideway(number: int, seed: int) -> Trial:
     """Return the answer for tool positions of a Gantry-Tau with a guideway 1 mrad out of parallel."""
     rng = np.random.default_rng([seed, number, 7])
     robot = load_robot("gantry_tau", prototype="l1")
@@ -103,14 +131,15 @@ def diagnose_guideway(number: int, seed: int) -> tuple[Diagnosis, str, str, str]
     columns = {f"q_{j}": q[:, k] for k, j in enumerate(robot.actuated)}
     columns |= dict(zip(("x_tool", "y_tool", "z_tool"), seen.T, strict=True))
     log = Log(np.cumsum(rng.uniform(2, 6, len(q))), columns, "tool.csv")
-    return diagnose(robot, [log], seed=number), "l1", "guideway_nonparallel", robot.actuated[cart]
+    return Trial(diagnose(robot, [log], seed=number), "l1", "guideway_nonparallel", robot.actuated[cart])
 
 
 def make_row(item: tuple[str, int, int]) -> dict[str, object]:
     """Return the row of one set."""
     what, number, seed = item
     start = time.perf_counter()
-    found, robot, name, joint = diagnose_guideway(number, seed) if what == "guideway" else diagnose_forces(*item)
+    trial = diagnose_guideway(number, seed) if what == "guideway" else diagnose_forces(*item)
+    found, name, joint = trial.found, trial.name, trial.joint
     confirmed = [f for f in found.findings if f.status == "confirmed"]
     codes = sorted({get_code(w) for w in found.warnings})
     first = confirmed[0] if confirmed else None
@@ -118,7 +147,15 @@ def make_row(item: tuple[str, int, int]) -> dict[str, object]:
         first and name in {first.cause, *first.indistinguishable_from} and joint in first.joints
     )  # fmt: skip
     others = [f for f in confirmed if name not in {f.cause, *f.indistinguishable_from}]
-    row = {"what": what, "number": number, "robot": robot, "joint": joint, "verdict": found.verdict, "named": named}
+    row: dict[str, object] = {
+        "lambda": trial.strength,
+        "what": what,
+        "number": number,
+        "robot": trial.robot,
+        "joint": joint,
+        "verdict": found.verdict,
+        "named": named,
+    }
     row |= {"exactly": bool(first and first.cause == name) or (what == "gravity" and named), "others": len(others)}
     row |= {"findings": "; ".join(f"{f.cause}@{'+'.join(f.joints)}:{f.status}" for f in found.findings)}
     row |= {"unexplained": "; ".join(f"{u.joint}:{u.status}" for u in found.unexplained), "codes": " ".join(codes)}
@@ -134,7 +171,10 @@ def main(what: list[str], sets: int, seed: int, jobs: int, out: Path) -> None:
     rows: list[dict[str, object]] = []
     for row in run_many(named_at_size.make_row, items, jobs=jobs):
         rows.append(row)
-        print(*(row[key] for key in ("what", "number", "robot", "joint", "named", "findings", "codes")), flush=True)
+        print(
+            *(row[key] for key in ("what", "number", "robot", "joint", "lambda", "named", "findings", "codes")),
+            flush=True,
+        )
         write_whole(out / "named_at_size.csv", pd.DataFrame(rows).to_csv(index=False))
     table = pd.DataFrame(rows)
     for kind, rows in table.groupby("what"):
