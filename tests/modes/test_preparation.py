@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,29 @@ def test_blows_are_recognised_and_cut():
     data = prepare_records([log_of(pulses(structure(), 300, 6), offset=3.0)], IN, OUT)
     assert data.kind == "impulse" and len(data.train) == 4 and len(data.holdout) == 2
     assert all(r.n_samples >= 100 for r in data.train)
+
+
+def test_a_hammer_that_hits_other_places_in_other_logs_needs_no_column_of_zeros():
+    """Where the hammer was elsewhere its force is zero: the same records as with a column of zeros, and it is told."""
+    whole = log_of(pulses(structure(), 300, 6))
+    logs, padded = [], []
+    for k, (mine, other) in enumerate([IN, IN[::-1]]):
+        log = replace(whole, name=f"blow{k}.csv")
+        padded.append(replace(log, channels={**log.channels, other: 1e-9 * np.arange(log.n_samples)}))
+        logs.append(replace(log, channels={name: x for name, x in log.channels.items() if name != other}))
+        assert mine in logs[-1].channels
+    data, same = prepare_records(logs, IN, OUT), prepare_records(padded, IN, OUT)
+    assert data.kind == "impulse" and len(data.train) == len(same.train)
+    for a, b in zip(data.train, same.train, strict=True):
+        assert_allclose(a.u, b.u, atol=1e-3)
+    assert any("blow0.csv has no column force2: taken as zero" in w for w in data.warnings)
+
+
+def test_a_force_that_is_missing_from_a_driven_log_is_asked_for(log):
+    """A shaker that another log names may have run unseen: the column is needed."""
+    partial = replace(log, channels={name: x for name, x in log.channels.items() if name != "force2"})
+    with raises_code("missing_column", "force2"):
+        prepare_records([log, partial], IN, OUT)
 
 
 @pytest.mark.parametrize(

@@ -129,7 +129,7 @@ def check_alike(records: Sequence[Record]) -> None:
 
 
 def build_records(
-    log: Log, inputs: Sequence[str], outputs: Sequence[str], references: Sequence[str] = ()
+    log: Log, inputs: Sequence[str], outputs: Sequence[str], references: Sequence[str] = (), idle: Sequence[str] = ()
 ) -> list[Record]:
     """Return a log's unbroken stretches as records.
 
@@ -138,10 +138,13 @@ def build_records(
         inputs: Columns that excite.
         outputs: Columns that respond.
         references: Columns that a feedback loop was asked to follow.
+        idle: Inputs that did not act and are no columns of this log.
 
     Raises:
         InputError: A column is missing, named twice, or never changes.
     """
+    if idle:
+        log = replace(log, channels={**log.channels, **{name: np.zeros(log.n_samples) for name in idle}})
     names = [*inputs, *outputs, *references]
     for name in names:
         if name not in log.channels:
@@ -149,7 +152,7 @@ def build_records(
     for name in [*inputs, *outputs]:
         if names.count(name) > 1:
             raise InputError("duplicate_name", f"column '{name}' is named twice; each is an input or an output")
-        if np.ptp(log.channels[name]) == 0:
+        if np.ptp(log.channels[name]) == 0 and name not in idle:
             raise InputError("poor_excitation", f"{log.name}: column '{name}' never changes")
 
     def stacked(piece: Log, columns: Iterable[str]) -> np.ndarray:
@@ -223,8 +226,14 @@ def prepare_records(
         CannotAnswer: The logs are too short.
     """
     _refuse_names(inputs, outputs, references)
-    train, held = ([r for log in some for r in _records(log, inputs, outputs, references)] for some in (logs, holdout))
+    idle = [_list_idle(log, inputs, logs) for log in (*logs, *holdout)]
+    records = [
+        _records(log, inputs, outputs, references, still) for log, still in zip((*logs, *holdout), idle, strict=True)
+    ]
+    train, held = ([r for some in part for r in some] for part in (records[: len(logs)], records[len(logs) :]))
     _refuse_records(train, held, len(inputs) + len(outputs))
+    if any(idle) and not all(_is_pulses(r) for r in train):
+        build_records(next(log for log, still in zip((*logs, *holdout), idle, strict=True) if still), inputs, outputs)
     known = {log.sha256 for log in logs if log.sha256}
     both = [log.name for log in holdout if log.sha256 in known or any(log is other for other in logs)]
     pieces = [piece for log in (*logs, *holdout) for piece in resample_segments(log)]
@@ -232,6 +241,11 @@ def prepare_records(
         *dict.fromkeys(w for piece in pieces for w in piece.warnings),
         *(f"{name} is both trained on and held out; its errors are not held-out errors" for name in both),
         *(warning for log in (*logs, *holdout) for warning in _list_dead_sensors(log, inputs, outputs)),
+        *(
+            f"{log.name} has no column {', '.join(still)}: taken as zero, for the hammer was elsewhere"
+            for log, still in zip((*logs, *holdout), idle, strict=True)
+            if still
+        ),
     )
     if all(_is_pulses(r) for r in train):
         return _pulses(train, held, warnings)
@@ -274,7 +288,7 @@ def _list_dead_sensors(log: Log, inputs: Sequence[str], outputs: Sequence[str]) 
     """Return a warning for each output that keeps one value for long while the other channels go on."""
     found = []
     for name in outputs:
-        others = [log.channels[c] for c in (*inputs, *outputs) if c != name]
+        others = [log.channels[c] for c in (*inputs, *outputs) if c != name and c in log.channels]
         for start, stop in list_long_runs(log.channels[name], log.rate_hz)[0]:
             if not any(np.std(x[start:stop]) > LIVE_SHARE * np.std(x) for x in others):
                 continue
@@ -309,7 +323,16 @@ def _spans_inputs(pulses: list[Record]) -> bool:
     return bool(np.all(strongest > 0)) and np.linalg.matrix_rank(peaks / strongest, tol=0.05) == peaks.shape[1]
 
 
-def _records(log: Log, inputs: Sequence[str], outputs: Sequence[str], references: Sequence[str]) -> list[Record]:
+def _list_idle(log: Log, inputs: Sequence[str], logs: Sequence[Log]) -> tuple[str, ...]:
+    """Return the inputs that this log lacks and another one has: places that a moving hammer hit in other logs."""
+    missing = [name for name in inputs if name not in log.channels]
+    elsewhere = all(any(name in other.channels for other in logs) for name in missing)
+    return tuple(missing) if elsewhere and len(missing) < len(inputs) else ()
+
+
+def _records(
+    log: Log, inputs: Sequence[str], outputs: Sequence[str], references: Sequence[str], idle: Sequence[str]
+) -> list[Record]:
     for name in (*inputs, *outputs, *references):
         bad = np.flatnonzero(~np.isfinite(log.channels.get(name, np.zeros(1))))
         if len(bad):
@@ -318,7 +341,7 @@ def _records(log: Log, inputs: Sequence[str], outputs: Sequence[str], references
                 f"{log.name}: column '{name}' holds no number in {len(bad)} sample(s), first at t = {log.t[bad[0]]:.6g} s; "
                 "mend them, or cut the log there",
             )
-    records = build_records(log, inputs, outputs, references)
+    records = build_records(log, inputs, outputs, references, idle)
     for i, one in enumerate(inputs):
         for j, other in enumerate(outputs):
             if all(_alike(r.u[:, i], r.y[:, j]) for r in records):

@@ -110,9 +110,10 @@ def _build_modes(
     found: Modes | OperationalModes, on_robot: ShapesOnRobot | None, orders: Sequence[int]
 ) -> Iterator[r.Element]:
     several = len(found.outputs) > 1
+    listed = [m for m in found.modes if isinstance(found, OperationalModes) or figures.is_resonance(m)] or found.modes
     most = r.Column("moves most", on=r.On.PRINTED, cell=lambda m: found.outputs[int(np.argmax(np.abs(m.shape)))])
     yield r.tabulate_things(
-        found.modes,
+        listed,
         r.Column("frequency [Hz]", "number", "big", cell=format_frequency),
         r.Column(
             "95 % interval",
@@ -135,6 +136,11 @@ def _build_modes(
         style="modes",
         on=r.On.ALL,
     )
+    if len(listed) < len(found.modes):
+        more = r.count(len(found.modes) - len(listed), "further pole")
+        yield r.Text(
+            f"{more} of the model ha{'s' if more.startswith('1 ') else 've'} no known frequency; see --json.", "quiet"
+        )
     yield r.explain(
         "Undamped natural frequency and damping as a share of critical damping, ± is one standard error (1 σ). Rings "
         "for: until a swing has fallen to 37 %. Seen in: models of this order and higher that show it too."
