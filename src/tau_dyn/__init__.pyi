@@ -2,7 +2,7 @@ from .calibrate import calibrate as calibrate
 from .control import Feedforward as Feedforward
 from .effects import list_causes as list_causes
 from .exceptions import CannotAnswer as CannotAnswer, InputError as InputError, TauDynError as TauDynError
-from .identify import Choices as Choices, build_regression as build_regression
+from .identify import Choices as Choices, build_regression as build_regression, compare_fit as compare_fit
 from .log import Log as Log, check_log as check_log, read_log as read_log
 from .mechanism import (
     build_mechanism as build_mechanism,

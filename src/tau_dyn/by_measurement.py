@@ -2,36 +2,84 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
+from inspect import signature
 from pathlib import Path
-from typing import Any, Unpack, overload
+from typing import Any, TypedDict, Unpack, overload
 
 from tau_dyn.diagnose import diagnose as diagnose_forces
 from tau_dyn.evidence import Diagnosis
-from tau_dyn.exceptions import InputError
-from tau_dyn.identify import Identification, get_log_list, identify as identify_forces
+from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.identify import Choices, Identification, Logs, Preparation, get_log_list, identify as identify_forces
 from tau_dyn.log import Log, Recording
-from tau_dyn.robot import Robot
+from tau_dyn.model import Model
+from tau_dyn.robot import Robot, as_robot
 from tau_dyn.servo import LoopIdentification, LoopOptions, diagnose_loop, identify_loop, is_loop_log
 from tau_dyn.simulate import ServoLaw, read_servo_law
 
-Logs = Log | Recording | Iterable[Log | Recording]
 Controller = ServoLaw | str | Path | None
 _NOT_SAID: Any = object()
 
 
+class ForceOptions(TypedDict, total=False):
+    """What may be said of logs of forces; everything may be left out.
+
+    Attributes:
+        holdout: Logs to judge on.
+        model: `rigid`, `symmetric`, `asymmetric`, a model file, or a model.
+        choices: What is fixed, free, bounded or measured beforehand.
+        preparation: Filters and masks; by default chosen from the training logs.
+        exclude: Log columns whose nonzero samples are left out.
+        seed: Seed of whatever is random.
+        progress: Called with a word for each step.
+    """
+
+    holdout: Logs
+    model: str | Path | Model
+    choices: Choices | None
+    preparation: Preparation | None
+    exclude: tuple[str, ...]
+    seed: int
+    progress: Callable[[str], None]
+
+
+class IdentifyOptions(ForceOptions, total=False):
+    """Options of `identify` alone.
+
+    Attributes:
+        per_log: Names or patterns of parameters with a value for each log.
+        estimator: `auto`, `wls`, `ml`, `iv` or `robust`.
+    """
+
+    per_log: Sequence[str]
+    estimator: str
+
+
+def _refuse_unknown(function: Callable[..., Any], options: dict[str, Any]) -> None:
+    """Refuse an option that a function does not have, and name those that it has.
+
+    Raises:
+        UnknownName: Lists the options.
+    """
+    known = [name for name, p in signature(function).parameters.items() if p.kind is p.KEYWORD_ONLY]
+    for name in options:
+        if name not in known:
+            raise UnknownName("option", name, known)
+
+
 @overload
-def identify(robot: Robot, logs: Logs, **options: Any) -> Identification: ...
+def identify(robot: Robot | str | Path, logs: Logs, **options: Unpack[IdentifyOptions]) -> Identification: ...
 @overload
 def identify(
-    robot: Robot, logs: Logs, *, controller: Controller, **options: Unpack[LoopOptions]
+    robot: Robot | str | Path, logs: Logs, *, controller: Controller, **options: Unpack[LoopOptions]
 ) -> LoopIdentification: ...
-def identify(robot: Robot, logs: Logs, *, controller: Controller = _NOT_SAID, **options: Any) -> Any:
+def identify(robot: Robot | str | Path, logs: Logs, *, controller: Controller = _NOT_SAID, **options: Any) -> Any:
     """Identify a robot's parameters from logs of forces, or, without forces, through its servo loops.
 
     Args:
-        robot: The robot, with nominal parameters.
-        logs: Training logs with `q_J` and `tau_J` of every actuated joint; or with `q_J` and `cmd_J` and no force.
+        robot: The robot, with nominal parameters; or its file's path, or a short name.
+        logs: Training logs with `q_J` and `tau_J` of every actuated joint; or with `q_J` and `cmd_J` and no force. Each is a log,
+            the path of a file, or a table of pandas.
         controller: The servo's law or its file, for logs without forces; None to estimate its gains. Saying it, be it
             None, tells a type checker that the answer is a `LoopIdentification`.
         **options: Those of `tau_dyn.identify.identify`, or of `tau_dyn.servo.LoopOptions`.
@@ -48,21 +96,28 @@ def identify(robot: Robot, logs: Logs, *, controller: Controller = _NOT_SAID, **
         >>> round(td.identify(td.load_robot("linear_axis"), log).parameters["carriage_link.mass"].value, 1)
         90.0
     """
-    given = get_log_list(logs)
-    if given and is_loop_log(given[0], robot):
-        return identify_loop(robot, given, **_read_law(controller, robot), **options)
+    machine, given = as_robot(robot), get_log_list(logs)
+    if given and is_loop_log(given[0], machine):
+        return identify_loop(machine, given, **_read_law(controller, machine), **options)
     _refuse_law(controller, given)
-    return identify_forces(robot, given, **options)
+    _refuse_unknown(identify_forces, options)
+    return identify_forces(machine, given, **options)
 
 
-@overload
-def diagnose(robot: Robot | Identification, logs: Logs = (), **options: Any) -> Diagnosis: ...
 @overload
 def diagnose(
-    robot: Robot | LoopIdentification, logs: Logs = (), *, controller: Controller, **options: Unpack[LoopOptions]
+    robot: Robot | Identification | str | Path, logs: Logs = (), **options: Unpack[ForceOptions]
+) -> Diagnosis: ...
+@overload
+def diagnose(
+    robot: Robot | LoopIdentification | str | Path,
+    logs: Logs = (),
+    *,
+    controller: Controller,
+    **options: Unpack[LoopOptions],
 ) -> Diagnosis: ...
 def diagnose(
-    robot: Robot | Identification | LoopIdentification,
+    robot: Robot | Identification | LoopIdentification | str | Path,
     logs: Logs = (),
     *,
     controller: Controller = _NOT_SAID,
@@ -71,7 +126,7 @@ def diagnose(
     """Find out what a simulation gets wrong, and why, from logs of forces or, without forces, through the servo loops.
 
     Args:
-        robot: The robot, or an identification, whose logs (and law) are then taken.
+        robot: The robot, its file's path or a short name; or an identification, whose logs (and law) are then taken.
         logs: Logs to train on, with `q_J` and `tau_J` of every actuated joint; or with `q_J` and `cmd_J` and no force.
         controller: The servo's law or its file, for logs without forces; None where nothing is known of it.
         **options: Those of `tau_dyn.diagnose.diagnose`, or of `tau_dyn.servo.LoopOptions`.
@@ -94,11 +149,12 @@ def diagnose(
         start = robot.start[0]
         law = start.law if controller is _NOT_SAID else controller
         return diagnose(start.model.robot, logs or robot.logs, controller=law, **options)
-    machine = robot
+    machine = robot if isinstance(robot, Identification) else as_robot(robot)
     given = get_log_list(logs)
     if isinstance(machine, Robot) and given and is_loop_log(given[0], machine):
         return diagnose_loop(machine, given, **_read_law(controller, machine), **options)
     _refuse_law(controller, given)
+    _refuse_unknown(diagnose_forces, options)
     return diagnose_forces(machine, given, **options)
 
 

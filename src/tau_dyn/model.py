@@ -22,11 +22,23 @@ from tau_dyn.effects import (
     Motion,
     compute_shifted_forces,
     describe_missing_state,
+    get_measured_signals,
     name_effect_in_errors,
     read_effects,
 )
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml, write_whole
+from tau_dyn.log import (
+    MIN_SEGMENT_SAMPLES,
+    LogSource,
+    as_log,
+    choose_force_cutoff,
+    compute_rest_speed,
+    differentiate,
+    find_motion_band,
+    lowpass,
+    resample_segments,
+)
 from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.parameters import Parameters
 from tau_dyn.results import Shown
@@ -189,6 +201,43 @@ class Model(Shown):
         self._refuse_states(t)
         motion = self.motion(q, v, a, sign, t=t, signals=signals)
         return self.mechanism.inverse_dynamics(motion.q, motion.v, motion.a) + self.effect_force(motion)
+
+    def predict(self, log: LogSource) -> np.ndarray:
+        """Return the forces (N, na) [N or N m] that the model predicts at a log's samples.
+
+        Positions pass a zero-phase low-pass above the motion's band and are differentiated, so that near a log's ends (a few
+        periods of the low-pass) speeds and accelerations are rough. A joint below the speed at which its direction is sure has
+        no Coulomb friction here: at rest the force may be anything between both values. Parts between gaps with too few samples
+        are nan.
+
+        Args:
+            log: A log, its path, or a table with `t` and `q_J` of every actuated joint.
+
+        Raises:
+            InputError: The log lacks a column that the robot or an effect needs.
+        """
+        read, joints = as_log(log), self.robot.actuated
+        found = np.full((read.n_samples, len(joints)), np.nan)
+        for piece in resample_segments(read):
+            raw, rate = piece.joint("q", joints), piece.rate_hz
+            if piece.n_samples < MIN_SEGMENT_SAMPLES:
+                continue
+            cutoff = choose_force_cutoff([find_motion_band(raw, rate)], rate) or 0.16 * rate
+            q = lowpass(raw, cutoff, rate)
+            v = differentiate(q, 1 / rate, accuracy=4)
+            a = differentiate(v, 1 / rate, accuracy=4)
+            rest = compute_rest_speed(raw, rate, cutoff)
+            sign = np.where(np.abs(v) > rest, np.sign(v), 0.0)
+            signals = get_measured_signals(piece, joints, q, v, rest)
+            force = self.torque(q, v, a, sign, t=piece.t, signals=signals)
+            here = (read.t >= piece.t[0]) & (read.t <= piece.t[-1])
+            found[here] = np.column_stack([np.interp(read.t[here], piece.t, x) for x in force.T])
+        return found
+
+    def residuals(self, log: LogSource) -> np.ndarray:
+        """Return measured minus predicted forces (N, na) [N or N m] at a log's samples; see `predict`."""
+        read = as_log(log)
+        return read.joint("tau", self.robot.actuated) - self.predict(read)
 
     def columns(self, motion: Motion) -> np.ndarray:
         """Return all columns (N, na, p) along a motion that has the signals its effects need."""

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.effects import EFFECTS, build_friction_model
+from tau_dyn.effects import EFFECTS, build_friction_model, compute_travel
 from tau_dyn.identify import build_regression, identify
-from tau_dyn.identify.preparation import compute_travel
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.simulate import build_named_motion

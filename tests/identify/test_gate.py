@@ -12,11 +12,10 @@ from tau_dyn.identify import Preparation, choose_preparation
 from tau_dyn.identify.preparation import (
     MIN_SEGMENT_SAMPLES,
     compute_gate,
-    compute_rest_speed,
     find_excluded_samples,
     hold_closed,
 )
-from tau_dyn.log import Log, compute_noise_gain, estimate_encoder_noise, find_motion_band
+from tau_dyn.log import Log, compute_noise_gain, compute_rest_speed, estimate_encoder_noise, find_motion_band
 from tau_dyn.model import Model
 
 RATE, N = 1000.0, 1000

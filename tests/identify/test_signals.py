@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tau_dyn.effects import Motion, ReducerCoupling
+from tau_dyn.effects import Motion, ReducerCoupling, compute_travel
 from tau_dyn.identify import Preparation, build_regression
-from tau_dyn.identify.preparation import compute_travel
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 

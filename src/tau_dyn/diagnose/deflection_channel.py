@@ -38,6 +38,7 @@ from tau_dyn.effects import (
     Motion,
     PlausibleRange,
     format_amount,
+    get_measured_signals,
 )
 from tau_dyn.estimate import Whitener, solve_least_squares
 from tau_dyn.evidence import (
@@ -50,7 +51,7 @@ from tau_dyn.evidence import (
     scan_periods,
 )
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify import Preparation, get_measured_signals
+from tau_dyn.identify import Preparation
 from tau_dyn.log import Log, differentiate, lowpass, resample_segments
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot

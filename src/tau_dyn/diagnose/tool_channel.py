@@ -28,12 +28,22 @@ from tau_dyn.diagnose.measured_channel import (
     find_directions,
 )
 from tau_dyn.diagnose.preparation import choose_diagnosis_preparation
-from tau_dyn.effects import EFFECTS, GUIDE_ACROSS, SENSITIVITY, SIDE_FORCE, DisplacementEffect, Effect, Motion, Scene
+from tau_dyn.effects import (
+    EFFECTS,
+    GUIDE_ACROSS,
+    SENSITIVITY,
+    SIDE_FORCE,
+    DisplacementEffect,
+    Effect,
+    Motion,
+    Scene,
+    get_measured_signals,
+)
 from tau_dyn.evidence import (
     name_by_joint,
 )
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify import MIN_RATE_HZ, Preparation, get_measured_signals
+from tau_dyn.identify import MIN_RATE_HZ, Preparation
 from tau_dyn.log import Log, compute_attenuation, differentiate, lowpass, resample_segments
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters

@@ -59,6 +59,12 @@ from .jointwise import (
     JointwiseEffect as JointwiseEffect,
 )
 from .lost_motion import Backlash as Backlash, JointCompliance as JointCompliance
+from .measured_signals import (
+    compute_travel as compute_travel,
+    get_measured_signals as get_measured_signals,
+    is_proportional as is_proportional,
+    makes_force as makes_force,
+)
 from .motion import (
     JointMotion as JointMotion,
     JointScales as JointScales,

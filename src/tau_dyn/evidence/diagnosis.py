@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tau_dyn.estimate import Preparation
 from tau_dyn.evidence.result import (
@@ -20,7 +20,10 @@ from tau_dyn.evidence.result import (
 )
 from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
-from tau_dyn.results import Shown, to_plain
+from tau_dyn.results import Shown, Stretch, plot_outputs, to_plain
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +92,18 @@ class Diagnosis(Shown):
     def exit_status(self) -> int:
         """3 where the data cannot tell, else 0."""
         return 3 if self.verdict == "cannot_tell" else 0
+
+    def plot(self) -> Figure:
+        """Return a Matplotlib figure of measured outputs, both models, and the residual of the extended one.
+
+        Raises:
+            InputError: Matplotlib is not installed.
+        """
+        curves = [
+            Stretch(one.log, one.t, one.measured, {"baseline": one.before, "extended": one.after}, one.usable)
+            for one in self.traces
+        ]
+        return plot_outputs(curves, self.outputs, self.units)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's JSON result, without what the command adds (version, inputs)."""

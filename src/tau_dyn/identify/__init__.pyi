@@ -3,6 +3,7 @@
 from .common_samples import has_common_samples as has_common_samples
 from .data import (
     Data as Data,
+    Logs as Logs,
     drop_repeated_logs as drop_repeated_logs,
     get_log_list as get_log_list,
     list_provenance as list_provenance,
@@ -28,6 +29,7 @@ from .log_integrity import (
     is_diagnosis_invalid as is_diagnosis_invalid,
 )
 from .loop_positions import complete_positions as complete_positions
+from .model_fit import ModelFit as ModelFit, compare_fit as compare_fit
 from .motor_electrics import RECORDED as RECORDED
 from .per_log import (
     LogValue as LogValue,
@@ -51,7 +53,6 @@ from .preparation import (
     choose_preparation as choose_preparation,
     count_information as count_information,
     find_unsure_samples as find_unsure_samples,
-    get_measured_signals as get_measured_signals,
     keep_long as keep_long,
     list_crumbs as list_crumbs,
     list_information_warnings as list_information_warnings,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -33,8 +33,11 @@ from tau_dyn.identify.streaming import (
 )
 from tau_dyn.log import (
     MIN_SEGMENT_SAMPLES,
+    DataTable,
     Log,
+    LogSource,
     Recording,
+    as_log,
     check_signals,
     find_moving_samples,
     list_unit_warnings,
@@ -46,6 +49,8 @@ from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 
 Kind = TypeVar("Kind", bound=Log | Recording)
+Logs: TypeAlias = LogSource | Recording | Iterable[LogSource | Recording]
+"""One log or several: each a log, a recording on disk, the path of a file, or a table."""
 
 _CHANNEL_FAULTS = ("frozen", "clipping")
 """What a fit does not notice by itself."""
@@ -55,13 +60,15 @@ _NOT_MENDED = "This is of the middle of a recording larger than memory, which is
 _MAX_LISTED_WARNINGS = 4  # warnings about one log before they are counted instead of listed
 
 
-def get_log_list(logs: Log | Recording | Iterable[Log | Recording]) -> list[Log | Recording]:
-    """Return one log or many as a list; a path is refused."""
-    if isinstance(logs, Log | Recording):
-        return [logs]
-    if isinstance(logs, str | Path):
-        raise InputError("invalid_value", f"{str(logs)[:80]} is a path, not a Log; read it with read_log(path)")
-    return list(logs)
+def get_log_list(logs: Logs) -> list[Log | Recording]:
+    """Return one log or many as a list; paths are read, and tables become logs; see `as_log`.
+
+    Raises:
+        InputError: One of them is no log.
+    """
+    if isinstance(logs, Log | Recording | str | Path | DataTable) or not isinstance(logs, Iterable):
+        return [as_log(logs)]
+    return [as_log(one) for one in logs]
 
 
 def list_provenance(train: Sequence[Log | Recording], held: Sequence[Log | Recording], seed: int) -> dict[str, Any]:

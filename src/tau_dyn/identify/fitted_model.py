@@ -21,10 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tau_dyn.effects import FRICTION_MODELS, build_friction_model
+from tau_dyn.effects import FRICTION_MODELS, build_friction_model, compute_travel
 from tau_dyn.estimate import BaseParameters, InertialBody, PhysicalConstraints, Regression, find_base
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.identify.preparation import compute_travel
 from tau_dyn.log import differentiate
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters

@@ -38,6 +38,7 @@ import numpy as np
 from scipy import linalg
 from scipy.fft import next_fast_len
 
+from tau_dyn.effects import get_measured_signals
 from tau_dyn.estimate import (
     REACH,
     Estimate,
@@ -55,7 +56,7 @@ from tau_dyn.estimate import (
     solve_instrumental_variables,
 )
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.identify.preparation import find_excluded_samples, find_unsure_samples, get_measured_signals, widen
+from tau_dyn.identify.preparation import find_excluded_samples, find_unsure_samples, widen
 from tau_dyn.log import Log, compute_edge_samples, differentiate, estimate_encoder_noise, lowpass
 from tau_dyn.model import Model
 

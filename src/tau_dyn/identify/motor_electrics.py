@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from tau_dyn.effects import PULSE_WIDTH, VOLTAGE
+from tau_dyn.effects import PULSE_WIDTH, VOLTAGE, is_proportional, makes_force
 from tau_dyn.estimate import BLOCK_S, Estimate, Regression, RegressionRun, assign_blocks
 from tau_dyn.log import Log
 from tau_dyn.message_codes import CodedWarning
@@ -30,22 +30,6 @@ RECORDED = (VOLTAGE, CURRENT, PULSE_WIDTH)
 """Signals of a motor that a log may hold."""
 _MIN_BLOCKS = 20
 """Blocks of 2 s: of fewer the scatter of four numbers is itself unsure by more than a fifth."""
-_MAX_UNPROPORTIONAL = 1e-3
-"""Share of a force that may be left beside a constant times a voltage: a map's scale leaves rounding, a measured current more."""
-
-
-def makes_force(log: Log, joints: Sequence[str], signal: str) -> bool:
-    """Return whether a log has this signal for each joint, and each one's force is a constant times it."""
-    if not log.has(signal, joints):
-        return False
-    return bool(np.all(_is_proportional(log.joint("tau", joints), log.joint(signal, joints))))
-
-
-def _is_proportional(tau: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return for each column (n, na) whether it is a constant times another."""
-    scale = np.sum(x * tau, axis=0) / np.maximum(np.sum(x**2, axis=0), 1e-300)
-    left = np.linalg.norm(tau - scale * x, axis=0)
-    return left <= _MAX_UNPROPORTIONAL * np.linalg.norm(tau, axis=0)
 
 
 def list_voltage_warnings(logs: Sequence[object], joints: Sequence[str]) -> list[str]:
@@ -73,7 +57,7 @@ def estimate_motor_electrics(estimate: Estimate) -> Parameters:
     if regression.everything is not None or not runs:
         return Parameters([])
     found: list[Parameter] = []
-    for k, made in enumerate(np.any([_is_proportional(run.y_all, run.signals[VOLTAGE]) for run in runs], axis=0)):
+    for k, made in enumerate(np.any([is_proportional(run.y_all, run.signals[VOLTAGE]) for run in runs], axis=0)):
         if not made:
             found += _estimate_joint(regression, runs, estimate.theta, k)
     return Parameters(found)
@@ -85,7 +69,7 @@ def list_short_voltage_warnings(estimate: Estimate) -> list[str]:
     if estimate.regression.everything is not None or not runs:
         return []
     blocks = sum(len(np.unique(assign_blocks(run.t - run.t[0])[run.usable.any(axis=1)])) for run in runs)
-    made = np.any([_is_proportional(run.y_all, run.signals[VOLTAGE]) for run in runs], axis=0)
+    made = np.any([is_proportional(run.y_all, run.signals[VOLTAGE]) for run in runs], axis=0)
     joints = [joint for joint, is_voltage in zip(estimate.regression.outputs, made, strict=True) if not is_voltage]
     if blocks >= _MIN_BLOCKS or not joints:
         return []

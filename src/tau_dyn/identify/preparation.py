@@ -33,36 +33,34 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from scipy.ndimage import convolve1d, minimum_filter1d
 
-from tau_dyn.effects import PULSE_WIDTH, VOLTAGE, Effect, Motion
+from tau_dyn.effects import Effect, Motion
 from tau_dyn.estimate import ROUNDING, Preparation, Regression
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.motor_electrics import makes_force
 from tau_dyn.log import (
+    FORCE_BAND_FACTOR,
     MIN_SEGMENT_SAMPLES,
     ROOM_TEMPERATURE,
+    SURE_SPEED_FACTOR,
     EvenSegment,
     InMemorySegment,
     Log,
     Recording,
     check_jumps,
+    choose_force_cutoff,
     compute_edge_samples,
-    compute_noise_gain,
+    compute_rest_speed,
     count_short_segments,
-    differentiate,
-    estimate_encoder_noise,
     find_motion_band,
-    find_reversals,
-    lowpass,
 )
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.model import COMPUTED, Model
 from tau_dyn.results import count
 from tau_dyn.robot import Robot
 
-BAND_FACTOR = 5.0  # low-pass of forces over the motion's band edge
+BAND_FACTOR = FORCE_BAND_FACTOR  # low-pass of forces over the motion's band edge
 POSITION_FACTOR = 8.0  # low-pass of positions over that of forces
 RATE_FACTOR = 2.5  # rate kept after decimation over the low-pass; 2 is the sampling theorem
-NOISE_FACTOR = 10.0  # speed in standard deviations of its noise, from which its sign is known
+NOISE_FACTOR = SURE_SPEED_FACTOR  # speed in standard deviations of its noise, from which its sign is known
 MIN_RATE_HZ = 5.0
 """A log sampled more slowly shows no dynamics; mostly its clock is not in seconds."""
 
@@ -111,11 +109,11 @@ def choose_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ..
             f"no joint moves above its encoder's noise in {', '.join(log.name for log in logs)}",
             f"move {', '.join(robot.actuated)} in both directions, over several speeds, for a minute or more",
         )
-    moving = [band.noise_edge_hz[band.edge_hz > 0] for band in bands]
-    noise_edge = min((float(x.min()) for x in moving if x.size), default=rate)
-    force_cutoff = max(min(BAND_FACTOR * edge, noise_edge, 0.16 * rate), edge)
+    force_cutoff = choose_force_cutoff(bands, rate, BAND_FACTOR)
     position_cutoff = min(POSITION_FACTOR * force_cutoff, 0.4 * rate)
-    rests = [compute_rest_speed(log.joint("q", robot.actuated), log.rate_hz, position_cutoff) for log in logs]
+    rests = [
+        compute_rest_speed(log.joint("q", robot.actuated), log.rate_hz, position_cutoff, NOISE_FACTOR) for log in logs
+    ]
     return Preparation(
         position_cutoff,
         force_cutoff,
@@ -124,36 +122,6 @@ def choose_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ..
         MEMORY / position_cutoff,
         exclude,
     )
-
-
-FINEST_COUNT = 2.0**-26
-"""Encoder noise, as a share of a joint's range, below which positions were smoothed before they were logged, or simulated: the
-finest encoders resolve 26 bits a turn. The linear drive of EMPS counts 2^22 steps in its range, a UR10's smoothed joints 2^46."""
-
-REST_SHARE = 0.02
-"""Share of a joint's fast speed below which it rests where its noise does not show: stick-slip and pre-sliding follow no law of
-Coulomb and viscous friction. 1 to 5 % give a UR10's smoothed positions the same held-out error within 0.5 %, 0 a fifth more."""
-
-FAST_QUANTILE = 0.95
-"""Quantile of a joint's speeds that is called its fast speed; a single knock does not move it."""
-
-
-def compute_rest_speed(q: np.ndarray, rate_hz: float, cutoff_hz: float) -> np.ndarray:
-    """Return the speed (n,) below which a joint's direction is unsure: it rests, or its noise decides.
-
-    Args:
-        q: Measured positions (N, n) [m or rad], evenly spaced and not filtered.
-        rate_hz: Sampling rate [Hz].
-        cutoff_hz: Cutoff of the low-pass of positions [Hz].
-    """
-    noise = estimate_encoder_noise(q)
-    unsure = NOISE_FACTOR * noise * compute_noise_gain(rate_hz, cutoff_hz)
-    smooth = noise < FINEST_COUNT * np.ptp(q, axis=0)
-    if not smooth.any() or len(q) <= compute_edge_samples(cutoff_hz, rate_hz):
-        return unsure
-    v = differentiate(lowpass(q[:, smooth], cutoff_hz, rate_hz), 1 / rate_hz)
-    unsure[smooth] = np.maximum(unsure[smooth], REST_SHARE * np.quantile(np.abs(v), FAST_QUANTILE, axis=0))
-    return unsure
 
 
 CODE = "short_log"
@@ -290,34 +258,6 @@ def list_information_warnings(regression: Regression, rank: int, band_hz: float 
             f"wide and themselves unsure; {EXPERIMENT}",
         )
     ]
-
-
-def get_measured_signals(
-    log: Log, joints: tuple[str, ...], q: np.ndarray, v: np.ndarray, threshold: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Return what a log says beyond positions and forces: temperatures, travel since a reversal, voltages that forces are."""
-    found = {"reversal": np.column_stack([compute_travel(q[:, k], v[:, k], threshold[k]) for k in range(q.shape[1])])}
-    warmth = log.temperatures(joints)
-    found |= {} if warmth is None else {"temperature": warmth}
-    return found | {name: log.joint(name, joints) for name in (VOLTAGE, PULSE_WIDTH) if makes_force(log, joints, name)}
-
-
-def compute_travel(q: np.ndarray, v: np.ndarray, threshold: float) -> np.ndarray:
-    """Return the distance (N,) since a joint last reversed, from the turning point of each stretch of one direction.
-
-    Stretches are told apart where the speed is sure, above the threshold; where they turned lies a little before. The first one
-    counts from there too, or from the first sample.
-    """
-    sure = np.flatnonzero(np.abs(v) > threshold)
-    starts = np.concatenate([[0], find_reversals(v, threshold), [len(q)]])
-    out, before = np.zeros(len(q)), 0
-    for start, stop in zip(starts[:-1], starts[1:], strict=True):
-        at = start if start or not sure.size else sure[0]
-        heading = np.sign(v[at]) or 1.0
-        turn = np.min(heading * q[before : at + 1])
-        out[start:stop] = np.maximum(0.0, heading * q[start:stop] - turn)
-        before = start
-    return out
 
 
 def refuse_missing_temperature(model: Model, log: Log, measured: Mapping[str, np.ndarray]) -> None:

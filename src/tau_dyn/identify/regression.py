@@ -19,7 +19,15 @@ from typing import TypeGuard
 
 import numpy as np
 
-from tau_dyn.effects import REPORTED, Effect, JointMotion, JointwiseEffect, Motion, name_effect_in_errors
+from tau_dyn.effects import (
+    REPORTED,
+    Effect,
+    JointMotion,
+    JointwiseEffect,
+    Motion,
+    get_measured_signals,
+    name_effect_in_errors,
+)
 from tau_dyn.estimate import Preparation, Regression, RegressionRun
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.motor_electrics import RECORDED, SPEED
@@ -28,7 +36,6 @@ from tau_dyn.identify.preparation import (
     choose_preparation,
     compute_gate,
     find_excluded_samples,
-    get_measured_signals,
     hold_closed,
     keep_long,
     refuse_jumps,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,8 +28,11 @@ from tau_dyn.log import Log, Recording
 from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.results import Z95, Shown
+from tau_dyn.results import Z95, Shown, Stretch, plot_outputs
 from tau_dyn.robot import compute_nominal_stderr, list_body_stderr
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SMALL_SHARE = 0.1
 """Share of what the robot file leaves open of a number from which a standard error is small: 2.5 % of the body's size."""
@@ -219,6 +222,16 @@ class Identification(Shown):
             rows.append(row | {"nominal": None if self._is_friction(p.name) else float(before[k])})
         return rows
 
+    def plot(self) -> Figure:
+        """Return a Matplotlib figure of measured and predicted forces of the training logs, and the residual.
+
+        Raises:
+            InputError: Matplotlib is not installed, or the logs are not kept in memory.
+        """
+        regression = self.estimate.regression
+        runs = () if regression.everything is not None else list_stretches(regression, self.estimate.theta)
+        return plot_outputs(runs, regression.outputs, regression.units)
+
     @property
     def estimator(self) -> str:
         """Name of the estimator that answered; see `estimators.py`."""
@@ -280,6 +293,13 @@ class Identification(Shown):
 
     def _is_friction(self, name: str) -> bool:
         return name.partition("@")[0] in self.model.effect_parameters
+
+
+def list_stretches(regression: Regression, theta: np.ndarray) -> list[Stretch]:
+    """Return measured forces and those of a full parameter vector (p,) over time."""
+    return [
+        Stretch(run.name, run.t, run.y_all, {"predicted": run.W_all @ theta}, run.usable) for run in regression.runs
+    ]
 
 
 def list_poorly_determined(estimate: Estimate, sizes: Mapping[str, float]) -> list[str]:

@@ -17,10 +17,14 @@ from .even_segments import (
     split_even_segments as split_even_segments,
 )
 from .filtering import (
+    FORCE_BAND_FACTOR as FORCE_BAND_FACTOR,
+    SURE_SPEED_FACTOR as SURE_SPEED_FACTOR,
     MotionBand as MotionBand,
+    choose_force_cutoff as choose_force_cutoff,
     compute_attenuation as compute_attenuation,
     compute_edge_samples as compute_edge_samples,
     compute_noise_gain as compute_noise_gain,
+    compute_rest_speed as compute_rest_speed,
     compute_velocity_noise as compute_velocity_noise,
     decimate as decimate,
     differentiate as differentiate,
@@ -51,4 +55,5 @@ from .signal_checks import (
     check_signals as check_signals,
     list_long_runs as list_long_runs,
 )
+from .sources import DataTable as DataTable, LogSource as LogSource, as_log as as_log
 from .table import MAX_MAGNITUDE as MAX_MAGNITUDE, Table as Table, read_table as read_table

@@ -38,6 +38,7 @@ is computed for those alone: the signal in blocks, each times one matrix that ho
 block and of the neighbouring ones. `h` fades exponentially, by the filter's slowest pole; the ends are filtered recursively.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, cast
@@ -287,6 +288,59 @@ def find_motion_band(q: ArrayLike, rate_hz: float) -> MotionBand:
     columns = [_edges(f, power[:, k], noise[:, k], rate_hz / len(q)) for k in range(q.shape[1])]
     edges = np.array(columns, dtype=np.float64).reshape(-1, 4)
     return MotionBand(edges[:, 0], edges[:, 1], sigma, edges[:, 2], edges[:, 3])
+
+
+FORCE_BAND_FACTOR = 5.0
+"""Low-pass of forces over the motion's band edge."""
+SURE_SPEED_FACTOR = 10.0
+"""Speed in standard deviations of its noise from which its sign is known."""
+
+
+def choose_force_cutoff(bands: Sequence[MotionBand], rate_hz: float, factor: float = FORCE_BAND_FACTOR) -> float:
+    """Return the cutoff [Hz] above the motion of all bands and below what encoder noise makes of the acceleration.
+
+    Args:
+        bands: Of each log.
+        rate_hz: Lowest sampling rate of the logs [Hz].
+        factor: Cutoff over the motion's band edge.
+    """
+    edge = max(float(band.edge_hz.max()) for band in bands)
+    moving = [band.noise_edge_hz[band.edge_hz > 0] for band in bands]
+    noise_edge = min((float(x.min()) for x in moving if x.size), default=rate_hz)
+    return max(min(factor * edge, noise_edge, 0.16 * rate_hz), edge)
+
+
+FINEST_COUNT = 2.0**-26
+"""Encoder noise, as a share of a joint's range, below which positions were smoothed before they were logged, or simulated: the
+finest encoders resolve 26 bits a turn. The linear drive of EMPS counts 2^22 steps in its range, a UR10's smoothed joints 2^46."""
+
+REST_SHARE = 0.02
+"""Share of a joint's fast speed below which it rests where its noise does not show: stick-slip and pre-sliding follow no law of
+Coulomb and viscous friction. 1 to 5 % give a UR10's smoothed positions the same held-out error within 0.5 %, 0 a fifth more."""
+
+FAST_QUANTILE = 0.95
+"""Quantile of a joint's speeds that is called its fast speed; a single knock does not move it."""
+
+
+def compute_rest_speed(
+    q: np.ndarray, rate_hz: float, cutoff_hz: float, factor: float = SURE_SPEED_FACTOR
+) -> np.ndarray:
+    """Return the speed (n,) below which a joint's direction is unsure: it rests, or its noise decides.
+
+    Args:
+        q: Measured positions (N, n) [m or rad], evenly spaced and not filtered.
+        rate_hz: Sampling rate [Hz].
+        cutoff_hz: Cutoff of the low-pass of positions [Hz].
+        factor: Standard deviations of a speed's noise from which its sign is known.
+    """
+    noise = estimate_encoder_noise(q)
+    unsure = factor * noise * compute_noise_gain(rate_hz, cutoff_hz)
+    smooth = noise < FINEST_COUNT * np.ptp(q, axis=0)
+    if not smooth.any() or len(q) <= compute_edge_samples(cutoff_hz, rate_hz):
+        return unsure
+    v = differentiate(lowpass(q[:, smooth], cutoff_hz, rate_hz), 1 / rate_hz)
+    unsure[smooth] = np.maximum(unsure[smooth], REST_SHARE * np.quantile(np.abs(v), FAST_QUANTILE, axis=0))
+    return unsure
 
 
 def _edges(f: NDArray, power: NDArray, noise: NDArray, resolution: float) -> tuple[float, ...]:

@@ -205,13 +205,19 @@ class Log(Shown):
     def __getitem__(self, key: str | slice) -> "NDArray[np.float64] | Log":
         """Return a column (N,) by its name, or a part of the log: `log[100:200]` by samples, `log[10.0:20.0]` by time [s].
 
-        Whole numbers count samples as Python's slices do. Floats are times, start <= t < stop, so that parts do not overlap.
+        Whole numbers count samples as Python's slices do. Floats are times, start <= t < stop, so that parts do not overlap;
+        negative times count from the end, `log[-5.0:]`, unless the log's own clock starts below zero.
 
         Raises:
             InputError: There is no such column, the ends are of both kinds, or fewer than two samples are left.
         """
         if isinstance(key, slice):
             return self._take(self._to_samples(key))
+        if not isinstance(key, str):
+            raise InputError(
+                "invalid_value",
+                f"{self.name}: log[{key!r}] is neither a column nor a part; write log['q_J'], log[100:200] or log[10.0:20.0]",
+            )
         if key != "t" and key not in self.channels:
             raise InputError("missing_column", self.describe_missing(key))
         return self.t if key == "t" else self.channels[key]
@@ -227,7 +233,9 @@ class Log(Shown):
                 "invalid_value",
                 f"{self.name}: log[{key.start}:{key.stop}] mixes samples and times; write log[10.0:20.0]",
             )
-        start, stop = (None if x is None else int(np.searchsorted(self.t, x)) for x in (key.start, key.stop))
+        end = self.t[-1] if self.t[0] >= 0 else 0.0
+        ends = [x if x is None or x >= 0 else end + x for x in (key.start, key.stop)]
+        start, stop = (None if x is None else int(np.searchsorted(self.t, x)) for x in ends)
         return slice(start, stop)
 
     def _take(self, part: slice) -> "Log":

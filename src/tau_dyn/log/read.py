@@ -195,6 +195,12 @@ def read_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
         >>> td.read_log("monday.csv").joints("q")
         ('axis',)
     """
+    if not isinstance(path, str | Path):
+        raise InputError(
+            "invalid_value",
+            f"read_log takes the path of a file, not an object of type {type(path).__name__}; a table with t, q_J and tau_J goes "
+            "to identify and diagnose as it is",
+        )
     if columns is None:
         table = read_any(path)
         channels = _own_columns(table, tuple(c for c in table.cells if c != "t"))

@@ -16,18 +16,20 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.mechanism.kinematics import Kinematics, Singularity
 from tau_dyn.mechanism.plate_on_legs import PlateOnLegs, build_rods
-from tau_dyn.mechanism.poses import ForwardResult, InverseResult, InverseSolutions, Poses
+from tau_dyn.mechanism.poses import ForwardResult, InverseResult, InverseSolutions, Poses, convert_from_quaternions
 from tau_dyn.mechanism.recognise import NotRods
 from tau_dyn.mechanism.tree_kinematics import TreeKinematics
-from tau_dyn.robot import Robot
+from tau_dyn.robot import Robot, as_robot
 
 T = TypeVar("T")
 _MAX_ROBOTS = 16  # robots whose solvers are kept; the one that was not asked for longest goes first
@@ -91,7 +93,9 @@ def get_solver(robot: Robot | Kinematics) -> object:
     return build_kinematics(robot).engine  # type: ignore[attr-defined]
 
 
-def forward_kinematics(robot: Robot | Kinematics, q: np.ndarray, *, start: Poses | None = None) -> ForwardResult:
+def forward_kinematics(
+    robot: Robot | Kinematics | str | Path, q: np.ndarray, *, start: Poses | None = None
+) -> ForwardResult:
     """Return where the tool is at actuated positions; see `Kinematics.forward`.
 
     Example:
@@ -102,7 +106,7 @@ def forward_kinematics(robot: Robot | Kinematics, q: np.ndarray, *, start: Poses
         >>> found.poses.position.round(3).tolist()
         [[1.75, -0.6, 0.75]]
     """
-    return build_kinematics(robot).forward(q, start=start)
+    return build_kinematics(_as_machine(robot)).forward(q, start=start)
 
 
 def solve_both_forward(robot: Robot | Kinematics, q: np.ndarray) -> np.ndarray:
@@ -111,8 +115,8 @@ def solve_both_forward(robot: Robot | Kinematics, q: np.ndarray) -> np.ndarray:
 
 
 def inverse_kinematics(
-    robot: Robot | Kinematics,
-    poses: Poses,
+    robot: Robot | Kinematics | str | Path,
+    poses: Poses | ArrayLike,
     *,
     configuration: Sequence[int] | np.ndarray | None = None,
     start: np.ndarray | None = None,
@@ -120,13 +124,47 @@ def inverse_kinematics(
 ) -> InverseResult:
     """Return the actuated positions that put the tool at poses; see `Kinematics.inverse`.
 
+    Poses may be plain numbers: positions (N, 3) [m], with the orientation at home, or with quaternions `x y z w` (N, 7).
+
+    Raises:
+        InputError: The numbers have another shape.
+
     Example:
         >>> robot = td.load_robot("gantry_tau")
         >>> poses = td.forward_kinematics(robot, robot.home).poses
         >>> bool(np.allclose(td.inverse_kinematics(robot, poses).q, robot.home))
         True
     """
-    return build_kinematics(robot).inverse(poses, configuration=configuration, start=start, limits=limits)
+    machine = build_kinematics(_as_machine(robot))
+    return machine.inverse(_as_poses(machine, poses), configuration=configuration, start=start, limits=limits)
+
+
+def _as_machine(robot: Robot | Kinematics | str | Path) -> Robot | Kinematics:
+    """Return a robot or kinematics as they are; a path or a name is loaded."""
+    return robot if isinstance(robot, Kinematics) else as_robot(robot)
+
+
+def _as_poses(machine: Kinematics, poses: Poses | ArrayLike) -> Poses:
+    """Return poses as they are, or from numbers, with the orientation at home where only positions are given.
+
+    Raises:
+        InputError: The numbers are neither positions (N, 3) nor positions and quaternions `x y z w` (N, 7).
+    """
+    if isinstance(poses, Poses):
+        return poses
+    try:
+        numbers = np.atleast_2d(np.array(poses, dtype=float))
+    except (TypeError, ValueError):
+        numbers = np.zeros((0, 0))
+    if numbers.ndim != 2 or numbers.shape[1] not in (3, 7):
+        raise InputError(
+            "wrong_shape",
+            "poses are positions x y z [m], one or (N, 3), with quaternions x y z w (N, 7), or Poses(position, rotation)",
+        )
+    if numbers.shape[1] == 7:
+        return convert_from_quaternions(numbers[:, :3], numbers[:, 3:])
+    home = machine.forward(machine.robot.home[None]).poses.rotation[0]
+    return Poses(numbers, np.broadcast_to(home, (len(numbers), 3, 3)))
 
 
 def find_all_solutions(robot: Robot | Kinematics, poses: Poses) -> InverseSolutions:

@@ -101,6 +101,22 @@ def load_robot(
     return found
 
 
+def as_robot(robot: Robot | str | Path) -> Robot:
+    """Return a robot as it is, or load it from its path or short name; see `load_robot`.
+
+    Raises:
+        InputError: It is something else, or its file cannot be used.
+    """
+    if isinstance(robot, Robot):
+        return robot
+    if isinstance(robot, str | Path):
+        return load_robot(robot)
+    raise InputError(
+        "invalid_value",
+        f"an object of type {type(robot).__name__} is no robot; give what load_robot returns, a robot file's path or a name",
+    )
+
+
 def load_robot_from_urdf(
     urdf: str,
     source: str,

@@ -23,7 +23,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import solve_toeplitz
 
 from tau_dyn.diagnose.preparation import smooth_cutoff
-from tau_dyn.effects import Effect, Motion
+from tau_dyn.effects import Effect, Motion, get_measured_signals
 from tau_dyn.estimate import Autoregression, RegressionRun, Whitener, fit_autoregression
 from tau_dyn.evidence import (
     MIN_UNABSORBED_SHARE,
@@ -32,7 +32,7 @@ from tau_dyn.evidence import (
     compute_score_statistics,
     find_nonnegative,
 )
-from tau_dyn.identify import find_unsure_samples, get_measured_signals, widen
+from tau_dyn.identify import find_unsure_samples, widen
 from tau_dyn.log import (
     Log,
     compute_attenuation,
