@@ -37,7 +37,13 @@ from .filtering import (
 )
 from .log import Log as Log
 from .read import compute_mapped_columns as compute_mapped_columns, read_log as read_log, read_measured as read_measured
-from .recording import Recording as Recording, open_log as open_log
+from .recording import (
+    DataTable as DataTable,
+    LogSource as LogSource,
+    Recording as Recording,
+    as_log as as_log,
+    open_log as open_log,
+)
 from .resample import (
     MIN_SEGMENT_SAMPLES as MIN_SEGMENT_SAMPLES,
     count_short_segments as count_short_segments,
@@ -55,5 +61,4 @@ from .signal_checks import (
     check_signals as check_signals,
     list_long_runs as list_long_runs,
 )
-from .sources import DataTable as DataTable, LogSource as LogSource, as_log as as_log
 from .table import MAX_MAGNITUDE as MAX_MAGNITUDE, Table as Table, read_table as read_table

@@ -42,12 +42,12 @@ from .legs import (
     Legs as Legs,
     find_ball_joints as find_ball_joints,
 )
-from .loop_arrays import LoopArrays as LoopArrays
-from .loops import LoopSolver as LoopSolver, TreeState as TreeState, find_passive_pairs as find_passive_pairs
-from .measured_joints import (
+from .loop_arrays import (
+    LoopArrays as LoopArrays,
     compute_actuated_positions_from as compute_actuated_positions_from,
     list_loop_joints as list_loop_joints,
 )
+from .loops import LoopSolver as LoopSolver, TreeState as TreeState, find_passive_pairs as find_passive_pairs
 from .mechanism import (
     SINGULAR as SINGULAR,
     Mechanism as Mechanism,
