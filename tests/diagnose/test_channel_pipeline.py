@@ -10,13 +10,14 @@ import pytest
 
 from tau_dyn.diagnose import diagnose
 from tau_dyn.effects import Delay, PlausibleRange, QuadraticDrag, Stribeck, build_friction_model
-from tau_dyn.evidence import Gain, confirmation, plausibility
-from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION
+from tau_dyn.evidence import Gain, plausibility
 from tau_dyn.evidence.claims import recommend, select_confirmed, select_supported
-from tau_dyn.evidence.confirmation import Confirmation, confirm, confirm_cause
+from tau_dyn.evidence.confirmation import Confirmation, confirm
+from tau_dyn.evidence.measurements import TEST, TRAIN, VALIDATION
 from tau_dyn.evidence.noise_only_bootstrap import NoiseOnlyBootstrap
 from tau_dyn.evidence.plausibility import find_inconsistent
 from tau_dyn.evidence.stepwise_selection import select_causes
+from tau_dyn.evidence.validation import ConfirmationResults, confirm_cause, confirm_within_training
 from tau_dyn.message_codes import get_code
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
@@ -159,10 +160,10 @@ def test_without_held_out_logs_there_is_no_second_search(make, rng):
     """Blocks that take turns have heard all that the logs can say: what is silent there stays as it is, and nothing is made."""
     channel = make.bench(rng, causes=(QuadraticDrag,))
     hunt = select_causes(channel, rng, lambda step: None)
-    tests = confirmation.ConfirmationResults((Confirmation(0.1, 0.9, 0.4),), None)
+    tests = ConfirmationResults((Confirmation(0.1, 0.9, 0.4),), None)
     assert tests.causes[0].is_inconclusive
     never = NoiseOnlyBootstrap(lambda: pytest.fail("noise was made for a search that cannot say anything"))
-    assert confirmation.confirm_within_training(hunt, tests, 0.1, rng, never) is tests
+    assert confirm_within_training(hunt, tests, 0.1, rng, never) is tests
 
 
 def test_noise_is_made_once_and_divided_as_a_second_search_is(make, rng):

@@ -51,7 +51,7 @@ def build_campaigns(load: float = 0.0, friction: float = 0.0, scale: float = 0.0
         forces.append(own[:, None, None])
     parameters = Parameters(Parameter(name, 0.0, "1") for name in ("c", "s", "a", "coulomb", "viscous"))
     parts = tuple(np.where(np.arange(N) // 150 % 4 == 3, TEST, TRAIN) for _ in runs)
-    channel = CampaignChannel("force", ("lever",), ("N m",), parameters, tuple(runs), parts, None, ())  # type: ignore[arg-type]
+    channel = CampaignChannel("force", ("lever",), ("N m",), parameters, tuple(runs), parts)
     return channel, {"payload": bodies, "friction": drags, "force": forces, "bodies": bodies}
 
 

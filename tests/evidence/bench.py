@@ -14,7 +14,8 @@ from scipy.signal import lfilter
 
 from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion, Scene
 from tau_dyn.estimate import Autoregression, RegressionRun
-from tau_dyn.evidence.channel import TRAIN, Channel, ColumnCache
+from tau_dyn.evidence.channel import Channel, ColumnCache
+from tau_dyn.evidence.measurements import TRAIN
 from tau_dyn.evidence.null_model import NullModel
 from tau_dyn.parameters import Parameter, Parameters
 

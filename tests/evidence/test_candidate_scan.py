@@ -16,7 +16,7 @@ from tau_dyn.evidence.candidate_scan import (
     list_joint_groups,
     scan_causes,
 )
-from tau_dyn.evidence.channel import TRAIN, VALIDATION
+from tau_dyn.evidence.measurements import TRAIN, VALIDATION
 
 CLEAN = 300
 

@@ -11,9 +11,9 @@ import pytest
 from tau_dyn.effects import Stribeck, ViscousCurvature
 from tau_dyn.evidence import Unexplained, plausibility
 from tau_dyn.evidence.claims import select_confirmed, select_supported
-from tau_dyn.evidence.confirmation import confirm_cause
 from tau_dyn.evidence.plausibility import MAX_LAW_ERROR, compute_least_forces, demote_small, find_companion
 from tau_dyn.evidence.stepwise_selection import select_causes
+from tau_dyn.evidence.validation import confirm_cause
 from tau_dyn.parameters import Parameter, Parameters
 
 

@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 from tau_dyn.effects import PositionFriction, Stribeck, ViscousAsymmetry
-from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION
 from tau_dyn.evidence.confirmation import Confirmation, confirm
+from tau_dyn.evidence.measurements import TEST, TRAIN, VALIDATION
 
 EFFECT = ViscousAsymmetry(("x",), ("N",))
 

@@ -14,15 +14,18 @@ from tau_dyn.effects.effect import PlausibleRange
 from tau_dyn.evidence import ExaminationOptions, Finding, Gain, claims as claims_module, decide_verdict, examine_channel
 from tau_dyn.evidence.candidate_scan import GroupTest, combine_group_tests, compute_null_moments
 from tau_dyn.evidence.claims import MAX_OUTPUT_LOSS_PERCENT, is_worse
-from tau_dyn.evidence.noise_consistency import assess_noise_consistency
+from tau_dyn.evidence.measurements import HELD_OUT, TRAIN
+from tau_dyn.evidence.null_model import NullModel
 from tau_dyn.evidence.stepwise_selection import select_causes
+from tau_dyn.evidence.unexplained import assess_noise_consistency
 from tau_dyn.evidence.unknown_structure import list_dependences
 
 
 def assess(channel, rng) -> dict[str, float]:
     """Return the p-value of each output's residual, no cause in the model."""
-    hunt = select_causes(channel, rng, lambda step: None)
-    return {test.output: test.p_value for test in assess_noise_consistency(hunt, ())}
+    selection = select_causes(channel, rng, lambda step: None)
+    grounds = [NullModel.of(selection.library, parts, selection.ground.noise) for parts in ((TRAIN,), HELD_OUT)]
+    return {test.output: test.p_value for test in assess_noise_consistency(grounds)}
 
 
 def test_coloured_noise_is_consistent_with_the_noise(make, rng):

@@ -171,7 +171,7 @@ class _Study:
         gap_s = compute_border_gap_s(case.preparation.force_cutoff_hz, case.channel.prepared[0].log.rate_hz)
         campaigns = CampaignChannel(
             channel.name, channel.outputs, channel.units, regression.parameters, regression.runs,
-            divide_every_log(channel, gap_s), channel.scene, (),
+            divide_every_log(channel, gap_s),
         )  # fmt: skip
         plain = solve_with_fallback(regression, case.physics)
         loads = [masked for masked, _ in compute_load_columns(case.nominal, case.channel.prepared)]

@@ -21,18 +21,10 @@ from .changes import (
     list_changes as list_changes,
 )
 from .channel import (
-    EVERY as EVERY,
-    TEST as TEST,
-    TRAIN as TRAIN,
-    VALIDATION as VALIDATION,
     Channel as Channel,
     build_scene as build_scene,
     compute_fast_speeds as compute_fast_speeds,
-    describe_split as describe_split,
     find_shared_signals as find_shared_signals,
-    name_by_joint as name_by_joint,
-    refuse_scarce as refuse_scarce,
-    split_by_blocks as split_by_blocks,
 )
 from .claims import (
     MAX_HELD_OUT_RATIO as MAX_HELD_OUT_RATIO,
@@ -72,6 +64,17 @@ from .lack_of_fit import (
     MAX_MISSED_SHARE as MAX_MISSED_SHARE,
     describe_poor_fits as describe_poor_fits,
     find_poor_fits as find_poor_fits,
+)
+from .measurements import (
+    EVERY as EVERY,
+    TEST as TEST,
+    TRAIN as TRAIN,
+    VALIDATION as VALIDATION,
+    Measurements as Measurements,
+    describe_split as describe_split,
+    name_by_joint as name_by_joint,
+    refuse_scarce as refuse_scarce,
+    split_by_blocks as split_by_blocks,
 )
 from .noise_only_bootstrap import (
     N_BOOTSTRAP_DRAWS as N_BOOTSTRAP_DRAWS,
@@ -131,6 +134,9 @@ from .result import (
 )
 from .stepwise_selection import (
     build_effects as build_effects,
+)
+from .unexplained import (
+    find_unexplained as find_unexplained,
 )
 from .unknown_structure import (
     MIN_2LOGL_DIFFERENCE as MIN_2LOGL_DIFFERENCE,

@@ -18,12 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from tau_dyn.effects import Effect
 from tau_dyn.estimate import Autoregression
-from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION, Channel, ColumnCache, divide_training
-from tau_dyn.evidence.confirmation import Confirmation, confirm
+from tau_dyn.evidence.confirmation import Confirmation, confirm_columns
 from tau_dyn.evidence.extended_fit import compute_gain
-from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_overdispersion
+from tau_dyn.evidence.measurements import TEST, TRAIN, VALIDATION, Measurements, divide_training
+from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, WhiteResidual, compute_overdispersion
 from tau_dyn.evidence.result import Gain
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -62,16 +61,8 @@ class CampaignChange:
 
 
 @dataclass(frozen=True, eq=False)
-class CampaignChannel(Channel):
-    """Measurements of several campaigns with all columns given."""
-
-    def run_columns(self, effect: Effect, run: int) -> np.ndarray:
-        """Refuse: effects are among the columns already."""
-        raise NotImplementedError(f"{effect.name} in run {run}: columns are given")
-
-    def variables(self) -> list[Mapping[str, np.ndarray]]:
-        """Return nothing; no structure is looked for."""
-        return [{} for _ in self.runs]
+class CampaignChannel(Measurements):
+    """Measurements of several campaigns; effects are among the columns."""
 
     def with_columns(self, parameters: Parameters, columns: Sequence[np.ndarray]) -> CampaignChannel:
         """Return the channel with further columns (n, m, k) of each run, to be fitted as well."""
@@ -92,7 +83,7 @@ class CampaignChannel(Channel):
         return [c * float(run.name in logs) for run, c in zip(self.runs, columns, strict=True)]
 
 
-def divide_every_log(channel: Channel, gap_s: float) -> tuple[np.ndarray, ...]:
+def divide_every_log(channel: Measurements, gap_s: float) -> tuple[np.ndarray, ...]:
     """Return parts in which every log is trained on and tested on.
 
     Of a training log a quarter of the blocks is tested on, of the others their test part.
@@ -134,7 +125,7 @@ def select_campaign_changes(
     ]
     n_tests, most = len(kinds) * len(logs), len(logs) - (not reference)
     while True:
-        ground = NullModel.of(ColumnCache(channel), (TRAIN,), noise)
+        ground = WhiteResidual.of_columns(channel, (TRAIN,), noise)
         tests = []
         for kind, columns in kinds.items():
             taken = [one.log for one in found if one.kind == kind]
@@ -156,7 +147,7 @@ def select_campaign_changes(
 
 
 def _test(
-    ground: NullModel, channel: CampaignChannel, kind: str, log: str, columns: Sequence[np.ndarray], n_tests: int
+    ground: WhiteResidual, channel: CampaignChannel, kind: str, log: str, columns: Sequence[np.ndarray], n_tests: int
 ) -> CampaignChange:
     statistic, dof = compute_score(ground, channel.mask_columns(columns, [log]))
     p_value = min(1.0, n_tests * float(stats.chi2.sf(statistic, dof))) if dof else 1.0
@@ -174,7 +165,7 @@ def _explains(
     for number, columns in enumerate(accounted):
         channel = channel.with_change(replace(one, kind=f"{one.kind} {number}"), columns)
     left, dof = compute_score(
-        NullModel.of(ColumnCache(channel), (TRAIN,), noise), channel.mask_columns(whole, [one.log])
+        WhiteResidual.of_columns(channel, (TRAIN,), noise), channel.mask_columns(whole, [one.log])
     )
     everything = left + one.statistic
     return (
@@ -184,7 +175,7 @@ def _explains(
     )
 
 
-def compute_score(ground: NullModel, columns: Sequence[np.ndarray]) -> tuple[float, int]:
+def compute_score(ground: WhiteResidual, columns: Sequence[np.ndarray]) -> tuple[float, int]:
     """Return the score statistic of columns (n, m, k) over the runs, divided by the scatter of blocks, and its rank."""
     C = ground.whiten_columns(columns)
     norm = np.linalg.norm(C, axis=0)
@@ -204,8 +195,8 @@ def confirm_campaign_change(
     channel: CampaignChannel, noise: Sequence[Autoregression], columns: Sequence[np.ndarray]
 ) -> Confirmation:
     """Test columns (n, m, k) of each run on the samples set aside, with amplitudes of the training part."""
-    ground = NullModel.of(ColumnCache(channel), (TRAIN,), noise)
-    return confirm(ground, [columns], (), (TEST,), (TRAIN,))
+    ground = WhiteResidual.of_columns(channel, (TRAIN,), noise)
+    return confirm_columns(ground, [columns], (), (TEST,), (TRAIN,))
 
 
 def compute_campaign_gain(

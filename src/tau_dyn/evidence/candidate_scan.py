@@ -20,7 +20,13 @@ from scipy import optimize, stats
 
 from tau_dyn.effects import Effect
 from tau_dyn.evidence.channel import Channel
-from tau_dyn.evidence.null_model import NullModel, compute_overdispersion, compute_score_test, count_effective_tests
+from tau_dyn.evidence.null_model import (
+    NullModel,
+    WhiteResidual,
+    compute_overdispersion,
+    compute_score_test,
+    count_effective_tests,
+)
 
 FAMILY_LEVEL = 0.05
 """Chance of any cause in the training data of clean logs; confirmation on other data multiplies it by its own level."""
@@ -362,7 +368,7 @@ def _tries(noise: np.ndarray, dof: int, simple: bool) -> float:
     return count_effective_tests(np.clip(tail, 1e-12, 0.5 if simple else 1 - 1e-12), seen)
 
 
-def compute_fit_overdispersion(ground: NullModel, C: np.ndarray, s: np.ndarray, G: np.ndarray) -> float:
+def compute_fit_overdispersion(ground: WhiteResidual, C: np.ndarray, s: np.ndarray, G: np.ndarray) -> float:
     """Return the overdispersion along the direction that white rows (R, k) with scores `s` and Gram matrix `G` fit."""
     along = ground.project_out(C @ np.linalg.lstsq(G, s, rcond=1e-9)[0])
     square = float(along @ along)

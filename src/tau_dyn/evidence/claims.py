@@ -17,8 +17,8 @@ import numpy as np
 
 from tau_dyn.effects import Effect
 from tau_dyn.estimate import PhysicalConstraints
-from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION, Channel
-from tau_dyn.evidence.confirmation import Confirmation, confirm, drop_unconfirmed_joints
+from tau_dyn.evidence.channel import Channel
+from tau_dyn.evidence.confirmation import Confirmation, confirm
 from tau_dyn.evidence.extended_fit import (
     EvaluatedFit,
     build_extended_regression,
@@ -28,6 +28,7 @@ from tau_dyn.evidence.extended_fit import (
     restrict_to_parts,
     solve_with_fallback,
 )
+from tau_dyn.evidence.measurements import TEST, TRAIN, VALIDATION
 from tau_dyn.evidence.plausibility import (
     Implausible,
     compute_least_forces,
@@ -41,6 +42,7 @@ from tau_dyn.evidence.plausibility import (
 from tau_dyn.evidence.result import Choice, Gain, Step
 from tau_dyn.evidence.search_edges import find_edge
 from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
+from tau_dyn.evidence.validation import drop_unconfirmed_joints
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import format_percent
 

@@ -19,7 +19,8 @@ from scipy import special
 
 from tau_dyn.effects import Effect, format_quantity
 from tau_dyn.evidence.candidate_scan import FAMILY_LEVEL, CandidateCause, GroupTest, compute_explained
-from tau_dyn.evidence.channel import EVERY, Channel
+from tau_dyn.evidence.channel import Channel
+from tau_dyn.evidence.measurements import EVERY
 from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.evidence.result import Finding, Limit, Untestable
 from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection

@@ -6,7 +6,7 @@ A selected cause that the validation data show, but whose amplitude or setting n
 selection is repeated without it: another cause may explain the same residual. That other cause has to leave a residual that is
 consistent with the noise, since the better fit was turned down.
 
-`nothing_found` is a test result. The residual of every output is consistent with its noise (`noise_consistency.py`), and no
+`nothing_found` is a test result. The residual of every output is consistent with its noise (`unexplained.py`), and no
 rejected candidate is shown by the validation data; else the verdict is `unexplained`.
 """
 
@@ -19,24 +19,20 @@ import numpy as np
 
 from tau_dyn.estimate import PhysicalConstraints
 from tau_dyn.evidence.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS
-from tau_dyn.evidence.channel import Channel, divide_training
+from tau_dyn.evidence.channel import Channel
 from tau_dyn.evidence.claims import Claims, Waterfall, select_confirmed, select_supported
-from tau_dyn.evidence.confirmation import (
-    Confirmation,
-    ConfirmationResults,
-    build_unexplained,
-    confirm,
-    confirm_all,
-    confirm_within_training,
-)
+from tau_dyn.evidence.confirmation import Confirmation, confirm
 from tau_dyn.evidence.detection_limits import compute_finding_limit, find_alias_periods, leave_period_open
 from tau_dyn.evidence.findings import build_findings, build_rejected_finding
-from tau_dyn.evidence.noise_consistency import NoiseConsistency, assess_noise_consistency, list_inconsistent
+from tau_dyn.evidence.measurements import HELD_OUT, TRAIN, divide_training
 from tau_dyn.evidence.noise_only_bootstrap import NoiseOnlyBootstrap
+from tau_dyn.evidence.null_model import NullModel
 from tau_dyn.evidence.plausibility import Implausible
 from tau_dyn.evidence.result import Finding, Progress, Unexplained, Verdict
 from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection, build_effects, select_causes
+from tau_dyn.evidence.unexplained import NoiseConsistency, add_inconsistent, assess_noise_consistency, build_unexplained
 from tau_dyn.evidence.unknown_structure import Structure, compute_structure_p_value, find_structure
+from tau_dyn.evidence.validation import ConfirmationResults, confirm_all, confirm_within_training
 
 MAX_SEARCHES = 3
 """Selections of one channel: each one after the first leaves out the causes that no machine has."""
@@ -193,7 +189,7 @@ def _require_consistency(found: Examination, options: ExaminationOptions) -> Exa
     claims = found.claims
     if not claims.kept:
         return found
-    tests = assess_noise_consistency(found.hunt, build_effects(claims.kept), options.noise)
+    tests = _assess_noise_consistency(found, options)
     inconsistent = {test.output for test in tests if not test.is_consistent}
     for k, one in enumerate(claims.found):
         joints = {joint for effect in one.candidate.effects for joint in effect.joints}
@@ -220,21 +216,26 @@ def _with_findings(found: Examination, options: ExaminationOptions, turned_down:
         findings.append(build_rejected_finding(hunt, claims, one.selected, one.why, test, rng))
     known = {(f.cause, f.joints) for f in findings}
     findings += [f for f in turned_down if (f.cause, f.joints) not in known]
-    unexplained = build_unexplained(hunt, found.tests.structure)
+    unexplained = build_unexplained(hunt.ground, hunt.known_columns, found.tests.structure)
     if options.doubt:
         unexplained = tuple(replace(u, status="suspected") for u in unexplained)
     if claims.kept or options.doubt:
         return replace(found, findings=tuple(findings), unexplained=unexplained, aliased=aliased)
-    consistency = assess_noise_consistency(hunt, build_effects(claims.kept), options.noise)
-    known_outputs = {u.joint for u in unexplained if u.status == "confirmed"}
-    more = tuple(u for u in list_inconsistent(consistency, hunt.channel) if u.joint not in known_outputs)
+    consistency = _assess_noise_consistency(found, options)
     return replace(
         found,
         consistency=consistency,
         findings=tuple(findings),
-        unexplained=(*unexplained, *more),
+        unexplained=add_inconsistent(unexplained, consistency, hunt.channel),
         aliased=aliased,
     )
+
+
+def _assess_noise_consistency(found: Examination, options: ExaminationOptions) -> tuple[NoiseConsistency, ...]:
+    """Test each output's residual against its noise, with the causes that stand in the model."""
+    hunt, effects = found.hunt, build_effects(found.claims.kept)
+    grounds = [NullModel.of(hunt.library, parts, hunt.ground.noise, effects) for parts in ((TRAIN,), HELD_OUT)]
+    return assess_noise_consistency(grounds, effects, options.noise)
 
 
 def _with_limit(hunt: StepwiseSelection, one: SelectedCause, finding: Finding) -> Finding:

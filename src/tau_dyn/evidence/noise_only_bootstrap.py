@@ -19,7 +19,7 @@ from scipy import stats
 from tau_dyn.effects import Effect
 from tau_dyn.evidence.candidate_scan import FAMILY_LEVEL, GROUP_LEVEL, CandidateCause, find_nonnegative
 from tau_dyn.evidence.channel import Channel, ColumnCache
-from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_score_test
+from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel, WhiteResidual, compute_score_test
 
 N_BOOTSTRAP_DRAWS = 4
 """Draws of encoder noise; what it makes of a cause on one of them may be near nothing, or four times the mean."""
@@ -47,7 +47,7 @@ class NoiseOnlyBootstrap:
         """Return the same channels divided otherwise."""
         return NoiseOnlyBootstrap(lambda: [replace(channel, parts=parts) for channel in self.channels])
 
-    def fit_null_models(self, ground: NullModel, effects: Sequence[Effect]) -> list[NullModel]:
+    def fit_null_models(self, ground: WhiteResidual, effects: Sequence[Effect]) -> list[NullModel]:
         """Return the same parts of each channel with effects in the model, whitened as `ground` is."""
         return [NullModel.of(library, ground.parts, ground.noise, effects) for library in self.libraries]
 
@@ -79,7 +79,7 @@ class NoiseOnlyBootstrap:
 def compute_artefact_chance(
     statistic: float,
     blanks: Sequence[NullModel],
-    ground: NullModel,
+    ground: WhiteResidual,
     columns: Sequence[Sequence[np.ndarray]],
     sided: np.ndarray,
     absorbed: float = MIN_UNABSORBED_SHARE,
@@ -91,7 +91,7 @@ def compute_artefact_chance(
 
 def estimate_noncentrality(
     blanks: Sequence[NullModel],
-    ground: NullModel,
+    ground: WhiteResidual,
     columns: Sequence[Sequence[np.ndarray]],
     sided: np.ndarray,
     absorbed: float = MIN_UNABSORBED_SHARE,

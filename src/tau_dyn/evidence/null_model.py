@@ -29,9 +29,10 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy import fft, linalg, ndimage, sparse
 
-from tau_dyn.effects import Effect, StructuralCompliance
+from tau_dyn.effects import Effect
 from tau_dyn.estimate import Autoregression, Whitener, fit_autoregression, solve_scaled
 from tau_dyn.evidence.channel import Channel, ColumnCache
+from tau_dyn.evidence.measurements import Measurements
 from tau_dyn.log import compute_attenuation, find_true_runs
 
 WHOLE_TIME = "t_whole"
@@ -41,27 +42,43 @@ _MAX_ORDER = 8  # of the autoregressive model of the residual, selected below it
 
 
 def fit_noise_models(
-    channel: Channel, parts: Sequence[int], extra: Sequence[Sequence[np.ndarray]] = ()
+    measurements: Measurements, parts: Sequence[int], extra: Sequence[Sequence[np.ndarray]] = ()
 ) -> tuple[Autoregression, ...]:
     """Return the noise model of each output, from samples of these parts, further columns (n, m, k) accounted for."""
-    masks, variables, target = channel.masks(*parts), channel.variables(), channel.target
-    scene = channel.scene
-    ringing = [StructuralCompliance.of_resonances(scene, scene.joints)] if scene.resonances else []
-    known = [channel.free_columns, *(channel.columns(effect) for effect in ringing), *extra]
+    masks, variables, target = measurements.masks(*parts), measurements.variables(), measurements.target
+    known = [*measurements.list_known_columns(), *extra]
     models = []
-    for k, output in enumerate(channel.outputs):
+    for k, output in enumerate(measurements.outputs):
         rich = build_smooth_columns(variables, output)
-        columns = [np.concatenate([*(c[r][:, k] for c in known), rich[r]], axis=1) for r in range(len(channel.runs))]
-        rows = np.concatenate([x[m[:, k]] for x, m in zip(columns, masks, strict=True)])
-        y = channel.gather(target, k, *parts)
-        theta = solve_scaled(rows, y, 1e-7)
-        stretches = []
-        for x, y_run, mask in zip(columns, target, masks, strict=True):
-            e = y_run[:, k] - x @ theta
-            stretches += [e[s] for s in find_true_runs(mask[:, k])]
-        still = Autoregression(np.zeros(0), 1.0)  # an output without a usable sample has no rows to whiten
-        models.append(fit_autoregression(stretches, _MAX_ORDER) if stretches else still)
+        columns = [np.concatenate([*(c[r][:, k] for c in known), x], axis=1) for r, x in enumerate(rich)]
+        measured = [y[:, k] for y in target]
+        models.append(fit_noise_model(columns, measured, [mask[:, k] for mask in masks], _MAX_ORDER))
     return tuple(models)
+
+
+def fit_noise_model(
+    columns: Sequence[np.ndarray], measured: Sequence[np.ndarray], masks: Sequence[np.ndarray], max_order: int
+) -> Autoregression:
+    """Return the noise of one output: the autoregressive model of the residual of a least-squares fit.
+
+    Args:
+        columns: Columns (n, c) of each run.
+        measured: Measurements (n,) of each run.
+        masks: Which samples count (n,).
+        max_order: Largest order of the model; 0 for independent noise.
+
+    Returns:
+        The model; independent noise of variance 1 for an output without a usable sample.
+    """
+    y = np.concatenate([x[m] for x, m in zip(measured, masks, strict=True)])
+    if not len(y):
+        return Autoregression(np.zeros(0), 1.0)
+    theta = solve_scaled(np.concatenate([x[m] for x, m in zip(columns, masks, strict=True)]), y, 1e-7)
+    stretches = []
+    for x, y_run, mask in zip(columns, measured, masks, strict=True):
+        e = y_run - x @ theta
+        stretches += [e[s] for s in find_true_runs(mask)]
+    return fit_autoregression(stretches, max_order)
 
 
 def build_smooth_columns(variables: Sequence[Mapping[str, np.ndarray]], output: str) -> list[np.ndarray]:
@@ -127,11 +144,11 @@ because encoder noise sits in the baseline's columns: a smooth copy of one of th
 
 
 @dataclass(frozen=True, eq=False)
-class NullModel:
-    """White rows of one part with everything accounted for projected out.
+class WhiteResidual:
+    """White rows of one part of measurements with everything accounted for projected out.
 
     Attributes:
-        library: Makes columns of the channel that the data come from.
+        measurements: The measurements.
         parts: The parts of the data.
         whiten: Makes rows of arrays over the runs.
         Q: Orthonormal basis of what is accounted for (R, r).
@@ -140,7 +157,7 @@ class NullModel:
         scale: Standard deviation of white rows (1 where the noise model is right); rows are divided by it.
     """
 
-    library: ColumnCache
+    measurements: Measurements
     parts: tuple[int, ...]
     whiten: Whitener
     Q: np.ndarray
@@ -149,23 +166,83 @@ class NullModel:
     scale: float
 
     @classmethod
+    def of_columns(
+        cls,
+        measurements: Measurements,
+        parts: Sequence[int],
+        noise: Sequence[Autoregression],
+        more: Sequence[Sequence[np.ndarray]] = (),
+    ) -> WhiteResidual:
+        """Project out the baseline's free columns and further ones (n, m, k) of each run."""
+        whiten = Whitener.of(measurements.runs, measurements.masks(*parts), noise)
+        rows = [whiten(columns) for columns in (measurements.free_columns, *more)]
+        Q, e, scale = _project_out_rows(measurements, rows, whiten(measurements.target))
+        return WhiteResidual(measurements, tuple(parts), whiten, Q, e, tuple(noise), scale)
+
+    @property
+    def n_rows(self) -> int:
+        """Number of white rows R."""
+        return len(self.e)
+
+    def whiten_columns(self, columns: Sequence[np.ndarray]) -> np.ndarray:
+        """Return white rows (R, k) of columns over the runs, scaled like the residual."""
+        return self.whiten(columns) / self.scale
+
+    def draw_null_residuals(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Return residuals (R, count) of pure noise after the same projection."""
+        return self.project_out(rng.standard_normal((self.n_rows, count)))
+
+    def gram(self, C: np.ndarray) -> np.ndarray:
+        """Return `G` (k, k) of white rows (R, k)."""
+        A = self.Q.T @ C
+        return C.T @ C - A.T @ A
+
+    def project_out(self, C: np.ndarray) -> np.ndarray:
+        """Return white rows (R, k) with everything accounted for projected out."""
+        return C - self.Q @ (self.Q.T @ C)
+
+
+def _project_out_rows(
+    measurements: Measurements, rows: Sequence[np.ndarray], target: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return `Q` (R, r), the residual (R,) over its scale, and the scale.
+
+    Args:
+        measurements: Give what is known beforehand of the baseline's free columns.
+        rows: White rows of these columns, then of further ones.
+        target: White rows of the measurements (R,).
+    """
+    prior_rows, prior_y = measurements.prior
+    blank = np.zeros((len(prior_y), sum(c.shape[1] for c in rows[1:])))
+    stacked = np.concatenate([np.concatenate(rows, axis=1), np.concatenate([prior_rows, blank], axis=1)])
+    y = np.concatenate([target, prior_y])
+    Q = orthonormalise(stacked)
+    e = y - Q @ (Q.T @ y)
+    n = len(target)
+    scale = float(np.sqrt(e @ e / max(1, n - Q.shape[1])))
+    return Q[:n], e[:n] / scale, scale
+
+
+@dataclass(frozen=True, eq=False)
+class NullModel(WhiteResidual):
+    """The white residual of a channel, effects among what is accounted for.
+
+    Attributes:
+        library: Makes columns of effects on the channel.
+    """
+
+    library: ColumnCache
+
+    @classmethod
     def of(
         cls, library: ColumnCache, parts: Sequence[int], noise: Sequence[Autoregression], effects: Sequence[Effect] = ()
     ) -> NullModel:
         """Project out the baseline's free columns and those of effects."""
         channel = library.channel
         whiten, free, target = library.whiten_baseline(tuple(parts), tuple(noise))
-        prior_rows, prior_y = channel.prior
-        B = [free, *(whiten(library.columns(effect)) for effect in effects)]
-        blank = np.zeros((len(prior_y), sum(c.shape[1] for c in B[1:])))
-        stacked = np.concatenate([np.concatenate(B, axis=1), np.concatenate([prior_rows, blank], axis=1)])
-        y = np.concatenate([target, prior_y])
-        Q = orthonormalise(stacked)
-        e = y - Q @ (Q.T @ y)
-        n = whiten.n_rows
-        dof = max(1, n - Q.shape[1])
-        scale = float(np.sqrt(e @ e / dof))
-        return cls(library, tuple(parts), whiten, Q[:n], e[:n] / scale, tuple(noise), scale)
+        rows = [free, *(whiten(library.columns(effect)) for effect in effects)]
+        Q, e, scale = _project_out_rows(channel, rows, target)
+        return cls(channel, tuple(parts), whiten, Q, e, tuple(noise), scale, library)
 
     def beside(self, effects: Sequence[Effect]) -> NullModel:
         """Return the same part under the same noise, with these effects accounted for."""
@@ -176,37 +253,14 @@ class NullModel:
         """Where the data come from."""
         return self.library.channel
 
-    @property
-    def n_rows(self) -> int:
-        """Number of white rows R."""
-        return len(self.e)
-
     def rows(self, effect: Effect) -> np.ndarray:
         """Return white rows (R, k) of an effect's exact columns, scaled like the residual."""
         return self.whiten_columns(self.library.columns(effect))
-
-    def whiten_columns(self, columns: Sequence[np.ndarray]) -> np.ndarray:
-        """Return white rows (R, k) of columns over the runs, scaled like the residual."""
-        return self.whiten(columns) / self.scale
-
-    def draw_null_residuals(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Return residuals (R, count) of pure noise after the same projection."""
-        noise = rng.standard_normal((self.n_rows, count))
-        return noise - self.Q @ (self.Q.T @ noise)
 
     def augment(self, effects: Sequence[Effect]) -> NullModel:
         """Return what is left with further effects accounted for too."""
         more = orthonormalise(self.project_out(np.concatenate([self.rows(effect) for effect in effects], axis=1)))
         return replace(self, Q=np.concatenate([self.Q, more], axis=1), e=self.e - more @ (more.T @ self.e))
-
-    def gram(self, C: np.ndarray) -> np.ndarray:
-        """Return `G` (k, k) of white rows (R, k)."""
-        A = self.Q.T @ C
-        return C.T @ C - A.T @ A
-
-    def project_out(self, C: np.ndarray) -> np.ndarray:
-        """Return white rows (R, k) with everything accounted for projected out."""
-        return C - self.Q @ (self.Q.T @ C)
 
     def explained(
         self, settings: Sequence[Sequence[np.ndarray]], both: np.ndarray, nonnegative: np.ndarray
@@ -271,7 +325,7 @@ def count_effective_tests(tails: np.ndarray, seen: int) -> float:
 
 
 def compute_score_test(
-    ground: NullModel, C: np.ndarray, nonnegative: np.ndarray, absorbed: float = MIN_UNABSORBED_SHARE
+    ground: WhiteResidual, C: np.ndarray, nonnegative: np.ndarray, absorbed: float = MIN_UNABSORBED_SHARE
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Return `T` of one setting's white rows (R, k), their scores `s` (k,) and `G` (k, k); see `compute_score_statistics`."""
     s, G = C.T @ ground.e, ground.gram(C)

@@ -20,7 +20,8 @@ from scipy import stats
 
 from tau_dyn.effects import Effect, JointScales, Motion, Scene, format_quantity
 from tau_dyn.estimate import Estimate, solve_scaled
-from tau_dyn.evidence.channel import TRAIN, VALIDATION, Channel, ColumnCache
+from tau_dyn.evidence.channel import Channel, ColumnCache
+from tau_dyn.evidence.measurements import TRAIN, VALIDATION
 from tau_dyn.evidence.result import Unexplained
 from tau_dyn.evidence.stepwise_selection import SelectedCause
 from tau_dyn.parameters import Parameters

@@ -30,7 +30,8 @@ from tau_dyn.evidence.candidate_scan import (
     rescore_group,
     scan_causes,
 )
-from tau_dyn.evidence.channel import TRAIN, Channel, ColumnCache
+from tau_dyn.evidence.channel import Channel, ColumnCache
+from tau_dyn.evidence.measurements import TRAIN
 from tau_dyn.evidence.null_model import NullModel, fit_noise_models
 from tau_dyn.evidence.pairs import find_rival_pairs
 from tau_dyn.evidence.search_edges import replace_at_edge
@@ -263,6 +264,11 @@ class StepwiseSelection:
     def columns(self, effects: Sequence[Effect]) -> list[Sequence[np.ndarray]]:
         """Return the columns (n, m, k) of each run of several effects."""
         return [self.library.columns(effect) for effect in effects]
+
+    @property
+    def known_columns(self) -> list[Sequence[np.ndarray]]:
+        """The columns of the effects of all causes found."""
+        return self.columns(build_effects(self.found))
 
     def others(self, one: SelectedCause) -> list[Effect]:
         """Return the effects of all causes found but one."""

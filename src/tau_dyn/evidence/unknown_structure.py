@@ -21,7 +21,7 @@ from tau_dyn.evidence.null_model import (
     SMOOTH_DEGREE,
     WHOLE_TIME,
     JoinedVariables,
-    NullModel,
+    WhiteResidual,
     compute_overdispersion,
     compute_statistics_of_rows,
     count_effective_tests,
@@ -124,7 +124,7 @@ _MAX_INDISTINGUISHABLE = 6  # structures that a result names; more do not help
 _PAIR_PRICE = 4.0
 """What a second variable, or another joint's direction, has to explain more, in twice the log-likelihood, beside its freedom."""
 _CHUNK = 16  # sets of variables tried at once; bounds memory
-_LEFT = 0.01
+MIN_LEFT_SHARE = 0.01
 """Part of a function that the baseline must leave: the functions are not filtered as the baseline's columns are."""
 _SIMPLE = 0.85
 """Share of the structure that one term must explain to be suggested as its formula."""
@@ -178,7 +178,7 @@ class Structure:
         return self.on.variables
 
 
-def find_structure(ground: NullModel, draws: np.ndarray, level: float) -> Structure | None:
+def find_structure(ground: WhiteResidual, draws: np.ndarray, level: float) -> Structure | None:
     """Return the strongest dependence that noise does not explain at this family-wise level, or None."""
     shapes, tries = _tried(ground, draws)
     if not shapes:
@@ -194,15 +194,15 @@ def find_structure(ground: NullModel, draws: np.ndarray, level: float) -> Struct
     return _structure(ground, best, tries, tuple(near[:_MAX_INDISTINGUISHABLE]))
 
 
-def list_indistinguishable(ground: NullModel, structure: Structure) -> list[Structure]:
+def list_indistinguishable(ground: WhiteResidual, structure: Structure) -> list[Structure]:
     """Return the structures that a structure was not distinguished from on the training data."""
     return [_structure(ground, shape, structure.n_effective_tests, ()) for shape in structure.alike]
 
 
 def _structure(
-    ground: NullModel, shape: _StructureCandidate, tries: float, alike: tuple[_StructureCandidate, ...]
+    ground: WhiteResidual, shape: _StructureCandidate, tries: float, alike: tuple[_StructureCandidate, ...]
 ) -> Structure:
-    k = ground.channel.outputs.index(shape.on.output)
+    k = ground.measurements.outputs.index(shape.on.output)
     rows = np.flatnonzero(ground.whiten.index == k)
     inflation = _inflation(ground, shape.on)
     return Structure(
@@ -213,7 +213,10 @@ def _structure(
         tries,
         shape.penalised_statistic,
         min(1.0, shape.statistic / max(float(ground.e[rows] @ ground.e[rows]), 1e-300)),
-        [place_columns(b, k, len(ground.channel.outputs)) for b in shape.on.bases(ground.channel.variables())],
+        [
+            place_columns(b, k, len(ground.measurements.outputs))
+            for b in shape.on.bases(ground.measurements.variables())
+        ],
         _formula(ground, shape),
         alike,
     )
@@ -225,13 +228,13 @@ def _chance(shape: _StructureCandidate, tries: float, inflation: float) -> float
     return float(-np.expm1(tries * np.log1p(-tail)))
 
 
-def _tried(ground: NullModel, draws: np.ndarray) -> tuple[list[_StructureCandidate], float]:
+def _tried(ground: WhiteResidual, draws: np.ndarray) -> tuple[list[_StructureCandidate], float]:
     """Return all sets of variables, the largest merit first, and how many independent tries the search over them amounts to."""
-    values = ground.channel.variables()
+    values = ground.measurements.variables()
     joined = JoinedVariables(values)
     found: list[_StructureCandidate] = []
     noise_chances = []
-    for k, output in enumerate(ground.channel.outputs):
+    for k, output in enumerate(ground.measurements.outputs):
         rows = np.flatnonzero(ground.whiten.index == k)
         both, Q = np.concatenate([ground.e[rows, None], draws[rows]], axis=1), ground.Q[rows]
         tried = list_dependences(values, output)
@@ -241,7 +244,7 @@ def _tried(ground: NullModel, draws: np.ndarray) -> tuple[list[_StructureCandida
                 alike = [(on, columns) for on, columns in made if columns.shape[1] == size]
                 basis = joined.split(np.concatenate([columns for _, columns in alike], axis=1))
                 C = _rows(ground, k, basis).reshape(len(rows), len(alike), size)
-                T = compute_statistics_of_rows(C, both, Q, np.zeros(size, bool), _LEFT)
+                T = compute_statistics_of_rows(C, both, Q, np.zeros(size, bool), MIN_LEFT_SHARE)
                 noise_chances.append(stats.chi2.sf(T[:, 1:], size))
                 for (on, _), statistic in zip(alike, T[:, 0].tolist(), strict=True):
                     merit = statistic - 2 * size - _PAIR_PRICE * on.further
@@ -254,7 +257,7 @@ def _tried(ground: NullModel, draws: np.ndarray) -> tuple[list[_StructureCandida
 
 
 def compute_structure_p_value(
-    noise: NoiseOnlyBootstrap, ground: NullModel, structure: Structure, others: Sequence[Effect]
+    noise: NoiseOnlyBootstrap, ground: WhiteResidual, structure: Structure, others: Sequence[Effect]
 ) -> float:
     """Return a structure's p-value by the parametric bootstrap of `noise_only_bootstrap.py`."""
     columns = []
@@ -263,35 +266,35 @@ def compute_structure_p_value(
         columns.append([place_columns(b, clean.outputs.index(structure.output), len(clean.outputs)) for b in bases])
     nonnegative = np.zeros(columns[0][0].shape[-1], bool)
     blanks = noise.fit_null_models(ground, others)
-    tail = compute_artefact_chance(structure.statistic, blanks, ground, columns, nonnegative, _LEFT)
+    tail = compute_artefact_chance(structure.statistic, blanks, ground, columns, nonnegative, MIN_LEFT_SHARE)
     return min(1.0, structure.n_effective_tests * tail)
 
 
-def _rows(ground: NullModel, output: int, basis: Sequence[np.ndarray]) -> np.ndarray:
+def _rows(ground: WhiteResidual, output: int, basis: Sequence[np.ndarray]) -> np.ndarray:
     return ground.whiten.one(output, basis) / ground.scale
 
 
-def _inflation(ground: NullModel, on: Dependence) -> float:
+def _inflation(ground: WhiteResidual, on: Dependence) -> float:
     """Return the scatter of blocks over their variance under the noise model, at least 1."""
-    k = ground.channel.outputs.index(on.output)
+    k = ground.measurements.outputs.index(on.output)
     rows = np.flatnonzero(ground.whiten.index == k)
-    C = _rows(ground, k, on.bases(ground.channel.variables()))
+    C = _rows(ground, k, on.bases(ground.measurements.variables()))
     left = C - ground.Q[rows] @ (ground.Q[rows].T @ C)
     gamma = np.linalg.lstsq(left, ground.e[rows], rcond=1e-7)[0]
     along = left @ gamma
     return compute_overdispersion(ground.whiten.block[rows], along * (ground.e[rows] - along), float(along @ along))
 
 
-def _formula(ground: NullModel, shape: _StructureCandidate) -> str:
+def _formula(ground: WhiteResidual, shape: _StructureCandidate) -> str:
     """Return the one product of simple terms that explains nearly all, or an empty text."""
-    k = ground.channel.outputs.index(shape.on.output)
+    k = ground.measurements.outputs.index(shape.on.output)
     rows = np.flatnonzero(ground.whiten.index == k)
     best, text = _SIMPLE * shape.statistic, ""
-    for label, bases in shape.on.terms(ground.channel.variables()).items():
+    for label, bases in shape.on.terms(ground.measurements.variables()).items():
         C = _rows(ground, k, bases)
         A = ground.Q[rows].T @ C
         G = float(np.sum(C**2) - np.sum(A**2))
-        if G <= _LEFT * float(np.sum(C**2)):
+        if G <= MIN_LEFT_SHARE * float(np.sum(C**2)):
             continue
         s = float(C[:, 0] @ ground.e[rows])
         if s * s / G > best:
