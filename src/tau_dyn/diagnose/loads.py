@@ -37,7 +37,6 @@ from tau_dyn.evidence import (
     CampaignChange,
     CampaignChannel,
     Channel,
-    Diagnosis,
     Finding,
     Gain,
     OutputErrors,
@@ -401,34 +400,35 @@ def add_loads(case: FittedBaseline, loads: Sequence[Load]) -> FittedBaseline:
     return replace(case, loads=carried, physics=physics)
 
 
-def report_loads(answer: Diagnosis, loads: Sequence[Load], without: OutputErrors | None) -> Diagnosis:
-    """Return a diagnosis with the findings of loads.
+@dataclass(frozen=True, eq=False)
+class LoadReport:
+    """What a diagnosis reports of loads.
 
-    Args:
-        answer: The diagnosis of everything else.
-        loads: What logs carry.
+    Attributes:
+        findings: A finding for each load.
         without: Errors of the refit without loads; None where none was accepted.
     """
-    if not loads:
-        return answer
-    findings = [
-        replace(one.finding, status="confirmed" if without and one.is_confirmed else "suspected") for one in loads
-    ]
-    told = [one for one in findings if one.status == "confirmed"]
-    answer = replace(answer, findings=tuple(sorted((*answer.findings, *findings), key=lambda f: f.rank)))
-    if without is None:
-        return answer
-    nominal, refitted, *causes = answer.waterfall
-    steps = (
-        nominal,
-        Step("refitted", without),
-        *(Step(f"{PAYLOAD} {name_load(told[0].logs)}", refitted.errors),),
-        *causes,
-    )
-    rest = answer.sentence.replace("No model error was detected", "No other model error was detected")
-    verdict = "named" if answer.verdict in ("nothing_found", "unexplained") else answer.verdict
-    sentence = " ".join([*(one.sentence for one in told), rest])
-    why = answer.recommendation_why.replace(
-        "no cause is confirmed", "no cause but the load is confirmed, which is the log's own"
-    )
-    return replace(answer, waterfall=steps, sentence=sentence, verdict=verdict, recommendation_why=why)
+
+    findings: tuple[Finding, ...] = ()
+    without: OutputErrors | None = None
+
+    @classmethod
+    def of(cls, loads: Sequence[Load], without: OutputErrors | None) -> LoadReport:
+        """Report loads; without an accepted one all are suspected."""
+        findings = (
+            one.finding if without and one.is_confirmed else replace(one.finding, status="suspected") for one in loads
+        )
+        return cls(tuple(findings), without)
+
+    @property
+    def confirmed(self) -> tuple[Finding, ...]:
+        """The findings of the loads that the baseline carries."""
+        return tuple(f for f in self.findings if f.status == "confirmed")
+
+    def insert_step(self, steps: Sequence[Step]) -> tuple[Step, ...]:
+        """Return a waterfall that starts with `nominal` and `refitted`, with the step of the loads after a refit without them."""
+        if self.without is None:
+            return tuple(steps)
+        nominal, refitted, *causes = steps
+        carried = Step(f"{PAYLOAD} {name_load(self.confirmed[0].logs)}", refitted.errors)
+        return nominal, Step("refitted", self.without), carried, *causes

@@ -16,7 +16,7 @@ import numpy as np
 
 from tau_dyn.diagnose.deflection_channel import build_deflection_channel
 from tau_dyn.diagnose.force_baseline import FittedBaseline, Progress
-from tau_dyn.diagnose.loads import add_loads, find_loads, list_load_warnings, report_loads
+from tau_dyn.diagnose.loads import LoadReport, add_loads, find_loads, list_load_warnings
 from tau_dyn.diagnose.nominal import describe_body_difference, find_parameter_changes
 from tau_dyn.diagnose.preparation import compute_border_gap_s
 from tau_dyn.diagnose.resonances import add_band_note, add_resonances
@@ -204,8 +204,8 @@ def diagnose_channel(
     if case:
         found = _with_parameters(found, model, case, options.doubt)
         warnings = (*warnings, *_describe_poor_fits(found, case))
-    answer = _answer(found, options, model, case, seed=seed, how=how, warnings=warnings)
-    return report_loads(answer, loads, without)
+    report = LoadReport.of(loads, without)
+    return _answer(found, options, model, case, report, seed=seed, how=how, warnings=warnings)
 
 
 def _describe_poor_fits(found: Examination, case: FittedBaseline) -> Sequence[str]:
@@ -250,6 +250,7 @@ def _answer(
     options: ExaminationOptions,
     model: Model,
     case: FittedBaseline | None,
+    loads: LoadReport,
     *,
     seed: int,
     how: str,
@@ -259,15 +260,18 @@ def _answer(
     hunt, claims, bars, spoiled, rng = found.hunt, found.claims, found.bars, options.doubt, options.rng
     findings, unexplained, aliased = found.findings, found.unexplained, found.aliased
     channel, before, after = hunt.channel, bars.fits[0], bars.fits[-1]
-    verdict = "cannot_tell" if spoiled else decide_verdict(findings, unexplained, aliased)
+    rest = "cannot_tell" if spoiled else decide_verdict(findings, unexplained, aliased)
+    verdict = "named" if loads.confirmed and rest in ("nothing_found", "unexplained") else rest
     sentence = f"These data name no cause: {spoiled}."
     if not spoiled:
         errors = before.errors, after.errors
-        sentence = describe_diagnosis(channel, verdict, findings, aliased, unexplained, errors)
+        sentence = describe_diagnosis(channel, rest, findings, aliased, unexplained, errors, loads.confirmed)
         sentence = f"{sentence} {found.remark}".rstrip()
     experiments = (f.experiment for f in aliased or findings if f.experiment and verdict == "cannot_tell")
     limits, untestable = compute_detection_limits(hunt, [f.cause for f in findings])
-    use = Recommendation("neither", spoiled) if spoiled else recommend(hunt, claims, bars, rng, case and case.physics)
+    use = Recommendation("neither", spoiled)
+    if not spoiled:
+        use = recommend(hunt, claims, bars, rng, case and case.physics, has_load=bool(loads.confirmed))
     floor = estimate_noise_floor(channel, after, np.random.default_rng(seed))
     settings = {"noise_draws": N_NULL_DRAWS, "family_level": FAMILY_LEVEL, "causes_tried": len(hunt.last)}
     return Diagnosis(
@@ -279,8 +283,8 @@ def _answer(
         baseline=before.errors,
         extended=after.errors,
         noise_floor=floor,
-        waterfall=(*bars.steps, Step("noise_floor", floor)),
-        findings=tuple(sorted(findings, key=lambda f: f.rank)),
+        waterfall=loads.insert_step((*bars.steps, Step("noise_floor", floor))),
+        findings=tuple(sorted((*findings, *loads.findings), key=lambda f: f.rank)),
         unexplained=unexplained,
         limits=tuple(dict.fromkeys(limits)),
         untestable=tuple(dict.fromkeys(_with_drift(untestable, unexplained))),

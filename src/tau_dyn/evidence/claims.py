@@ -326,8 +326,19 @@ def recommend(
     bars: Waterfall,
     rng: np.random.Generator,
     physics: PhysicalConstraints | None = None,
+    *,
+    has_load: bool = False,
 ) -> Recommendation:
-    """Return which model to use, given the causes with those that stand, and their waterfall."""
+    """Return which model to use, given the causes with those that stand, and their waterfall.
+
+    Args:
+        hunt: The selection.
+        claims: The causes with their status.
+        bars: The waterfall.
+        rng: For intervals.
+        physics: Physical consistency of the baseline's values.
+        has_load: Whether some logs carry a confirmed load, which is no part of either model.
+    """
     channel = hunt.channel
     before, after = bars.fits[0], bars.fits[-1]
     if foreign := describe_foreign_joints(find_foreign_joints(channel, after)):
@@ -339,7 +350,8 @@ def recommend(
         why = f"the held-out error of the refitted model is {more:.2g} % larger than with the robot file's values"
         return Recommendation("neither", why)
     if not claims.kept:
-        return Recommendation("refitted", "no cause is confirmed")
+        load = "no cause but the load is confirmed, which is the log's own"
+        return Recommendation("refitted", load if has_load else "no cause is confirmed")
     worse = [
         (output, -gain.reduction_percent)
         for output in channel.outputs

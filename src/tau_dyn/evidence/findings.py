@@ -204,19 +204,22 @@ def describe_diagnosis(
     aliased: Sequence[Finding],
     unexplained: Sequence[Unexplained],
     errors: tuple[OutputErrors, OutputErrors],
+    loads: Sequence[Finding] = (),
 ) -> str:
     """Return the answer in one or two sentences.
 
     Args:
         channel: The measurements.
-        verdict: The verdict.
-        findings: All findings.
+        verdict: The verdict on everything but loads.
+        findings: All findings but those of loads.
         aliased: Those whose period is open.
         unexplained: Structure without a name.
         errors: Of the refitted and of the extended model.
+        loads: Findings of confirmed loads, which come first.
     """
     if channel.name == "force":
-        return _describe_forces(verdict, findings, unexplained, *errors)
+        rest = _describe_forces(verdict, findings, unexplained, *errors, other="other " if loads else "")
+        return " ".join([*(f.sentence for f in loads), rest])
     named = [f for f in findings if f.status == "confirmed"]
     if channel.name == "tool":
         return _describe_tool(named, aliased, *errors)
@@ -229,6 +232,7 @@ def _describe_forces(
     unexplained: Sequence[Unexplained],
     before: OutputErrors,
     after: OutputErrors,
+    other: str = "",
 ) -> str:
     """Return the answer in one or two sentences."""
     missed = f"The residual of the refitted model is {before.relative_error_percent:.2g} % of the measured force"
@@ -242,7 +246,9 @@ def _describe_forces(
         if verdict == "cannot_tell":
             text += f" Indistinguishable with these data: {f.cause} and {', '.join(f.indistinguishable_from)}."
     elif verdict == "nothing_found":
-        text = f"{missed}. No model error was detected: the residual is consistent with the noise at the 1 % level."
+        text = (
+            f"{missed}. No {other}model error was detected: the residual is consistent with the noise at the 1 % level."
+        )
     else:
         text = f"{missed}. No cause is confirmed, and the residual is not consistent with the noise."
         text += "".join(f" {_describe_rejection(f)}" for f in findings if f.is_shown)

@@ -99,7 +99,7 @@ def _build_run(
     W = np.broadcast_to(np.eye(len(joints)), (len(t), len(joints), len(joints)))
     usable = np.broadcast_to((whole >= 0)[:, None], y.shape)
     names: tuple[str, ...] = ("q", "v", "a", "error")
-    named = dict(zip(names, signals, strict=True))
+    named = {name: x for name, x in zip(names, signals, strict=True)}
     return RegressionRun(first.name, t, W, y, usable, W, y, named), whole
 
 
