@@ -24,20 +24,15 @@ import numpy as np
 from scipy import stats
 from scipy.linalg import solve_triangular
 
-from tau_dyn.estimate import Estimate
+from tau_dyn.estimate import Estimate, InertialBody, PhysicalConstraints
+from tau_dyn.evidence import DIFFERENCE_LEVEL, MIN_2LOGL_DIFFERENCE, MIN_LEFT_P_VALUE
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import INERTIAL, NOMINAL_MASS_STDERR, NOT_GIVEN, LinkInertia, Robot, find_end_link
 
-SIGNIFICANCE_LEVEL = 0.01
-"""Chance, over all explanations (Bonferroni), at which a fit of bodies as trusted gives one so much."""
-MIN_LEFT_P_VALUE = 1e-3
-"""Chance of what an explanation leaves, above which it explains all."""
 MIN_EXPLAINED_SHARE = 0.95
 """Or share of the squared difference that it explains: errors of the fit that its covariance does not know of remain."""
 PENALTY = 4.0
 """Price of an amplitude in units of twice the log-likelihood: chance at 5 %."""
-TWIN_MARGIN = 8.0
-"""Difference of penalised misfits below which two explanations are not told apart: odds of 50 to 1, as of causes."""
 MIN_AMPLITUDE_Z = 4.0
 """Standard errors that the mass or the factor must be off."""
 _RELATIVE_RANK = 1e-9
@@ -171,11 +166,13 @@ def find_explanation(robot: Robot, difference: BaseParameterDifference) -> Expla
         return None
     found = [one for row in _candidates(robot, difference) if (one := _fit(difference, *row)) is not None]
     whole = difference.misfit
-    fit = [one for one in found if one.explains(whole) and one.p_value(whole, len(found)) < SIGNIFICANCE_LEVEL]
+    fit = [one for one in found if one.explains(whole) and one.p_value(whole, len(found)) < DIFFERENCE_LEVEL]
     if not fit:
         return None
     best = min(fit, key=lambda one: one.penalised)
-    near = [one.cause for one in fit if one.penalised < best.penalised + TWIN_MARGIN and one.cause != best.cause]
+    near = [
+        one.cause for one in fit if one.penalised < best.penalised + MIN_2LOGL_DIFFERENCE and one.cause != best.cause
+    ]
     from_file = all(difference.trusted[n].stderr is None for n in robot.parameters.names if n in difference.trusted)
     heavier = best.cause == "payload" and from_file
     extra = ["link_mass"] if heavier or best.cause == "drive_gain" else []  # all masses off alike are all forces off
@@ -241,6 +238,43 @@ def estimate_body(estimate: Estimate, names: Sequence[str], R: np.ndarray, p: np
     errors = [estimate.stderr_of(slope @ rows) if ok else np.nan for slope, ok in zip(slopes, known, strict=True)]
     values[0] = pi[0]
     return BodyEstimate(values, np.array(errors), known)
+
+
+PAYLOAD = "payload"
+_UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
+
+
+def list_load_names(label: str = "") -> tuple[str, ...]:
+    """Return the names of the ten inertial numbers of a body at the tool, of the logs that a label stands for or of all."""
+    return tuple(f"{PAYLOAD}.{quantity}{f'@{label}' if label else ''}" for quantity in INERTIAL)
+
+
+def build_load_parameters(label: str = "", known: np.ndarray | None = None) -> Parameters:
+    """Return the ten inertial numbers of a body at the tool, in the joint frame of its link.
+
+    Args:
+        label: The logs that carry it; empty for all that the columns are given for.
+        known: Values that are taken as they are (10,); None for a free body of nonnegative mass.
+    """
+    values = np.zeros(len(INERTIAL)) if known is None else known
+    rows = zip(list_load_names(label), values, _UNITS, INERTIAL, strict=True)
+    return Parameters(
+        Parameter(
+            name,
+            float(value),
+            unit,
+            lower=0.0 if quantity == "mass" and known is None else -np.inf,
+            free=known is None,
+            origin=PAYLOAD,
+        )
+        for name, value, unit, quantity in rows
+    )
+
+
+def constrain_loads(physics: PhysicalConstraints, labels: Sequence[str]) -> PhysicalConstraints:
+    """Return constraints under which bodies at the tool, one for each label, are physically consistent as well."""
+    bodies = [InertialBody(f"{PAYLOAD}@{label}", list_load_names(label), np.eye(len(INERTIAL))) for label in labels]
+    return PhysicalConstraints((*physics.bodies, *bodies), physics.rotors)
 
 
 def find_payload_frame(robot: Robot, body: LinkInertia) -> tuple[str, np.ndarray, np.ndarray]:

@@ -1,6 +1,7 @@
 """Verdicts from one body of evidence: hypotheses, null model, selection, confirmation, gain, detection limits, structure."""
 
 from .campaigns import (
+    MIN_LEFT_P_VALUE as MIN_LEFT_P_VALUE,
     CampaignChange as CampaignChange,
     CampaignChannel as CampaignChannel,
     compute_campaign_gain as compute_campaign_gain,
@@ -118,6 +119,7 @@ from .readings import (
     prefer_reading as prefer_reading,
 )
 from .result import (
+    DIFFERENCE_LEVEL as DIFFERENCE_LEVEL,
     Choice as Choice,
     Finding as Finding,
     Gain as Gain,

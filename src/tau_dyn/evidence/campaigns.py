@@ -23,11 +23,9 @@ from tau_dyn.evidence.confirmation import Confirmation, confirm_columns
 from tau_dyn.evidence.extended_fit import compute_gain
 from tau_dyn.evidence.measurements import TEST, TRAIN, VALIDATION, Measurements, divide_training
 from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, WhiteResidual, compute_overdispersion
-from tau_dyn.evidence.result import Gain
+from tau_dyn.evidence.result import DIFFERENCE_LEVEL, Gain
 from tau_dyn.parameters import Parameter, Parameters
 
-CAMPAIGN_LEVEL = 0.01
-"""Chance, over all logs and kinds of change (Bonferroni), at which equal logs are called different."""
 MIN_LEFT_P_VALUE = 1e-3
 """Chance of what a change leaves of a log's difference, above which it explains all of it."""
 MIN_EXPLAINED_SHARE = 0.9
@@ -131,7 +129,7 @@ def select_campaign_changes(
             taken = [one.log for one in found if one.kind == kind]
             if len(taken) < most:
                 tests += [_test(ground, channel, kind, log, columns, n_tests) for log in logs if log not in taken]
-        tests = [one for one in tests if one.p_value < CAMPAIGN_LEVEL]
+        tests = [one for one in tests if one.p_value < DIFFERENCE_LEVEL]
         if not tests:
             return found
         best = max(tests, key=lambda one: one.penalised_statistic)

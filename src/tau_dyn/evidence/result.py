@@ -12,6 +12,10 @@ from tau_dyn.effects import Effect
 from tau_dyn.parameters import Parameter
 from tau_dyn.results import Z95, Brief, to_plain
 
+DIFFERENCE_LEVEL = 0.01
+"""Significance level, over all comparisons together, at which recordings, units or values that should be equal are called
+different."""
+
 
 @dataclass(frozen=True, eq=False)
 class WholeErrors:

@@ -26,6 +26,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import stats
 
+from tau_dyn.evidence import MIN_2LOGL_DIFFERENCE
+
 BLOCK_S = 2.0
 """Length of a block [s]: longer than a residual's memory, a fraction of the minute in which a change is to be named."""
 BLOCKS_PER_HOUR = 3600 / BLOCK_S
@@ -37,8 +39,6 @@ CONFIRMING_BLOCKS = 5
 """Blocks after a detection that take part in the name, the size and the time of a change: 10 s tell near causes apart."""
 CHANGE_POINT_95 = 7.35
 """Fall of the likelihood ratio within which 95 % of true change-points lie: -2 log(1 - sqrt(0.95)) (Hansen 2000)."""
-TWIN_MARGIN = 8.0
-"""Difference of the statistic below which two directions are not told apart: odds of 50 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,9 @@ class DetectedChange:
         detected_t: When it was detected [s].
         detected_log: Log in which that was.
         size: Change in the direction's unit.
-        ci95: Its interval.
+        stderr: Its standard error.
+        ci95: Its interval (Student's t).
+        statistic: Likelihood ratio of the change.
         false_alarms_per_hour: Expected number of false alarms with a statistic as large.
         twins: Directions that explain it as well.
     """
@@ -82,7 +84,9 @@ class DetectedChange:
     detected_t: float
     detected_log: str
     size: float
+    stderr: float
     ci95: tuple[float, float]
+    statistic: float
     false_alarms_per_hour: float
     twins: tuple[int, ...]
 
@@ -227,10 +231,10 @@ class ChangeDetector:
         begin, end = (self._blocks[first + int(x)] for x in (near[0], near[-1]))
         at, found = self._blocks[first + k], self._blocks[detected]
         chance = BLOCKS_PER_HOUR * self.n_tests * 2 * float(stats.t.sf(np.sqrt(T[k, d]), normal.dof))
-        twins = [int(x) for x in np.flatnonzero(T.max(axis=0) > T[k, d] - TWIN_MARGIN) if x != d]
+        twins = [int(x) for x in np.flatnonzero(T.max(axis=0) > T[k, d] - MIN_2LOGL_DIFFERENCE) if x != d]
         early = begin.t[0] if begin.log == at.log else at.t[0]
         late = end.t[1] if end.log == at.log else at.t[1]
         return DetectedChange(
-            d, at.t[0], at.log, (early, late), found.t[1], found.log, float(sizes[d]),
-            (float(sizes[d]) - half, float(sizes[d]) + half), chance, tuple(twins),
+            d, at.t[0], at.log, (early, late), found.t[1], found.log, float(sizes[d]), float(errors[d]),
+            (float(sizes[d]) - half, float(sizes[d]) + half), float(T[k, d]), chance, tuple(twins),
         )  # fmt: skip

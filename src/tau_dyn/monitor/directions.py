@@ -27,6 +27,16 @@ _MIN_EFFECT = 1e-6  # force of a typical size, relative to all forces, below whi
 _LAWS = ("coulomb", "coulomb_pos", "coulomb_neg", "viscous", "viscous_pos", "viscous_neg")
 
 
+CAUSES = {
+    "friction": ("friction_change", 1.0),
+    "payload": ("payload", 1.0),
+    "encoder_offset": ("joint_zero", -1.0),
+    "delay": ("delay", 1.0),
+}
+"""Name of each kind of change in the catalogue of causes, and the sign of its amplitude there: `joint_zero` is added to logged
+positions, `encoder_offset` to the positions at which the forces are."""
+
+
 class Direction(NamedTuple):
     """What may change: its kind, the joint (empty for all), the unit and a typical size."""
 
@@ -34,6 +44,11 @@ class Direction(NamedTuple):
     joint: str
     unit: str
     typical: float
+
+    @property
+    def cause(self) -> str:
+        """Its name in the catalogue of causes."""
+        return CAUSES[self.what][0]
 
     @property
     def words(self) -> str:

@@ -23,6 +23,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from tau_dyn.estimate import Estimate, PhysicalConstraints, Regression, solve_least_squares
+from tau_dyn.evidence import DIFFERENCE_LEVEL
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import (
     Choices,
@@ -45,8 +46,6 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Shown, format_list
 from tau_dyn.robot import Robot
 
-SIGNIFICANCE_LEVEL = 0.01
-"""Chance, over all units and parameters together (Holm), at which a unit like the others is called outlying."""
 MIN_UNITS = 3  # of which a spread can be told
 _MIN_UNITS_OUTLYING = 4  # from which a unit can be held against the spread of the others
 _PRIOR_TAIL = 0.10  # below the upper end of the spread that a new unit is given
@@ -302,7 +301,7 @@ def find_outlying_units(parameters: Sequence[FleetParameter]) -> tuple[OutlyingU
     found_units: dict[str, OutlyingUnit] = {}
     for k, row in enumerate(rows):
         corrected = min(1.0, row.p_value * (len(rows) - k))
-        if corrected >= SIGNIFICANCE_LEVEL:
+        if corrected >= DIFFERENCE_LEVEL:
             break
         found_units.setdefault(row.unit, row._replace(p_value=corrected))
     return tuple(found_units.values())

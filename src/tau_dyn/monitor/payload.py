@@ -18,15 +18,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tau_dyn.diagnose import estimate_body, find_end_link, find_payload_frame
-from tau_dyn.estimate import (
-    MAX_RELATIVE_STDERR,
-    Estimate,
-    InertialBody,
-    PhysicalConstraints,
-    Regression,
-    solve_least_squares,
+from tau_dyn.diagnose import (
+    PAYLOAD,
+    BodyEstimate,
+    build_body_parameters,
+    build_load_parameters,
+    constrain_loads,
+    estimate_body,
+    find_end_link,
+    find_payload_frame,
+    format_load_sentence,
+    list_load_names,
 )
+from tau_dyn.effects import PARAMETER_CAUSES
+from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Regression, solve_least_squares
+from tau_dyn.evidence import DIFFERENCE_LEVEL, Finding
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError, UnknownName
 from tau_dyn.excitation import Noise, predict_ideal_log
 from tau_dyn.identify import (
@@ -41,7 +47,7 @@ from tau_dyn.identify import (
     require_forces,
 )
 from tau_dyn.log import Log
-from tau_dyn.message_codes import CodedWarning, format_warnings
+from tau_dyn.message_codes import CodedWarning, format_warnings, get_code
 from tau_dyn.model import Model
 from tau_dyn.monitor.drive_gains import compare_drives
 from tau_dyn.parameters import Parameter, Parameters
@@ -49,8 +55,6 @@ from tau_dyn.results import Z95, Shown, format_list
 from tau_dyn.robot import INERTIAL, LinkInertia, Robot
 from tau_dyn.simulate import build_fourier_motion
 
-SIGNIFICANCE_LEVEL = 0.01
-"""Chance at which two equal recordings are said to differ by a payload."""
 MIN_DRIVE_DIFFERENCE = 0.05
 """Relative difference of the mass by two joints that counts; torque constants and the load friction of gears scatter less."""
 MAX_HIDDEN_SHARE = 0.05
@@ -99,7 +103,7 @@ class FrictionDifference(NamedTuple):
     @property
     def differs(self) -> bool:
         """Whether the friction differs."""
-        return self.p_value is not None and self.p_value < SIGNIFICANCE_LEVEL
+        return self.p_value is not None and self.p_value < DIFFERENCE_LEVEL
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers."""
@@ -143,12 +147,49 @@ class PayloadEstimate(Shown):
     @property
     def differs(self) -> bool:
         """Whether the loaded logs carry anything."""
-        return self.p_value < SIGNIFICANCE_LEVEL
+        return self.p_value < DIFFERENCE_LEVEL
 
     @property
     def largest_mass(self) -> float:
         """Upper end of the mass' 95 % interval [kg]."""
         return max(float(self.mass.values[0]), 0.0) + Z95 * float(self.mass.stderr[0])
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """The payload as a finding; empty where equal recordings differ as much.
+
+        Its status is `parameter`, since no part of the logs is held out. It is `suspected` if the joints disagree about the mass,
+        or if the loaded logs are lighter.
+        """
+        if not self.differs:
+            return ()
+        parts = (self.mass, self.centre, self.inertia)
+        values, stderr = (np.concatenate([getattr(part, key) for part in parts]) for key in ("values", "stderr"))
+        body = BodyEstimate(values, stderr, np.isfinite(stderr))
+        empty, loaded = self.logs
+        why = "the joints disagree about its mass" if any(get_code(w) == "scale_wrong" for w in self.warnings) else ""
+        why = "the loaded logs are lighter than the empty ones" if self.is_lighter else why
+        return (
+            Finding(
+                PAYLOAD,
+                (self.link,),
+                "suspected" if why else "parameter",
+                float((values[0] / stderr[0]) ** 2),
+                self.p_value,
+                tuple(build_body_parameters(body, self.frame)),
+                None,
+                (),
+                PARAMETER_CAUSES[PAYLOAD],
+                format_load_sentence(body, self.frame, loaded, empty),
+                why_not_confirmed=why,
+                logs=loaded,
+            ),
+        )
+
+    @property
+    def is_lighter(self) -> bool:
+        """Whether the loaded logs carry significantly less than the empty ones."""
+        return self.differs and self.plain_mass < -Z95 * float(self.mass.stderr[0])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's JSON result, without what the command adds."""
@@ -161,6 +202,7 @@ class PayloadEstimate(Shown):
             "p_value": self.p_value,
             "differ": self.differs,
             "friction": [row.to_dict() for row in self.friction],
+            "findings": [f.to_dict() for f in self.findings],
             **format_warnings(self.warnings),
         }  # fmt: skip
 
@@ -312,8 +354,7 @@ def add_payload_columns(model: Model, body: LinkInertia, regression: Regression,
     ten = [names.index(f"{body.link}.{quantity}") for quantity in INERTIAL]
     own = [model.parameters.names.index(name) for name in body.names]
     shared[np.ix_(ten, own)] = body.map
-    extra = [Parameter(f"payload.{quantity}", 0.0, unit, lower=0.0 if quantity == "mass" else -np.inf)
-             for quantity, unit in zip(INERTIAL, ("kg", *["kg m"] * 3, *["kg m^2"] * 6), strict=True)]  # fmt: skip
+    extra = list(build_load_parameters())
     columns = list(np.eye(len(names))[ten])
     for joint in model.robot.actuated:
         for law in ("coulomb", "viscous"):
@@ -332,9 +373,7 @@ def _friction_names(joint: str, law: str) -> tuple[str, ...]:
 
 def solve_payload(model: Model, regression: Regression) -> Estimate:
     """Return the joint estimate, links and payload kept physical."""
-    physics = build_physical_constraints(model)
-    body = InertialBody("payload", tuple(f"payload.{quantity}" for quantity in INERTIAL), np.eye(10))
-    return solve_least_squares(regression, physics=PhysicalConstraints((*physics.bodies, body), physics.rotors))
+    return solve_least_squares(regression, physics=constrain_loads(build_physical_constraints(model), [""]))
 
 
 def describe_payload(
@@ -346,7 +385,7 @@ def describe_payload(
     kept = [base.names[k] for k in base.kept]
     mine = np.eye(base.rank)[[k for k, name in enumerate(kept) if name.startswith("payload.")]]
     p_value = compute_contrast_p_value(estimate, mine)
-    values, stderr, _ = estimate_body(estimate, [f"payload.{quantity}" for quantity in INERTIAL], R, p)
+    values, stderr, _ = estimate_body(estimate, list_load_names(), R, p)
     mass = float(values[0])
     lever = max(float(np.linalg.norm(values[1:4])), _MIN_LENGTH_M)
     size = np.array([abs(mass), *[lever] * 3, *[float(np.abs(values[4:]).max())] * 6])
@@ -380,8 +419,8 @@ def _compare_drives(found: PayloadEstimate) -> list[str]:
     """Return a warning where the joints disagree about the payload, with the mass by each of them."""
     if not found.differs or not found.mass.values[0] > 0:
         return []
-    gains = compare_drives(found.estimate, tuple(f"payload.{quantity}" for quantity in INERTIAL))
-    if gains is None or gains.p_value >= SIGNIFICANCE_LEVEL or gains.largest_difference < MIN_DRIVE_DIFFERENCE:
+    gains = compare_drives(found.estimate, list_load_names())
+    if gains is None or gains.p_value >= DIFFERENCE_LEVEL or gains.largest_difference < MIN_DRIVE_DIFFERENCE:
         return []
     first, rows = gains.joints[0], zip(gains.joints[1:], gains.factors[1:], gains.stderr[1:], strict=True)
     listed = format_list([f"{joint} {factor:.3g} ± {stderr:.1g}" for joint, factor, stderr in rows])
@@ -400,7 +439,7 @@ def _list_warnings(found: PayloadEstimate) -> list[str]:
             f"the friction of {format_list(changed)} differs between empty and loaded logs; each recording has its own in the "
             "estimate, as friction follows load and temperature"
         )
-    if found.differs and found.plain_mass < -Z95 * float(found.mass.stderr[0]):
+    if found.is_lighter:
         said.append(
             f"the loaded logs are lighter than the empty ones by {-found.plain_mass:.3g} kg; are they exchanged?"
         )

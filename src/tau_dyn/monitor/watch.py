@@ -16,7 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tau_dyn.effects import EFFECTS, PARAMETER_CAUSES
 from tau_dyn.estimate import Autoregression, Preparation, RegressionRun, Whitener, fit_autoregression
+from tau_dyn.evidence import Finding
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import (
     TooShort,
@@ -36,7 +38,8 @@ from tau_dyn.monitor.change_detection import (
     ChangeDetector,
     DetectedChange,
 )
-from tau_dyn.monitor.directions import Direction, compute_direction_columns, list_felt
+from tau_dyn.monitor.directions import CAUSES, Direction, compute_direction_columns, list_felt
+from tau_dyn.parameters import Parameter
 from tau_dyn.results import Shown
 
 REFERENCE_S = 60.0
@@ -81,10 +84,16 @@ class WatchResult(Shown):
         """Return the alarms in the contract's form."""
         return [describe_change(change, self.directions) for change in self.changes]
 
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """The alarms as findings of the kind that `diagnose` gives."""
+        return tuple(build_change_finding(change, self.directions, self.watched_s / 3600) for change in self.changes)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's JSON result, without what the command adds."""
         return {
             "alarms": self.rows(),
+            "findings": [f.to_dict() for f in self.findings],
             "false_alarm_rate_per_hour": self.rate,
             "threshold": None if np.isnan(self.threshold) else self.threshold,
             "watched_s": self.watched_s,
@@ -107,6 +116,34 @@ def describe_change(change: DetectedChange, directions: Sequence[Direction]) -> 
             {"what": directions[k].what, "joint": directions[k].joint or None} for k in change.twins
         ],
     }  # fmt: skip
+
+
+def build_change_finding(change: DetectedChange, directions: Sequence[Direction], watched_h: float) -> Finding:
+    """Return an alarm as a finding: a number that differs from its value in the reference.
+
+    Args:
+        change: The alarm.
+        directions: What was watched.
+        watched_h: Motion watched [h], over which a false alarm may occur.
+    """
+    d = directions[change.direction]
+    name = f"{d.joint}.{d.cause}" if d.joint else d.cause
+    size = Parameter(name, CAUSES[d.what][1] * change.size, d.unit, stderr=change.stderr, origin=d.cause)
+    others = dict.fromkeys(directions[k].cause for k in change.twins)
+    amount = f"{change.size:+.3g} {d.unit}".removesuffix(" 1")
+    return Finding(
+        d.cause,
+        (d.joint,) if d.joint else (),
+        "parameter",
+        change.statistic,
+        float(-np.expm1(-change.false_alarms_per_hour * watched_h)),
+        (size,),
+        None,
+        tuple(cause for cause in others if cause != d.cause),
+        (PARAMETER_CAUSES | {n: effect.equation for n, effect in EFFECTS.items()})[d.cause],
+        f"{d.words[:1].upper()}{d.words[1:]} changes by {amount} since t = {change.since_t:.4g} s of {change.since_log}.",
+        logs=tuple(dict.fromkeys((change.since_log, change.detected_log))),
+    )
 
 
 class _Block(NamedTuple):
