@@ -57,7 +57,12 @@ def fit_noise_models(
 
 
 def fit_noise_model(
-    columns: Sequence[np.ndarray], measured: Sequence[np.ndarray], masks: Sequence[np.ndarray], max_order: int
+    columns: Sequence[np.ndarray],
+    measured: Sequence[np.ndarray],
+    masks: Sequence[np.ndarray],
+    max_order: int,
+    *,
+    unbiased: bool = False,
 ) -> Autoregression:
     """Return the noise of one output: the autoregressive model of the residual of a least-squares fit.
 
@@ -66,6 +71,7 @@ def fit_noise_model(
         measured: Measurements (n,) of each run.
         masks: Which samples count (n,).
         max_order: Largest order of the model; 0 for independent noise.
+        unbiased: Whether the variance is enlarged for the rank of the columns.
 
     Returns:
         The model; independent noise of variance 1 for an output without a usable sample.
@@ -73,12 +79,16 @@ def fit_noise_model(
     y = np.concatenate([x[m] for x, m in zip(measured, masks, strict=True)])
     if not len(y):
         return Autoregression(np.zeros(0), 1.0)
-    theta = solve_scaled(np.concatenate([x[m] for x, m in zip(columns, masks, strict=True)]), y, 1e-7)
+    rows = np.concatenate([x[m] for x, m in zip(columns, masks, strict=True)])
+    theta = solve_scaled(rows, y, 1e-7)
     stretches = []
     for x, y_run, mask in zip(columns, measured, masks, strict=True):
         e = y_run - x @ theta
         stretches += [e[s] for s in find_true_runs(mask)]
-    return fit_autoregression(stretches, max_order)
+    found = fit_autoregression(stretches, max_order)
+    if not unbiased:
+        return found
+    return replace(found, variance=found.variance * len(y) / max(1, len(y) - np.linalg.matrix_rank(rows)))
 
 
 def build_smooth_columns(variables: Sequence[Mapping[str, np.ndarray]], output: str) -> list[np.ndarray]:
