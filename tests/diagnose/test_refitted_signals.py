@@ -7,10 +7,10 @@ import pytest
 
 from tau_dyn.diagnose.force_baseline import FittedBaseline, fit_baseline
 from tau_dyn.effects import JointZero, TorqueSaturation
-from tau_dyn.evidence.candidate_scan import estimate_amplitudes
 from tau_dyn.evidence.channel import ColumnCache
 from tau_dyn.evidence.measurements import TRAIN
 from tau_dyn.evidence.null_model import NullModel, fit_noise_models
+from tau_dyn.evidence.settings import estimate_amplitudes
 from tau_dyn.identify import build_model
 from tau_dyn.log import Log
 from tau_dyn.mechanism import build_mechanism

@@ -12,9 +12,9 @@ from scipy.signal import lfilter
 from tau_dyn.diagnose.preparation import find_timing
 from tau_dyn.effects import Delay, DriveLag, Motion, QuadraticDrag, Stribeck, ViscousCurvature
 from tau_dyn.estimate import RegressionRun
-from tau_dyn.evidence.candidate_scan import N_NULL_DRAWS, estimate_amplitudes, fit_group, scan_causes
+from tau_dyn.evidence.candidate_scan import N_NULL_DRAWS, fit_group, scan_causes
 from tau_dyn.evidence.null_model import compute_score_test
-from tau_dyn.evidence.stepwise_selection import refine_settings
+from tau_dyn.evidence.settings import estimate_amplitudes, refine_settings
 
 RATE_HZ = 50.0
 

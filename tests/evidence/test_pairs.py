@@ -9,7 +9,7 @@ import pytest
 
 from tau_dyn.effects import DirectionalEfficiency, DriveGain, Effect, LoadFriction, Motion
 from tau_dyn.evidence.candidate_scan import CandidateCause, GroupTest, rescore_group
-from tau_dyn.evidence.pairs import find_rival_pairs
+from tau_dyn.evidence.forward_step import find_rival_pairs
 
 
 def carrying(motion: Motion) -> Motion:

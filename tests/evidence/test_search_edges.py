@@ -7,9 +7,8 @@ import pytest
 
 from tau_dyn.effects import Motion, ViscousCurvature
 from tau_dyn.effects.friction import PARABOLA
-from tau_dyn.evidence.candidate_scan import N_NULL_DRAWS, estimate_amplitudes, scan_causes
-from tau_dyn.evidence.search_edges import find_edge
-from tau_dyn.evidence.stepwise_selection import refine_settings
+from tau_dyn.evidence.candidate_scan import N_NULL_DRAWS, scan_causes
+from tau_dyn.evidence.settings import estimate_amplitudes, find_edge, refine_settings
 
 
 def refine(make, rng, law):

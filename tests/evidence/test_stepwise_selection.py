@@ -20,7 +20,8 @@ from tau_dyn.effects import (
 )
 from tau_dyn.evidence.candidate_scan import GroupTest
 from tau_dyn.evidence.channel import build_scene
-from tau_dyn.evidence.stepwise_selection import SEARCH_MARGIN, select_causes
+from tau_dyn.evidence.settings import SEARCH_MARGIN
+from tau_dyn.evidence.stepwise_selection import select_causes
 
 
 @pytest.mark.parametrize("seed", [1, 6])

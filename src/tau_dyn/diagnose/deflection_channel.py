@@ -26,6 +26,7 @@ from tau_dyn.diagnose.measured_channel import (
     cut_stretches,
     find_directions,
 )
+from tau_dyn.diagnose.periodogram import scan_periods
 from tau_dyn.diagnose.preparation import choose_diagnosis_preparation
 from tau_dyn.effects import (
     EFFECTS,
@@ -47,7 +48,6 @@ from tau_dyn.evidence import (
     fit_extended_model,
     name_by_joint,
     restrict_to_parts,
-    scan_periods,
 )
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify import Preparation, get_measured_signals

@@ -28,6 +28,7 @@ from tau_dyn.diagnose.noise_only_log import (
     NoiseOnlyLog,
 )
 from tau_dyn.diagnose.payload import find_end_link
+from tau_dyn.diagnose.periodogram import build_force_terms, compute_period_statistics
 from tau_dyn.diagnose.preparation import (
     choose_diagnosis_preparation,
     clear_cutoff,
@@ -40,8 +41,6 @@ from tau_dyn.estimate import PhysicalConstraints, Regression, solve_least_square
 from tau_dyn.evidence import (
     TRAIN,
     Channel,
-    build_force_terms,
-    compute_period_statistics,
 )
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify import (

@@ -82,15 +82,10 @@ from .noise_only_bootstrap import (
     NoiseOnlyBootstrap as NoiseOnlyBootstrap,
 )
 from .null_model import (
-    LONG as LONG,
     MIN_UNABSORBED_SHARE as MIN_UNABSORBED_SHARE,
     WHOLE_TIME as WHOLE_TIME,
-    build_displacement_terms as build_displacement_terms,
-    build_force_terms as build_force_terms,
-    compute_period_statistics as compute_period_statistics,
     compute_score_statistics as compute_score_statistics,
     orthonormalise as orthonormalise,
-    scan_periods as scan_periods,
 )
 from .plausibility import (
     MAX_LAW_ERROR as MAX_LAW_ERROR,

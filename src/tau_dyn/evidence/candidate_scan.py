@@ -296,16 +296,7 @@ def rescore_group(fit: GroupTest, ground: NullModel) -> GroupTest:
     """Return a fit with its exact `T` and its inflation by blocks."""
     C = ground.rows(fit.effect)
     T, s, G = compute_score_test(ground, C, find_nonnegative(fit.effect))
-    return GroupTest(
-        fit.effect,
-        T,
-        fit.n_effective_tests,
-        fit.dof,
-        fit.one_sided,
-        compute_fit_overdispersion(ground, C, s, G),
-        fit.noise,
-        fit.neighbours,
-    )
+    return replace(fit, statistic=T, overdispersion=compute_fit_overdispersion(ground, C, s, G))
 
 
 def match_settings(fit: GroupTest, ground: NullModel) -> GroupTest:
@@ -374,34 +365,3 @@ def compute_fit_overdispersion(ground: WhiteResidual, C: np.ndarray, s: np.ndarr
     square = float(along @ along)
     e = ground.e - along * float(along @ ground.e) / max(square, 1e-300)
     return compute_overdispersion(ground.whiten.block, along * e, square)
-
-
-def estimate_amplitudes(effect: Effect, ground: NullModel) -> np.ndarray:
-    """Return an effect's amplitudes (k,) beside what the ground accounts for, within their bounds at zero.
-
-    Minimises `x' G x - 2 x' C'e` with `G` the Gram matrix of what the ground leaves of the columns `C`; directions that it
-    leaves nothing of stay at zero.
-    """
-    C = ground.rows(effect)
-    scale = np.maximum(np.linalg.norm(C, axis=0), 1e-300)
-    values, vectors = np.linalg.eigh(ground.gram(C / scale))
-    seen = values > 1e-9 * max(values[-1], 1e-300)
-    values, vectors = values[seen], vectors[:, seen]
-    rows, y = np.sqrt(values)[:, None] * vectors.T, vectors.T @ (C.T @ ground.e / scale) / np.sqrt(values)
-    lower = np.where(find_nonnegative(effect), 0.0, -np.inf)
-    x = (
-        optimize.lsq_linear(rows, y, (lower, np.inf)).x
-        if np.any(lower == 0)
-        else np.linalg.lstsq(rows, y, rcond=None)[0]
-    )
-    return x / scale
-
-
-def differentiate_settings(effect: Effect, amplitude: np.ndarray, channel: Channel) -> list[list[np.ndarray]]:
-    """Return, for each refined setting, the change of the effect's force per unit of it (n, m, 1) of each run."""
-    found = []
-    for key in effect.refined:
-        step = 1e-3 * abs(effect.settings[key]) or 1e-6
-        ends = [channel.columns(effect.with_settings(**{key: effect.settings[key] + x})) for x in (step, -step)]
-        found.append([((a - b) @ amplitude / (2 * step))[:, :, None] for a, b in zip(*ends, strict=True)])
-    return found

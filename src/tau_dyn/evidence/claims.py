@@ -40,7 +40,7 @@ from tau_dyn.evidence.plausibility import (
     widen_scales,
 )
 from tau_dyn.evidence.result import Choice, Gain, Step
-from tau_dyn.evidence.search_edges import find_edge
+from tau_dyn.evidence.settings import find_edge
 from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
 from tau_dyn.evidence.validation import drop_unconfirmed_joints
 from tau_dyn.message_codes import CodedWarning

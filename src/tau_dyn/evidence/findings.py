@@ -9,7 +9,6 @@ import numpy as np
 
 from tau_dyn.effects import EFFECTS, VOLTAGE, Effect, format_quantity, spell_unit
 from tau_dyn.estimate import scale_columns
-from tau_dyn.evidence.candidate_scan import differentiate_settings
 from tau_dyn.evidence.channel import Channel
 from tau_dyn.evidence.claims import Claims, Waterfall
 from tau_dyn.evidence.confirmation import Confirmation
@@ -17,6 +16,7 @@ from tau_dyn.evidence.extended_fit import EvaluatedFit, fit_extended_model
 from tau_dyn.evidence.measurements import EVERY, TRAIN, VALIDATION
 from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.evidence.result import Finding, Gain, OutputErrors, Signature, Unexplained, Verdict
+from tau_dyn.evidence.settings import differentiate_settings
 from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
 from tau_dyn.parameters import Parameter, Parameters
 

@@ -15,32 +15,23 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.effects import Effect
-from tau_dyn.estimate import scale_columns
 from tau_dyn.evidence.candidate_scan import (
     FAMILY_LEVEL,
-    MIN_SHARE_OF_STRONGEST,
     N_NULL_DRAWS,
     CandidateCause,
     GroupTest,
     combine_group_tests,
     compute_penalised_statistic,
-    differentiate_settings,
-    estimate_amplitudes,
-    match_settings,
     rescore_group,
     scan_causes,
 )
 from tau_dyn.evidence.channel import Channel, ColumnCache
+from tau_dyn.evidence.forward_step import ArtefactFilter, choose_next_cause, drop_redundant_groups, find_rival_pairs
 from tau_dyn.evidence.measurements import TRAIN
 from tau_dyn.evidence.null_model import NullModel, fit_noise_models
-from tau_dyn.evidence.pairs import find_rival_pairs
-from tau_dyn.evidence.search_edges import replace_at_edge
+from tau_dyn.evidence.settings import find_unbelievable, refine_settings
 from tau_dyn.evidence.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, find_structure
 
-_STEPS = 3  # Gauss-Newton steps of the settings
-_TERM_LEVEL = 1e-4
-"""Chance at which noise alone adds a term to a law."""
-_WIDE = 2.0  # factor by which a range of settings is widened
 MAX_CAUSES = 5
 """Causes looked for at most."""
 MIMIC_MARGIN = 12.0
@@ -50,161 +41,6 @@ MIMIC_RATIO = 1.5
 what is left gets none."""
 STEADIER_RATIO = 1.15
 """The same where the cause explains by fits and starts, as a wrong law does, and the structure alike at all times."""
-
-
-def refine_settings(candidate: CandidateCause, ground: NullModel) -> CandidateCause:
-    """Return a candidate with its settings adjusted by Gauss-Newton steps within the neighbouring grid points.
-
-    A setting that agrees with an amplitude is found together with it.
-    """
-    fits = []
-    for fit in candidate.fits:
-        fit = match_settings(fit, ground)
-        for _ in range(_STEPS if fit.effect.refined else 0):
-            moved = _step(fit.effect, ground, fit.neighbours)
-            if moved is None:
-                break
-            better = rescore_group(replace(fit, effect=moved), ground)
-            if not better.statistic > fit.statistic + 0.01:
-                break
-            fit = better
-        fits.append(replace_at_edge(_grown(fit, ground), ground))
-    return replace(candidate, fits=tuple(fits))
-
-
-def _grown(fit: GroupTest, ground: NullModel) -> GroupTest:
-    """Return a fit with as many terms of its law as earn their freedom."""
-    key = fit.effect.grows
-    while key:
-        more = fit.effect.with_settings(**{key: fit.effect.settings[key] + 1})
-        better = rescore_group(replace(fit, effect=more, dof=len(more.parameters)), ground)
-        if not (better.statistic - fit.statistic) / better.overdispersion > stats.chi2.isf(
-            _TERM_LEVEL, better.dof - fit.dof
-        ):
-            break
-        fit = better
-    return fit
-
-
-def drop_redundant_groups(candidate: CandidateCause, ground: NullModel) -> CandidateCause:
-    """Return a candidate with the groups that explain something beside its stronger ones, and what each explains there.
-
-    What a joint does leaks through the baseline's refit into the others, where the same cause would be found again.
-    """
-    kept = [candidate.fits[0]]
-    for fit in candidate.fits[1:]:
-        beside = rescore_group(fit, ground.augment([one.effect for one in kept]))
-        if beside.statistic > beside.threshold:
-            kept.append(beside)
-    return replace(candidate, fits=tuple(kept))
-
-
-def _step(effect: Effect, ground: NullModel, limits: Sequence[dict[str, float]]) -> Effect | None:
-    C = ground.rows(effect)
-    amplitude = estimate_amplitudes(effect, ground)
-    if not np.any(amplitude):
-        return None
-    D = np.concatenate(
-        [ground.whiten_columns(x) for x in differentiate_settings(effect, amplitude, ground.channel)], axis=1
-    )
-    both, norm = scale_columns(np.concatenate([C, D], axis=1))
-    solution = np.linalg.lstsq(ground.gram(both), both.T @ ground.e, rcond=1e-8)[0] / norm
-    changed = {}
-    for key, change in zip(effect.refined, solution[len(amplitude) :], strict=True):
-        values = [n[key] for n in limits] + [effect.settings[key]]
-        low, high = min(values), max(values)
-        if low == high and key in effect.positive:  # the grid has few values of it, not next to each other
-            low, high = low / _WIDE, high * _WIDE
-        changed[key] = float(np.clip(effect.settings[key] + change, low, high))
-    return effect.with_settings(**changed) if changed != {k: effect.settings[k] for k in changed} else None
-
-
-SEARCH_MARGIN = 5.0
-"""Factor by which plausible ranges are widened inside the search: a law beyond it only resembles the true one, and would keep
-it from being found; one closer by is judged at the end, by its final amplitude."""
-TAKEOVER_2LOGL_MARGIN = 4.0
-"""Merit by which another cause takes over one joint of several: that all joints share one cause is likelier beforehand."""
-
-ArtefactFilter = Callable[[NullModel, CandidateCause, Sequence[Effect], int], CandidateCause | None]
-"""Return what of a candidate is no artefact, or None: judged on a ground, beside the effects in it, as one of so many causes."""
-
-
-def choose_next_cause(
-    significant: Sequence[CandidateCause],
-    ground: NullModel,
-    others: Sequence[Effect],
-    n: int,
-    sift: ArtefactFilter | None,
-) -> tuple[CandidateCause, tuple[str, ...]] | None:
-    """Return the strongest cause that is no artefact, its settings refined, and its twins, or None."""
-    left = [drop_redundant_groups(c, ground) for c in significant]
-    while left:
-        strongest, twins = _strongest(left)
-        own, more = _drop_shadowed_joints(strongest, left, ground)
-        best = refine_settings(own, ground)
-        genuine = sift(ground, best, others, n) if sift else best
-        if genuine is not None and not _find_unbelievable(genuine, ground):
-            return genuine, tuple(dict.fromkeys((*twins, *more)))
-        left = [c for c in left if c is not strongest]
-    return None
-
-
-def _find_unbelievable(candidate: CandidateCause, ground: NullModel) -> str:
-    """Return which amplitude is far beyond its plausible range, as a phrase; empty where all are near it."""
-    for fit in candidate.fits:
-        values = fit.effect.parameters.with_values(estimate_amplitudes(fit.effect, ground))
-        if why := fit.effect.find_implausible(values, ground.channel.scene.scales, SEARCH_MARGIN):
-            return why
-    return ""
-
-
-def _strongest(significant: Sequence[CandidateCause]) -> tuple[CandidateCause, tuple[str, ...]]:
-    """Return the cause that explains most, each by its own scatter, and its twins.
-
-    Among those that explain as much under one scatter the one with the least freedom is taken.
-    """
-    first = max(significant, key=lambda c: c.penalised_statistic)
-    scatter = first.fits[0].overdispersion
-    beyond = [c.merit_under(scatter) - first.merit_under(scatter) for c in significant]
-    level = [(x, k) for k, x in enumerate(beyond) if abs(x) < MIN_2LOGL_DIFFERENCE]
-    best = significant[max(level)[1]]
-    best = next((significant[k] for _, k in level if significant[k].cause == best.effects[0].special), best)
-    alike = {k for _, k in level}
-    near = (
-        c
-        for k, c in enumerate(significant)
-        if c.penalised_statistic > best.penalised_statistic - MIN_2LOGL_DIFFERENCE or k in alike
-    )
-    return best, tuple(dict.fromkeys(c.cause for c in near if c is not best and c.cause != best.cause))
-
-
-def _drop_shadowed_joints(
-    best: CandidateCause, significant: Sequence[CandidateCause], ground: NullModel
-) -> tuple[CandidateCause, tuple[str, ...]]:
-    """Return a cause without the joints at which it is the shadow of another one that explains more, and its twins elsewhere.
-
-    A shadow explains hardly a tenth of its own beside the other; what explains more than that is a thing of its own. Where
-    neither explains more than the other, by far, they are twins at this joint.
-    """
-    scatter = best.fits[0].overdispersion
-    alone = [(c.cause, fit) for c in significant if c is not best for fit in c.tested]
-    kept, twins = [], []
-    for fit in best.fits:
-        own = next(f for f in best.tested if f.effect.joints == fit.effect.joints)
-        merit = compute_penalised_statistic([own], scatter)
-        same = [(cause, other) for cause, other in alone if set(other.effect.joints) == set(fit.effect.joints)]
-        near = [x for x in same if compute_penalised_statistic([x[1]], scatter) > merit - MIN_2LOGL_DIFFERENCE]
-        over = [(cause, other) for cause, other in near if _is_shadow(own, other, ground)]
-        if any(compute_penalised_statistic([other], scatter) > merit + TAKEOVER_2LOGL_MARGIN for _, other in over):
-            continue
-        kept.append(fit)
-        twins += [cause for cause, _ in over]
-    return replace(best, fits=tuple(kept) or best.fits[:1]), tuple(twins)
-
-
-def _is_shadow(fit: GroupTest, other: GroupTest, ground: NullModel) -> bool:
-    left = rescore_group(fit, ground.augment([other.effect]))
-    return left.statistic <= max(left.threshold, MIN_SHARE_OF_STRONGEST * fit.statistic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,7 +181,7 @@ def _list_rejected(
     significant = [c for c in ranked if adjust_p_value_bonferroni(c, candidates) < level]
     for candidate in significant[:MAX_REJECTED]:
         refined = refine_settings(drop_redundant_groups(candidate, ground), ground)
-        why = _find_unbelievable(refined, ground)
+        why = find_unbelievable(refined, ground)
         if why and (sift is None or sift(ground, refined, others, len(candidates)) is not None):
             found.append(
                 RejectedCause(SelectedCause(refined, adjust_p_value_bonferroni(candidate, candidates), ()), why)

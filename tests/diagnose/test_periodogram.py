@@ -5,13 +5,13 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.effects import CyclicRipple
-from tau_dyn.evidence.null_model import (
+from tau_dyn.diagnose.periodogram import (
     build_displacement_terms,
     build_force_terms,
     compute_period_statistics,
     project_to_samples,
 )
+from tau_dyn.effects import CyclicRipple
 
 CUTOFF_HZ = 10.0
 OPEN_HZ = 1e9  # nothing is filtered
