@@ -46,9 +46,9 @@ def explained(case: FittedBaseline, effect) -> tuple[float, float]:
     """Return an effect's amplitude on the training part and its standard error."""
     library = ColumnCache(case.channel)
     noise = fit_noise_models(case.channel, (TRAIN,), [library.columns(effect)])
-    ground = NullModel.of(library, (TRAIN,), noise)
-    stderr = float(1 / np.sqrt(ground.gram(ground.rows(effect))[0, 0]))
-    return float(estimate_amplitudes(effect, ground)[0]), stderr
+    null_model = NullModel.of(library, (TRAIN,), noise)
+    stderr = float(1 / np.sqrt(null_model.gram(null_model.rows(effect))[0, 0]))
+    return float(estimate_amplitudes(effect, null_model)[0]), stderr
 
 
 @pytest.mark.parametrize("zero", [0.3, -0.02])

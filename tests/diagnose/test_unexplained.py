@@ -33,10 +33,10 @@ def together(make, rng, apart_in):
 def told(make, rng, motion, hidden):
     """Return the structure that a bench with a hidden force shows, and what is said of it."""
     channel = make.bench(rng, hidden, motions=(motion,))
-    ground = make.ground(channel)
-    found = find_structure(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
-    said = discriminate_structures(ground, (), found)
-    return found, said, build_unexplained(ground, (), said)[0]
+    null_model = make.null_model(channel)
+    found = find_structure(null_model, null_model.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
+    said = discriminate_structures(null_model, (), found)
+    return found, said, build_unexplained(null_model, (), said)[0]
 
 
 def by_third(m):
@@ -81,11 +81,11 @@ def drifting(make, rng, motions, drift, parts):
         return np.repeat(drift(np.asarray(m.t), parts(len(m.t)))[:, None], 3, axis=1)
 
     channel = make.bench(rng, hidden, motions=motions, parts=parts)
-    ground = make.ground(channel)
-    found = find_structure(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
+    null_model = make.null_model(channel)
+    found = find_structure(null_model, null_model.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
     assert found is not None and found.variables == ("t",)
-    said = discriminate_structures(ground, (), found)
-    return said.test.is_confirmed, build_unexplained(ground, (), said)[0].status
+    said = discriminate_structures(null_model, (), found)
+    return said.test.is_confirmed, build_unexplained(null_model, (), said)[0].status
 
 
 @pytest.mark.parametrize(("elsewhere", "status"), [(1.0, "confirmed"), (-1.0, "suspected")])

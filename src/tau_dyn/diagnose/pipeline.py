@@ -210,7 +210,7 @@ def diagnose_channel(
 
 def _describe_poor_fits(found: Examination, case: FittedBaseline) -> Sequence[str]:
     """Return a warning about the outputs of which the extended model misses much more than noise."""
-    last = found.bars.fits[-1]
+    last = found.waterfall.fits[-1]
     regression = replace(last.regression, preparation=case.preparation)
     return describe_poor_fits(find_poor_fits(regression, last.residuals))
 
@@ -229,14 +229,14 @@ def _with_parameters(found: Examination, model: Model, case: FittedBaseline, dou
 
     A load that is known from a model file alone explains the difference of the bodies.
     """
-    channel, after = found.hunt.channel, found.bars.fits[-1]
+    channel, after = found.selection.channel, found.waterfall.fits[-1]
     changed: list[Finding] = []
     if not case.has_known_load:
         changed = find_parameter_changes(model, model.parameters, after.parameters, after.estimate)
     if doubt:
         changed = [replace(f, status="suspected", why_not_confirmed=doubt) for f in changed]
     findings = (*(add_band_note(finding, case.clear_hz) for finding in found.findings), *changed)
-    sizes = measure_net_forces(found.hunt.library, found.claims.kept, after.parameters)
+    sizes = measure_net_forces(found.selection.library, found.claims.kept, after.parameters)
     least = np.maximum(MAX_LAW_ERROR * sizes.max(axis=0, initial=0.0), compute_least_forces(channel))
     unexplained = demote_small(found.unexplained, channel.outputs, after.errors.rms, least)
     remark = ""
@@ -257,9 +257,15 @@ def _answer(
     warnings: Sequence[str],
 ) -> Diagnosis:
     """Return the diagnosis: its verdict with the evidence, and the recommended model."""
-    hunt, claims, bars, spoiled, rng = found.hunt, found.claims, found.bars, options.doubt, options.rng
+    selection, claims, waterfall, spoiled, rng = (
+        found.selection,
+        found.claims,
+        found.waterfall,
+        options.doubt,
+        options.rng,
+    )
     findings, unexplained, aliased = found.findings, found.unexplained, found.aliased
-    channel, before, after = hunt.channel, bars.fits[0], bars.fits[-1]
+    channel, before, after = selection.channel, waterfall.fits[0], waterfall.fits[-1]
     rest = "cannot_tell" if spoiled else decide_verdict(findings, unexplained, aliased)
     verdict = "named" if loads.confirmed and rest in ("nothing_found", "unexplained") else rest
     sentence = f"These data name no cause: {spoiled}."
@@ -268,12 +274,12 @@ def _answer(
         sentence = describe_diagnosis(channel, rest, findings, aliased, unexplained, errors, loads.confirmed)
         sentence = f"{sentence} {found.remark}".rstrip()
     experiments = (f.experiment for f in aliased or findings if f.experiment and verdict == "cannot_tell")
-    limits, untestable = compute_detection_limits(hunt, [f.cause for f in findings])
+    limits, untestable = compute_detection_limits(selection, [f.cause for f in findings])
     use = Recommendation("neither", spoiled)
     if not spoiled:
-        use = recommend(hunt, claims, bars, rng, case and case.physics, has_load=bool(loads.confirmed))
+        use = recommend(selection, claims, waterfall, rng, case and case.physics, has_load=bool(loads.confirmed))
     floor = estimate_noise_floor(channel, after, np.random.default_rng(seed))
-    settings = {"noise_draws": N_NULL_DRAWS, "family_level": FAMILY_LEVEL, "causes_tried": len(hunt.last)}
+    settings = {"noise_draws": N_NULL_DRAWS, "family_level": FAMILY_LEVEL, "causes_tried": len(selection.last)}
     return Diagnosis(
         verdict=verdict,
         sentence=sentence,
@@ -283,13 +289,13 @@ def _answer(
         baseline=before.errors,
         extended=after.errors,
         noise_floor=floor,
-        waterfall=loads.insert_step((*bars.steps, Step("noise_floor", floor))),
+        waterfall=loads.insert_step((*waterfall.steps, Step("noise_floor", floor))),
         findings=tuple(sorted((*findings, *loads.findings), key=lambda f: f.rank)),
         unexplained=unexplained,
         limits=tuple(dict.fromkeys(limits)),
         untestable=tuple(dict.fromkeys(_with_drift(untestable, unexplained))),
         model=_extend(model, before, ()),
-        extended_model=_build_extended_model(model, claims, bars, findings),
+        extended_model=_build_extended_model(model, claims, waterfall, findings),
         traces=_build_traces(channel, before, after),
         n_parts=_measure_parts(channel),
         how=how,
@@ -319,10 +325,10 @@ def _with_drift(untestable: Sequence[Untestable], unexplained: Sequence[Unexplai
     return [replace(u, why=why, experiment=experiment) if u.cause == "thermal_drift" else u for u in untestable]
 
 
-def _build_extended_model(model: Model, claims: Claims, bars: Waterfall, findings: Sequence[Finding]) -> Model:
+def _build_extended_model(model: Model, claims: Claims, waterfall: Waterfall, findings: Sequence[Finding]) -> Model:
     """Return the model with the causes that stand; findings' standard errors count the settings' uncertainty, and are taken."""
     effects = [effect for effect in build_effects(claims.kept) if effect.name in EFFECTS]
-    extended = _extend(model, bars.fits[-1], effects)
+    extended = _extend(model, waterfall.fits[-1], effects)
     own = {p.name: p.stderr for f in findings if f.status == "confirmed" for p in f.parameters}
     return extended.with_parameters(
         Parameters(replace(p, stderr=own[p.name]) if own.get(p.name) else p for p in extended.parameters)

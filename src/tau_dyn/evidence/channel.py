@@ -96,7 +96,7 @@ def build_scene(
         joints: Their joints.
         units: The joints' force units, 'N' or 'N m'.
         slow: Slowest speed with a sure sign (na,) [m/s or rad/s].
-        cutoff_hz: Frequency above which nothing is seen [Hz].
+        cutoff_hz: Upper limit of the pass band [Hz].
         duration: Length of all of them [s].
         signals: What effects may feel; see `find_shared_signals`.
         campaigns: Number of logs that are distinguished.
@@ -138,7 +138,7 @@ class EffectColumns(Sequence[np.ndarray]):
     """An effect's columns (n, m, k) of each run, made when first asked for: most are tried on the training logs alone."""
 
     def __init__(self, channel: Channel, effect: Effect) -> None:
-        """Make nothing yet."""
+        """Start without columns."""
         self._channel, self.effect = channel, effect
         self.made: dict[int, np.ndarray] = {}
 
@@ -184,7 +184,7 @@ class ColumnCache:
     ) -> tuple[Whitener, np.ndarray, np.ndarray]:
         """Return what whitens these parts under a noise model of each output, the baseline's white columns and measurements.
 
-        The last ones asked for are kept: many effects are tried beside the same baseline.
+        The last ones asked for are kept: many effects are tried with the same baseline.
         """
         if (parts, noise) not in self._white:
             whiten = Whitener.of(self.channel.runs, self.channel.masks(*parts), noise)

@@ -4,11 +4,12 @@ With `C gamma` the effect fitted on the training data and `B` everything else, t
 
     x = C gamma - B (B_t^+ C_t gamma),
 
-what the baseline's training refit leaves of it. The held-out residual of the baseline's training fit is regressed on `x`, with
-`B` free to move as far as the training fit was uncertain (its information as prior rows), and freely back by what the effect
-shifted it: if the effect were in the training data alone, that shift would be in the residual and resemble a part of `x`. The
-coefficient is 1 if all of the effect is there and 0 if none; a one-sided t-test. Its variance counts how blocks scatter, in the
-held-out data and, with the weight of at most ten blocks, in the training data: a misfit that changes along the way is no noise.
+the part that the baseline's training refit leaves of it. The held-out residual of the baseline's training fit is regressed on
+`x`, with `B` free to move as far as the training fit was uncertain (its information as prior rows), and freely back by the
+amount that the effect shifted it: if the effect were in the training data alone, that shift would be in the residual and
+resemble a part of `x`. The coefficient is 1 if all of the effect is there and 0 if none; a one-sided t-test. Its variance
+counts how blocks scatter, in the held-out data and, with the weight of at most ten blocks, in the training data: a misfit
+that changes along the way is no noise.
 
 A law of many amplitudes may be known badly just where the held-out data go: its `x` would be mostly error. With information
 `G` on `gamma` in the training data and `H` in the held-out ones, the two estimates of a direction agree as far as both know it,
@@ -43,7 +44,7 @@ MIN_GAINING_SHARE = 0.5
 class Confirmation:
     """Share of a predicted effect seen on held-out data, its standard error, and the chance of it by noise.
 
-    `within` says that the data were blocks of the training logs, set aside because the held-out logs could not show it.
+    `within`: the data are held-out blocks of the training logs, because the held-out logs could not show it.
     """
 
     share: float
@@ -68,18 +69,20 @@ class Confirmation:
 
 
 def confirm(
-    ground: NullModel,
+    null_model: NullModel,
     columns: Sequence[Sequence[np.ndarray]],
     others: Sequence[Effect],
     parts: tuple[int, ...] = (VALIDATION,),
     fitted_on: tuple[int, ...] = (TRAIN,),
 ) -> Confirmation:
     """Test columns (lists over runs of (n, m, k)) on parts of the data, with other effects in the model."""
-    return confirm_columns(ground, columns, [ground.library.columns(effect) for effect in others], parts, fitted_on)
+    return confirm_columns(
+        null_model, columns, [null_model.library.columns(effect) for effect in others], parts, fitted_on
+    )
 
 
 def confirm_columns(
-    ground: WhiteResidual,
+    null_model: WhiteResidual,
     columns: Sequence[Sequence[np.ndarray]],
     others: Sequence[Sequence[np.ndarray]],
     parts: tuple[int, ...] = (VALIDATION,),
@@ -87,10 +90,10 @@ def confirm_columns(
 ) -> Confirmation:
     """Test columns (lists over runs of (n, m, k)) on parts of the data, with the baseline's and other columns in the model.
 
-    The noise model is that of `ground`.
+    The noise model is that of `null_model`.
     """
-    data = ground.measurements
-    train, held = (Whitener.of(data.runs, data.masks(*which), ground.noise) for which in (fitted_on, parts))
+    data = null_model.measurements
+    train, held = (Whitener.of(data.runs, data.masks(*which), null_model.noise) for which in (fitted_on, parts))
     prior_rows, prior_y = data.prior
     B_t, B_c = (np.concatenate([w(data.free_columns), *(w(c) for c in others)], axis=1) for w in (train, held))
     C_t, C_c = (np.concatenate([w(c) for c in columns], axis=1) for w in (train, held))
@@ -113,7 +116,7 @@ def confirm_columns(
 
 
 def _information(C: np.ndarray, shifts: np.ndarray, B: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """Return what columns (n, k) leave beside free `shifts` (n, k) and `B` (n, p) with prior `R`: their Gram matrix (k, k)."""
+    """Return what columns (n, k) leave next to free `shifts` (n, k) and `B` (n, p) with prior `R`: their Gram matrix (k, k)."""
     rows = np.concatenate([np.column_stack([shifts, B]), np.column_stack([np.zeros((len(R), shifts.shape[1])), R])])
     own, (unit, _) = np.concatenate([C, np.zeros((len(R), C.shape[1]))]), scale_columns(rows)
     rest = own - unit @ np.linalg.lstsq(unit, own, rcond=1e-9)[0]

@@ -1,7 +1,7 @@
 """The model extended by causes, refitted, and judged on the test data; and the noise floor.
 
-The noise floor is what is left of the residual when every output may depend smoothly on all its own variables: an estimate of
-what no model of these variables can get below. Freedom spent on the smooth functions is given back.
+The noise floor is the residual that remains if every output may depend smoothly on all its own variables: an estimate of
+the lower bound for any model of these variables. Freedom spent on the smooth functions is given back.
 """
 
 from __future__ import annotations
@@ -136,11 +136,11 @@ def compute_errors(
     )
     low, high = np.percentile(shares, _INTERVAL)
     found = OutputErrors(channel.outputs, rms, ci95, relative, (float(low), float(high)))
-    return found if whole is None else _beside_all(found, channel, whole)
+    return found if whole is None else _add_all_samples(found, channel, whole)
 
 
-def _beside_all(errors: OutputErrors, channel: Measurements, whole: Sequence[np.ndarray]) -> OutputErrors:
-    """Return errors with those over all samples of the test data beside them."""
+def _add_all_samples(errors: OutputErrors, channel: Measurements, whole: Sequence[np.ndarray]) -> OutputErrors:
+    """Return errors together with those over all samples of the test data."""
     inside = [part == TEST for part in channel.parts]
     e = np.concatenate([x[i] for x, i in zip(whole, inside, strict=True)])
     y = np.concatenate([run.y_all[i] for run, i in zip(channel.runs, inside, strict=True)])

@@ -32,24 +32,24 @@ TAKEOVER_2LOGL_MARGIN = 4.0
 MAX_MEMBERS = 5
 """Causes that are paired: ten pairs, of which chance makes the best 4.6 better, less than `MIN_2LOGL_DIFFERENCE` allows."""
 ArtefactFilter = Callable[[NullModel, CandidateCause, Sequence[Effect], int], CandidateCause | None]
-"""Return what of a candidate is no artefact, or None: judged on a ground, beside the effects in it, as one of so many causes."""
+"""Return a candidate without its artefacts, or None: tested on a null model with the effects in it, as one of several causes."""
 
 
 def choose_next_cause(
     significant: Sequence[CandidateCause],
-    ground: NullModel,
+    null_model: NullModel,
     others: Sequence[Effect],
     n: int,
-    sift: ArtefactFilter | None,
+    artefact_filter: ArtefactFilter | None,
 ) -> tuple[CandidateCause, tuple[str, ...]] | None:
     """Return the strongest cause that is no artefact, its settings refined, and its twins, or None."""
-    left = [drop_redundant_groups(c, ground) for c in significant]
+    left = [drop_redundant_groups(c, null_model) for c in significant]
     while left:
         strongest, twins = _strongest(left)
-        own, more = _drop_shadowed_joints(strongest, left, ground)
-        best = refine_settings(own, ground)
-        genuine = sift(ground, best, others, n) if sift else best
-        if genuine is not None and not find_unbelievable(genuine, ground):
+        own, more = _drop_shadowed_joints(strongest, left, null_model)
+        best = refine_settings(own, null_model)
+        genuine = artefact_filter(null_model, best, others, n) if artefact_filter else best
+        if genuine is not None and not find_unbelievable(genuine, null_model):
             return genuine, tuple(dict.fromkeys((*twins, *more)))
         left = [c for c in left if c is not strongest]
     return None
@@ -75,25 +75,25 @@ def _strongest(significant: Sequence[CandidateCause]) -> tuple[CandidateCause, t
     return best, tuple(dict.fromkeys(c.cause for c in near if c is not best and c.cause != best.cause))
 
 
-def drop_redundant_groups(candidate: CandidateCause, ground: NullModel) -> CandidateCause:
-    """Return a candidate with the groups that explain something beside its stronger ones, and what each explains there.
+def drop_redundant_groups(candidate: CandidateCause, null_model: NullModel) -> CandidateCause:
+    """Return a candidate with the groups that are significant next to its stronger ones, with their statistics there.
 
-    What a joint does leaks through the baseline's refit into the others, where the same cause would be found again.
+    The effect of a joint leaks through the baseline's refit into the others, where the same cause would be found again.
     """
     kept = [candidate.fits[0]]
     for fit in candidate.fits[1:]:
-        beside = rescore_group(fit, ground.augment([one.effect for one in kept]))
+        beside = rescore_group(fit, null_model.augment([one.effect for one in kept]))
         if beside.statistic > beside.threshold:
             kept.append(beside)
     return replace(candidate, fits=tuple(kept))
 
 
 def _drop_shadowed_joints(
-    best: CandidateCause, significant: Sequence[CandidateCause], ground: NullModel
+    best: CandidateCause, significant: Sequence[CandidateCause], null_model: NullModel
 ) -> tuple[CandidateCause, tuple[str, ...]]:
     """Return a cause without the joints at which it is the shadow of another one that explains more, and its twins elsewhere.
 
-    A shadow explains hardly a tenth of its own beside the other; what explains more than that is a thing of its own. Where
+    A shadow explains hardly a tenth of its statistic next to the other; a cause that explains more is one of its own. Where
     neither explains more than the other, by far, they are twins at this joint.
     """
     scatter = best.fits[0].overdispersion
@@ -104,7 +104,7 @@ def _drop_shadowed_joints(
         merit = compute_penalised_statistic([own], scatter)
         same = [(cause, other) for cause, other in alone if set(other.effect.joints) == set(fit.effect.joints)]
         near = [x for x in same if compute_penalised_statistic([x[1]], scatter) > merit - MIN_2LOGL_DIFFERENCE]
-        over = [(cause, other) for cause, other in near if _is_shadow(own, other, ground)]
+        over = [(cause, other) for cause, other in near if _is_shadow(own, other, null_model)]
         if any(compute_penalised_statistic([other], scatter) > merit + TAKEOVER_2LOGL_MARGIN for _, other in over):
             continue
         kept.append(fit)
@@ -112,40 +112,42 @@ def _drop_shadowed_joints(
     return replace(best, fits=tuple(kept) or best.fits[:1]), tuple(twins)
 
 
-def _is_shadow(fit: GroupTest, other: GroupTest, ground: NullModel) -> bool:
-    left = rescore_group(fit, ground.augment([other.effect]))
+def _is_shadow(fit: GroupTest, other: GroupTest, null_model: NullModel) -> bool:
+    left = rescore_group(fit, null_model.augment([other.effect]))
     return left.statistic <= max(left.threshold, MIN_SHARE_OF_STRONGEST * fit.statistic)
 
 
 def find_rival_pairs(
-    candidate: CandidateCause, candidates: Sequence[CandidateCause], ground: NullModel
+    candidate: CandidateCause, candidates: Sequence[CandidateCause], null_model: NullModel
 ) -> tuple[str, ...]:
     """Return pairs of causes, joined by `+` in the catalogue's order, that explain as much as a cause on all of its joints.
 
     Args:
         candidate: The cause, its settings refined.
         candidates: All causes that were tried in the same round.
-        ground: What is accounted for without the cause.
+        null_model: The residual without the cause in the model.
     """
-    found: list[set[str]] = [set(_list_pairs(fit, candidate.cause, candidates, ground)) for fit in candidate.fits]
+    found: list[set[str]] = [set(_list_pairs(fit, candidate.cause, candidates, null_model)) for fit in candidate.fits]
     return tuple(sorted(set.intersection(*found))) if found else ()
 
 
-def _list_pairs(fit: GroupTest, cause: str, candidates: Sequence[CandidateCause], ground: NullModel) -> Iterator[str]:
+def _list_pairs(
+    fit: GroupTest, cause: str, candidates: Sequence[CandidateCause], null_model: NullModel
+) -> Iterator[str]:
     """Return the pairs that explain as much as one group of a cause."""
     own = compute_penalised_statistic([fit], fit.overdispersion)
-    members = _choose_members(fit, cause, candidates, ground)
+    members = _choose_members(fit, cause, candidates, null_model)
     alone = {name: compute_penalised_statistic([test], fit.overdispersion) for name, test in members.items()}
     for one, other in combinations(sorted(members, key=list(EFFECTS).index), 2):
         if max(alone[one], alone[other]) > own - MIN_2LOGL_DIFFERENCE:
             continue
-        together = _score_together(fit, (members[one], members[other]), ground)
+        together = _score_together(fit, (members[one], members[other]), null_model)
         if compute_penalised_statistic([together], fit.overdispersion) > own - MIN_2LOGL_DIFFERENCE:
             yield f"{one}+{other}"
 
 
 def _choose_members(
-    fit: GroupTest, cause: str, candidates: Sequence[CandidateCause], ground: NullModel
+    fit: GroupTest, cause: str, candidates: Sequence[CandidateCause], null_model: NullModel
 ) -> dict[str, GroupTest]:
     """Return the causes on the same joints that are paired, by name: known doubles of the cause, then the strongest ones."""
     known = set(fit.effect.mistaken_for)
@@ -160,13 +162,13 @@ def _choose_members(
         (name, test) for name, test in same if name in known or test.statistic > MIN_SHARE_OF_STRONGEST * fit.statistic
     ]
     ranked = sorted(large, key=lambda row: (row[0] not in known, -row[1].statistic))[:MAX_MEMBERS]
-    return {name: rescore_group(test, ground) for name, test in ranked}
+    return {name: rescore_group(test, null_model) for name, test in ranked}
 
 
-def _score_together(fit: GroupTest, pair: tuple[GroupTest, GroupTest], ground: NullModel) -> GroupTest:
+def _score_together(fit: GroupTest, pair: tuple[GroupTest, GroupTest], null_model: NullModel) -> GroupTest:
     """Return what two groups explain together."""
-    C = np.concatenate([ground.rows(test.effect) for test in pair], axis=1)
+    C = np.concatenate([null_model.rows(test.effect) for test in pair], axis=1)
     nonnegative = np.concatenate([find_nonnegative(test.effect) for test in pair])
-    statistic, _, _ = compute_score_test(ground, C, nonnegative)
+    statistic, _, _ = compute_score_test(null_model, C, nonnegative)
     tests = float(np.prod([test.n_effective_tests for test in pair]))
     return replace(fit, statistic=statistic, dof=C.shape[1], n_effective_tests=tests)

@@ -30,7 +30,7 @@ gives every part something is taken."""
 
 
 def split_by_blocks(runs: Sequence[RegressionRun], held: Sequence[bool], gap_s: float) -> tuple[np.ndarray, ...]:
-    """Return the part of each sample (n,) of each run: `TRAIN`, `VALIDATION`, `TEST`, or -1 beside a border.
+    """Return the part of each sample (n,) of each run: `TRAIN`, `VALIDATION`, `TEST`, or -1 next to a border.
 
     Args:
         runs: Stretches of logs.
@@ -152,7 +152,7 @@ class Measurements:
 
     @property
     def prior(self) -> tuple[np.ndarray, np.ndarray]:
-        """What was known beforehand as rows of unit noise: (k, p') and (k,)."""
+        """Prior knowledge as rows of unit noise: (k, p') and (k,)."""
         return build_prior_rows(Parameters([p for p in self.parameters if p.free]))
 
 
@@ -170,8 +170,8 @@ def refuse_scarce(channel: Measurements, least: Sequence[int], short: str, have:
     Args:
         channel: The measurements.
         least: Usable values that each part needs.
-        short: What is missing, such as `too little is left`; for what is added.
-        have: What there is.
+        short: The shortage, such as `too little is left`; its purpose is added.
+        have: The data that there are.
         wanted: What to record instead.
 
     Raises:

@@ -1,4 +1,4 @@
-r"""What is accounted for already, on one part of the data, and how much a further column would add.
+r"""The null model on one part of the data, and the score statistic of further columns.
 
 With white rows `y = B theta + C gamma + e`, `Q` an orthonormal basis of `B` and `e_0 = (I - Q Q') y`,
 
@@ -7,9 +7,9 @@ With white rows `y = B theta + C gamma + e`, `Q` an orthonormal basis of `B` and
 the gain in twice the log-likelihood by `C`, the baseline refitted (Frisch & Waugh 1933). Under the null it is chi-square with
 as many degrees of freedom as columns; `T` of the true column alone has the noncentrality `lambda`.
 
-The noise that whitens is judged on what a rich model leaves: on the baseline's residual a hidden effect would count as noise. So
-every output may depend smoothly on all variables of its own joint, times the direction of motion, and ring at the frequencies
-that a black-box fit proposes (an autoregressive model would otherwise take a resonance for the noise's colour).
+The noise that whitens is estimated on the residual of a rich model: on the baseline's residual a hidden effect would count as
+noise. So every output may depend smoothly on all variables of its own joint, times the direction of motion, and ring at the
+frequencies that a black-box fit proposes (an autoregressive model would otherwise take a resonance for the noise's colour).
 """
 
 from __future__ import annotations
@@ -145,8 +145,8 @@ class WhiteResidual:
         measurements: The measurements.
         parts: The parts of the data.
         whiten: Makes rows of arrays over the runs.
-        Q: Orthonormal basis of what is accounted for (R, r).
-        e: What it leaves of the measurements (R,).
+        Q: Orthonormal basis of all columns in the model (R, r).
+        e: The residual (R,).
         noise: Noise model of each output.
         scale: Standard deviation of white rows (1 where the noise model is right); rows are divided by it.
     """
@@ -202,7 +202,7 @@ def _project_out_rows(
     """Return `Q` (R, r), the residual (R,) over its scale, and the scale.
 
     Args:
-        measurements: Give what is known beforehand of the baseline's free columns.
+        measurements: Give the prior of the baseline's free columns.
         rows: White rows of these columns, then of further ones.
         target: White rows of the measurements (R,).
     """
@@ -219,7 +219,7 @@ def _project_out_rows(
 
 @dataclass(frozen=True, eq=False)
 class NullModel(WhiteResidual):
-    """The white residual of a channel, effects among what is accounted for.
+    """The white residual of a channel, with effects in the model.
 
     Attributes:
         library: Makes columns of effects on the channel.
@@ -238,7 +238,7 @@ class NullModel(WhiteResidual):
         Q, e, scale = _project_out_rows(channel, rows, target)
         return cls(channel, tuple(parts), whiten, Q, e, tuple(noise), scale, library)
 
-    def beside(self, effects: Sequence[Effect]) -> NullModel:
+    def with_effects(self, effects: Sequence[Effect]) -> NullModel:
         """Return the same part under the same noise, with these effects accounted for."""
         return NullModel.of(self.library, self.parts, self.noise, effects)
 
@@ -252,7 +252,7 @@ class NullModel(WhiteResidual):
         return self.whiten_columns(self.library.columns(effect))
 
     def augment(self, effects: Sequence[Effect]) -> NullModel:
-        """Return what is left with further effects accounted for too."""
+        """Return the null model with further effects."""
         more = orthonormalise(self.project_out(np.concatenate([self.rows(effect) for effect in effects], axis=1)))
         return replace(self, Q=np.concatenate([self.Q, more], axis=1), e=self.e - more @ (more.T @ self.e))
 
@@ -261,7 +261,7 @@ class NullModel(WhiteResidual):
     ) -> np.ndarray:
         """Return score statistics (g, d) of g settings' columns, each over the runs (n, m, k), for residuals (R, d).
 
-        Rows of outputs at which all of them are zero say nothing and are left out: most effects act on one joint.
+        Rows of outputs at which all of them are zero are left out: most effects act on one joint.
         """
         whiten, k = self.whiten, len(nonnegative)
         parts, rows, first = [], [], 0
@@ -319,10 +319,10 @@ def count_effective_tests(tails: np.ndarray, seen: int) -> float:
 
 
 def compute_score_test(
-    ground: WhiteResidual, C: np.ndarray, nonnegative: np.ndarray, absorbed: float = MIN_UNABSORBED_SHARE
+    null_model: WhiteResidual, C: np.ndarray, nonnegative: np.ndarray, absorbed: float = MIN_UNABSORBED_SHARE
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Return `T` of one setting's white rows (R, k), their scores `s` (k,) and `G` (k, k); see `compute_score_statistics`."""
-    s, G = C.T @ ground.e, ground.gram(C)
+    s, G = C.T @ null_model.e, null_model.gram(C)
     T = compute_score_statistics(s[None, :, None], G[None], np.sum(C**2, axis=0)[None], nonnegative, absorbed)
     return float(T[0, 0]), s, G
 

@@ -38,36 +38,36 @@ SEARCH_MARGIN = 5.0
 it from being found; one closer by is judged at the end, by its final amplitude."""
 
 
-def refine_settings(candidate: CandidateCause, ground: NullModel) -> CandidateCause:
+def refine_settings(candidate: CandidateCause, null_model: NullModel) -> CandidateCause:
     """Return a candidate with its settings adjusted by Gauss-Newton steps within the neighbouring grid points.
 
     A setting that agrees with an amplitude is found together with it.
     """
     fits = []
     for fit in candidate.fits:
-        fit = match_settings(fit, ground)
+        fit = match_settings(fit, null_model)
         for _ in range(_STEPS if fit.effect.refined else 0):
-            moved = _step(fit.effect, ground, fit.neighbours)
+            moved = _step(fit.effect, null_model, fit.neighbours)
             if moved is None:
                 break
-            better = rescore_group(replace(fit, effect=moved), ground)
+            better = rescore_group(replace(fit, effect=moved), null_model)
             if not better.statistic > fit.statistic + 0.01:
                 break
             fit = better
-        fits.append(replace_at_edge(_grown(fit, ground), ground))
+        fits.append(replace_at_edge(_grown(fit, null_model), null_model))
     return replace(candidate, fits=tuple(fits))
 
 
-def _step(effect: Effect, ground: NullModel, limits: Sequence[dict[str, float]]) -> Effect | None:
-    C = ground.rows(effect)
-    amplitude = estimate_amplitudes(effect, ground)
+def _step(effect: Effect, null_model: NullModel, limits: Sequence[dict[str, float]]) -> Effect | None:
+    C = null_model.rows(effect)
+    amplitude = estimate_amplitudes(effect, null_model)
     if not np.any(amplitude):
         return None
     D = np.concatenate(
-        [ground.whiten_columns(x) for x in differentiate_settings(effect, amplitude, ground.channel)], axis=1
+        [null_model.whiten_columns(x) for x in differentiate_settings(effect, amplitude, null_model.channel)], axis=1
     )
     both, norm = scale_columns(np.concatenate([C, D], axis=1))
-    solution = np.linalg.lstsq(ground.gram(both), both.T @ ground.e, rcond=1e-8)[0] / norm
+    solution = np.linalg.lstsq(null_model.gram(both), both.T @ null_model.e, rcond=1e-8)[0] / norm
     changed = {}
     for key, change in zip(effect.refined, solution[len(amplitude) :], strict=True):
         values = [n[key] for n in limits] + [effect.settings[key]]
@@ -78,12 +78,12 @@ def _step(effect: Effect, ground: NullModel, limits: Sequence[dict[str, float]])
     return effect.with_settings(**changed) if changed != {k: effect.settings[k] for k in changed} else None
 
 
-def _grown(fit: GroupTest, ground: NullModel) -> GroupTest:
+def _grown(fit: GroupTest, null_model: NullModel) -> GroupTest:
     """Return a fit with as many terms of its law as earn their freedom."""
     key = fit.effect.grows
     while key:
         more = fit.effect.with_settings(**{key: fit.effect.settings[key] + 1})
-        better = rescore_group(replace(fit, effect=more, dof=len(more.parameters)), ground)
+        better = rescore_group(replace(fit, effect=more, dof=len(more.parameters)), null_model)
         if not (better.statistic - fit.statistic) / better.overdispersion > stats.chi2.isf(
             _TERM_LEVEL, better.dof - fit.dof
         ):
@@ -93,7 +93,7 @@ def _grown(fit: GroupTest, ground: NullModel) -> GroupTest:
 
 
 def find_edge(effects: Sequence[Effect], scene: Scene) -> str:
-    """Return which setting lies at an open end of its grid, as a phrase; empty where none does."""
+    """Return the setting that is at an open end of its grid, as a phrase; empty where none does."""
     for effect in effects:
         free = {*effect.refined, *effect.open_ends}
         fixed = {key: value for key, value in effect.settings.items() if key not in free}
@@ -112,37 +112,37 @@ def find_edge(effects: Sequence[Effect], scene: Scene) -> str:
     return ""
 
 
-def replace_at_edge(fit: GroupTest, ground: NullModel) -> GroupTest:
-    """Return a fit with the limit law of its family, where its setting lies at an open end and that law explains as much."""
-    scene = ground.channel.scene
+def replace_at_edge(fit: GroupTest, null_model: NullModel) -> GroupTest:
+    """Return a fit with the limit law of its family, if its setting is at an open end and that law explains as much."""
+    scene = null_model.channel.scene
     limit = fit.effect.find_limit_law(scene) if find_edge([fit.effect], scene) else None
     if limit is None:
         return fit
-    found = rescore_group(replace(fit, effect=limit, neighbours=()), ground)
+    found = rescore_group(replace(fit, effect=limit, neighbours=()), null_model)
     return found if found.statistic > MIN_LIMIT_SHARE * fit.statistic else fit
 
 
-def find_unbelievable(candidate: CandidateCause, ground: NullModel) -> str:
+def find_unbelievable(candidate: CandidateCause, null_model: NullModel) -> str:
     """Return which amplitude is far beyond its plausible range, as a phrase; empty where all are near it."""
     for fit in candidate.fits:
-        values = fit.effect.parameters.with_values(estimate_amplitudes(fit.effect, ground))
-        if why := fit.effect.find_implausible(values, ground.channel.scene.scales, SEARCH_MARGIN):
+        values = fit.effect.parameters.with_values(estimate_amplitudes(fit.effect, null_model))
+        if why := fit.effect.find_implausible(values, null_model.channel.scene.scales, SEARCH_MARGIN):
             return why
     return ""
 
 
-def estimate_amplitudes(effect: Effect, ground: NullModel) -> np.ndarray:
-    """Return an effect's amplitudes (k,) beside what the ground accounts for, within their bounds at zero.
+def estimate_amplitudes(effect: Effect, null_model: NullModel) -> np.ndarray:
+    """Return an effect's amplitudes (k,) next to everything in the null model, within their bounds at zero.
 
-    Minimises `x' G x - 2 x' C'e` with `G` the Gram matrix of what the ground leaves of the columns `C`; directions that it
+    Minimises `x' G x - 2 x' C'e` with `G` the Gram matrix of what the null_model leaves of the columns `C`; directions that it
     leaves nothing of stay at zero.
     """
-    C = ground.rows(effect)
+    C = null_model.rows(effect)
     scale = np.maximum(np.linalg.norm(C, axis=0), 1e-300)
-    values, vectors = np.linalg.eigh(ground.gram(C / scale))
+    values, vectors = np.linalg.eigh(null_model.gram(C / scale))
     seen = values > 1e-9 * max(values[-1], 1e-300)
     values, vectors = values[seen], vectors[:, seen]
-    rows, y = np.sqrt(values)[:, None] * vectors.T, vectors.T @ (C.T @ ground.e / scale) / np.sqrt(values)
+    rows, y = np.sqrt(values)[:, None] * vectors.T, vectors.T @ (C.T @ null_model.e / scale) / np.sqrt(values)
     lower = np.where(find_nonnegative(effect), 0.0, -np.inf)
     x = (
         optimize.lsq_linear(rows, y, (lower, np.inf)).x

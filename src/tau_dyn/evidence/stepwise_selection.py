@@ -77,25 +77,25 @@ class StepwiseSelection:
 
     Attributes:
         found: Causes in the order of their selection.
-        ground: The training data with baseline and causes accounted for.
+        null_model: The training data with baseline and causes accounted for.
         last: All causes of the last scan, with those found in the model.
         rejected: Candidates that are significant in the last scan and were not selected.
     """
 
     found: tuple[SelectedCause, ...]
-    ground: NullModel
+    null_model: NullModel
     last: tuple[CandidateCause, ...]
     rejected: tuple[RejectedCause, ...] = ()
 
     @property
     def channel(self) -> Channel:
         """The measurements."""
-        return self.ground.channel
+        return self.null_model.channel
 
     @property
     def library(self) -> ColumnCache:
         """Columns made on the way."""
-        return self.ground.library
+        return self.null_model.library
 
     def columns(self, effects: Sequence[Effect]) -> list[Sequence[np.ndarray]]:
         """Return the columns (n, m, k) of each run of several effects."""
@@ -122,46 +122,46 @@ def select_causes(
     progress: Callable[[str], None],
     *,
     level: float = FAMILY_LEVEL,
-    sift: ArtefactFilter | None = None,
+    artefact_filter: ArtefactFilter | None = None,
     excluded: Collection[tuple[str, tuple[str, ...]]] = (),
 ) -> StepwiseSelection:
     """Select causes on the training data by forward selection and backward elimination.
 
-    A candidate that `sift` rejects is passed over at once: in the model, an artefact would take a part of a true cause's effect.
+    A candidate that `artefact_filter` rejects is skipped: in the model, an artefact would take a part of a true cause's effect.
 
     Args:
         channel: The measurements.
         rng: For noise draws.
         progress: Called with a word for each step.
         level: Family-wise significance level.
-        sift: Removes artefacts of encoder noise from a candidate.
+        artefact_filter: Removes artefacts of encoder noise from a candidate.
         excluded: Causes with their joints that are not tried.
     """
     library = ColumnCache(channel)
     found: list[SelectedCause] = []
     pending: list[tuple[str, ...]] = []  # rivals of each; the next round shows whether they still explain anything
     while True:
-        ground, candidates = _scan_beside(library, found, rng, progress, excluded)
+        null_model, candidates = _scan_with(library, found, rng, progress, excluded)
         significant = [c for c in candidates if adjust_p_value_bonferroni(c, candidates) < level]
         if pending and len(pending) == len(found):
             still = {c.cause for c in significant}
             found[-1] = replace(found[-1], rivals=tuple(r for r in pending[-1] if not still & set(r.split("+"))))
         if not significant or len(found) >= MAX_CAUSES or len(pending) >= 2 * MAX_CAUSES:
             break
-        taken = choose_next_cause(significant, ground, build_effects(found), len(candidates), sift)
+        taken = choose_next_cause(significant, null_model, build_effects(found), len(candidates), artefact_filter)
         if taken is None:
             break
         best, twins = taken
         progress(f"found {best.cause}")
-        pending.append((*twins, *find_rival_pairs(best, candidates, ground)))
+        pending.append((*twins, *find_rival_pairs(best, candidates, null_model)))
         found = _join(found, SelectedCause(best, adjust_p_value_bonferroni(best, candidates), ()))
-    kept = _eliminate_backward(ground, found, level)
-    kept = _reject_lack_of_fit(ground, kept, ground.draw_null_residuals(N_NULL_DRAWS, rng))
+    kept = _eliminate_backward(null_model, found, level)
+    kept = _reject_lack_of_fit(null_model, kept, null_model.draw_null_residuals(N_NULL_DRAWS, rng))
     if kept != found:
-        kept = _refine_again(ground, kept)
-        ground, candidates = _scan_beside(library, kept, rng, progress, excluded)
-    rejected = _list_rejected(ground, candidates, build_effects(kept), level, sift)
-    return StepwiseSelection(tuple(kept), ground, tuple(candidates), rejected)
+        kept = _refine_again(null_model, kept)
+        null_model, candidates = _scan_with(library, kept, rng, progress, excluded)
+    rejected = _list_rejected(null_model, candidates, build_effects(kept), level, artefact_filter)
+    return StepwiseSelection(tuple(kept), null_model, tuple(candidates), rejected)
 
 
 MAX_REJECTED = 3
@@ -169,20 +169,22 @@ MAX_REJECTED = 3
 
 
 def _list_rejected(
-    ground: NullModel,
+    null_model: NullModel,
     candidates: Sequence[CandidateCause],
     others: Sequence[Effect],
     level: float,
-    sift: ArtefactFilter | None,
+    artefact_filter: ArtefactFilter | None,
 ) -> tuple[RejectedCause, ...]:
     """Return the significant candidates of the last scan that are no artefacts, with the reason of their rejection."""
     found = []
     ranked = sorted(candidates, key=lambda c: -c.penalised_statistic)
     significant = [c for c in ranked if adjust_p_value_bonferroni(c, candidates) < level]
     for candidate in significant[:MAX_REJECTED]:
-        refined = refine_settings(drop_redundant_groups(candidate, ground), ground)
-        why = find_unbelievable(refined, ground)
-        if why and (sift is None or sift(ground, refined, others, len(candidates)) is not None):
+        refined = refine_settings(drop_redundant_groups(candidate, null_model), null_model)
+        why = find_unbelievable(refined, null_model)
+        if why and (
+            artefact_filter is None or artefact_filter(null_model, refined, others, len(candidates)) is not None
+        ):
             found.append(
                 RejectedCause(SelectedCause(refined, adjust_p_value_bonferroni(candidate, candidates), ()), why)
             )
@@ -203,7 +205,7 @@ def adjust_p_value_bonferroni(candidate: CandidateCause, candidates: Sequence[Ca
     return min(1.0, candidate.p_value * len(candidates))
 
 
-def _scan_beside(
+def _scan_with(
     library: ColumnCache,
     found: Sequence[SelectedCause],
     rng: np.random.Generator,
@@ -213,27 +215,27 @@ def _scan_beside(
     """Return the training data with the causes found accounted for, and all other causes tested next to them."""
     effects = build_effects(found)
     noise = fit_noise_models(library.channel, (TRAIN,), [library.columns(effect) for effect in effects])
-    ground = NullModel.of(library, (TRAIN,), noise, effects)
+    null_model = NullModel.of(library, (TRAIN,), noise, effects)
     taken = {(effect.name, effect.joints) for effect in effects} | set(excluded)
-    draws = ground.draw_null_residuals(N_NULL_DRAWS, rng)
-    return ground, scan_causes(ground, draws, library.channel.causes, taken, progress)
+    draws = null_model.draw_null_residuals(N_NULL_DRAWS, rng)
+    return null_model, scan_causes(null_model, draws, library.channel.causes, taken, progress)
 
 
-def _rescore_beside(
-    ground: NullModel, found: Sequence[SelectedCause], one: SelectedCause
+def _rescore_with_others(
+    null_model: NullModel, found: Sequence[SelectedCause], one: SelectedCause
 ) -> tuple[NullModel, list[GroupTest]]:
-    """Return the null model with all other causes accounted for, and what the groups of one explain there."""
-    beside = ground.beside(build_effects([other for other in found if other is not one]))
-    return beside, [rescore_group(fit, beside) for fit in one.candidate.fits]
+    """Return the null model with all other causes accounted for, and the statistics of the groups of one there."""
+    with_others = null_model.with_effects(build_effects([other for other in found if other is not one]))
+    return with_others, [rescore_group(fit, with_others) for fit in one.candidate.fits]
 
 
-def _eliminate_backward(ground: NullModel, found: list[SelectedCause], level: float) -> list[SelectedCause]:
-    """Drop, weakest first, what no longer explains anything beside the others."""
+def _eliminate_backward(null_model: NullModel, found: list[SelectedCause], level: float) -> list[SelectedCause]:
+    """Drop, weakest first, the causes that are not significant next to the others."""
     kept = list(found)
     while len(kept) > 1:
         judged = []
         for k, one in enumerate(kept):
-            _, fits = _rescore_beside(ground, kept, one)
+            _, fits = _rescore_with_others(null_model, kept, one)
             statistic = combine_group_tests(one.candidate.cause, fits).statistic
             tail = float(stats.chi2.sf(statistic, sum(f.dof for f in fits)))
             judged.append((min(1.0, tail * np.prod([f.n_effective_tests for f in fits])), k))
@@ -244,27 +246,27 @@ def _eliminate_backward(ground: NullModel, found: list[SelectedCause], level: fl
     return kept
 
 
-def _refine_again(ground: NullModel, kept: Sequence[SelectedCause]) -> list[SelectedCause]:
-    """Return what was kept, weighed and refined beside the others that were: what was dropped had explained a part of it."""
+def _refine_again(null_model: NullModel, kept: Sequence[SelectedCause]) -> list[SelectedCause]:
+    """Return the remaining causes, scored and refined next to each other: the dropped ones had explained a part of them."""
     found = list(kept)
     for k, one in enumerate(found):
-        beside, fits = _rescore_beside(ground, found, one)
-        found[k] = replace(one, candidate=refine_settings(replace(one.candidate, fits=tuple(fits)), beside))
+        with_others, fits = _rescore_with_others(null_model, found, one)
+        found[k] = replace(one, candidate=refine_settings(replace(one.candidate, fits=tuple(fits)), with_others))
     return found
 
 
-def _reject_lack_of_fit(ground: NullModel, found: list[SelectedCause], draws: np.ndarray) -> list[SelectedCause]:
+def _reject_lack_of_fit(null_model: NullModel, found: list[SelectedCause], draws: np.ndarray) -> list[SelectedCause]:
     """Drop what only mimics a law or a structure without a name: where smooth functions of some variables explain far more.
 
-    A true cause leaves nothing behind, so no structure in its place explains much more than it does. Smooth functions that
+    A true cause leaves no structure, so no structure in its place explains much more than it does. Smooth functions that
     beat a cause by far more than their freedom are a force that this cause resembles, and it would be a wrong name.
     """
     kept = []
     for one in found:
-        beside, fits = _rescore_beside(ground, found, one)
-        structure = find_structure(beside, draws, level=1.0)
+        with_others, fits = _rescore_with_others(null_model, found, one)
+        structure = find_structure(with_others, draws, level=1.0)
         mimics = [f for f in fits if structure and structure.output in f.effect.joints and _is_beaten(f, structure)]
-        mimics += [f for f in fits if f not in mimics and _is_outshone(f, beside)]
+        mimics += [f for f in fits if f not in mimics and _is_outshone(f, with_others)]
         left = tuple(f for f, new in zip(one.candidate.fits, fits, strict=True) if new not in mimics)
         if left:
             kept.append(replace(one, candidate=replace(one.candidate, fits=left)) if mimics else one)
@@ -284,7 +286,7 @@ def _is_beaten(fit: GroupTest, structure: Structure) -> bool:
     return structure.penalised_statistic > MIMIC_RATIO * fit.statistic or structure.dof < fit.dof or steadier
 
 
-def _is_outshone(fit: GroupTest, ground: NullModel) -> bool:
+def _is_outshone(fit: GroupTest, null_model: NullModel) -> bool:
     """Tell whether a law without a name, as free as this one, is more likely."""
-    others = [rescore_group(replace(fit, effect=effect), ground) for effect in fit.effect.lookalikes()]
+    others = [rescore_group(replace(fit, effect=effect), null_model) for effect in fit.effect.lookalikes()]
     return any((other.statistic - fit.statistic) / fit.overdispersion > MIN_2LOGL_DIFFERENCE for other in others)

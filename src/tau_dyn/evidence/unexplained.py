@@ -69,10 +69,10 @@ def find_unexplained(measurements: Measurements, rng: np.random.Generator) -> tu
         rng: For noise draws.
     """
     noise = fit_noise_models(measurements, (TRAIN,))
-    grounds = [WhiteResidual.of_columns(measurements, parts, noise) for parts in ((TRAIN,), HELD_OUT)]
-    structure = find_structure(grounds[0], grounds[0].draw_null_residuals(N_NULL_DRAWS, rng), FAMILY_LEVEL)
-    found = build_unexplained(grounds[0], (), structure and discriminate_structures(grounds[0], (), structure))
-    return add_inconsistent(found, assess_noise_consistency(grounds), measurements)
+    null_models = [WhiteResidual.of_columns(measurements, parts, noise) for parts in ((TRAIN,), HELD_OUT)]
+    structure = find_structure(null_models[0], null_models[0].draw_null_residuals(N_NULL_DRAWS, rng), FAMILY_LEVEL)
+    found = build_unexplained(null_models[0], (), structure and discriminate_structures(null_models[0], (), structure))
+    return add_inconsistent(found, assess_noise_consistency(null_models), measurements)
 
 
 def add_inconsistent(
@@ -83,18 +83,18 @@ def add_inconsistent(
     return (*found, *(u for u in list_inconsistent(tests, measurements) if u.joint not in known))
 
 
-def discriminate_structures(ground: WhiteResidual, others: Columns, structure: Structure) -> StructureTest:
+def discriminate_structures(null_model: WhiteResidual, others: Columns, structure: Structure) -> StructureTest:
     """Return the set of variables, of those that explain as much on the training data, that the validation data prefer.
 
     The p-value counts all sets that are tried.
 
     Args:
-        ground: The training data with the causes found in the model.
+        null_model: The training data with the causes found in the model.
         others: Columns of these causes.
         structure: The structure.
     """
-    several = [structure, *list_indistinguishable(ground, structure)]
-    tests = [confirm_structure(ground, others, one) for one in several]
+    several = [structure, *list_indistinguishable(null_model, structure)]
+    tests = [confirm_structure(null_model, others, one) for one in several]
     evidence = [
         max(0.0, float(stats.norm.isf(max(test.p_value, 1e-300)))) ** 2 for test in tests
     ]  # twice the log-likelihood
@@ -105,21 +105,21 @@ def discriminate_structures(ground: WhiteResidual, others: Columns, structure: S
     return StructureTest(several[k], replace(tests[k], p_value=min(1.0, len(several) * tests[k].p_value)), tuple(alike))
 
 
-def confirm_structure(ground: WhiteResidual, others: Columns, structure: Structure) -> Confirmation:
+def confirm_structure(null_model: WhiteResidual, others: Columns, structure: Structure) -> Confirmation:
     """Test a structure on the validation data, with all causes found in the model.
 
     A drift in time is another one in another log; there it only has to be present, not to be the same.
     """
-    if _differs_between_logs(ground.measurements, structure):
-        return detect_columns(ground, structure.columns, others)
-    return confirm_columns(ground, [structure.columns], others)
+    if _differs_between_logs(null_model.measurements, structure):
+        return detect_columns(null_model, structure.columns, others)
+    return confirm_columns(null_model, [structure.columns], others)
 
 
-def detect_columns(ground: WhiteResidual, columns: Sequence[np.ndarray], others: Columns) -> Confirmation:
+def detect_columns(null_model: WhiteResidual, columns: Sequence[np.ndarray], others: Columns) -> Confirmation:
     """Test whether columns explain a part of the validation data, with amplitudes of their own there."""
-    ground = WhiteResidual.of_columns(ground.measurements, (VALIDATION,), ground.noise, others)
-    C = ground.whiten_columns(columns)
-    T, _, _ = compute_score_test(ground, C, np.zeros(C.shape[1], bool), MIN_LEFT_SHARE)
+    null_model = WhiteResidual.of_columns(null_model.measurements, (VALIDATION,), null_model.noise, others)
+    C = null_model.whiten_columns(columns)
+    T, _, _ = compute_score_test(null_model, C, np.zeros(C.shape[1], bool), MIN_LEFT_SHARE)
     return Confirmation(1.0, np.nan, float(stats.chi2.sf(T, C.shape[1])))
 
 
@@ -129,24 +129,26 @@ def _differs_between_logs(measurements: Measurements, structure: Structure) -> b
     return "t" in structure.variables and not shared
 
 
-def build_unexplained(ground: WhiteResidual, others: Columns, tested: StructureTest | None) -> tuple[Unexplained, ...]:
+def build_unexplained(
+    null_model: WhiteResidual, others: Columns, tested: StructureTest | None
+) -> tuple[Unexplained, ...]:
     """Return the structure, confirmed or suspected."""
     if tested is None:
         return ()
     s = tested.structure
-    status = "confirmed" if tested.test.is_confirmed and _gains(ground, others, s) else "suspected"
+    status = "confirmed" if tested.test.is_confirmed and _gains(null_model, others, s) else "suspected"
     return (
         Unexplained(s.output, s.variables, s.share, s.formula, s.p_value, status, indistinguishable_from=tested.alike),
     )
 
 
-def _gains(ground: WhiteResidual, others: Columns, structure: Structure) -> bool:
+def _gains(null_model: WhiteResidual, others: Columns, structure: Structure) -> bool:
     """Return whether the test data are predicted better, with the 95 % interval above zero, as with a cause.
 
     Of another log's drift, it has to show the dependence that the validation data of that log show.
     """
-    known = VALIDATION if _differs_between_logs(ground.measurements, structure) else TRAIN
-    shown = confirm_columns(ground, [structure.columns], others, (TEST,), fitted_on=(known,))
+    known = VALIDATION if _differs_between_logs(null_model.measurements, structure) else TRAIN
+    shown = confirm_columns(null_model, [structure.columns], others, (TEST,), fitted_on=(known,))
     return shown.share - Z95 * shown.stderr > MIN_GAINING_SHARE
 
 
@@ -175,42 +177,42 @@ class NoiseConsistency:
 
 
 def assess_noise_consistency(
-    grounds: Sequence[WhiteResidual], effects: Sequence[Effect] = (), noise: NoiseOnlyBootstrap | None = None
+    null_models: Sequence[WhiteResidual], effects: Sequence[Effect] = (), noise: NoiseOnlyBootstrap | None = None
 ) -> tuple[NoiseConsistency, ...]:
     """Test the residual of each output against its noise.
 
     Args:
-        grounds: The training and the held-out data with the confirmed effects in the model, under one noise model.
+        null_models: The training and the held-out data with the confirmed effects in the model, under one noise model.
         effects: The confirmed effects.
         noise: Encoder noise alone, of forces; None for other measurements.
     """
     found = []
-    outputs = grounds[0].measurements.outputs
+    outputs = null_models[0].measurements.outputs
     for k, output in enumerate(outputs):
-        tests = [_test(ground, k, effects, noise) for ground in grounds]
+        tests = [_test(null_model, k, effects, noise) for null_model in null_models]
         p_value = min(1.0, len(outputs) * max(p for p, _ in tests))
         found.append(NoiseConsistency(output, p_value, tests[1][1]))
     return tuple(found)
 
 
 def _test(
-    ground: WhiteResidual, output: int, effects: Sequence[Effect], noise: NoiseOnlyBootstrap | None
+    null_model: WhiteResidual, output: int, effects: Sequence[Effect], noise: NoiseOnlyBootstrap | None
 ) -> tuple[float, float]:
     """Return the p-value of the smooth functions of one output's variables, and their share of its residual's variance."""
-    rows = np.flatnonzero(ground.whiten.index == output)
-    power = float(ground.e[rows] @ ground.e[rows])
+    rows = np.flatnonzero(null_model.whiten.index == output)
+    power = float(null_model.e[rows] @ null_model.e[rows])
     if not power > 0:
         return 1.0, 0.0
-    C = ground.whiten_columns(_build_columns(ground.measurements, output))
+    C = null_model.whiten_columns(_build_columns(null_model.measurements, output))
     free = np.zeros(C.shape[1], bool)
-    statistic, s, G = compute_score_test(ground, C, free, MIN_LEFT_SHARE)
-    statistic /= compute_fit_overdispersion(ground, C, s, G)
+    statistic, s, G = compute_score_test(null_model, C, free, MIN_LEFT_SHARE)
+    statistic /= compute_fit_overdispersion(null_model, C, s, G)
     share = min(1.0, statistic / power)
     if noise is None:
         return float(stats.chi2.sf(statistic, len(free))), share
     made = [_build_columns(clean, output) for clean in noise.channels]
-    blanks = noise.fit_null_models(ground, effects)
-    return compute_artefact_chance(statistic, blanks, ground, made, free, MIN_LEFT_SHARE), share
+    noise_only_models = noise.fit_null_models(null_model, effects)
+    return compute_artefact_chance(statistic, noise_only_models, null_model, made, free, MIN_LEFT_SHARE), share
 
 
 def _build_columns(measurements: Measurements, output: int) -> list[np.ndarray]:

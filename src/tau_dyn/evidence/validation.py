@@ -22,18 +22,18 @@ from tau_dyn.evidence.unknown_structure import Structure, find_structure
 
 @dataclass(frozen=True)
 class ConfirmationResults:
-    """What held-out data say of each cause found, and of the structure without a name."""
+    """Tests of each cause found, and of the structure without a name, on held-out data."""
 
     causes: tuple[Confirmation, ...]
     structure: StructureTest | None
 
 
-def confirm_cause(hunt: StepwiseSelection, one: SelectedCause) -> Confirmation:
+def confirm_cause(selection: StepwiseSelection, one: SelectedCause) -> Confirmation:
     """Test one cause on the validation data, the others accounted for."""
-    return confirm(hunt.ground, hunt.columns(one.candidate.effects), hunt.others(one))
+    return confirm(selection.null_model, selection.columns(one.candidate.effects), selection.others(one))
 
 
-def drop_unconfirmed_joints(hunt: StepwiseSelection, one: SelectedCause) -> SelectedCause:
+def drop_unconfirmed_joints(selection: StepwiseSelection, one: SelectedCause) -> SelectedCause:
     """Return a confirmed cause without the joints at which the validation data contradict it.
 
     Each joint is tested with all other causes and the cause's other joints in the model. A joint whose validation data have too
@@ -45,22 +45,22 @@ def drop_unconfirmed_joints(hunt: StepwiseSelection, one: SelectedCause) -> Sele
     kept = []
     for fit in fits:
         rest = [other.effect for other in fits if other is not fit]
-        test = confirm(hunt.ground, hunt.columns([fit.effect]), [*hunt.others(one), *rest])
+        test = confirm(selection.null_model, selection.columns([fit.effect]), [*selection.others(one), *rest])
         if test.is_confirmed or test.is_inconclusive:
             kept.append(fit)
     return replace(one, candidate=replace(one.candidate, fits=tuple(kept) or fits))
 
 
-def confirm_all(hunt: StepwiseSelection, structure: Structure | None) -> ConfirmationResults:
+def confirm_all(selection: StepwiseSelection, structure: Structure | None) -> ConfirmationResults:
     """Test everything found on the validation data."""
-    causes = tuple(confirm_cause(hunt, one) for one in hunt.found)
+    causes = tuple(confirm_cause(selection, one) for one in selection.found)
     return ConfirmationResults(
-        causes, structure and discriminate_structures(hunt.ground, hunt.known_columns, structure)
+        causes, structure and discriminate_structures(selection.null_model, selection.known_columns, structure)
     )
 
 
 def confirm_within_training(
-    hunt: StepwiseSelection,
+    selection: StepwiseSelection,
     tests: ConfirmationResults,
     gap_s: float,
     rng: np.random.Generator,
@@ -69,28 +69,28 @@ def confirm_within_training(
     """Return the tests, those on which the validation data have too little power are repeated within the training logs.
 
     Args:
-        hunt: The search on all of the training data.
+        selection: The search on all of the training data.
         tests: The tests on the validation data.
-        gap_s: Memory of the filters, left out beside a block's border [s].
+        gap_s: Memory of the filters, left out next to a block's border [s].
         rng: For noise draws.
         noise: What encoder noise alone makes.
     """
     every = [*tests.causes, *([tests.structure.test] if tests.structure else [])]
-    channel = hunt.channel
+    channel = selection.channel
     whole = any(np.all(part == TRAIN) for part in channel.parts)
     if not whole or not any(test.is_inconclusive for test in every):
         return tests
     inner = replace(channel, parts=tuple(divide_training(channel.runs, channel.parts, gap_s)))
-    again = select_causes(inner, rng, lambda step: None, sift=noise.within(inner.parts).reject_artefacts)
+    again = select_causes(inner, rng, lambda step: None, artefact_filter=noise.within(inner.parts).reject_artefacts)
     causes = tuple(
         _confirm_again(test, again, one) if test.is_inconclusive else test
-        for one, test in zip(hunt.found, tests.causes, strict=True)
+        for one, test in zip(selection.found, tests.causes, strict=True)
     )
     left = tests.structure
     if left is not None and left.test.is_inconclusive:
-        found = find_structure(again.ground, again.ground.draw_null_residuals(N_NULL_DRAWS, rng), FAMILY_LEVEL)
+        found = find_structure(again.null_model, again.null_model.draw_null_residuals(N_NULL_DRAWS, rng), FAMILY_LEVEL)
         if found and found.output == left.structure.output and set(found.variables) & set(left.structure.variables):
-            test = confirm_structure(again.ground, again.known_columns, found)
+            test = confirm_structure(again.null_model, again.known_columns, found)
             left = replace(left, test=replace(test, within=True)) if test.is_confirmed else left
     return ConfirmationResults(causes, left)
 

@@ -190,7 +190,7 @@ def _estimate_factor(white: WhiteRows, changed: np.ndarray, factor: float, outpu
 
 
 def _find_time(white: WhiteRows, C: np.ndarray, output: int, near: float) -> tuple[float, float]:
-    """Return the best time of a step of columns C (R, d), and its standard error [s]: of times that are likely all alike."""
+    """Return the best time of a step of columns C (R, d), and its standard error [s]: of equally likely times."""
     starts = np.unique(np.concatenate([_list_times(white, output), _list_times(white, output, near)]))
     T = _scan_steps(white, C, starts)
     within = starts[T > T.max() - stats.chi2.ppf(0.95, 1)]
