@@ -238,12 +238,12 @@ class Reading:
     """Stiffness read with some causes.
 
     Attributes:
-        causes: Names of what the deflection was made of.
+        causes: Names of the causes of the deflection.
         joints: The joints.
         stiffness: One over the fitted compliance (m,) [N m/rad or N/m]; infinite where no positive compliance fits.
         stderr: Its standard error (m,); infinite alike.
         values: All fitted amplitudes by name.
-        rms: What is left on data used for nothing else (m,) [rad or m].
+        rms: The residual on data that take no other part (m,) [rad or m].
     """
 
     causes: tuple[str, ...]

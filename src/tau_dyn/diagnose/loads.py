@@ -80,7 +80,7 @@ class Load:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the blocks set aside of its logs agree."""
+        """Whether the held-out blocks of its logs agree."""
         return self.finding.status == "confirmed"
 
     @property
@@ -243,7 +243,7 @@ class _Study:
         known: bool,
         rng: np.random.Generator,
     ) -> Load:
-        """Return what one group of logs carries, and whether the blocks set aside of its logs agree."""
+        """Return the load of one group of logs, and whether the held-out blocks of its logs agree."""
         estimate, names = self.solve(groups, TRAIN, TEST), list_load_names(name_load(group))
         frame, R, p = find_payload_frame(self.robot, self.body)
         found = estimate_body(estimate, names, R, p)
@@ -380,7 +380,7 @@ def add_loads(case: FittedBaseline, loads: Sequence[Load]) -> FittedBaseline:
 
 @dataclass(frozen=True, eq=False)
 class LoadReport:
-    """What a diagnosis reports of loads.
+    """The part of a diagnosis that concerns loads.
 
     Attributes:
         findings: A finding for each load.

@@ -1,4 +1,4 @@
-r"""What one body at the end of a robot, one force scale or one wrong mass makes of base parameters, and which of them it was.
+r"""The change of base parameters by one body at the end of a robot, one force scale or one wrong mass, and its cause.
 
     d = beta - E pi_0 ~ N(B x, S),     S = cov(beta) + E P E'
 
@@ -53,7 +53,7 @@ class BaseParameterDifference:
         combine: Base parameters per unit of each parameter (r, p).
         names: Parameters' names (p,).
         estimate: The fit.
-        select: What makes them of the fit's base parameters (r, all).
+        select: Matrix that forms them from the fit's base parameters (r, all).
         trusted: Trusted values by name.
     """
 
@@ -72,7 +72,7 @@ class BaseParameterDifference:
 
     @property
     def force_share(self) -> float:
-        """Rms of the force that it makes beside a refit of all other parameters, over the measured force's."""
+        """Rms of the force that it makes next to a refit of all other parameters, over the measured force's."""
         estimate = self.estimate
         triangle = np.linalg.qr(estimate.stack_rows(), mode="r")
         least = np.linalg.lstsq(solve_triangular(triangle, self.select.T, trans=1).T, self.d)[0]
@@ -88,7 +88,7 @@ class Explanation:
         cause: Its name.
         place: Link or joint, empty for all.
         amplitudes: Estimates (k,).
-        cov: Their covariance (k, k); infinite variances where data tell nothing.
+        cov: Their covariance (k, k); infinite variances if the data do not determine them.
         left: Squared difference that it leaves.
         rank: Amplitudes that count.
         dof: Base parameters less those.
@@ -112,7 +112,7 @@ class Explanation:
         return self.left + PENALTY * self.rank
 
     def p_value(self, whole: float, n_tried: int) -> float:
-        """Return the chance of what it explains of a squared difference, as one of several (Bonferroni)."""
+        """Return the p-value of the part of a squared difference that it explains, as one of several (Bonferroni)."""
         return min(1.0, n_tried * float(stats.chi2.sf(whole - self.left, self.rank)))
 
     def explains(self, whole: float) -> bool:
@@ -127,8 +127,8 @@ def compare_with_trusted(robot: Robot, trusted: Parameters, estimate: Estimate) 
     """Return how far the bodies of a fit are from trusted values.
 
     Where the trusted values were themselves identified (they have standard errors), their combinations are taken to be known as
-    well as this fit's: a model file keeps no covariance. Else a link's numbers are known to its mass' error in proportion, and
-    what a drive's inertia that nobody gave can make of them is left out.
+    well as this fit's: a model file keeps no covariance. Else a link's numbers are known to its mass' error in proportion,
+    and combinations that an unknown drive inertia can change are left out.
     """
     base = estimate.base
     bodies = {n for n in robot.parameters.names if not n.endswith(".gravity_mass")}
@@ -245,7 +245,7 @@ _UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 
 
 def list_load_names(label: str = "") -> tuple[str, ...]:
-    """Return the names of the ten inertial numbers of a body at the tool, of the logs that a label stands for or of all."""
+    """Return the names of the ten inertial numbers of a body at the tool, of the logs with a label or of all."""
     return tuple(f"{PAYLOAD}.{quantity}{f'@{label}' if label else ''}" for quantity in INERTIAL)
 
 
@@ -341,7 +341,7 @@ def _columns(difference: BaseParameterDifference, link: LinkInertia) -> np.ndarr
 
 
 def _force_scale(difference: BaseParameterDifference, joint: int) -> np.ndarray:
-    """Return what a refit makes of one joint's predicted force (r,): base parameters per unit of its factor less one."""
+    """Return the change of a refit by one joint's predicted force (r,): base parameters per unit of its factor less one."""
     estimate = difference.estimate
     names = estimate.regression.parameters.names
     theta = np.where(np.isin(names, estimate.base.names), estimate.theta, 0.0)
@@ -350,7 +350,7 @@ def _force_scale(difference: BaseParameterDifference, joint: int) -> np.ndarray:
 
 
 def _complement(directions: Sequence[np.ndarray], n: int) -> np.ndarray:
-    """Return an orthonormal basis (n - u, n), as rows, of what is across u independent directions (n,)."""
+    """Return an orthonormal basis (n - u, n), as rows, of the complement of u independent directions (n,)."""
     if not directions:
         return np.eye(n)
     scaled = [x / np.linalg.norm(x) for x in directions if np.linalg.norm(x) > 0]

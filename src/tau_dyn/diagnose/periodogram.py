@@ -1,10 +1,10 @@
-r"""Periodogram over the position: what each period of a cyclic error explains of a white residual.
+r"""Periodogram over the position: the statistic of each period of a cyclic error in a white residual.
 
 Thousands of periods are tried at once by Fourier transforms over the position (Scargle 1982). The score of `exp(i w q)`,
-`w = 2 pi / P`, against white residual rows `L e` is a Fourier sum over positions of `u = L' e`, weighted by what the low-pass
-leaves at the local frequency `f = |v| / P`. Samples are sorted into a few classes of speed, in which this weight depends on P
+`w = 2 pi / P`, against white residual rows `L e` is a Fourier sum over positions of `u = L' e`, weighted by the low-pass'
+gain at the local frequency `f = |v| / P`. Samples are sorted into a few classes of speed, in which this weight depends on P
 alone, and binned by position. A displacement acts by its acceleration, `(i w a - w^2 v^2) exp(i w q)`: two such sums. What noise
-makes of each period is seen from the noise draws, put through the same sums. What is found is weighed again exactly.
+makes of each period is seen from the noise draws, put through the same sums. The periods found are scored again exactly.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from tau_dyn.log import compute_attenuation
 
 _CLASSES = 8  # of speed, each with as many samples
 _PER_PERIOD = 12  # position bins a period of the shortest wave
-_SMOOTHED = 9  # lines of the spectrum averaged for the noise beside a peak
+_SMOOTHED = 9  # lines of the spectrum averaged for the noise next to a peak
 OVERSAMPLING = 4
 """Steps of the scan per 1 / range; `effects/periodic.py` lays its grid out alike."""
 LONG_PERIODS = 8.0
-"""Periods in the range up to which one is not scanned but tried exactly: there the acceleration counts beside the speed."""
+"""Periods in the range up to which one is not scanned but tried exactly: there the acceleration counts as well as the speed."""
 Term = tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]
 """A factor of each sample (n,), and its complex size (g,) at angular frequencies w (g,) over the position."""
 
@@ -47,7 +47,7 @@ def compute_period_statistics(
         mask: Samples that count (n,).
         periods: Periods (g,) [m or rad].
         cutoff_hz: The zero-phase low-pass that both sides pass [Hz].
-        terms: What a unit amplitude is before it; see `build_force_terms` and `build_displacement_terms`.
+        terms: The signal of a unit amplitude before it; see `build_force_terms` and `build_displacement_terms`.
     """
     if not mask.any():
         return np.zeros((len(periods), u.shape[1]))

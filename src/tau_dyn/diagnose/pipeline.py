@@ -2,9 +2,10 @@
 
     channel -> null model, candidate scan, stepwise selection -> confirmation -> claims with their gain -> diagnosis
 
-Forces, tool positions and deflections take the same way. Of forces the baseline stays physical, its parameters are held against
-their nominal values, and a cause has to be more than what encoder noise makes of itself. Of poses a cyclic error may have several
-periods that fit alike. A single joint's deflection and a tool have no mass that must stay positive and no nominal value.
+Forces, tool positions and deflections take the same way. Of forces the baseline stays physical, its parameters are compared
+with their nominal values, and a cause has to be more than what encoder noise makes of itself. Of poses a cyclic error may
+have several periods that fit equally well. A single joint's deflection and a tool have no mass that must stay positive and no
+nominal value.
 """
 
 from __future__ import annotations
@@ -124,7 +125,7 @@ def diagnose_tool(
         holdout: Held-out logs.
         seed: Seed of noise draws and intervals.
         progress: Called with a word for each step.
-        warnings: What was doubtful before.
+        warnings: Earlier doubts.
     """
     train, held = list(logs), list(holdout)
     progress("columns")
@@ -143,7 +144,7 @@ def diagnose_deflection(
     progress: Progress = lambda step: None,
     warnings: Sequence[str] = (),
 ) -> Diagnosis:
-    """Find out what comes between the two encoders of a joint; options and errors are those of `diagnose`.
+    """Find the causes of the difference between the two encoders of a joint; options and errors are those of `diagnose`.
 
     Args:
         robot: Names the joints; its masses play no part.
@@ -152,7 +153,7 @@ def diagnose_deflection(
         causes: Causes that may be found; by default all that come between two encoders.
         seed: Seed of noise draws and intervals.
         progress: Called with a word for each step.
-        warnings: What was doubtful before.
+        warnings: Earlier doubts.
     """
     given, judged = ([x] if isinstance(x, Log) else list(x) for x in (logs, holdout))
     train, held, doubled = drop_repeated_logs(given, judged)
@@ -180,11 +181,11 @@ def diagnose_channel(
 
     Args:
         channel: The measurements.
-        model: The model before any fit, which is extended by what is found.
+        model: The model before any fit, which is extended by the causes found.
         how: How the data are divided, in words.
         seed: Seed of noise draws and intervals.
         progress: Called with a word for each step.
-        warnings: What was doubtful before.
+        warnings: Earlier doubts.
         case: Of forces, the fitted baseline behind the channel.
         doubt: The reason why no cause may be confirmed; empty where there is none.
     """
@@ -310,7 +311,7 @@ def _answer(
 
 
 def _describe_spoiled(warnings: Sequence[str]) -> str:
-    """Return why nothing may be confirmed from logs that are not what they claim to be; empty where they are."""
+    """Return why nothing may be confirmed from spoiled logs; empty for sound ones."""
     codes = dict.fromkeys(get_code(warning) for warning in warnings if is_diagnosis_invalid([warning]))
     return f"the log is not what it claims to be ({', '.join(codes)}); mend it first" if codes else ""
 
@@ -326,7 +327,7 @@ def _with_drift(untestable: Sequence[Untestable], unexplained: Sequence[Unexplai
 
 
 def _build_extended_model(model: Model, claims: Claims, waterfall: Waterfall, findings: Sequence[Finding]) -> Model:
-    """Return the model with the causes that stand; findings' standard errors count the settings' uncertainty, and are taken."""
+    """Return the model with the accepted causes; findings' standard errors count the settings' uncertainty, and are taken."""
     effects = [effect for effect in build_effects(claims.kept) if effect.name in EFFECTS]
     extended = _extend(model, waterfall.fits[-1], effects)
     own = {p.name: p.stderr for f in findings if f.status == "confirmed" for p in f.parameters}
@@ -346,7 +347,7 @@ def _extend(model: Model, fit: EvaluatedFit, effects: Sequence[Effect]) -> Model
 
 
 def _build_traces(channel: Channel, before: EvaluatedFit, after: EvaluatedFit) -> tuple[TimeTrace, ...]:
-    """Return what the time view draws."""
+    """Return the curves of the time view."""
     found = []
     for k, run in enumerate(channel.runs):
         one, other = (j.regression.runs[k].W_all @ j.theta for j in (before, after))

@@ -5,12 +5,12 @@ payload, ...), the score and the information
 
     s_b = X_b' (e_b - X_b theta_0),     G_b = X_b' X_b
 
-with `theta_0` of a reference, blocks that stand for the normal state: what the model misses there counts as normal. A change of
+with `theta_0` of a reference, blocks of the normal state: a model error there counts as normal. A change of
 direction d since block k is tested by
 
     T_d(k, n) = (sum_k^n s_bd)^2 / (phi_d (G_dd + g' G_0^-1 g)),     g = row d of G = sum_k^n G_b
 
-`g' G_0^-1 g` is what the reference itself is unsure of, `phi_d` the scatter of the reference's scores in units of G: so no noise
+`g' G_0^-1 g` is the uncertainty of the reference itself, `phi_d` the scatter of the reference's scores in units of G: so no noise
 model has to be exact, and without a change `sqrt(T)` is Student's t with the reference's degrees of freedom. Each new block
 tests D directions over L lengths from 2 s to an hour. With N = 1800 blocks an hour, the threshold h follows from the rate r [1/h]
 by Bonferroni,  2 P(t > h) = r / (N D L);  the expected number of false alarms is at most r an hour, averaged over references.
@@ -93,7 +93,7 @@ class DetectedChange:
 
 @dataclass(frozen=True, eq=False)
 class NormalState:
-    """What a reference says of the normal state.
+    """The normal state, learned from a reference.
 
     Attributes:
         theta: Offset of each direction (D,).
@@ -109,7 +109,7 @@ class NormalState:
 
     @classmethod
     def of(cls, blocks: Sequence[BlockScore], sizes: np.ndarray) -> NormalState:
-        """Learn from blocks; `sizes` (D,) are typical amounts of the directions, for those that the blocks do not tell."""
+        """Learn from blocks; `sizes` (D,) are typical amounts of the directions, for those that the blocks do not determine."""
         z, G = np.array([b.z for b in blocks]), np.array([b.G for b in blocks])
         inverse = np.linalg.inv(G.sum(axis=0) + np.diag(1 / sizes**2))
         theta = inverse @ z.sum(axis=0)
@@ -127,7 +127,7 @@ class NormalState:
         return np.where(known > 0, s**2 / np.maximum(variance, 1e-300), 0.0)
 
     def estimate_sizes(self, s: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the sizes (D,) that summed scores tell, each direction taken alone, and their standard errors (D,)."""
+        """Return the sizes (D,) by summed scores, each direction taken alone, and their standard errors (D,)."""
         known = np.maximum(np.diag(G), 1e-300)
         unsure = np.einsum("de,ef,df->d", G, self.inverse, G)
         return s / known, np.sqrt(self.phi * (known + unsure)) / known
@@ -135,13 +135,13 @@ class NormalState:
 
 @dataclass(eq=False)
 class ChangeDetector:
-    """Takes block after block, learns the normal state from the first, and says what has changed since when.
+    """Takes block after block, learns the normal state from the first, and finds changes with their time.
 
     Attributes:
         sizes: Typical amounts of the directions (D,).
         reference_blocks: Blocks from which the normal state is learned, at the beginning and after each alarm.
         rate: False alarms an hour.
-        changes: What was found.
+        changes: The changes found.
         trace: Time, log and the largest statistic's root over the threshold of each block.
         normal: The normal state; None while it is learned.
     """
@@ -193,7 +193,7 @@ class ChangeDetector:
             self._forget()
 
     def settle(self) -> None:
-        """Name the change that was detected, where one is open, and learn anew; also to be called when the blocks end."""
+        """Name the change that was detected, where one is open, and learn again; also to be called when the blocks end."""
         if self._detected is None or self.normal is None:
             return
         self.changes.append(self._describe(self.normal, self._detected))

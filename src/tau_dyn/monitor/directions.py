@@ -1,4 +1,4 @@
-"""What may change on a robot, and how its forces change with it: a few directions that a user would do something about.
+"""Possible changes of a robot, and the forces that each adds: a few directions that a user would do something about.
 
 friction         of one joint: the model's Coulomb and viscous friction times 1 + size (without a model of it: N or N m)
 payload          a point mass at the tool, or at the last link's joint [kg]
@@ -38,7 +38,7 @@ positions, `encoder_offset` to the positions at which the forces are."""
 
 
 class Direction(NamedTuple):
-    """What may change: its kind, the joint (empty for all), the unit and a typical size."""
+    """A possible change: its kind, the joint (empty for all), the unit and a typical size."""
 
     what: str
     joint: str
@@ -59,7 +59,7 @@ class Direction(NamedTuple):
 def compute_direction_columns(
     model: Model, motion: Motion, forces: np.ndarray, dt: float
 ) -> tuple[tuple[Direction, ...], np.ndarray]:
-    """Return what may change, and how the forces change with it (N, na, D) per unit, along a motion.
+    """Return the possible changes, and how the forces change with each (N, na, D) per unit, along a motion.
 
     Args:
         model: The model.

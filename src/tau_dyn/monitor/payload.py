@@ -2,12 +2,12 @@ r"""A payload from logs without and with it: its mass, centre and inertia, in on
 
     tau = Y theta + [loaded] (Y_last pi + sum_j (c_j sign(v_j) + d_j v_j))
 
-`pi` are the ten inertial numbers of a rigid body fixed to a link, so that what the model misses in both recordings alike does not
-reach them. Coulomb friction depends on the load that a gear or a guide carries, and on its temperature: each joint's Coulomb and
-viscous friction may differ between empty and loaded, by the same amount in both directions, and a test says where it does. The
-part of load friction that follows the force within the motion stays in the residual, whose scatter the intervals allow for. The
-payload is kept physical: its pseudo-inertia is positive semidefinite (`estimate/physical_consistency.py`). Drive gains scale
-the result: a force scale that is 2 % off makes a mass 2 % off. Reference: Khalil, Gautier & Lemoine 2007.
+`pi` are the ten inertial numbers of a rigid body fixed to a link, so that model errors common to both recordings do not reach
+them. Coulomb friction depends on the load that a gear or a guide carries, and on its temperature: each joint's Coulomb and
+viscous friction may differ between empty and loaded, by the same amount in both directions, and a test names the joints where
+it does. The part of load friction that follows the force within the motion stays in the residual, whose scatter the intervals
+allow for. The payload is kept physical: its pseudo-inertia is positive semidefinite (`estimate/physical_consistency.py`).
+Drive gains scale the result: a force scale that is 2 % off makes a mass 2 % off. Reference: Khalil, Gautier & Lemoine 2007.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class PropertyEstimate(NamedTuple):
     determined: bool
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers; those that the data do not tell are None."""
+        """Return plain numbers; those that the data do not determine are None."""
         told = np.isfinite(self.stderr)
         values = [float(x) if ok else None for x, ok in zip(self.values, told, strict=True)]
         ends = [
@@ -114,7 +114,7 @@ class FrictionDifference(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PayloadEstimate(Shown):
-    """What the loaded logs carry beyond the empty ones.
+    """The body that the loaded logs carry beyond the empty ones.
 
     Attributes:
         robot: The robot.
@@ -128,7 +128,7 @@ class PayloadEstimate(Shown):
         friction: Differences of friction.
         logs: Names of the empty and of the loaded logs.
         estimate: The solved regression.
-        warnings: What is doubtful.
+        warnings: Doubts, as sentences.
     """
 
     robot: Robot
@@ -192,7 +192,7 @@ class PayloadEstimate(Shown):
         return self.differs and self.plain_mass < -Z95 * float(self.mass.stderr[0])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract's JSON result, without what the command adds."""
+        """Return the contract's JSON result, without the entries that the command adds."""
         parts = (("mass", self.mass), ("centre", self.centre), ("inertia", self.inertia))
         return {
             "payload": {
@@ -217,7 +217,7 @@ def identify_payload(
     seed: int = 0,
     progress: Callable[[str], None] = lambda step: None,
 ) -> PayloadEstimate:
-    """Identify what the loaded logs carry beyond the empty ones.
+    """Identify the body that the loaded logs carry beyond the empty ones.
 
     Args:
         robot: The robot, whose friction is then asymmetric; or a model with its effects.
@@ -245,7 +245,7 @@ def identify_payload(
 
 
 class TooLittleTold(CannotAnswer):
-    """The logs do not tell a payload's mass."""
+    """The logs do not determine a payload's mass."""
 
 
 def replace_experiment(fault: CannotAnswer, experiment: str) -> CannotAnswer:
@@ -289,7 +289,7 @@ def _refuse_wrong_wiring(warnings: Sequence[str]) -> None:
     """Refuse forces of another sign or joint: no payload makes them so, and the difference would be taken for one.
 
     Raises:
-        InputError: A log is wired otherwise than the robot file says.
+        InputError: A log has other cabling than the robot file.
     """
     for warning in warnings:
         if isinstance(warning, CodedWarning) and warning.code in ("sign_reversed", "joints_exchanged"):
@@ -454,7 +454,7 @@ def _list_warnings(found: PayloadEstimate) -> list[str]:
 def _refuse_undetermined(
     model: Model, body: LinkInertia, found: PayloadEstimate, seed: int, progress: Callable[[str], None]
 ) -> None:
-    """Refuse logs that do not tell the mass, and say which motion would.
+    """Refuse logs that do not determine the mass, and propose a motion that does.
 
     Raises:
         TooLittleTold: The mass' error is too large for an answer.

@@ -1,7 +1,7 @@
-"""What has changed on a running robot, and since when: residuals of a model, in a few directions, block by block.
+"""Changes of a running robot with their time: residuals of a model, in a few directions, block by block.
 
-Forces are prepared as identification prepares them (filters, gate around reversals) and the model's own are subtracted; what
-may change stands in `directions.py`.
+Forces are prepared as identification prepares them (filters, gate around reversals) and the model's own are subtracted; the
+possible changes are in `directions.py`.
 
 The first minute of motion is the reference: whatever the model misses there counts as normal (`change_detection.py`), and its
 residual gives the noise model of each joint. After an alarm the next minute is the new reference. Logs follow each other in the
@@ -56,8 +56,8 @@ class WatchResult(Shown):
 
     Attributes:
         model: The model.
-        directions: What was watched.
-        unfelt: What this robot does not feel, so that no change of it can show.
+        directions: The changes watched for.
+        unfelt: Changes that the forces of this robot do not show.
         changes: What changed.
         trace: Time [s], log and largest statistic over its threshold, of each block.
         logs: Names of the logs.
@@ -65,7 +65,7 @@ class WatchResult(Shown):
         reference_s: Motion of each reference [s].
         rate: Expected false alarms an hour.
         threshold: In standard errors; NaN where no reference was complete.
-        warnings: What is doubtful.
+        warnings: Doubts, as sentences.
     """
 
     model: Model
@@ -90,7 +90,7 @@ class WatchResult(Shown):
         return tuple(build_change_finding(change, self.directions, self.watched_s / 3600) for change in self.changes)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract's JSON result, without what the command adds."""
+        """Return the contract's JSON result, without the entries that the command adds."""
         return {
             "alarms": self.rows(),
             "findings": [f.to_dict() for f in self.findings],
@@ -123,7 +123,7 @@ def build_change_finding(change: DetectedChange, directions: Sequence[Direction]
 
     Args:
         change: The alarm.
-        directions: What was watched.
+        directions: The changes watched for.
         watched_h: Motion watched [h], over which a false alarm may occur.
     """
     d = directions[change.direction]
@@ -167,9 +167,9 @@ class Watch:
         exclude: Log columns whose nonzero samples are left out.
         detector: What finds changes; None before the first log.
         logs: Names of the logs so far.
-        warnings: What is doubtful about them.
-        directions: What is watched, known from the first log on.
-        unfelt: What the robot does not feel.
+        warnings: Doubts about the logs.
+        directions: The changes watched for, known from the first log on.
+        unfelt: Changes that the forces do not show.
     """
 
     model: Model
@@ -223,7 +223,7 @@ class Watch:
         return [describe_change(change, self.directions) for change in changes]
 
     def finish(self) -> WatchResult:
-        """Return what was found.
+        """Return the result.
 
         Raises:
             CannotAnswer: The logs are not longer than the reference.
@@ -320,7 +320,7 @@ def watch_logs(
 
 
 def fit_noise(blocks: Sequence[_Block]) -> list[Autoregression]:
-    """Return each joint's noise model, of what the directions leave of the residual."""
+    """Return each joint's noise model, of the residual without the directions."""
     D, na = blocks[0].X.shape[2], blocks[0].e.shape[1]
     found = []
     W = np.concatenate([block.X[block.usable] for block in blocks])
