@@ -64,7 +64,6 @@ _MAX_EXPERIMENT_S = 600.0  # a longer motion than ten minutes is no short one; m
 _MIN_JOINT_SHARE = 0.1  # of the information about a payload's mass that makes a joint worth naming
 _MIN_LENGTH_M = 0.05  # lever by which a centre counts as known where the payload sits at the frame's origin
 
-CENTRE = ("x", "y", "z")
 INERTIA = INERTIAL[4:]
 
 
