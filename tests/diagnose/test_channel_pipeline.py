@@ -10,13 +10,14 @@ import pytest
 
 from tau_dyn.diagnose import diagnose
 from tau_dyn.effects import Delay, PlausibleRange, QuadraticDrag, Stribeck, build_friction_model
-from tau_dyn.evidence import Gain, confirmation, plausibility
-from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION
+from tau_dyn.evidence import Gain, plausibility
 from tau_dyn.evidence.claims import recommend, select_confirmed, select_supported
-from tau_dyn.evidence.confirmation import Confirmation, confirm, confirm_cause
+from tau_dyn.evidence.confirmation import Confirmation, confirm
+from tau_dyn.evidence.measurements import TEST, TRAIN, VALIDATION
 from tau_dyn.evidence.noise_only_bootstrap import NoiseOnlyBootstrap
 from tau_dyn.evidence.plausibility import find_inconsistent
 from tau_dyn.evidence.stepwise_selection import select_causes
+from tau_dyn.evidence.validation import ConfirmationResults, confirm_cause, confirm_within_training
 from tau_dyn.message_codes import get_code
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
@@ -37,21 +38,21 @@ def test_the_last_part_has_a_veto(make, last: float, within: bool, stands: bool)
         return 90 * own[:, None] * motion.v * np.abs(motion.v)
 
     channel = make.bench(rng, hidden, n=8000, causes=(QuadraticDrag,))
-    hunt = select_causes(channel, rng, lambda step: None)
-    tests = [replace(confirm_cause(hunt, one), within=within) for one in hunt.found]
-    claims = select_confirmed(hunt, tests)
+    selection = select_causes(channel, rng, lambda step: None)
+    tests = [replace(confirm_cause(selection, one), within=within) for one in selection.found]
+    claims = select_confirmed(selection, tests)
     assert [one.candidate.cause for one in claims.kept] == ["quadratic_drag"]
-    stood, bars = select_supported(hunt, claims, rng)
+    stood, waterfall = select_supported(selection, claims, rng)
     assert stood.kept == (claims.kept if stands else [])
-    assert len(bars.gains) == len(stood.kept) and bool(stood.why_not[0]) != stands
+    assert len(waterfall.gains) == len(stood.kept) and bool(stood.why_not[0]) != stands
 
 
 def stand(channel, rng):
     """Return the claims that stand of one cause, and the recommendation."""
-    hunt = select_causes(channel, rng, lambda step: None)
-    claims = select_confirmed(hunt, [confirm_cause(hunt, one) for one in hunt.found])
-    claims, bars = select_supported(hunt, claims, rng)
-    return claims, recommend(hunt, claims, bars, rng)
+    selection = select_causes(channel, rng, lambda step: None)
+    claims = select_confirmed(selection, [confirm_cause(selection, one) for one in selection.found])
+    claims, waterfall = select_supported(selection, claims, rng)
+    return claims, recommend(selection, claims, waterfall, rng)
 
 
 def drag(motion):
@@ -69,10 +70,10 @@ def test_an_amplitude_that_no_machine_has_is_not_confirmed(make, rng, monkeypatc
 
 
 def test_what_no_force_is_measured_to_is_no_cause(make, rng, monkeypatch):
-    """A drag that takes off less of the force than any force is measured to is suspected for that."""
+    """A drag whose effect is below the accuracy of force sensors is suspected for that."""
     monkeypatch.setattr(plausibility, "MIN_FORCE_SHARE", 1.0)
     claims, recommendation = stand(make.bench(rng, drag, n=8000, causes=(QuadraticDrag,)), rng)
-    assert "measured to that" in claims.why_not[0] and recommendation.choice == "refitted"
+    assert "sensor accuracy" in claims.why_not[0] and recommendation.choice == "refitted"
 
 
 def test_a_setting_at_the_edge_of_its_grid_is_not_confirmed(make, rng, monkeypatch):
@@ -126,9 +127,11 @@ def test_where_few_last_samples_leave_a_gain_open_the_confirming_part_counts_too
 
     channel = make.bench(rng, hidden, n=8000, causes=(QuadraticDrag,))
     channel = replace(channel, parts=(turns,))
-    hunt = select_causes(channel, rng, lambda step: None)
-    (one,) = hunt.found
-    shown = confirm(hunt.ground, hunt.columns(one.candidate.effects), (), (TEST,), fitted_on=(TRAIN, VALIDATION))
+    selection = select_causes(channel, rng, lambda step: None)
+    (one,) = selection.found
+    shown = confirm(
+        selection.null_model, selection.columns(one.candidate.effects), (), (TEST,), fitted_on=(TRAIN, VALIDATION)
+    )
     assert shown.leaves_gain_open or not stands
     assert bool(stand(channel, rng)[0].kept) is stands
 
@@ -158,11 +161,11 @@ def test_held_out_logs_of_another_machine_are_told(make, rng):
 def test_without_held_out_logs_there_is_no_second_search(make, rng):
     """Blocks that take turns have heard all that the logs can say: what is silent there stays as it is, and nothing is made."""
     channel = make.bench(rng, causes=(QuadraticDrag,))
-    hunt = select_causes(channel, rng, lambda step: None)
-    tests = confirmation.ConfirmationResults((Confirmation(0.1, 0.9, 0.4),), None)
+    selection = select_causes(channel, rng, lambda step: None)
+    tests = ConfirmationResults((Confirmation(0.1, 0.9, 0.4),), None)
     assert tests.causes[0].is_inconclusive
     never = NoiseOnlyBootstrap(lambda: pytest.fail("noise was made for a search that cannot say anything"))
-    assert confirmation.confirm_within_training(hunt, tests, 0.1, rng, never) is tests
+    assert confirm_within_training(selection, tests, 0.1, rng, never) is tests
 
 
 def test_noise_is_made_once_and_divided_as_a_second_search_is(make, rng):

@@ -173,11 +173,13 @@ def test_quick_scan_explains_what_the_exact_columns_do(rng) -> None:
     load = q.copy()
     load[:, 1] -= 2e-5 * np.sin(2 * np.pi * q[:, 1] / 0.04)
     channel = build_deflection_channel(robot, [recorded(t, q, tau, load, rng)])
-    ground = NullModel.of(ColumnCache(channel), (0,), fit_noise_models(channel, (0,)))
+    null_model = NullModel.of(ColumnCache(channel), (0,), fit_noise_models(channel, (0,)))
     make = EFFECTS["transmission_error"]
     effects = [make(["elbow"], ["N m"], **s) for s in make.grid(channel.scene, ("elbow",))]
     quick = channel.scan(
-        effects, ground.whiten, np.column_stack([ground.e, ground.draw_null_residuals(8, np.random.default_rng(0))])
+        effects,
+        null_model.whiten,
+        np.column_stack([null_model.e, null_model.draw_null_residuals(8, np.random.default_rng(0))]),
     )
     assert quick is not None
     best = effects[int(np.argmax(quick[:, 0]))]

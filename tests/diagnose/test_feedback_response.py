@@ -211,14 +211,16 @@ def test_what_draws_of_encoder_noise_make_of_a_column_is_their_mean_without_thei
     unit = C[:, 0] / np.linalg.norm(C)
 
     def seen(bias: float) -> float:
-        blanks = []
+        noise_only_models = []
         for _ in range(400):
             e = rng.standard_normal(50) + bias * unit
-            blanks.append(
+            noise_only_models.append(
                 SimpleNamespace(whiten_columns=lambda columns: C, e=e, gram=lambda rows: rows.T @ rows, scale=1.0)
             )
-        ground = cast(Any, SimpleNamespace(scale=1.0))
-        return estimate_noncentrality(cast(Any, blanks), ground, [[]] * len(blanks), np.array([False]))
+        null_model = cast(Any, SimpleNamespace(scale=1.0))
+        return estimate_noncentrality(
+            cast(Any, noise_only_models), null_model, [[]] * len(noise_only_models), np.array([False])
+        )
 
     assert seen(2.0) == pytest.approx(4.0, abs=0.6)
     assert seen(0.0) < 0.25
@@ -244,18 +246,20 @@ def test_a_joint_on_which_encoder_noise_makes_the_cause_is_left_out(monkeypatch)
     )
     monkeypatch.setattr(noise_only_bootstrap, "NullModel", SimpleNamespace(of=lambda *parts: None))
     monkeypatch.setattr(
-        noise_only_bootstrap, "estimate_noncentrality", lambda blanks, ground, columns, *_: made[columns[0]]
+        noise_only_bootstrap,
+        "estimate_noncentrality",
+        lambda noise_only_models, null_model, columns, *_: made[columns[0]],
     )
 
     def fit(joint: str, T: float) -> GroupTest:
         effect = SimpleNamespace(joints=(joint,), parameters=[SimpleNamespace(lower=-np.inf)])
         return GroupTest(cast(Any, effect), T, 1.0, 1, False, 1.0, np.zeros(1))
 
-    a, b, ground = fit("a", 22.0), fit("b", 60.0), cast(Any, SimpleNamespace(noise=(), parts=()))
+    a, b, null_model = fit("a", 22.0), fit("b", 60.0), cast(Any, SimpleNamespace(noise=(), parts=()))
     noise = noise_only_bootstrap.NoiseOnlyBootstrap(lambda: [None])
-    left = noise.reject_artefacts(ground, CandidateCause("spring", (b, a), 0.0, (a, b)), [], 20)
+    left = noise.reject_artefacts(null_model, CandidateCause("spring", (b, a), 0.0, (a, b)), [], 20)
     assert left is not None and left.fits == (b,)
-    assert noise.reject_artefacts(ground, CandidateCause("spring", (a,), 0.0, (a,)), [], 20) is None
+    assert noise.reject_artefacts(null_model, CandidateCause("spring", (a,), 0.0, (a,)), [], 20) is None
 
 
 def test_an_answer_one_sample_later_stands_at_lag_one():

@@ -11,9 +11,19 @@ import pytest
 
 from tau_dyn.diagnose import Diagnosis, diagnose
 from tau_dyn.diagnose.force_baseline import fit_baseline
-from tau_dyn.diagnose.loads import find_loads
+from tau_dyn.diagnose.loads import Load, LoadReport, find_loads
 from tau_dyn.estimate import Autoregression, RegressionRun
-from tau_dyn.evidence import TEST, TRAIN, CampaignChange, CampaignChannel, divide_every_log, select_campaign_changes
+from tau_dyn.evidence import (
+    TEST,
+    TRAIN,
+    CampaignChange,
+    CampaignChannel,
+    Finding,
+    OutputErrors,
+    Step,
+    divide_every_log,
+    select_campaign_changes,
+)
 from tau_dyn.identify import build_model, identify
 from tau_dyn.log import Log
 from tau_dyn.message_codes import get_code
@@ -51,7 +61,7 @@ def build_campaigns(load: float = 0.0, friction: float = 0.0, scale: float = 0.0
         forces.append(own[:, None, None])
     parameters = Parameters(Parameter(name, 0.0, "1") for name in ("c", "s", "a", "coulomb", "viscous"))
     parts = tuple(np.where(np.arange(N) // 150 % 4 == 3, TEST, TRAIN) for _ in runs)
-    channel = CampaignChannel("force", ("lever",), ("N m",), parameters, tuple(runs), parts, None, ())  # type: ignore[arg-type]
+    channel = CampaignChannel("force", ("lever",), ("N m",), parameters, tuple(runs), parts)
     return channel, {"payload": bodies, "friction": drags, "force": forces, "bodies": bodies}
 
 
@@ -187,3 +197,30 @@ def test_a_load_against_a_model_file_is_named_and_no_link_changes(robot, tmp_pat
     path = tmp_path / "model.yaml"
     identify(robot, [record(robot, 0), record(robot, 1)]).model.save(path)
     check(diagnose(robot, [record(robot, 3, LOAD_KG)], model=path), "log3.csv")
+
+
+def make_load(status: str) -> Load:
+    """Return a load of 1 kg in one log."""
+    finding = Finding("payload", ("hand",), status, 1.0, 1e-9, (), None, (), "", "", logs=("log2",))  # type: ignore[arg-type]
+    return Load(("log2",), np.zeros(10), False, finding)
+
+
+def test_the_step_of_a_load_is_between_the_refit_without_it_and_the_causes() -> None:
+    """A confirmed load has a step of its own; the refit that carries it is no longer called `refitted`."""
+    without, carried, extended = (OutputErrors(("lever",), np.array([x]), np.zeros((1, 2)), x) for x in (3.0, 2.0, 1.0))
+    steps = [Step("nominal", without), Step("refitted", carried), Step("stribeck lever", extended)]
+    found = LoadReport.of([make_load("confirmed"), make_load("suspected")], without)
+    assert [f.status for f in found.findings] == ["confirmed", "suspected"]
+    assert [(s.step, s.errors) for s in found.insert_step(steps)] == [
+        ("nominal", without),
+        ("refitted", without),
+        ("payload log2", carried),
+        ("stribeck lever", extended),
+    ]
+
+
+def test_without_an_accepted_load_all_are_suspected() -> None:
+    """A load that no refit carries changes neither the waterfall nor the verdict."""
+    found = LoadReport.of([make_load("confirmed")], None)
+    assert found.confirmed == () and found.findings[0].status == "suspected"
+    assert found.insert_step([]) == ()

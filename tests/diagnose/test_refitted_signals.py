@@ -7,9 +7,10 @@ import pytest
 
 from tau_dyn.diagnose.force_baseline import FittedBaseline, fit_baseline
 from tau_dyn.effects import JointZero, TorqueSaturation
-from tau_dyn.evidence.candidate_scan import estimate_amplitudes
-from tau_dyn.evidence.channel import TRAIN, ColumnCache
+from tau_dyn.evidence.channel import ColumnCache
+from tau_dyn.evidence.measurements import TRAIN
 from tau_dyn.evidence.null_model import NullModel, fit_noise_models
+from tau_dyn.evidence.settings import estimate_amplitudes
 from tau_dyn.identify import build_model
 from tau_dyn.log import Log
 from tau_dyn.mechanism import build_mechanism
@@ -45,9 +46,9 @@ def explained(case: FittedBaseline, effect) -> tuple[float, float]:
     """Return an effect's amplitude on the training part and its standard error."""
     library = ColumnCache(case.channel)
     noise = fit_noise_models(case.channel, (TRAIN,), [library.columns(effect)])
-    ground = NullModel.of(library, (TRAIN,), noise)
-    stderr = float(1 / np.sqrt(ground.gram(ground.rows(effect))[0, 0]))
-    return float(estimate_amplitudes(effect, ground)[0]), stderr
+    null_model = NullModel.of(library, (TRAIN,), noise)
+    stderr = float(1 / np.sqrt(null_model.gram(null_model.rows(effect))[0, 0]))
+    return float(estimate_amplitudes(effect, null_model)[0]), stderr
 
 
 @pytest.mark.parametrize("zero", [0.3, -0.02])

@@ -12,9 +12,9 @@ from scipy.signal import lfilter
 from tau_dyn.diagnose.preparation import find_timing
 from tau_dyn.effects import Delay, DriveLag, Motion, QuadraticDrag, Stribeck, ViscousCurvature
 from tau_dyn.estimate import RegressionRun
-from tau_dyn.evidence.candidate_scan import N_NULL_DRAWS, estimate_amplitudes, fit_group, scan_causes
+from tau_dyn.evidence.candidate_scan import N_NULL_DRAWS, fit_group, scan_causes
 from tau_dyn.evidence.null_model import compute_score_test
-from tau_dyn.evidence.stepwise_selection import refine_settings
+from tau_dyn.evidence.settings import estimate_amplitudes, refine_settings
 
 RATE_HZ = 50.0
 
@@ -26,12 +26,12 @@ def pushed(motion: Motion) -> Motion:
 
 
 def found(make, rng, hidden, causes, noise=1.0):
-    """Return the causes tried on a bench with a hidden force, strongest first, and their ground."""
+    """Return the causes tried on a bench with a hidden force, strongest first, and their null_model."""
     motion = pushed(make.moving(rng, ("x",), 6000, size=2.0))
     channel = make.bench(rng, hidden, motions=(motion,), causes=causes, noise=noise)
-    ground = make.ground(channel)
-    candidates = scan_causes(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), causes, set())
-    return sorted(candidates, key=lambda c: -c.penalised_statistic), ground
+    null_model = make.null_model(channel)
+    candidates = scan_causes(null_model, null_model.draw_null_residuals(N_NULL_DRAWS, rng), causes, set())
+    return sorted(candidates, key=lambda c: -c.penalised_statistic), null_model
 
 
 def late_by(seconds: float):
@@ -48,11 +48,11 @@ def late_by(seconds: float):
 @pytest.mark.parametrize("seconds", [0.008, -0.006, 0.03, 0.06])
 def test_a_delay_below_a_sample_and_above_comes_out(make, rng, seconds) -> None:
     """0.3 to 3 samples of 20 ms, either way: setting and amplitude agree with the truth."""
-    ranked, ground = found(make, rng, late_by(seconds), (Delay,))
-    best = refine_settings(ranked[0], ground).fits[0].effect
-    (amplitude,) = estimate_amplitudes(best, ground)
-    C = ground.rows(best)
-    stderr = 1 / np.sqrt(compute_score_test(ground, C, np.zeros(1, bool))[2][0, 0])
+    ranked, null_model = found(make, rng, late_by(seconds), (Delay,))
+    best = refine_settings(ranked[0], null_model).fits[0].effect
+    (amplitude,) = estimate_amplitudes(best, null_model)
+    C = null_model.rows(best)
+    stderr = 1 / np.sqrt(compute_score_test(null_model, C, np.zeros(1, bool))[2][0, 0])
     assert abs(amplitude - seconds) < 3 * stderr + 0.03 * abs(seconds)
     assert best.settings["about"] == pytest.approx(seconds, abs=3 * stderr + 0.03 * abs(seconds))
 
@@ -74,9 +74,9 @@ def lagging_by(seconds: float):
 def test_a_lag_and_a_delay_are_told_apart_where_data_are_plenty(make, rng) -> None:
     """40 ms of either, on forces of up to 1 Hz with steps: each is named, with its time."""
     for hidden, first, time in ((lagging_by(0.04), "drive_lag", 0.04), (late_by(0.04), "delay", 0.04)):
-        ranked, ground = found(make, rng, hidden, (Delay, DriveLag), noise=0.3)
+        ranked, null_model = found(make, rng, hidden, (Delay, DriveLag), noise=0.3)
         assert ranked[0].cause == first
-        effect = refine_settings(ranked[0], ground).fits[0].effect
+        effect = refine_settings(ranked[0], null_model).fits[0].effect
         assert effect.settings["about"] == pytest.approx(time, rel=0.06)
 
 
@@ -98,10 +98,10 @@ def test_friction_that_bends_down_up_or_falls_has_its_own_name(make, rng, law, n
 def test_bent_friction_is_predicted_by_its_amplitude(make, rng) -> None:
     """12 N that level off at 0.15 m/s: amplitude and knee within three standard errors."""
     hidden = ViscousCurvature(["x"], ["N"], knee=0.15)
-    ranked, ground = found(make, rng, lambda m: hidden.columns(m)[:, :, 0] * 12, (ViscousCurvature,), noise=0.3)
-    effect = refine_settings(ranked[0], ground).fits[0].effect
+    ranked, null_model = found(make, rng, lambda m: hidden.columns(m)[:, :, 0] * 12, (ViscousCurvature,), noise=0.3)
+    effect = refine_settings(ranked[0], null_model).fits[0].effect
     assert effect.settings["power"] == 0.0 and effect.settings["knee"] == pytest.approx(0.15, rel=0.25)
-    assert estimate_amplitudes(effect, ground)[0] == pytest.approx(12, rel=0.25)
+    assert estimate_amplitudes(effect, null_model)[0] == pytest.approx(12, rel=0.25)
 
 
 def test_a_clean_bench_has_no_timing(make, rng) -> None:
@@ -109,9 +109,9 @@ def test_a_clean_bench_has_no_timing(make, rng) -> None:
     channel = make.bench(rng, motions=(pushed(make.moving(rng, ("x",), 4000)),))
     values = np.array([20.0, 15.0, 30.0, 5.0])
     assert find_timing(channel.runs, values, np.ones(4, bool)) is None
-    ground = make.ground(channel)
+    null_model = make.null_model(channel)
     for cls in (Delay, DriveLag, ViscousCurvature):
-        fit = fit_group(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), cls, ("x",))
+        fit = fit_group(null_model, null_model.draw_null_residuals(N_NULL_DRAWS, rng), cls, ("x",))
         assert fit is not None and fit.p_value > 1e-3
 
 
@@ -134,5 +134,5 @@ def test_an_amplitude_that_cannot_be_negative_is_zero(make, rng, peak: float, ex
     hidden = Stribeck(["x"], ["N"], speed=0.06)
     motion = make.moving(rng, ("x",), 6000)
     channel = make.bench(rng, lambda m: hidden.columns(m)[:, :, 0] * peak, motions=(motion,), noise=0.1)
-    (amplitude,) = estimate_amplitudes(hidden, make.ground(channel))
+    (amplitude,) = estimate_amplitudes(hidden, make.null_model(channel))
     assert amplitude == pytest.approx(expected, abs=0.5)

@@ -159,8 +159,8 @@ def test_a_cyclic_error_at_places_too_far_apart_has_no_known_period(rng) -> None
     assert "steps of" in found.experiment and "uneven" in found.experiment and "50 mm" in found.sentence
     assert not found.extended_model.effects
     channel = build_tool_channel(model, [log])
-    ground = NullModel.of(ColumnCache(channel), (0,), fit_noise_models(channel, (0,)))
-    periods = np.array(compute_alias_periods(ground, found.findings[0].effects[0]))
+    null_model = NullModel.of(ColumnCache(channel), (0,), fit_noise_models(channel, (0,)))
+    periods = np.array(compute_alias_periods(null_model, found.findings[0].effects[0]))
     assert len(periods) > 10
     assert np.abs(periods / PERIOD - 1).min() < 0.01  # the truth is among them
     folded = np.mod(1 / periods * 0.05 + 0.5, 1) - 0.5  # periods a step, without whole ones
@@ -207,13 +207,13 @@ def test_quick_columns_are_the_exact_ones_through_the_filter(rng) -> None:
     load = q.copy()
     load[:, 2] -= cyclic(q[:, 2])
     channel = build_tool_channel(model, [recorded(t, q, tool_at(load), rng)])
-    ground = NullModel.of(ColumnCache(channel), (0,), fit_noise_models(channel, (0,)))
+    null_model = NullModel.of(ColumnCache(channel), (0,), fit_noise_models(channel, (0,)))
     effect = EFFECTS["transmission_error"](["cart3"], ["N"], period=PERIOD)
-    quick = compute_explained([effect], ground, ground.e[:, None])
-    C = ground.whiten_columns(channel.columns(effect))
-    s = C.T @ ground.e
+    quick = compute_explained([effect], null_model, null_model.e[:, None])
+    C = null_model.whiten_columns(channel.columns(effect))
+    s = C.T @ null_model.e
     assert channel.quick_columns(effect) is not None
-    assert quick[0, 0] == pytest.approx(s @ np.linalg.solve(ground.gram(C), s), rel=0.1)
+    assert quick[0, 0] == pytest.approx(s @ np.linalg.solve(null_model.gram(C), s), rel=0.1)
 
 
 def test_what_is_missing_is_said(rng) -> None:

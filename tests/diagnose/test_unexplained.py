@@ -11,10 +11,10 @@ import pytest
 from tau_dyn.diagnose.force_channel import ForceChannel
 from tau_dyn.effects import Motion
 from tau_dyn.evidence.candidate_scan import N_NULL_DRAWS
-from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION
-from tau_dyn.evidence.confirmation import Confirmation, build_unexplained, discriminate_structures
+from tau_dyn.evidence.confirmation import Confirmation
+from tau_dyn.evidence.measurements import TEST, TRAIN, VALIDATION
 from tau_dyn.evidence.null_model import WHOLE_TIME
-from tau_dyn.evidence.stepwise_selection import StepwiseSelection
+from tau_dyn.evidence.unexplained import build_unexplained, discriminate_structures
 from tau_dyn.evidence.unknown_structure import Dependence, find_structure, list_dependences
 
 JOINTS = ("one", "two", "three")
@@ -33,11 +33,10 @@ def together(make, rng, apart_in):
 def told(make, rng, motion, hidden):
     """Return the structure that a bench with a hidden force shows, and what is said of it."""
     channel = make.bench(rng, hidden, motions=(motion,))
-    ground = make.ground(channel)
-    found = find_structure(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
-    hunt = StepwiseSelection((), ground, ())
-    said = discriminate_structures(hunt, found)
-    return found, said, build_unexplained(hunt, said)[0]
+    null_model = make.null_model(channel)
+    found = find_structure(null_model, null_model.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
+    said = discriminate_structures(null_model, (), found)
+    return found, said, build_unexplained(null_model, (), said)[0]
 
 
 def by_third(m):
@@ -82,12 +81,11 @@ def drifting(make, rng, motions, drift, parts):
         return np.repeat(drift(np.asarray(m.t), parts(len(m.t)))[:, None], 3, axis=1)
 
     channel = make.bench(rng, hidden, motions=motions, parts=parts)
-    ground = make.ground(channel)
-    found = find_structure(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
+    null_model = make.null_model(channel)
+    found = find_structure(null_model, null_model.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
     assert found is not None and found.variables == ("t",)
-    hunt = StepwiseSelection((), ground, ())
-    said = discriminate_structures(hunt, found)
-    return said.test.is_confirmed, build_unexplained(hunt, said)[0].status
+    said = discriminate_structures(null_model, (), found)
+    return said.test.is_confirmed, build_unexplained(null_model, (), said)[0].status
 
 
 @pytest.mark.parametrize(("elsewhere", "status"), [(1.0, "confirmed"), (-1.0, "suspected")])
@@ -121,7 +119,7 @@ def test_another_log_drifts_its_own_way_in_all_its_parts(make, last, status):
 
 def test_as_many_sets_as_are_tried_count_in_the_chance(make, monkeypatch):
     """Confirming the best of k sets of variables is k times as likely by chance as confirming one."""
-    module = importlib.import_module("tau_dyn.evidence.confirmation")
+    module = importlib.import_module("tau_dyn.evidence.unexplained")
     monkeypatch.setattr(module, "confirm_structure", lambda *parts: Confirmation(1.0, 0.3, 1e-3))
     rng = np.random.default_rng(7)
     found, said, _ = told(make, rng, together(make, rng, (VALIDATION,)), by_third)

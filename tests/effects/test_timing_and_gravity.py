@@ -21,7 +21,7 @@ from tau_dyn.effects import (
     Scene,
     apply_first_order_lowpass,
 )
-from tau_dyn.evidence.search_edges import find_edge
+from tau_dyn.evidence.settings import find_edge
 from tau_dyn.mechanism import GantryTauMechanism, TreeMechanism, build_mechanism
 from tau_dyn.mechanism.mechanism import compute_perpendicular_axes
 from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf

@@ -14,7 +14,8 @@ from scipy.signal import lfilter
 
 from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion, Scene
 from tau_dyn.estimate import Autoregression, RegressionRun
-from tau_dyn.evidence.channel import TRAIN, Channel, ColumnCache
+from tau_dyn.evidence.channel import Channel, ColumnCache
+from tau_dyn.evidence.measurements import TRAIN
 from tau_dyn.evidence.null_model import NullModel
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -149,8 +150,8 @@ def measuring(channel: Bench, y: np.ndarray) -> Bench:
     return replace(channel, runs=(replace(channel.runs[0], y=y, y_all=y),))
 
 
-def ground_of(channel: Bench, *parts: int, beside: Sequence[Effect] = ()) -> NullModel:
-    """Return the ground of these parts (by default the training part) under the bench's true noise model."""
+def build_null_model(channel: Bench, *parts: int, beside: Sequence[Effect] = ()) -> NullModel:
+    """Return the null_model of these parts (by default the training part) under the bench's true noise model."""
     return NullModel.of(ColumnCache(channel), parts or (TRAIN,), (NOISE,) * len(channel.outputs), beside)
 
 
@@ -195,5 +196,11 @@ class OneBump(Bump):
 def make() -> SimpleNamespace:
     """The makers above, and what they make it of."""
     kinds = {"Bump": Bump, "ManyBumps": ManyBumps, "OneBump": OneBump}
-    functions = {"bench": bench, "moving": moving, "coloured": coloured, "measuring": measuring, "ground": ground_of}
+    functions = {
+        "bench": bench,
+        "moving": moving,
+        "coloured": coloured,
+        "measuring": measuring,
+        "null_model": build_null_model,
+    }
     return SimpleNamespace(noise=NOISE, turns=taking_turns, **functions, **kinds)

@@ -16,25 +16,25 @@ from tau_dyn.evidence.candidate_scan import (
     list_joint_groups,
     scan_causes,
 )
-from tau_dyn.evidence.channel import TRAIN, VALIDATION
+from tau_dyn.evidence.measurements import TRAIN, VALIDATION
 
 CLEAN = 300
 
 
 @pytest.fixture(scope="module")
 def one(make):
-    """A joint's ground on a clean log, and clean residuals (R, CLEAN) on the same motion."""
+    """A joint's null_model on a clean log, and clean residuals (R, CLEAN) on the same motion."""
     rng = np.random.default_rng(11)
-    ground = make.ground(make.bench(rng, n=3000))
-    return ground, ground.draw_null_residuals(CLEAN, rng)
+    null_model = make.null_model(make.bench(rng, n=3000))
+    return null_model, null_model.draw_null_residuals(CLEAN, rng)
 
 
 def clean_fits(one, cls, rng):
     """Return the fit of a cause on each clean residual, each with its own noise draws."""
-    ground, clean = one
+    null_model, clean = one
     found = []
     for e in clean.T:
-        again = replace(ground, e=e)
+        again = replace(null_model, e=e)
         found.append(fit_group(again, again.draw_null_residuals(N_NULL_DRAWS, rng), cls, ("x",)))
     return found
 
@@ -68,17 +68,17 @@ def test_forms_with_few_and_many_columns_share_one_level(one, rng):
 
 def test_multiplicity_grows_with_the_grid(make, one, rng):
     """One place is one try; 8 and 40 places that do not overlap are about as many; a smooth grid is far fewer."""
-    ground, _ = one
-    draws = ground.draw_null_residuals(600, rng)
+    null_model, _ = one
+    draws = null_model.draw_null_residuals(600, rng)
     single, some, many = (
-        fit_group(ground, draws, cls, ("x",)).n_effective_tests for cls in (make.OneBump, make.Bump, make.ManyBumps)
+        fit_group(null_model, draws, cls, ("x",)).n_effective_tests for cls in (make.OneBump, make.Bump, make.ManyBumps)
     )
-    drag = fit_group(ground, draws, QuadraticDrag, ("x",)).n_effective_tests
+    drag = fit_group(null_model, draws, QuadraticDrag, ("x",)).n_effective_tests
     assert_allclose([single, drag], 1.0, atol=0.15)
     assert_allclose(some, 8, rtol=0.15)
     assert_allclose(many, 40, rtol=0.2)
-    smooth = fit_group(ground, draws, Stribeck, ("x",))
-    assert 1.0 <= smooth.n_effective_tests < 0.8 * len(Stribeck.grid(ground.channel.scene, ("x",)))
+    smooth = fit_group(null_model, draws, Stribeck, ("x",))
+    assert 1.0 <= smooth.n_effective_tests < 0.8 * len(Stribeck.grid(null_model.channel.scene, ("x",)))
 
 
 def test_the_best_setting_is_the_hidden_one(make, rng):
@@ -86,11 +86,11 @@ def test_the_best_setting_is_the_hidden_one(make, rng):
     place = make.ManyBumps.grid(make.bench(np.random.default_rng(5)).scene, ("x",))[11]
     effect = make.ManyBumps(("x",), ("N",), **place)
     channel = make.bench(np.random.default_rng(5), lambda m: 4 * effect.columns(m)[:, :, 0])
-    ground = make.ground(channel)
-    fit = fit_group(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), make.ManyBumps, ("x",))
+    null_model = make.null_model(channel)
+    fit = fit_group(null_model, null_model.draw_null_residuals(N_NULL_DRAWS, rng), make.ManyBumps, ("x",))
     assert fit.effect.settings == effect.settings
-    C = ground.whiten_columns(channel.columns(effect))
-    assert_allclose(fit.statistic, (C[:, 0] @ ground.e) ** 2 / ground.gram(C)[0, 0], rtol=1e-9)
+    C = null_model.whiten_columns(channel.columns(effect))
+    assert_allclose(fit.statistic, (C[:, 0] @ null_model.e) ** 2 / null_model.gram(C)[0, 0], rtol=1e-9)
     assert fit.p_value < 1e-6
     grid = make.ManyBumps.grid(channel.scene, ("x",))
     assert fit.neighbours == (grid[10], grid[12])
@@ -104,58 +104,58 @@ def test_held_out_logs_are_not_looked_at_while_causes_are_tried(make, rng, monke
     monkeypatch.setattr(
         type(channel), "run_columns", lambda self, effect, run: made.append(run) or plain(self, effect, run)
     )
-    ground = make.ground(channel)
-    fit = fit_group(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), make.ManyBumps, ("x",))
+    null_model = make.null_model(channel)
+    fit = fit_group(null_model, null_model.draw_null_residuals(N_NULL_DRAWS, rng), make.ManyBumps, ("x",))
     assert set(made) == {0} and len(made) == 40
-    assert [len(c) for c in ground.library.columns(fit.effect)] == [4000, 2000]
+    assert [len(c) for c in null_model.library.columns(fit.effect)] == [4000, 2000]
     assert made.count(1) == 1
 
 
 def test_scatter_that_the_noise_model_misses_inflates(make, rng):
     """An effect that comes and goes block by block is worth less than its T: inflation above 1.5; with white noise about 1."""
     channel = make.bench(rng, n=8000)
-    ground = make.ground(channel)
+    null_model = make.null_model(channel)
     drag = QuadraticDrag
-    steady = ground.project_out(ground.whiten_columns(channel.columns(drag(("x",), ("N",)))))[:, 0]
-    blocks = len(np.unique(ground.whiten.block))
-    fickle = rng.standard_normal(ground.whiten.block.max() + 1)[ground.whiten.block] * steady
+    steady = null_model.project_out(null_model.whiten_columns(channel.columns(drag(("x",), ("N",)))))[:, 0]
+    blocks = len(np.unique(null_model.whiten.block))
+    fickle = rng.standard_normal(null_model.whiten.block.max() + 1)[null_model.whiten.block] * steady
     fickle *= 2 * np.sqrt(blocks) / np.linalg.norm(steady)
     found = []
     for extra in (0.0, fickle):
-        e = ground.draw_null_residuals(1, rng)[:, 0] + 8 * steady / np.linalg.norm(steady) + extra
-        fit = fit_group(replace(ground, e=e), ground.draw_null_residuals(N_NULL_DRAWS, rng), drag, ("x",))
+        e = null_model.draw_null_residuals(1, rng)[:, 0] + 8 * steady / np.linalg.norm(steady) + extra
+        fit = fit_group(replace(null_model, e=e), null_model.draw_null_residuals(N_NULL_DRAWS, rng), drag, ("x",))
         found.append(fit)
     assert found[0].overdispersion < 1.3 and found[1].overdispersion > 1.5
     assert found[1].p_value > stats.chi2.sf(found[1].statistic, 1)
 
 
 def three(make, rng, size):
-    """Return three joints' ground, each with a bump of this size at the third of eight places."""
+    """Return three joints' null_model, each with a bump of this size at the third of eight places."""
     joints = ("x", "y", "z")
     plain = make.bench(np.random.default_rng(2), joints=joints, n=2000)
     force = 0.0
     for j in joints:
         effect = make.Bump((j,), ("N",), **make.Bump.grid(plain.scene, (j,))[2])
         force = force + size * effect.columns(plain.motions[0])[:, :, 0]
-    return make.ground(make.bench(rng, lambda m: force, motions=plain.motions))
+    return make.null_model(make.bench(rng, lambda m: force, motions=plain.motions))
 
 
 def test_joints_together_show_what_none_shows_alone(make, rng):
     """The same weak effect in three joints: p of all together is mostly below a tenth of the best one's alone."""
     ratio = []
     for _ in range(8):
-        ground = three(make, rng, 1.8)
-        (found,) = scan_causes(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), [make.Bump], set())
+        null_model = three(make, rng, 1.8)
+        (found,) = scan_causes(null_model, null_model.draw_null_residuals(N_NULL_DRAWS, rng), [make.Bump], set())
         ratio.append(min(1.0, 3 * min(f.p_value for f in found.tested)) / found.p_value)
     assert np.median(ratio) > 10
 
 
 def test_together_or_alone_stays_at_its_level(make, rng):
     """Of clean residuals on three joints 5 % and 2.5 sigma at most have p < 0.05: the better of two is paid for."""
-    ground = three(make, rng, 0.0)
+    null_model = three(make, rng, 0.0)
     p = []
-    for e in ground.draw_null_residuals(120, rng).T:
-        again = replace(ground, e=e)
+    for e in null_model.draw_null_residuals(120, rng).T:
+        again = replace(null_model, e=e)
         p.append(scan_causes(again, again.draw_null_residuals(N_NULL_DRAWS, rng), [make.Bump], set())[0].p_value)
     assert np.mean(np.array(p) < 0.5) > 0.15
     assert np.mean(np.array(p) < 0.05) < 0.05 + 2.5 * np.sqrt(0.05 * 0.95 / 120)
@@ -163,8 +163,8 @@ def test_together_or_alone_stays_at_its_level(make, rng):
 
 def test_a_weak_joint_waits_for_the_next_round(make, rng):
     """A joint with a twentieth of the strongest one's evidence does not join at once; strong ones do, strongest first."""
-    ground = three(make, rng, 12.0)
-    (found,) = scan_causes(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), [make.Bump], set())
+    null_model = three(make, rng, 12.0)
+    (found,) = scan_causes(null_model, null_model.draw_null_residuals(N_NULL_DRAWS, rng), [make.Bump], set())
     assert len(found.fits) == 3
     assert [f.penalised_statistic for f in found.fits] == sorted(
         (f.penalised_statistic for f in found.fits), reverse=True
@@ -177,8 +177,8 @@ def test_a_weak_joint_waits_for_the_next_round(make, rng):
 
 def test_one_delay_for_all_drives_competes_with_one_for_each(make, rng):
     """Overlapping groups never act at once: all together where they agree, each alone where that explains much more."""
-    ground = three(make, rng, 6.0)
-    fits = scan_causes(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), [make.Bump], set())[0].tested
+    null_model = three(make, rng, 6.0)
+    fits = scan_causes(null_model, null_model.draw_null_residuals(N_NULL_DRAWS, rng), [make.Bump], set())[0].tested
     whole = replace(
         fits[0], effect=make.Bump(("x", "y", "z"), ("N",) * 3), statistic=1.05 * sum(f.statistic for f in fits)
     )
@@ -203,13 +203,13 @@ def test_groups_that_are_covered_are_not_tried_again(make, rng):
 def test_what_the_motion_cannot_show_is_not_tried(make, rng):
     """Without a temperature thermal drift has no groups; a joint that never left its slow speeds has no Stribeck grid."""
     channel = make.bench(rng, n=500)
-    ground = make.ground(channel)
+    null_model = make.null_model(channel)
     assert list_joint_groups(channel, ThermalDrift, set()) == []
 
     still = replace(channel, scene=replace(channel.scene, fast=channel.scene.slow))
-    ground = make.ground(still)
-    assert fit_group(ground, ground.draw_null_residuals(4, rng), Stribeck, ("x",)) is None
-    assert scan_causes(ground, ground.draw_null_residuals(4, rng), [ThermalDrift, Stribeck], set()) == []
+    null_model = make.null_model(still)
+    assert fit_group(null_model, null_model.draw_null_residuals(4, rng), Stribeck, ("x",)) is None
+    assert scan_causes(null_model, null_model.draw_null_residuals(4, rng), [ThermalDrift, Stribeck], set()) == []
 
 
 def test_joints_that_are_late_alike_have_one_delay(one):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.evidence.channel import EVERY, TEST, TRAIN, VALIDATION, refuse_scarce
+from tau_dyn.evidence.measurements import EVERY, TEST, TRAIN, VALIDATION, refuse_scarce
 
 
 def channel(counts: dict[int, int]) -> Any:

@@ -11,9 +11,9 @@ import pytest
 from tau_dyn.effects import Stribeck, ViscousCurvature
 from tau_dyn.evidence import Unexplained, plausibility
 from tau_dyn.evidence.claims import select_confirmed, select_supported
-from tau_dyn.evidence.confirmation import confirm_cause
 from tau_dyn.evidence.plausibility import MAX_LAW_ERROR, compute_least_forces, demote_small, find_companion
 from tau_dyn.evidence.stepwise_selection import select_causes
+from tau_dyn.evidence.validation import confirm_cause
 from tau_dyn.parameters import Parameter, Parameters
 
 
@@ -31,9 +31,9 @@ def test_what_is_far_smaller_than_another_cause_may_be_its_inexactness(monkeypat
 
 def search(channel, rng) -> tuple[dict[str, str], list[str]]:
     """Return why each cause found is not confirmed, and the causes that stand."""
-    hunt = select_causes(channel, rng, lambda step: None)
-    claims = select_confirmed(hunt, [confirm_cause(hunt, one) for one in hunt.found])
-    claims, _ = select_supported(hunt, claims, rng)
+    selection = select_causes(channel, rng, lambda step: None)
+    claims = select_confirmed(selection, [confirm_cause(selection, one) for one in selection.found])
+    claims, _ = select_supported(selection, claims, rng)
     why = {one.candidate.cause: w for one, w in zip(claims.found, claims.why_not, strict=True)}
     return why, [one.candidate.cause for one in claims.kept]
 

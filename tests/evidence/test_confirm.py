@@ -6,14 +6,14 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 from tau_dyn.effects import PositionFriction, Stribeck, ViscousAsymmetry
-from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION
 from tau_dyn.evidence.confirmation import Confirmation, confirm
+from tau_dyn.evidence.measurements import TEST, TRAIN, VALIDATION
 
 EFFECT = ViscousAsymmetry(("x",), ("N",))
 
 
 def confirmed(make, channel, effect=EFFECT, others=()):
-    return confirm(make.ground(channel), [channel.columns(effect)], others)
+    return confirm(make.null_model(channel), [channel.columns(effect)], others)
 
 
 def test_of_a_true_effect_all_of_it_is_seen(make):
@@ -101,7 +101,7 @@ def test_only_what_the_baseline_leaves_of_an_effect_counts(make, rng):
     assert found.is_confirmed
     assert_allclose(found.share, 1.0, atol=4 * found.stderr)
     assert 0.02 < found.stderr < 0.5
-    absorbed = confirm(make.ground(channel), [[channel.runs[0].W[:, :, :1]]], ())
+    absorbed = confirm(make.null_model(channel), [[channel.runs[0].W[:, :, :1]]], ())
     assert not absorbed.is_confirmed
 
 

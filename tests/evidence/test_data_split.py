@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.estimate import RegressionRun
-from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION, split_by_blocks
+from tau_dyn.evidence.measurements import TEST, TRAIN, VALIDATION, split_by_blocks
 
 RATE_HZ = 100.0
 

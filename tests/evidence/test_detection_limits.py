@@ -25,9 +25,9 @@ from tau_dyn.evidence.stepwise_selection import StepwiseSelection, adjust_p_valu
 
 def searched(make, channel, rng) -> StepwiseSelection:
     """Return a search that found nothing."""
-    ground = make.ground(channel)
-    last = tuple(scan_causes(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), channel.causes, set()))
-    return StepwiseSelection((), ground, last)
+    null_model = make.null_model(channel)
+    last = tuple(scan_causes(null_model, null_model.draw_null_residuals(N_NULL_DRAWS, rng), channel.causes, set()))
+    return StepwiseSelection((), null_model, last)
 
 
 @pytest.mark.parametrize("dof", [1, 2, 5])
@@ -56,11 +56,11 @@ def test_an_effect_at_its_limit_is_found_in_95_of_100_draws(make, rng, name):
     limit = next(x for x in limits if x.cause == name)
     cls = next(cls for cls in causes if cls.name == name)
     effect = select_median_setting(channel, cls(("x",), ("N",)))
-    force = search.ground.project_out(search.ground.whiten_columns(channel.columns(effect)))[:, 0]
+    force = search.null_model.project_out(search.null_model.whiten_columns(channel.columns(effect)))[:, 0]
     found = []
-    for noise in search.ground.draw_null_residuals(120, rng).T:
-        ground = replace(search.ground, e=noise + limit.amplitude * force)
-        (candidate,) = scan_causes(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), [cls], set())
+    for noise in search.null_model.draw_null_residuals(120, rng).T:
+        null_model = replace(search.null_model, e=noise + limit.amplitude * force)
+        (candidate,) = scan_causes(null_model, null_model.draw_null_residuals(N_NULL_DRAWS, rng), [cls], set())
         found.append(adjust_p_value_bonferroni(candidate, search.last) < FAMILY_LEVEL)
     assert 0.88 < np.mean(found) < 0.995
 

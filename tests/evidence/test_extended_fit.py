@@ -5,7 +5,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.effects import ViscousAsymmetry
-from tau_dyn.evidence.channel import TEST, TRAIN
 from tau_dyn.evidence.extended_fit import (
     build_extended_regression,
     compute_errors,
@@ -13,6 +12,7 @@ from tau_dyn.evidence.extended_fit import (
     estimate_noise_floor,
     fit_extended_model,
 )
+from tau_dyn.evidence.measurements import TEST, TRAIN
 
 EFFECT = ViscousAsymmetry(("x",), ("N",))
 

@@ -25,13 +25,13 @@ class Motor(JointwiseEffect):
 def test_what_the_baseline_absorbs_has_no_standard_error(make, rng):
     """The inertia is the mass's own column: no data tell it; the drag has the standard error of its own regression."""
     channel = make.bench(rng, lambda m: 40.0 * m.v * np.abs(m.v))
-    ground, effect = make.ground(channel), Motor(("x",), ("N",))
+    null_model, effect = make.null_model(channel), Motor(("x",), ("N",))
     values = Parameters([p for p in effect.parameters])
-    found = estimate_uncertainty(ground, [effect], values, 1.0)
+    found = estimate_uncertainty(null_model, [effect], values, 1.0)
     inertia, drag = found
     assert inertia.stderr is None
-    column = ground.whiten_columns([c[:, :, 1:] for c in channel.columns(effect)])
-    assert_allclose(drag.stderr, ground.gram(column)[0, 0] ** -0.5, rtol=1e-6)
+    column = null_model.whiten_columns([c[:, :, 1:] for c in channel.columns(effect)])
+    assert_allclose(drag.stderr, null_model.gram(column)[0, 0] ** -0.5, rtol=1e-6)
 
 
 @pytest.mark.parametrize(("percent", "says"), [(12.4, "12 % smaller"), (0.34, "0.3 % smaller"), (-0.6, "not smaller")])

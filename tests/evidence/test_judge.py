@@ -14,15 +14,18 @@ from tau_dyn.effects.effect import PlausibleRange
 from tau_dyn.evidence import ExaminationOptions, Finding, Gain, claims as claims_module, decide_verdict, examine_channel
 from tau_dyn.evidence.candidate_scan import GroupTest, combine_group_tests, compute_null_moments
 from tau_dyn.evidence.claims import MAX_OUTPUT_LOSS_PERCENT, is_worse
-from tau_dyn.evidence.noise_consistency import assess_noise_consistency
+from tau_dyn.evidence.measurements import HELD_OUT, TRAIN
+from tau_dyn.evidence.null_model import NullModel
 from tau_dyn.evidence.stepwise_selection import select_causes
+from tau_dyn.evidence.unexplained import assess_noise_consistency
 from tau_dyn.evidence.unknown_structure import list_dependences
 
 
 def assess(channel, rng) -> dict[str, float]:
     """Return the p-value of each output's residual, no cause in the model."""
-    hunt = select_causes(channel, rng, lambda step: None)
-    return {test.output: test.p_value for test in assess_noise_consistency(hunt, ())}
+    selection = select_causes(channel, rng, lambda step: None)
+    null_models = [NullModel.of(selection.library, parts, selection.null_model.noise) for parts in ((TRAIN,), HELD_OUT)]
+    return {test.output: test.p_value for test in assess_noise_consistency(null_models)}
 
 
 def test_coloured_noise_is_consistent_with_the_noise(make, rng):
@@ -182,10 +185,12 @@ def recommend_with(monkeypatch, before: float, after: float, losses: dict[str, f
     monkeypatch.setattr(claims_module, "_measure_gain", lambda *args, **more: total)
     errors = [SimpleNamespace(relative_error_percent=x) for x in (before, after)]
     fits = [SimpleNamespace(residuals=[], errors=e) for e in errors]
-    bars = SimpleNamespace(fits=fits, nominal=None)
+    waterfall = SimpleNamespace(fits=fits, nominal=None)
     claims = SimpleNamespace(kept=[SimpleNamespace(candidate=SimpleNamespace(effects=()))])
-    hunt = SimpleNamespace(channel=channel)
-    return claims_module.recommend(cast(Any, hunt), cast(Any, claims), cast(Any, bars), np.random.default_rng(0))
+    selection = SimpleNamespace(channel=channel)
+    return claims_module.recommend(
+        cast(Any, selection), cast(Any, claims), cast(Any, waterfall), np.random.default_rng(0)
+    )
 
 
 def test_the_whole_error_decides_on_the_extended_model(monkeypatch):

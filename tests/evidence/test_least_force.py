@@ -21,6 +21,6 @@ def test_a_small_force_in_noise_is_a_force(own: float, rejected: bool) -> None:
     channel = SimpleNamespace(name="force", outputs=("x",), runs=(run,), scene=SimpleNamespace(joints=("x",)))
     found = claims.Claims(cast(Any, (one,)), ("",), cast(Any, (None,)))
     gain = Gain(float(np.hypot(0.01, own)), 0.01, 0.02, (0.01, 0.03))
-    bars = claims.Waterfall([], [], [gain])
-    judged = claims._reject_without_gain(cast(Any, channel), found, bars)
+    waterfall = claims.Waterfall([], [], [gain])
+    judged = claims._reject_without_gain(cast(Any, channel), found, waterfall)
     assert bool(judged.why_not[0]) is rejected

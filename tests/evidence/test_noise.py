@@ -33,8 +33,8 @@ def test_a_joint_that_never_moved_has_a_noise_model_all_the_same(make, rng):
         array[:, 1] = 0.0
     channel = make.bench(rng, motions=[motion])
     models = fit_noise_models(channel, (0,))
-    ground = NullModel.of(ColumnCache(channel), (0,), models)
-    assert_array_equal(np.unique(ground.whiten.index), [0])
+    null_model = NullModel.of(ColumnCache(channel), (0,), models)
+    assert_array_equal(np.unique(null_model.whiten.index), [0])
 
 
 def test_temperature_that_stands_still_in_one_log_is_compared_with_the_other(make, rng):

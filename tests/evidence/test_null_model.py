@@ -12,10 +12,10 @@ from tau_dyn.effects import QuadraticDrag, Stribeck, ViscousAsymmetry
 from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, compute_score_statistics, orthonormalise
 
 
-def explained(ground, C, nonnegative=None):
-    """Return T of columns (R, k) against the ground's residual."""
+def explained(null_model, C, nonnegative=None):
+    """Return T of columns (R, k) against the null_model's residual."""
     sided = np.zeros(C.shape[1], bool) if nonnegative is None else np.array(nonnegative)
-    s, G = C.T @ ground.e, ground.gram(C)
+    s, G = C.T @ null_model.e, null_model.gram(C)
     return float(compute_score_statistics(s[None, :, None], G[None], np.sum(C**2, axis=0)[None], sided)[0, 0])
 
 
@@ -36,7 +36,7 @@ def rss(X, y):
 def test_T_is_the_drop_of_the_weighted_sum_of_squares(make, rng):
     """Frisch & Waugh: projecting the baseline out of a column first gives what refitting everything with it gives."""
     channel = make.bench(rng, lambda m: 0.5 * np.abs(m.v), n=1500)
-    ground = make.ground(channel)
+    null_model = make.null_model(channel)
     white = dense_rows(channel, 0)
     B, y = white(channel.runs[0].W[:, 0]), white(channel.runs[0].y[:, 0])
     both = []
@@ -45,11 +45,11 @@ def test_T_is_the_drop_of_the_weighted_sum_of_squares(make, rng):
         both.append(C[0])
         dense = white(C[0][:, 0])
         drop = rss(B, y) - rss(np.column_stack([B, dense]), y)
-        assert_allclose(explained(ground, ground.whiten_columns(C)), drop / ground.scale**2, rtol=1e-6)
+        assert_allclose(explained(null_model, null_model.whiten_columns(C)), drop / null_model.scale**2, rtol=1e-6)
     C = [np.concatenate(both, axis=2)]
     drop = rss(B, y) - rss(np.column_stack([B, white(C[0][:, 0])]), y)
-    assert_allclose(explained(ground, ground.whiten_columns(C)), drop / ground.scale**2, rtol=1e-6)
-    assert_allclose(ground.scale**2, rss(B, y) / (len(y) - 4), rtol=1e-6)
+    assert_allclose(explained(null_model, null_model.whiten_columns(C)), drop / null_model.scale**2, rtol=1e-6)
+    assert_allclose(null_model.scale**2, rss(B, y) / (len(y) - 4), rtol=1e-6)
 
 
 def test_what_was_known_beforehand_counts_as_a_measurement(make, rng):
@@ -64,8 +64,8 @@ def test_what_was_known_beforehand_counts_as_a_measurement(make, rng):
     B, y = white(plain.runs[0].W[:, 0]), white(plain.runs[0].y[:, 0])
     for p in (parameters, known, fixed):
         channel = replace(plain, parameters=p)
-        ground = make.ground(channel)
-        found.append(explained(ground, ground.whiten_columns(column)) * ground.scale**2)
+        null_model = make.null_model(channel)
+        found.append(explained(null_model, null_model.whiten_columns(column)) * null_model.scale**2)
     prior = np.array([[10.0, 0.0, 0.0, 0.0]])
     with_prior = rss(np.concatenate([B, prior]), np.append(y, 200.0))
     assert found[0] == 0.0  # the refit takes it all
@@ -91,9 +91,9 @@ def test_a_negative_drag_explains_nothing(make, rng):
     """A force of the wrong sign for a cause leaves its T at zero; of the right sign T is that of the free column."""
     for sign in (-1.0, 1.0):
         channel = make.bench(rng, lambda m, s=sign: s * 150 * m.v * np.abs(m.v))
-        ground = make.ground(channel)
-        C = ground.whiten_columns(channel.columns(QuadraticDrag(("x",), ("N",))))
-        free, bounded = explained(ground, C), explained(ground, C, [True])
+        null_model = make.null_model(channel)
+        C = null_model.whiten_columns(channel.columns(QuadraticDrag(("x",), ("N",))))
+        free, bounded = explained(null_model, C), explained(null_model, C, [True])
         assert free > 50
         assert_allclose(bounded, free if sign > 0 else 0.0)
 
@@ -101,24 +101,24 @@ def test_a_negative_drag_explains_nothing(make, rng):
 def test_a_column_that_the_baseline_absorbs_explains_exactly_nothing(make, rng):
     """A copy of a baseline column, or one that differs from it by less than the tolerance, gets T = 0 and not 0 / 0."""
     channel = make.bench(rng)
-    ground = make.ground(channel)
-    column = ground.whiten_columns([channel.runs[0].W[:, :, 1:2]])
-    assert explained(ground, 1e6 * column) == 0.0
-    other = ground.project_out(rng.normal(size=column.shape))
+    null_model = make.null_model(channel)
+    column = null_model.whiten_columns([channel.runs[0].W[:, :, 1:2]])
+    assert explained(null_model, 1e6 * column) == 0.0
+    other = null_model.project_out(rng.normal(size=column.shape))
     other *= np.linalg.norm(column) / np.linalg.norm(other)
-    assert explained(ground, column + 0.5 * np.sqrt(MIN_UNABSORBED_SHARE) * other) == 0.0
-    beyond = explained(ground, column + 2 * np.sqrt(MIN_UNABSORBED_SHARE) * other)
-    assert_allclose(beyond, explained(ground, other), rtol=1e-4)
-    assert explained(ground, np.zeros_like(column)) == 0.0
+    assert explained(null_model, column + 0.5 * np.sqrt(MIN_UNABSORBED_SHARE) * other) == 0.0
+    beyond = explained(null_model, column + 2 * np.sqrt(MIN_UNABSORBED_SHARE) * other)
+    assert_allclose(beyond, explained(null_model, other), rtol=1e-4)
+    assert explained(null_model, np.zeros_like(column)) == 0.0
 
 
 def test_of_two_columns_the_one_not_absorbed_still_counts(make, rng):
     """An absorbed companion takes nothing away from a column that shows something."""
     channel = make.bench(rng, lambda m: 2 * np.abs(m.v))
-    ground = make.ground(channel)
-    C = ground.whiten_columns(channel.columns(ViscousAsymmetry(("x",), ("N",))))
-    absorbed = ground.whiten_columns([channel.runs[0].W[:, :, :1]])
-    assert_allclose(explained(ground, np.column_stack([C, absorbed])), explained(ground, C), rtol=1e-3)
+    null_model = make.null_model(channel)
+    C = null_model.whiten_columns(channel.columns(ViscousAsymmetry(("x",), ("N",))))
+    absorbed = null_model.whiten_columns([channel.runs[0].W[:, :, :1]])
+    assert_allclose(explained(null_model, np.column_stack([C, absorbed])), explained(null_model, C), rtol=1e-3)
 
 
 @pytest.mark.parametrize("dof", [1, 3])
@@ -130,7 +130,7 @@ def test_T_of_pure_noise_is_chi_square(make, rng, dof):
     found = []
     for _ in range(250):
         y = W @ channel.parameters.values + make.coloured(rng, 1500, 1)
-        again = make.ground(make.measuring(channel, y))
+        again = make.null_model(make.measuring(channel, y))
         found.append(explained(again, again.whiten_columns([C])))
     assert stats.kstest(found, stats.chi2(dof).cdf).pvalue > 0.01
 
@@ -139,12 +139,12 @@ def test_draws_are_noise_as_the_baseline_leaves_it(make, rng):
     """Draws are orthogonal to everything accounted for, and their T is chi-square as that of a clean log."""
     channel = make.bench(rng, n=2000)
     beside = ViscousAsymmetry(("x",), ("N",))
-    ground = make.ground(channel, beside=[beside])
-    draws = ground.draw_null_residuals(400, rng)
-    assert_allclose(ground.Q.T @ draws, 0.0, atol=1e-9)
-    assert_allclose(ground.rows(beside).T @ draws, 0.0, atol=1e-6)
-    C = ground.whiten_columns(channel.columns(QuadraticDrag(("x",), ("N",))))
-    T = (C.T @ draws)[0] ** 2 / ground.gram(C)[0, 0]
+    null_model = make.null_model(channel, beside=[beside])
+    draws = null_model.draw_null_residuals(400, rng)
+    assert_allclose(null_model.Q.T @ draws, 0.0, atol=1e-9)
+    assert_allclose(null_model.rows(beside).T @ draws, 0.0, atol=1e-6)
+    C = null_model.whiten_columns(channel.columns(QuadraticDrag(("x",), ("N",))))
+    T = (C.T @ draws)[0] ** 2 / null_model.gram(C)[0, 0]
     assert stats.kstest(T, stats.chi2(1).cdf).pvalue > 0.01
 
 
@@ -157,8 +157,8 @@ def test_the_noncentrality_of_the_true_column_is_lambda(make, rng):
     strength = rss(white(plain.runs[0].W[:, 0]), size * white(column[0][:, 0])[:, 0])
     for _ in range(200):
         y = plain.runs[0].y + size * column[0][:, :, 0] + make.coloured(rng, 1500, 1)
-        ground = make.ground(make.measuring(plain, y))
-        found.append(explained(ground, ground.whiten_columns(column)) * ground.scale**2)
+        null_model = make.null_model(make.measuring(plain, y))
+        found.append(explained(null_model, null_model.whiten_columns(column)) * null_model.scale**2)
     assert strength > 10
     assert_allclose(np.mean(found), 1 + strength, atol=4 * np.sqrt((2 + 4 * strength) / 200))
     assert stats.kstest(found, stats.ncx2(1, strength).cdf).pvalue > 0.01

@@ -9,7 +9,7 @@ import pytest
 
 from tau_dyn.effects import DirectionalEfficiency, DriveGain, Effect, LoadFriction, Motion
 from tau_dyn.evidence.candidate_scan import CandidateCause, GroupTest, rescore_group
-from tau_dyn.evidence.pairs import find_rival_pairs
+from tau_dyn.evidence.forward_step import find_rival_pairs
 
 
 def carrying(motion: Motion) -> Motion:
@@ -19,9 +19,9 @@ def carrying(motion: Motion) -> Motion:
     return replace(motion, signals={"load": load, "reducer_torque": load, "force": force})
 
 
-def candidate(effect: Effect, ground) -> CandidateCause:
+def candidate(effect: Effect, null_model) -> CandidateCause:
     """Return what an effect explains as a candidate."""
-    fit = rescore_group(GroupTest(effect, 0.0, 1.0, len(effect.parameters), False, 1.0, np.zeros(3)), ground)
+    fit = rescore_group(GroupTest(effect, 0.0, 1.0, len(effect.parameters), False, 1.0, np.zeros(3)), null_model)
     return CandidateCause(effect.name, (fit,), 0.0, (fit,))
 
 
@@ -35,8 +35,8 @@ def test_two_losses_are_friction_and_a_gain(make, rng, losses, rivals) -> None:
         return DirectionalEfficiency(["x"], ["N"]).columns(motion) @ np.array(losses)
 
     motion = carrying(make.moving(rng, ("x",), 6000, size=2.0))
-    ground = make.ground(make.bench(rng, hidden, motions=(motion,)))
+    null_model = make.null_model(make.bench(rng, hidden, motions=(motion,)))
     gear, friction, gain = (
-        candidate(cls(["x"], ["N"]), ground) for cls in (DirectionalEfficiency, LoadFriction, DriveGain)
+        candidate(cls(["x"], ["N"]), null_model) for cls in (DirectionalEfficiency, LoadFriction, DriveGain)
     )
-    assert find_rival_pairs(gear, [gear, friction, gain], ground) == rivals
+    assert find_rival_pairs(gear, [gear, friction, gain], null_model) == rivals

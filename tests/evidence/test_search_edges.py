@@ -7,36 +7,35 @@ import pytest
 
 from tau_dyn.effects import Motion, ViscousCurvature
 from tau_dyn.effects.friction import PARABOLA
-from tau_dyn.evidence.candidate_scan import N_NULL_DRAWS, estimate_amplitudes, scan_causes
-from tau_dyn.evidence.search_edges import find_edge
-from tau_dyn.evidence.stepwise_selection import refine_settings
+from tau_dyn.evidence.candidate_scan import N_NULL_DRAWS, scan_causes
+from tau_dyn.evidence.settings import estimate_amplitudes, find_edge, refine_settings
 
 
 def refine(make, rng, law):
-    """Return the refined viscous curvature of a bench with a hidden law of speed, and the ground."""
+    """Return the refined viscous curvature of a bench with a hidden law of speed, and the null_model."""
 
     def hidden(motion: Motion) -> np.ndarray:
         return law(motion.v)
 
     channel = make.bench(rng, hidden, motions=(make.moving(rng, ("x",), 6000, size=2.0),), causes=(ViscousCurvature,))
-    ground = make.ground(channel)
-    (best,) = scan_causes(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), (ViscousCurvature,), set())
-    return refine_settings(best, ground).fits[0].effect, ground
+    null_model = make.null_model(channel)
+    (best,) = scan_causes(null_model, null_model.draw_null_residuals(N_NULL_DRAWS, rng), (ViscousCurvature,), set())
+    return refine_settings(best, null_model).fits[0].effect, null_model
 
 
 def test_friction_that_bends_up_to_the_top_speed_is_a_parabola(make, rng) -> None:
     """`-20 v |v|` has no knee: the parabola that levels off at the top speed has 20 times its square as amplitude."""
-    effect, ground = refine(make, rng, lambda v: -20 * v * np.abs(v))
-    scene = ground.channel.scene
+    effect, null_model = refine(make, rng, lambda v: -20 * v * np.abs(v))
+    scene = null_model.channel.scene
     assert effect.settings == {"power": PARABOLA, "knee": scene.fast[0]} and find_edge([effect], scene) == ""
-    (amplitude,) = estimate_amplitudes(effect, ground)
+    (amplitude,) = estimate_amplitudes(effect, null_model)
     assert amplitude == pytest.approx(20 * scene.fast[0] ** 2, rel=0.15)
 
 
 def test_friction_with_a_knee_keeps_it(make, rng) -> None:
     """25 arctan(v / 0.1) has its knee within the speeds seen; no parabola takes its place."""
-    effect, ground = refine(make, rng, lambda v: 25 * np.arctan(v / 0.1))
-    assert effect.settings["power"] != PARABOLA and effect.settings["knee"] < 0.5 * ground.channel.scene.fast[0]
+    effect, null_model = refine(make, rng, lambda v: 25 * np.arctan(v / 0.1))
+    assert effect.settings["power"] != PARABOLA and effect.settings["knee"] < 0.5 * null_model.channel.scene.fast[0]
 
 
 def test_a_parabola_grows_to_its_knee_and_stays(rng) -> None:

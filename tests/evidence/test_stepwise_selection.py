@@ -20,7 +20,8 @@ from tau_dyn.effects import (
 )
 from tau_dyn.evidence.candidate_scan import GroupTest
 from tau_dyn.evidence.channel import build_scene
-from tau_dyn.evidence.stepwise_selection import SEARCH_MARGIN, select_causes
+from tau_dyn.evidence.settings import SEARCH_MARGIN
+from tau_dyn.evidence.stepwise_selection import select_causes
 
 
 @pytest.mark.parametrize("seed", [1, 6])
@@ -81,11 +82,11 @@ def test_an_artefact_is_passed_over_while_the_search_goes_on(make, rng):
     channel = make.bench(rng, lambda m: 80 * m.v * np.abs(m.v), n=6000, causes=(Stribeck, QuadraticDrag))
     asked = []
 
-    def sift(ground, candidate, others, n):
+    def artefact_filter(null_model, candidate, others, n):
         asked.append(candidate.cause)
         return None if candidate.cause == "quadratic_drag" else candidate
 
-    found = select_causes(channel, np.random.default_rng(1), lambda step: None, sift=sift).found
+    found = select_causes(channel, np.random.default_rng(1), lambda step: None, artefact_filter=artefact_filter).found
     assert asked[0] == "quadratic_drag" and [one.candidate.cause for one in found] == ["stribeck"]
 
 
@@ -95,7 +96,7 @@ def test_what_stays_is_weighed_again_when_another_cause_is_dropped(make, monkeyp
     channel = make.bench(np.random.default_rng(2), lambda m: 80 * m.v * np.abs(m.v), n=6000, causes=(QuadraticDrag,))
     (plain,) = select_causes(channel, np.random.default_rng(1), lambda step: None).found
 
-    def dropped(ground, found, level):
+    def dropped(null_model, found, level):
         (one,) = found
         (fit,) = one.candidate.fits
         return [replace(one, candidate=replace(one.candidate, fits=(replace(fit, statistic=9.0),)))]
@@ -171,7 +172,7 @@ def test_a_look_alike_takes_a_name_only_by_far(monkeypatch, other, inflation, ou
     """Explaining 12 more in twice the log-likelihood, of rows that scatter as they should, a law without a name is likelier."""
     module = importlib.import_module("tau_dyn.evidence.stepwise_selection")
     fit = GroupTest(PositionFriction(("x",), ("N",)), 143.0, 1.0, 2, False, inflation, np.zeros(1))
-    monkeypatch.setattr(module, "rescore_group", lambda fit, ground: replace(fit, statistic=float(other)))
+    monkeypatch.setattr(module, "rescore_group", lambda fit, null_model: replace(fit, statistic=float(other)))
     assert module._is_outshone(fit, None) is outshone
 
 

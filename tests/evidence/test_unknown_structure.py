@@ -27,8 +27,8 @@ def structure(make, seed, hidden=None, level=FAMILY_LEVEL, **more):
     rng = np.random.default_rng(seed)
     more = more or {"joints": JOINTS}
     channel = make.bench(rng, *([hidden] if hidden else []), **more)
-    ground = make.ground(channel)
-    return find_structure(ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), level)
+    null_model = make.null_model(channel)
+    return find_structure(null_model, null_model.draw_null_residuals(N_NULL_DRAWS, rng), level)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -92,6 +92,7 @@ def test_joints_with_two_force_scales_disagree_about_a_payload(arm) -> None:
     assert abs(factor["lift"] / factor["turn"] - 1.26) < 0.1 if "turn" in factor else "lift" in factor
     assert [w.code for w in found.warnings if getattr(w, "code", "") == "scale_wrong"] == ["scale_wrong"]
     assert not [w for w in sound.warnings if getattr(w, "code", "") == "scale_wrong"]
+    assert [f.status for one in (found, sound) for f in one.findings] == ["suspected", "parameter"]
 
 
 def test_mass_and_centre_come_back_in_the_tool_frame(arm) -> None:
@@ -100,6 +101,9 @@ def test_mass_and_centre_come_back_in_the_tool_frame(arm) -> None:
     found = identify_payload(arm.robot, logs[:1], logs[1:])
     assert found.frame == "tool" and found.link == "roll_link"
     assert found.differs and found.p_value < 1e-6 and found.mass.determined
+    (finding,) = found.findings
+    assert (finding.cause, finding.joints, finding.status) == ("payload", ("roll_link",), "parameter")
+    assert finding.parameters[0].value == found.mass.values[0] and finding.logs == ("1.csv",)
     assert abs(found.mass.values[0] - MASS) < min(4 * found.mass.stderr[0], 0.03 * MASS)
     turned = pin.rpy.rpyToMatrix(0, 0, np.pi / 2).T @ (CENTRE - np.array([0.1, 0, 0.05]))
     told = np.isfinite(found.centre.stderr)
@@ -113,7 +117,12 @@ def test_mass_and_centre_come_back_in_the_tool_frame(arm) -> None:
 def test_two_equal_runs_carry_nothing(arm) -> None:
     """The same arm twice carries nothing, and the answer says how much could hide."""
     found = identify_payload(arm.robot, [record(arm, carry(arm, 0.0), 3, "a")], [record(arm, carry(arm, 0.0), 4, "b")])
-    assert not found.differs and found.largest_mass < MASS / 2 and not any(row.differs for row in found.friction)
+    assert (
+        not found.differs
+        and not found.findings
+        and found.largest_mass < MASS / 2
+        and not any(row.differs for row in found.friction)
+    )
 
 
 def test_a_plate_that_never_turns_tells_the_mass_alone(tmp_path) -> None:

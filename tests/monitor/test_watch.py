@@ -77,11 +77,25 @@ CASES = {
 def test_a_change_is_named_with_its_size_and_its_time(what) -> None:
     """10 % more friction, half a kilogram, and 3 ms of delay are told apart within seconds, and since when."""
     forces, joint, size = CASES[what]
-    (row,) = watch_logs(MODEL, [record(forces)]).rows()
+    found = watch_logs(MODEL, [record(forces)])
+    (row,), (finding,) = found.rows(), found.to_dict()["findings"]
+    cause = {"friction": "friction_change"}.get(what, what)
+    assert (finding["cause"], finding["joints"], finding["status"]) == (cause, [joint] if joint else [], "parameter")
+    assert finding["parameters"][0]["value"] == row["size"] and finding["p_value"] < 1e-4
     assert (row["what"], row["joint"]) == (what, joint)
     assert abs(row["size"] - size) < 0.25 * size and row["ci95"][0] < row["size"] < row["ci95"][1]
     assert row["since_ci95"][0] - 2 <= AT <= row["since_ci95"][1] + 2
     assert AT < row["detected_t"] < AT + 30 and row["false_alarm_rate"] < 1e-4
+
+
+def test_an_offset_of_an_encoder_has_the_sign_of_joint_zero() -> None:
+    """A cart that is 20 mm short of its logged position has a `joint_zero` of +20 mm, within a tenth."""
+    offset = np.outer(np.where(MOTION.t > AT, 0.02, 0.0), [name == "cart2" for name in ROBOT.actuated])
+    forces = MODEL.torque(MOTION.q - offset, MOTION.v, MOTION.a)
+    (finding,) = watch_logs(MODEL, [record(forces)]).findings
+    assert finding.cause == "joint_zero" and finding.joints == ("cart2",)
+    assert finding.parameters[0].name == "cart2.joint_zero"
+    assert abs(finding.parameters[0].value - 0.02) < 0.002
 
 
 def draw_block(rng: np.random.Generator, k: int, theta: np.ndarray) -> BlockScore:

@@ -1,4 +1,4 @@
-"""What a simulation gets wrong, which physical cause explains it, and how much better the model is with it."""
+"""The error of a simulation, the physical cause that explains it, and how much better the model is with it."""
 
 from tau_dyn.public_names import attach_public_names
 

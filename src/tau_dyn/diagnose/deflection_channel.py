@@ -26,6 +26,7 @@ from tau_dyn.diagnose.measured_channel import (
     cut_stretches,
     find_directions,
 )
+from tau_dyn.diagnose.periodogram import scan_periods
 from tau_dyn.diagnose.preparation import choose_diagnosis_preparation
 from tau_dyn.effects import (
     EFFECTS,
@@ -48,7 +49,6 @@ from tau_dyn.evidence import (
     fit_extended_model,
     name_by_joint,
     restrict_to_parts,
-    scan_periods,
 )
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify import Preparation
@@ -239,12 +239,12 @@ class Reading:
     """Stiffness read with some causes.
 
     Attributes:
-        causes: Names of what the deflection was made of.
+        causes: Names of the causes of the deflection.
         joints: The joints.
         stiffness: One over the fitted compliance (m,) [N m/rad or N/m]; infinite where no positive compliance fits.
         stderr: Its standard error (m,); infinite alike.
         values: All fitted amplitudes by name.
-        rms: What is left on data used for nothing else (m,) [rad or m].
+        rms: The residual on data that take no other part (m,) [rad or m].
     """
 
     causes: tuple[str, ...]

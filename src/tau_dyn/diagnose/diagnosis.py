@@ -2,7 +2,7 @@
 
     baseline refitted -> causes searched on the training part -> confirmed on the next -> gain measured on the last
 
-No part of the data serves two purposes: what was searched is not what confirms, and neither measures the gain, which has a
+No part of the data serves two purposes: the search, the confirmation and the gain use different parts, which has a
 veto: what does not predict its part better does not stand. Logs may hold several kinds of measurement: forces, tool positions
 that say more than the encoders do, encoders behind the gear. Forces lead: baseline, waterfall and time view are theirs; a
 finding says which channel it comes from.

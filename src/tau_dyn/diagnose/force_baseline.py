@@ -28,6 +28,7 @@ from tau_dyn.diagnose.noise_only_log import (
     NoiseOnlyLog,
 )
 from tau_dyn.diagnose.payload import find_end_link
+from tau_dyn.diagnose.periodogram import build_force_terms, compute_period_statistics
 from tau_dyn.diagnose.preparation import (
     choose_diagnosis_preparation,
     clear_cutoff,
@@ -40,8 +41,6 @@ from tau_dyn.estimate import PhysicalConstraints, Regression, solve_least_square
 from tau_dyn.evidence import (
     TRAIN,
     Channel,
-    build_force_terms,
-    compute_period_statistics,
 )
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify import (
@@ -111,7 +110,7 @@ class FittedBaseline:
         clear_hz: Low-pass of the forces that springs carry [Hz].
         held: Whether a piece belongs to a held-out log.
         pieces: Even stretches of the training logs, then of the held-out logs, as they were logged.
-        warnings: What is doubtful about the logs.
+        warnings: Doubts about the logs.
         loads: Bodies that some logs carry at the tool beyond the others.
     """
 
@@ -129,7 +128,7 @@ class FittedBaseline:
 
     @cached_property
     def _noise_only_logs(self) -> list[NoiseOnlyLog]:
-        """What the baseline makes of every piece."""
+        """The baseline's prediction of every piece."""
         pieces = zip(self.channel.prepared, self.pieces, self.smooth_hz, strict=True)
         return [NoiseOnlyLog.of(piece, self.model, log, smooth) for piece, log, smooth in pieces]
 
@@ -198,7 +197,7 @@ def fit_baseline(
         progress: Called with a word for each step.
 
     Raises:
-        CannotAnswer: The logs determine nothing, or are too short for three parts; its warnings say what is doubtful about them.
+        CannotAnswer: The logs determine nothing, or are too short for three parts; its warnings list the doubts about them.
     """
     robot, logs = model.robot, name_apart([*train_logs, *held_logs])
     train_logs, held_logs = logs[: len(train_logs)], logs[len(train_logs) :]

@@ -8,6 +8,7 @@ from functools import cache, partial
 
 import numpy as np
 
+from tau_dyn.diagnose.periodogram import LONG_PERIODS, build_displacement_terms, scan_periods
 from tau_dyn.diagnose.preparation import ForceTiming, compute_border_gap_s, find_timing
 from tau_dyn.diagnose.refitted_signals import RefittedModel, interpolate_smooth
 from tau_dyn.effects import (
@@ -23,17 +24,14 @@ from tau_dyn.effects import (
 )
 from tau_dyn.estimate import Regression, RegressionRun, Whitener
 from tau_dyn.evidence import (
-    LONG,
     TRAIN,
     WHOLE_TIME,
     Channel,
-    build_displacement_terms,
     build_scene,
     find_shared_signals,
     measure_scales,
     name_by_joint,
     refuse_scarce,
-    scan_periods,
     split_by_blocks,
 )
 from tau_dyn.identify import Preparation, PreparedSegment, prepare_segment
@@ -85,7 +83,7 @@ class ForceChannel(Channel):
             terms = build_displacement_terms(v, a)
             scale = np.concatenate([m.signals["inertia"][:, joint, joint] for m in self.thinned])[:, None]
         found = scan_periods(effects, whiten, joint, both, q, v, self.preparation.force_cutoff_hz, terms, scale)
-        found[np.array([effect.settings["period"] for effect in effects]) > np.ptp(q) / LONG] = np.nan
+        found[np.array([effect.settings["period"] for effect in effects]) > np.ptp(q) / LONG_PERIODS] = np.nan
         return found
 
     def variables(self) -> list[Mapping[str, np.ndarray]]:

@@ -22,22 +22,25 @@ from tau_dyn.diagnose.force_baseline import FittedBaseline, compute_load_columns
 from tau_dyn.diagnose.nominal import MAX_MASS_SHARE
 from tau_dyn.diagnose.payload import (
     MIN_AMPLITUDE_Z,
+    PAYLOAD,
     BodyEstimate,
+    build_load_parameters,
+    constrain_loads,
     estimate_body,
     find_end_link,
     find_payload_frame,
     is_identified,
+    list_load_names,
 )
 from tau_dyn.diagnose.preparation import compute_border_gap_s
 from tau_dyn.effects import PARAMETER_CAUSES, Effect, format_quantity
-from tau_dyn.estimate import Estimate, InertialBody, PhysicalConstraints, Regression, RegressionRun, solve_least_squares
+from tau_dyn.estimate import Estimate, PhysicalConstraints, Regression, RegressionRun, solve_least_squares
 from tau_dyn.evidence import (
     TEST,
     TRAIN,
     CampaignChange,
     CampaignChannel,
     Channel,
-    Diagnosis,
     Finding,
     Gain,
     OutputErrors,
@@ -52,13 +55,11 @@ from tau_dyn.evidence import (
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import format_list
-from tau_dyn.robot import INERTIAL, LinkInertia, Robot
+from tau_dyn.robot import LinkInertia, Robot
 
-PAYLOAD = "payload"
 REFERENCE = "\0model file"
 """Name of the campaign that stands for a model file's values; no file has this name."""
 _FRICTION = "friction"
-_WIDTH = len(INERTIAL)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +80,7 @@ class Load:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the blocks set aside of its logs agree."""
+        """Whether the held-out blocks of its logs agree."""
         return self.finding.status == "confirmed"
 
     @property
@@ -91,19 +92,7 @@ class Load:
     @property
     def parameters(self) -> Parameters:
         """The ten numbers as parameters of the baseline, free unless known."""
-        label = name_load(self.logs)
-        units = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
-        return Parameters(
-            Parameter(
-                f"{PAYLOAD}.{quantity}@{label}",
-                float(value) if self.known else 0.0,
-                unit,
-                lower=0.0 if quantity == "mass" and not self.known else -np.inf,
-                free=not self.known,
-                origin=PAYLOAD,
-            )
-            for quantity, value, unit in zip(INERTIAL, self.values, units, strict=True)
-        )
+        return build_load_parameters(name_load(self.logs), self.values if self.known else None)
 
 
 def find_loads(
@@ -171,7 +160,7 @@ class _Study:
         gap_s = compute_border_gap_s(case.preparation.force_cutoff_hz, case.channel.prepared[0].log.rate_hz)
         campaigns = CampaignChannel(
             channel.name, channel.outputs, channel.units, regression.parameters, regression.runs,
-            divide_every_log(channel, gap_s), channel.scene, (),
+            divide_every_log(channel, gap_s),
         )  # fmt: skip
         plain = solve_with_fallback(regression, case.physics)
         loads = [masked for masked, _ in compute_load_columns(case.nominal, case.channel.prepared)]
@@ -214,11 +203,8 @@ class _Study:
         """Return the channel in which every group of logs carries a body of its own."""
         channel = self.channel
         for logs in groups:
-            channel = channel.with_columns(
-                Parameters(Parameter(name, 0.0, "1", lower=0.0 if name.startswith(f"{PAYLOAD}.mass") else -np.inf)
-                           for name in _list_names(logs)),
-                channel.mask_columns(self.kinds[PAYLOAD], logs),
-            )  # fmt: skip
+            columns = channel.mask_columns(self.kinds[PAYLOAD], logs)
+            channel = channel.with_columns(build_load_parameters(name_load(logs)), columns)
         return channel
 
     def regression(self, groups: Sequence[Sequence[str]], *parts: int) -> Regression:
@@ -229,8 +215,7 @@ class _Study:
 
     def solve(self, groups: Sequence[Sequence[str]], *parts: int) -> Estimate:
         """Return the joint estimate, links and loads kept physical."""
-        bodies = [InertialBody(f"{PAYLOAD}@{name_load(g)}", _list_names(g), np.eye(_WIDTH)) for g in groups]
-        physics = PhysicalConstraints((*self.physics.bodies, *bodies), self.physics.rotors)
+        physics = constrain_loads(self.physics, [name_load(group) for group in groups])
         return solve_with_fallback(self.regression(groups, *parts), physics)
 
     def choose_reference(
@@ -242,7 +227,7 @@ class _Study:
         regression = self.regression(groups, TRAIN, TEST)
         free = {p.name: {"lower": -np.inf} for p in regression.parameters if p.name.startswith(f"{PAYLOAD}.")}
         estimate = solve_least_squares(regression.with_parameters(regression.parameters.update(free)))
-        masses = [estimate.parameters[_list_names(group)[0]].value for group in groups]
+        masses = [estimate.parameters[list_load_names(name_load(group))[0]].value for group in groups]
         if min(masses) >= 0:
             return groups
         lightest = groups[int(np.argmin(masses))]
@@ -258,8 +243,8 @@ class _Study:
         known: bool,
         rng: np.random.Generator,
     ) -> Load:
-        """Return what one group of logs carries, and whether the blocks set aside of its logs agree."""
-        estimate, names = self.solve(groups, TRAIN, TEST), _list_names(group)
+        """Return the load of one group of logs, and whether the held-out blocks of its logs agree."""
+        estimate, names = self.solve(groups, TRAIN, TEST), list_load_names(name_load(group))
         frame, R, p = find_payload_frame(self.robot, self.body)
         found = estimate_body(estimate, names, R, p)
         change = next((one for one in carried if one.log in group), carried[0])
@@ -280,7 +265,7 @@ class _Study:
             gain,
             (),
             f"{PARAMETER_CAUSES[PAYLOAD]}, in {format_list(list(group))}",
-            _format_sentence(found, frame, group, unloaded),
+            format_load_sentence(found, frame, group, unloaded),
             "",
             confirmation=(test.share, test.stderr),
             why_not_confirmed=why,
@@ -306,10 +291,6 @@ class _Study:
         if not gain.ci95[0] > 0:
             return f"its gain is not above zero (95 % interval {gain.ci95[0]:.2g} to {gain.ci95[1]:.2g} %)"
         return ""
-
-
-def _list_names(logs: Sequence[str]) -> tuple[str, ...]:
-    return tuple(f"{PAYLOAD}.{quantity}@{name_load(logs)}" for quantity in INERTIAL)
 
 
 def _list_kinds(
@@ -369,7 +350,8 @@ def build_body_parameters(found: BodyEstimate, frame: str) -> list[Parameter]:
     return rows
 
 
-def _format_sentence(found: BodyEstimate, frame: str, group: Sequence[str], unloaded: Sequence[str]) -> str:
+def format_load_sentence(found: BodyEstimate, frame: str, group: Sequence[str], unloaded: Sequence[str]) -> str:
+    """Return the mass and the place of a body that a group of logs carries, and the logs that do not, in a sentence."""
     rows = [
         (axis, float(found.values[k]), float(found.stderr[k]))
         for k, axis in enumerate("xyz", start=1)
@@ -391,44 +373,40 @@ def list_load_warnings(loads: Sequence[Load]) -> list[str]:
 def add_loads(case: FittedBaseline, loads: Sequence[Load]) -> FittedBaseline:
     """Return the baseline in which logs carry the bodies that are confirmed."""
     loads = [one for one in loads if one.is_confirmed]
-    bodies = [
-        InertialBody(f"{PAYLOAD}@{name_load(one.logs)}", one.parameters.names, np.eye(_WIDTH))
-        for one in loads
-        if not one.known
-    ]
-    physics = PhysicalConstraints((*case.physics.bodies, *bodies), case.physics.rotors)
+    physics = constrain_loads(case.physics, [name_load(one.logs) for one in loads if not one.known])
     carried = tuple((one.logs, one.parameters) for one in loads)
     return replace(case, loads=carried, physics=physics)
 
 
-def report_loads(answer: Diagnosis, loads: Sequence[Load], without: OutputErrors | None) -> Diagnosis:
-    """Return a diagnosis with the findings of loads.
+@dataclass(frozen=True, eq=False)
+class LoadReport:
+    """The part of a diagnosis that concerns loads.
 
-    Args:
-        answer: The diagnosis of everything else.
-        loads: What logs carry.
+    Attributes:
+        findings: A finding for each load.
         without: Errors of the refit without loads; None where none was accepted.
     """
-    if not loads:
-        return answer
-    findings = [
-        replace(one.finding, status="confirmed" if without and one.is_confirmed else "suspected") for one in loads
-    ]
-    told = [one for one in findings if one.status == "confirmed"]
-    answer = replace(answer, findings=tuple(sorted((*answer.findings, *findings), key=lambda f: f.rank)))
-    if without is None:
-        return answer
-    nominal, refitted, *causes = answer.waterfall
-    steps = (
-        nominal,
-        Step("refitted", without),
-        *(Step(f"{PAYLOAD} {name_load(told[0].logs)}", refitted.errors),),
-        *causes,
-    )
-    rest = answer.sentence.replace("No model error was detected", "No other model error was detected")
-    verdict = "named" if answer.verdict in ("nothing_found", "unexplained") else answer.verdict
-    sentence = " ".join([*(one.sentence for one in told), rest])
-    why = answer.recommendation_why.replace(
-        "no cause is confirmed", "no cause but the load is confirmed, which is the log's own"
-    )
-    return replace(answer, waterfall=steps, sentence=sentence, verdict=verdict, recommendation_why=why)
+
+    findings: tuple[Finding, ...] = ()
+    without: OutputErrors | None = None
+
+    @classmethod
+    def of(cls, loads: Sequence[Load], without: OutputErrors | None) -> LoadReport:
+        """Report loads; without an accepted one all are suspected."""
+        findings = (
+            one.finding if without and one.is_confirmed else replace(one.finding, status="suspected") for one in loads
+        )
+        return cls(tuple(findings), without)
+
+    @property
+    def confirmed(self) -> tuple[Finding, ...]:
+        """The findings of the loads that the baseline carries."""
+        return tuple(f for f in self.findings if f.status == "confirmed")
+
+    def insert_step(self, steps: Sequence[Step]) -> tuple[Step, ...]:
+        """Return a waterfall that starts with `nominal` and `refitted`, with the step of the loads after a refit without them."""
+        if self.without is None:
+            return tuple(steps)
+        nominal, refitted, *causes = steps
+        carried = Step(f"{PAYLOAD} {name_load(self.confirmed[0].logs)}", refitted.errors)
+        return nominal, Step("refitted", self.without), carried, *causes

@@ -1,6 +1,7 @@
 """Channels of a place that the encoders do not read: the tool's, or the load side's of a joint.
 
-Both are a measured place less what the encoders say of it; both sides pass the same low-pass, unless they are poses held still.
+Both are a measured place minus the place by the encoders; both sides pass the same low-pass, unless they are poses
+held still.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class MeasuredSegment:
         log: The stretch.
         motion: Motion of the encoders at the log's rate, with what effects feel.
         measured: Measured outputs (N, m) [m or rad].
-        predicted: What the encoders alone say of them (N, m).
+        predicted: The same from the encoders alone (N, m).
         usable: Samples that count (N,) or (N, m).
         cutoff_hz: Low-pass on both sides [Hz]; None for poses.
         factor: Decimation.
@@ -73,7 +74,7 @@ class MeasuredSegment:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredChannel(Channel):
-    """Places beside what the encoders say of them.
+    """Measured places minus the places by the encoders.
 
     Attributes:
         pieces: The stretches.
@@ -96,7 +97,7 @@ def cut_stretches(
 def build_measured_scene(
     joints: tuple[str, ...], units: tuple[str, ...], pieces: Sequence[MeasuredSegment], slow: np.ndarray, seen: str
 ) -> Scene:
-    """Return what the pieces' motions offer together; `seen` is the signal that says what is measured."""
+    """Return the range of the pieces' motions together; `seen` is the signal that names the measurement."""
     motions = [piece.motion for piece in pieces]
     return build_scene(
         motions,
@@ -128,15 +129,15 @@ def build_measured_channel(
     Args:
         kind: The channel's class.
         name: Its name.
-        outputs: What is measured (m).
+        outputs: The measured quantities (m).
         units: Units of the outputs.
         baseline: Parameters of the baseline and their columns (n, m, p) of each piece.
-        scene: What the motion offers.
+        scene: The range of the motion.
         causes: Effects that may be found.
         pieces: The stretches.
         held: Whether each belongs to a held-out log.
         per_parameter: Usable values that each part needs for each parameter of the baseline.
-        refusal: What is missing, what there is, and what to record instead, where a part has fewer.
+        refusal: The missing data, the data that there are, and the experiment to make, where a part has fewer.
 
     Raises:
         CannotAnswer: Too few measurements for three parts.

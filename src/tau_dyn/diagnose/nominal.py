@@ -22,15 +22,11 @@ from tau_dyn.diagnose.payload import (
 )
 from tau_dyn.effects import PARAMETER_CAUSES, format_quantity
 from tau_dyn.estimate import Estimate
-from tau_dyn.evidence import (
-    MIN_FORCE_SHARE,
-    Finding,
-)
+from tau_dyn.evidence import DIFFERENCE_LEVEL, MIN_FORCE_SHARE, Finding
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot, compute_nominal_stderr
 
-SIGNIFICANCE_LEVEL = 0.01  # over all parameters together (Bonferroni)
 MAX_GAIN_RANGE = (0.5, 2.0)
 """Factor of a logged force: a torque constant is off by 30 % at most, a wrong pulley or winding by two; more is a unit."""
 MIN_GAIN_ERROR = 5e-3
@@ -74,7 +70,7 @@ def describe_body_difference(model: Model, nominal: Parameters, estimate: Estima
     if not n or find_explanation(model.robot, difference) is not None:
         return ""
     share = difference.force_share
-    if stats.chi2.sf(difference.misfit, n) >= SIGNIFICANCE_LEVEL or share < MIN_DIFFERENCE_SHARE:
+    if stats.chi2.sf(difference.misfit, n) >= DIFFERENCE_LEVEL or share < MIN_DIFFERENCE_SHARE:
         return ""
     return (
         f"The bodies differ from the file: their force changes by {100 * share:.2g} % of the measured force, and no single "
@@ -95,7 +91,7 @@ def _find_deviations(model: Model, nominal: Parameters, fitted: Parameters, esti
     sigma = np.array([_combined_stderr(p, n) for p, n in rows])
     z = np.array([p.value - n.value for p, n in rows]) / sigma
     p_values = np.minimum(1.0, 2 * stats.norm.sf(np.abs(z)) * len(rows))
-    off = np.flatnonzero(p_values < SIGNIFICANCE_LEVEL)
+    off = np.flatnonzero(p_values < DIFFERENCE_LEVEL)
     ratio = np.array([p.value / n.value for p, n in rows])
     sigma = sigma / [n.value for _, n in rows]
     if len(off) > 1 and _is_common_factor(ratio, sigma):

@@ -1,4 +1,4 @@
-r"""What one body at the end of a robot, one force scale or one wrong mass makes of base parameters, and which of them it was.
+r"""The change of base parameters by one body at the end of a robot, one force scale or one wrong mass, and its cause.
 
     d = beta - E pi_0 ~ N(B x, S),     S = cov(beta) + E P E'
 
@@ -24,20 +24,15 @@ import numpy as np
 from scipy import stats
 from scipy.linalg import solve_triangular
 
-from tau_dyn.estimate import Estimate
+from tau_dyn.estimate import Estimate, InertialBody, PhysicalConstraints
+from tau_dyn.evidence import DIFFERENCE_LEVEL, MIN_2LOGL_DIFFERENCE, MIN_LEFT_P_VALUE
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import INERTIAL, NOMINAL_MASS_STDERR, NOT_GIVEN, LinkInertia, Robot, find_end_link
 
-SIGNIFICANCE_LEVEL = 0.01
-"""Chance, over all explanations (Bonferroni), at which a fit of bodies as trusted gives one so much."""
-MIN_LEFT_P_VALUE = 1e-3
-"""Chance of what an explanation leaves, above which it explains all."""
 MIN_EXPLAINED_SHARE = 0.95
 """Or share of the squared difference that it explains: errors of the fit that its covariance does not know of remain."""
 PENALTY = 4.0
 """Price of an amplitude in units of twice the log-likelihood: chance at 5 %."""
-TWIN_MARGIN = 8.0
-"""Difference of penalised misfits below which two explanations are not told apart: odds of 50 to 1, as of causes."""
 MIN_AMPLITUDE_Z = 4.0
 """Standard errors that the mass or the factor must be off."""
 _RELATIVE_RANK = 1e-9
@@ -58,7 +53,7 @@ class BaseParameterDifference:
         combine: Base parameters per unit of each parameter (r, p).
         names: Parameters' names (p,).
         estimate: The fit.
-        select: What makes them of the fit's base parameters (r, all).
+        select: Matrix that forms them from the fit's base parameters (r, all).
         trusted: Trusted values by name.
     """
 
@@ -77,7 +72,7 @@ class BaseParameterDifference:
 
     @property
     def force_share(self) -> float:
-        """Rms of the force that it makes beside a refit of all other parameters, over the measured force's."""
+        """Rms of the force that it makes next to a refit of all other parameters, over the measured force's."""
         estimate = self.estimate
         triangle = np.linalg.qr(estimate.stack_rows(), mode="r")
         least = np.linalg.lstsq(solve_triangular(triangle, self.select.T, trans=1).T, self.d)[0]
@@ -93,7 +88,7 @@ class Explanation:
         cause: Its name.
         place: Link or joint, empty for all.
         amplitudes: Estimates (k,).
-        cov: Their covariance (k, k); infinite variances where data tell nothing.
+        cov: Their covariance (k, k); infinite variances if the data do not determine them.
         left: Squared difference that it leaves.
         rank: Amplitudes that count.
         dof: Base parameters less those.
@@ -117,7 +112,7 @@ class Explanation:
         return self.left + PENALTY * self.rank
 
     def p_value(self, whole: float, n_tried: int) -> float:
-        """Return the chance of what it explains of a squared difference, as one of several (Bonferroni)."""
+        """Return the p-value of the part of a squared difference that it explains, as one of several (Bonferroni)."""
         return min(1.0, n_tried * float(stats.chi2.sf(whole - self.left, self.rank)))
 
     def explains(self, whole: float) -> bool:
@@ -132,8 +127,8 @@ def compare_with_trusted(robot: Robot, trusted: Parameters, estimate: Estimate) 
     """Return how far the bodies of a fit are from trusted values.
 
     Where the trusted values were themselves identified (they have standard errors), their combinations are taken to be known as
-    well as this fit's: a model file keeps no covariance. Else a link's numbers are known to its mass' error in proportion, and
-    what a drive's inertia that nobody gave can make of them is left out.
+    well as this fit's: a model file keeps no covariance. Else a link's numbers are known to its mass' error in proportion,
+    and combinations that an unknown drive inertia can change are left out.
     """
     base = estimate.base
     bodies = {n for n in robot.parameters.names if not n.endswith(".gravity_mass")}
@@ -171,11 +166,13 @@ def find_explanation(robot: Robot, difference: BaseParameterDifference) -> Expla
         return None
     found = [one for row in _candidates(robot, difference) if (one := _fit(difference, *row)) is not None]
     whole = difference.misfit
-    fit = [one for one in found if one.explains(whole) and one.p_value(whole, len(found)) < SIGNIFICANCE_LEVEL]
+    fit = [one for one in found if one.explains(whole) and one.p_value(whole, len(found)) < DIFFERENCE_LEVEL]
     if not fit:
         return None
     best = min(fit, key=lambda one: one.penalised)
-    near = [one.cause for one in fit if one.penalised < best.penalised + TWIN_MARGIN and one.cause != best.cause]
+    near = [
+        one.cause for one in fit if one.penalised < best.penalised + MIN_2LOGL_DIFFERENCE and one.cause != best.cause
+    ]
     from_file = all(difference.trusted[n].stderr is None for n in robot.parameters.names if n in difference.trusted)
     heavier = best.cause == "payload" and from_file
     extra = ["link_mass"] if heavier or best.cause == "drive_gain" else []  # all masses off alike are all forces off
@@ -243,6 +240,43 @@ def estimate_body(estimate: Estimate, names: Sequence[str], R: np.ndarray, p: np
     return BodyEstimate(values, np.array(errors), known)
 
 
+PAYLOAD = "payload"
+_UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
+
+
+def list_load_names(label: str = "") -> tuple[str, ...]:
+    """Return the names of the ten inertial numbers of a body at the tool, of the logs with a label or of all."""
+    return tuple(f"{PAYLOAD}.{quantity}{f'@{label}' if label else ''}" for quantity in INERTIAL)
+
+
+def build_load_parameters(label: str = "", known: np.ndarray | None = None) -> Parameters:
+    """Return the ten inertial numbers of a body at the tool, in the joint frame of its link.
+
+    Args:
+        label: The logs that carry it; empty for all that the columns are given for.
+        known: Values that are taken as they are (10,); None for a free body of nonnegative mass.
+    """
+    values = np.zeros(len(INERTIAL)) if known is None else known
+    rows = zip(list_load_names(label), values, _UNITS, INERTIAL, strict=True)
+    return Parameters(
+        Parameter(
+            name,
+            float(value),
+            unit,
+            lower=0.0 if quantity == "mass" and known is None else -np.inf,
+            free=known is None,
+            origin=PAYLOAD,
+        )
+        for name, value, unit, quantity in rows
+    )
+
+
+def constrain_loads(physics: PhysicalConstraints, labels: Sequence[str]) -> PhysicalConstraints:
+    """Return constraints under which bodies at the tool, one for each label, are physically consistent as well."""
+    bodies = [InertialBody(f"{PAYLOAD}@{label}", list_load_names(label), np.eye(len(INERTIAL))) for label in labels]
+    return PhysicalConstraints((*physics.bodies, *bodies), physics.rotors)
+
+
 def find_payload_frame(robot: Robot, body: LinkInertia) -> tuple[str, np.ndarray, np.ndarray]:
     """Return the frame in which a payload is given, its axes and origin in the joint's: the tool where it is on the link."""
     tool = robot.tool_frame
@@ -307,7 +341,7 @@ def _columns(difference: BaseParameterDifference, link: LinkInertia) -> np.ndarr
 
 
 def _force_scale(difference: BaseParameterDifference, joint: int) -> np.ndarray:
-    """Return what a refit makes of one joint's predicted force (r,): base parameters per unit of its factor less one."""
+    """Return the change of a refit by one joint's predicted force (r,): base parameters per unit of its factor less one."""
     estimate = difference.estimate
     names = estimate.regression.parameters.names
     theta = np.where(np.isin(names, estimate.base.names), estimate.theta, 0.0)
@@ -316,7 +350,7 @@ def _force_scale(difference: BaseParameterDifference, joint: int) -> np.ndarray:
 
 
 def _complement(directions: Sequence[np.ndarray], n: int) -> np.ndarray:
-    """Return an orthonormal basis (n - u, n), as rows, of what is across u independent directions (n,)."""
+    """Return an orthonormal basis (n - u, n), as rows, of the complement of u independent directions (n,)."""
     if not directions:
         return np.eye(n)
     scaled = [x / np.linalg.norm(x) for x in directions if np.linalg.norm(x) > 0]

@@ -2,9 +2,10 @@
 
     channel -> null model, candidate scan, stepwise selection -> confirmation -> claims with their gain -> diagnosis
 
-Forces, tool positions and deflections take the same way. Of forces the baseline stays physical, its parameters are held against
-their nominal values, and a cause has to be more than what encoder noise makes of itself. Of poses a cyclic error may have several
-periods that fit alike. A single joint's deflection and a tool have no mass that must stay positive and no nominal value.
+Forces, tool positions and deflections take the same way. Of forces the baseline stays physical, its parameters are compared
+with their nominal values, and a cause has to be more than what encoder noise makes of itself. Of poses a cyclic error may
+have several periods that fit equally well. A single joint's deflection and a tool have no mass that must stay positive and no
+nominal value.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 
 from tau_dyn.diagnose.deflection_channel import build_deflection_channel
 from tau_dyn.diagnose.force_baseline import FittedBaseline, Progress
-from tau_dyn.diagnose.loads import add_loads, find_loads, list_load_warnings, report_loads
+from tau_dyn.diagnose.loads import LoadReport, add_loads, find_loads, list_load_warnings
 from tau_dyn.diagnose.nominal import describe_body_difference, find_parameter_changes
 from tau_dyn.diagnose.preparation import compute_border_gap_s
 from tau_dyn.diagnose.resonances import add_band_note, add_resonances
@@ -124,7 +125,7 @@ def diagnose_tool(
         holdout: Held-out logs.
         seed: Seed of noise draws and intervals.
         progress: Called with a word for each step.
-        warnings: What was doubtful before.
+        warnings: Earlier doubts.
     """
     train, held = list(logs), list(holdout)
     progress("columns")
@@ -143,7 +144,7 @@ def diagnose_deflection(
     progress: Progress = lambda step: None,
     warnings: Sequence[str] = (),
 ) -> Diagnosis:
-    """Find out what comes between the two encoders of a joint; options and errors are those of `diagnose`.
+    """Find the causes of the difference between the two encoders of a joint; options and errors are those of `diagnose`.
 
     Args:
         robot: Names the joints; its masses play no part.
@@ -152,7 +153,7 @@ def diagnose_deflection(
         causes: Causes that may be found; by default all that come between two encoders.
         seed: Seed of noise draws and intervals.
         progress: Called with a word for each step.
-        warnings: What was doubtful before.
+        warnings: Earlier doubts.
     """
     given, judged = ([x] if isinstance(x, Log) else list(x) for x in (logs, holdout))
     train, held, doubled = drop_repeated_logs(given, judged)
@@ -180,11 +181,11 @@ def diagnose_channel(
 
     Args:
         channel: The measurements.
-        model: The model before any fit, which is extended by what is found.
+        model: The model before any fit, which is extended by the causes found.
         how: How the data are divided, in words.
         seed: Seed of noise draws and intervals.
         progress: Called with a word for each step.
-        warnings: What was doubtful before.
+        warnings: Earlier doubts.
         case: Of forces, the fitted baseline behind the channel.
         doubt: The reason why no cause may be confirmed; empty where there is none.
     """
@@ -204,13 +205,13 @@ def diagnose_channel(
     if case:
         found = _with_parameters(found, model, case, options.doubt)
         warnings = (*warnings, *_describe_poor_fits(found, case))
-    answer = _answer(found, options, model, case, seed=seed, how=how, warnings=warnings)
-    return report_loads(answer, loads, without)
+    report = LoadReport.of(loads, without)
+    return _answer(found, options, model, case, report, seed=seed, how=how, warnings=warnings)
 
 
 def _describe_poor_fits(found: Examination, case: FittedBaseline) -> Sequence[str]:
     """Return a warning about the outputs of which the extended model misses much more than noise."""
-    last = found.bars.fits[-1]
+    last = found.waterfall.fits[-1]
     regression = replace(last.regression, preparation=case.preparation)
     return describe_poor_fits(find_poor_fits(regression, last.residuals))
 
@@ -229,14 +230,14 @@ def _with_parameters(found: Examination, model: Model, case: FittedBaseline, dou
 
     A load that is known from a model file alone explains the difference of the bodies.
     """
-    channel, after = found.hunt.channel, found.bars.fits[-1]
+    channel, after = found.selection.channel, found.waterfall.fits[-1]
     changed: list[Finding] = []
     if not case.has_known_load:
         changed = find_parameter_changes(model, model.parameters, after.parameters, after.estimate)
     if doubt:
         changed = [replace(f, status="suspected", why_not_confirmed=doubt) for f in changed]
     findings = (*(add_band_note(finding, case.clear_hz) for finding in found.findings), *changed)
-    sizes = measure_net_forces(found.hunt.library, found.claims.kept, after.parameters)
+    sizes = measure_net_forces(found.selection.library, found.claims.kept, after.parameters)
     least = np.maximum(MAX_LAW_ERROR * sizes.max(axis=0, initial=0.0), compute_least_forces(channel))
     unexplained = demote_small(found.unexplained, channel.outputs, after.errors.rms, least)
     remark = ""
@@ -250,26 +251,36 @@ def _answer(
     options: ExaminationOptions,
     model: Model,
     case: FittedBaseline | None,
+    loads: LoadReport,
     *,
     seed: int,
     how: str,
     warnings: Sequence[str],
 ) -> Diagnosis:
     """Return the diagnosis: its verdict with the evidence, and the recommended model."""
-    hunt, claims, bars, spoiled, rng = found.hunt, found.claims, found.bars, options.doubt, options.rng
+    selection, claims, waterfall, spoiled, rng = (
+        found.selection,
+        found.claims,
+        found.waterfall,
+        options.doubt,
+        options.rng,
+    )
     findings, unexplained, aliased = found.findings, found.unexplained, found.aliased
-    channel, before, after = hunt.channel, bars.fits[0], bars.fits[-1]
-    verdict = "cannot_tell" if spoiled else decide_verdict(findings, unexplained, aliased)
+    channel, before, after = selection.channel, waterfall.fits[0], waterfall.fits[-1]
+    rest = "cannot_tell" if spoiled else decide_verdict(findings, unexplained, aliased)
+    verdict = "named" if loads.confirmed and rest in ("nothing_found", "unexplained") else rest
     sentence = f"These data name no cause: {spoiled}."
     if not spoiled:
         errors = before.errors, after.errors
-        sentence = describe_diagnosis(channel, verdict, findings, aliased, unexplained, errors)
+        sentence = describe_diagnosis(channel, rest, findings, aliased, unexplained, errors, loads.confirmed)
         sentence = f"{sentence} {found.remark}".rstrip()
     experiments = (f.experiment for f in aliased or findings if f.experiment and verdict == "cannot_tell")
-    limits, untestable = compute_detection_limits(hunt, [f.cause for f in findings])
-    use = Recommendation("neither", spoiled) if spoiled else recommend(hunt, claims, bars, rng, case and case.physics)
+    limits, untestable = compute_detection_limits(selection, [f.cause for f in findings])
+    use = Recommendation("neither", spoiled)
+    if not spoiled:
+        use = recommend(selection, claims, waterfall, rng, case and case.physics, has_load=bool(loads.confirmed))
     floor = estimate_noise_floor(channel, after, np.random.default_rng(seed))
-    settings = {"noise_draws": N_NULL_DRAWS, "family_level": FAMILY_LEVEL, "causes_tried": len(hunt.last)}
+    settings = {"noise_draws": N_NULL_DRAWS, "family_level": FAMILY_LEVEL, "causes_tried": len(selection.last)}
     return Diagnosis(
         verdict=verdict,
         sentence=sentence,
@@ -279,13 +290,13 @@ def _answer(
         baseline=before.errors,
         extended=after.errors,
         noise_floor=floor,
-        waterfall=(*bars.steps, Step("noise_floor", floor)),
-        findings=tuple(sorted(findings, key=lambda f: f.rank)),
+        waterfall=loads.insert_step((*waterfall.steps, Step("noise_floor", floor))),
+        findings=tuple(sorted((*findings, *loads.findings), key=lambda f: f.rank)),
         unexplained=unexplained,
         limits=tuple(dict.fromkeys(limits)),
         untestable=tuple(dict.fromkeys(_with_drift(untestable, unexplained))),
         model=_extend(model, before, ()),
-        extended_model=_build_extended_model(model, claims, bars, findings),
+        extended_model=_build_extended_model(model, claims, waterfall, findings),
         traces=_build_traces(channel, before, after),
         n_parts=_measure_parts(channel),
         how=how,
@@ -300,7 +311,7 @@ def _answer(
 
 
 def _describe_spoiled(warnings: Sequence[str]) -> str:
-    """Return why nothing may be confirmed from logs that are not what they claim to be; empty where they are."""
+    """Return why nothing may be confirmed from spoiled logs; empty for sound ones."""
     codes = dict.fromkeys(get_code(warning) for warning in warnings if is_diagnosis_invalid([warning]))
     return f"the log is not what it claims to be ({', '.join(codes)}); mend it first" if codes else ""
 
@@ -315,10 +326,10 @@ def _with_drift(untestable: Sequence[Untestable], unexplained: Sequence[Unexplai
     return [replace(u, why=why, experiment=experiment) if u.cause == "thermal_drift" else u for u in untestable]
 
 
-def _build_extended_model(model: Model, claims: Claims, bars: Waterfall, findings: Sequence[Finding]) -> Model:
-    """Return the model with the causes that stand; findings' standard errors count the settings' uncertainty, and are taken."""
+def _build_extended_model(model: Model, claims: Claims, waterfall: Waterfall, findings: Sequence[Finding]) -> Model:
+    """Return the model with the accepted causes; findings' standard errors count the settings' uncertainty, and are taken."""
     effects = [effect for effect in build_effects(claims.kept) if effect.name in EFFECTS]
-    extended = _extend(model, bars.fits[-1], effects)
+    extended = _extend(model, waterfall.fits[-1], effects)
     own = {p.name: p.stderr for f in findings if f.status == "confirmed" for p in f.parameters}
     return extended.with_parameters(
         Parameters(replace(p, stderr=own[p.name]) if own.get(p.name) else p for p in extended.parameters)
@@ -336,7 +347,7 @@ def _extend(model: Model, fit: EvaluatedFit, effects: Sequence[Effect]) -> Model
 
 
 def _build_traces(channel: Channel, before: EvaluatedFit, after: EvaluatedFit) -> tuple[TimeTrace, ...]:
-    """Return what the time view draws."""
+    """Return the curves of the time view."""
     found = []
     for k, run in enumerate(channel.runs):
         one, other = (j.regression.runs[k].W_all @ j.theta for j in (before, after))

@@ -1,6 +1,7 @@
 """Verdicts from one body of evidence: hypotheses, null model, selection, confirmation, gain, detection limits, structure."""
 
 from .campaigns import (
+    MIN_LEFT_P_VALUE as MIN_LEFT_P_VALUE,
     CampaignChange as CampaignChange,
     CampaignChannel as CampaignChannel,
     compute_campaign_gain as compute_campaign_gain,
@@ -21,18 +22,10 @@ from .changes import (
     list_changes as list_changes,
 )
 from .channel import (
-    EVERY as EVERY,
-    TEST as TEST,
-    TRAIN as TRAIN,
-    VALIDATION as VALIDATION,
     Channel as Channel,
     build_scene as build_scene,
     compute_fast_speeds as compute_fast_speeds,
-    describe_split as describe_split,
     find_shared_signals as find_shared_signals,
-    name_by_joint as name_by_joint,
-    refuse_scarce as refuse_scarce,
-    split_by_blocks as split_by_blocks,
 )
 from .claims import (
     MAX_HELD_OUT_RATIO as MAX_HELD_OUT_RATIO,
@@ -73,20 +66,26 @@ from .lack_of_fit import (
     describe_poor_fits as describe_poor_fits,
     find_poor_fits as find_poor_fits,
 )
+from .measurements import (
+    EVERY as EVERY,
+    TEST as TEST,
+    TRAIN as TRAIN,
+    VALIDATION as VALIDATION,
+    Measurements as Measurements,
+    describe_split as describe_split,
+    name_by_joint as name_by_joint,
+    refuse_scarce as refuse_scarce,
+    split_by_blocks as split_by_blocks,
+)
 from .noise_only_bootstrap import (
     N_BOOTSTRAP_DRAWS as N_BOOTSTRAP_DRAWS,
     NoiseOnlyBootstrap as NoiseOnlyBootstrap,
 )
 from .null_model import (
-    LONG as LONG,
     MIN_UNABSORBED_SHARE as MIN_UNABSORBED_SHARE,
     WHOLE_TIME as WHOLE_TIME,
-    build_displacement_terms as build_displacement_terms,
-    build_force_terms as build_force_terms,
-    compute_period_statistics as compute_period_statistics,
     compute_score_statistics as compute_score_statistics,
     orthonormalise as orthonormalise,
-    scan_periods as scan_periods,
 )
 from .plausibility import (
     MAX_LAW_ERROR as MAX_LAW_ERROR,
@@ -115,6 +114,7 @@ from .readings import (
     prefer_reading as prefer_reading,
 )
 from .result import (
+    DIFFERENCE_LEVEL as DIFFERENCE_LEVEL,
     Choice as Choice,
     Finding as Finding,
     Gain as Gain,
@@ -131,6 +131,9 @@ from .result import (
 )
 from .stepwise_selection import (
     build_effects as build_effects,
+)
+from .unexplained import (
+    find_unexplained as find_unexplained,
 )
 from .unknown_structure import (
     MIN_2LOGL_DIFFERENCE as MIN_2LOGL_DIFFERENCE,

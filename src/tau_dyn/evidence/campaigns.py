@@ -1,4 +1,4 @@
-r"""Changes between campaigns: what one log has that the others have not, of several kinds that compete.
+r"""Changes between campaigns: effects that one log has and the others do not have, of several kinds that compete.
 
     y_k = W_k theta + [k = log] C_k x,     k = 1 .. K logs
 
@@ -18,17 +18,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from tau_dyn.effects import Effect
 from tau_dyn.estimate import Autoregression
-from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION, Channel, ColumnCache, divide_training
-from tau_dyn.evidence.confirmation import Confirmation, confirm
+from tau_dyn.evidence.confirmation import Confirmation, confirm_columns
 from tau_dyn.evidence.extended_fit import compute_gain
-from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_overdispersion
-from tau_dyn.evidence.result import Gain
+from tau_dyn.evidence.measurements import TEST, TRAIN, VALIDATION, Measurements, divide_training
+from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, WhiteResidual, compute_overdispersion
+from tau_dyn.evidence.result import DIFFERENCE_LEVEL, Gain
 from tau_dyn.parameters import Parameter, Parameters
 
-CAMPAIGN_LEVEL = 0.01
-"""Chance, over all logs and kinds of change (Bonferroni), at which equal logs are called different."""
 MIN_LEFT_P_VALUE = 1e-3
 """Chance of what a change leaves of a log's difference, above which it explains all of it."""
 MIN_EXPLAINED_SHARE = 0.9
@@ -42,10 +39,10 @@ class CampaignChange:
     Attributes:
         kind: Its name.
         log: The log.
-        statistic: What it explains, in units of the noise, blocks' scatter counted.
+        statistic: Its score statistic, in units of the noise, blocks' scatter counted.
         dof: Amplitudes that count.
         p_value: Chance on equal logs, all logs and kinds counted.
-        explains: Whether nothing else of this log differs.
+        explains: Whether it explains all differences of this log.
     """
 
     kind: str
@@ -57,21 +54,13 @@ class CampaignChange:
 
     @property
     def penalised_statistic(self) -> float:
-        """What it explains less the price of its freedom."""
+        """The statistic less the cost of its amplitudes."""
         return self.statistic - 2 * self.dof
 
 
 @dataclass(frozen=True, eq=False)
-class CampaignChannel(Channel):
-    """Measurements of several campaigns with all columns given."""
-
-    def run_columns(self, effect: Effect, run: int) -> np.ndarray:
-        """Refuse: effects are among the columns already."""
-        raise NotImplementedError(f"{effect.name} in run {run}: columns are given")
-
-    def variables(self) -> list[Mapping[str, np.ndarray]]:
-        """Return nothing; no structure is looked for."""
-        return [{} for _ in self.runs]
+class CampaignChannel(Measurements):
+    """Measurements of several campaigns; effects are among the columns."""
 
     def with_columns(self, parameters: Parameters, columns: Sequence[np.ndarray]) -> CampaignChannel:
         """Return the channel with further columns (n, m, k) of each run, to be fitted as well."""
@@ -92,7 +81,7 @@ class CampaignChannel(Channel):
         return [c * float(run.name in logs) for run, c in zip(self.runs, columns, strict=True)]
 
 
-def divide_every_log(channel: Channel, gap_s: float) -> tuple[np.ndarray, ...]:
+def divide_every_log(channel: Measurements, gap_s: float) -> tuple[np.ndarray, ...]:
     """Return parts in which every log is trained on and tested on.
 
     Of a training log a quarter of the blocks is tested on, of the others their test part.
@@ -134,13 +123,13 @@ def select_campaign_changes(
     ]
     n_tests, most = len(kinds) * len(logs), len(logs) - (not reference)
     while True:
-        ground = NullModel.of(ColumnCache(channel), (TRAIN,), noise)
+        null_model = WhiteResidual.of_columns(channel, (TRAIN,), noise)
         tests = []
         for kind, columns in kinds.items():
             taken = [one.log for one in found if one.kind == kind]
             if len(taken) < most:
-                tests += [_test(ground, channel, kind, log, columns, n_tests) for log in logs if log not in taken]
-        tests = [one for one in tests if one.p_value < CAMPAIGN_LEVEL]
+                tests += [_test(null_model, channel, kind, log, columns, n_tests) for log in logs if log not in taken]
+        tests = [one for one in tests if one.p_value < DIFFERENCE_LEVEL]
         if not tests:
             return found
         best = max(tests, key=lambda one: one.penalised_statistic)
@@ -156,9 +145,14 @@ def select_campaign_changes(
 
 
 def _test(
-    ground: NullModel, channel: CampaignChannel, kind: str, log: str, columns: Sequence[np.ndarray], n_tests: int
+    null_model: WhiteResidual,
+    channel: CampaignChannel,
+    kind: str,
+    log: str,
+    columns: Sequence[np.ndarray],
+    n_tests: int,
 ) -> CampaignChange:
-    statistic, dof = compute_score(ground, channel.mask_columns(columns, [log]))
+    statistic, dof = compute_score(null_model, channel.mask_columns(columns, [log]))
     p_value = min(1.0, n_tests * float(stats.chi2.sf(statistic, dof))) if dof else 1.0
     return CampaignChange(kind, log, statistic, dof, p_value)
 
@@ -170,11 +164,11 @@ def _explains(
     accounted: Sequence[Sequence[np.ndarray]],
     whole: Sequence[np.ndarray],
 ) -> bool:
-    """Return whether a change, with its companions accounted for, leaves nothing or little that its log has of its own."""
+    """Return whether a change, with its companions accounted for, explains all or nearly all that its log has of its own."""
     for number, columns in enumerate(accounted):
         channel = channel.with_change(replace(one, kind=f"{one.kind} {number}"), columns)
     left, dof = compute_score(
-        NullModel.of(ColumnCache(channel), (TRAIN,), noise), channel.mask_columns(whole, [one.log])
+        WhiteResidual.of_columns(channel, (TRAIN,), noise), channel.mask_columns(whole, [one.log])
     )
     everything = left + one.statistic
     return (
@@ -184,28 +178,28 @@ def _explains(
     )
 
 
-def compute_score(ground: NullModel, columns: Sequence[np.ndarray]) -> tuple[float, int]:
+def compute_score(null_model: WhiteResidual, columns: Sequence[np.ndarray]) -> tuple[float, int]:
     """Return the score statistic of columns (n, m, k) over the runs, divided by the scatter of blocks, and its rank."""
-    C = ground.whiten_columns(columns)
+    C = null_model.whiten_columns(columns)
     norm = np.linalg.norm(C, axis=0)
     C = C[:, norm > 0] / norm[norm > 0]
     if not C.shape[1]:
         return 0.0, 0
-    values, vectors = np.linalg.eigh(ground.gram(C))
+    values, vectors = np.linalg.eigh(null_model.gram(C))
     seen = values > MIN_UNABSORBED_SHARE
-    along = ground.project_out(C @ vectors[:, seen]) / np.sqrt(values[seen])
-    scores = along.T @ ground.e
+    along = null_model.project_out(C @ vectors[:, seen]) / np.sqrt(values[seen])
+    scores = along.T @ null_model.e
     T, fitted = float(scores @ scores), along @ scores
-    rest = ground.e - fitted
-    return T / compute_overdispersion(ground.whiten.block, fitted * rest, float(fitted @ fitted)), int(seen.sum())
+    rest = null_model.e - fitted
+    return T / compute_overdispersion(null_model.whiten.block, fitted * rest, float(fitted @ fitted)), int(seen.sum())
 
 
 def confirm_campaign_change(
     channel: CampaignChannel, noise: Sequence[Autoregression], columns: Sequence[np.ndarray]
 ) -> Confirmation:
-    """Test columns (n, m, k) of each run on the samples set aside, with amplitudes of the training part."""
-    ground = NullModel.of(ColumnCache(channel), (TRAIN,), noise)
-    return confirm(ground, [columns], (), (TEST,), (TRAIN,))
+    """Test columns (n, m, k) of each run on the test samples, with amplitudes of the training part."""
+    null_model = WhiteResidual.of_columns(channel, (TRAIN,), noise)
+    return confirm_columns(null_model, [columns], (), (TEST,), (TRAIN,))
 
 
 def compute_campaign_gain(
@@ -216,7 +210,7 @@ def compute_campaign_gain(
     rng: np.random.Generator,
     shown: Confirmation,
 ) -> Gain:
-    """Return how much smaller the error in some logs is on the samples set aside; zero where there are none.
+    """Return how much smaller the error in some logs is on the test samples; zero without any.
 
     Args:
         channel: The measurements.

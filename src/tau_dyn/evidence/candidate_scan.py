@@ -20,7 +20,13 @@ from scipy import optimize, stats
 
 from tau_dyn.effects import Effect
 from tau_dyn.evidence.channel import Channel
-from tau_dyn.evidence.null_model import NullModel, compute_overdispersion, compute_score_test, count_effective_tests
+from tau_dyn.evidence.null_model import (
+    NullModel,
+    WhiteResidual,
+    compute_overdispersion,
+    compute_score_test,
+    count_effective_tests,
+)
 
 FAMILY_LEVEL = 0.05
 """Chance of any cause in the training data of clean logs; confirmation on other data multiplies it by its own level."""
@@ -37,11 +43,11 @@ class GroupTest:
 
     Attributes:
         effect: The effect at its best setting.
-        statistic: What it explains, in units of the noise.
+        statistic: Its score statistic, in units of the noise.
         n_effective_tests: Number `m` of independent tries that the search over settings amounts to.
         dof: Columns.
         overdispersion: Scatter of the blocks over their variance under the noise model, at least 1.
-        noise: What the best setting explains of each noise draw (D,).
+        noise: The statistic of the best setting on each noise draw (D,).
         neighbours: The settings before and after the best one in the grid, where there are.
     """
 
@@ -98,7 +104,7 @@ class CandidateCause:
 
     @property
     def penalised_statistic(self) -> float:
-        """What it explains less the price of its freedom; causes are ranked by it."""
+        """The statistic less the cost of its amplitudes; causes are ranked by it."""
         return sum(fit.penalised_statistic for fit in self.fits)
 
     def merit_under(self, inflation: float) -> float:
@@ -107,7 +113,7 @@ class CandidateCause:
 
     @property
     def statistic(self) -> float:
-        """What it explains, in units of the noise."""
+        """The score statistic, in units of the noise."""
         return sum(fit.statistic / fit.overdispersion for fit in self.fits)
 
 
@@ -218,7 +224,7 @@ def find_nonnegative(effect: Effect) -> np.ndarray:
 
 
 def scan_causes(
-    ground: NullModel,
+    null_model: NullModel,
     draws: np.ndarray,
     causes: Sequence[type[Effect]],
     taken: set[tuple],
@@ -227,7 +233,7 @@ def scan_causes(
     """Try every cause; return those that can be tried at all.
 
     Args:
-        ground: What is accounted for already.
+        null_model: The residual with everything that is in the model.
         draws: Noise after the same projection (R, D).
         causes: The causes.
         taken: `(cause, joints)` that are in the model already.
@@ -236,7 +242,9 @@ def scan_causes(
     found = []
     for k, cls in enumerate(causes, start=1):
         progress(f"trying cause {k} of {len(causes)}: {cls.name}")
-        tried = [fit_group(ground, draws, cls, group) for group in list_joint_groups(ground.channel, cls, taken)]
+        tried = [
+            fit_group(null_model, draws, cls, group) for group in list_joint_groups(null_model.channel, cls, taken)
+        ]
         fits = [fit for fit in tried if fit is not None]
         if fits:
             found.append(combine_group_tests(cls.name, fits))
@@ -252,29 +260,29 @@ def list_joint_groups(channel: Channel, cls: type[Effect], taken: set[tuple]) ->
     return [group for group in groups if (cls.name, group) not in taken and not set(group) <= mine]
 
 
-def fit_group(ground: NullModel, draws: np.ndarray, cls: type[Effect], group: tuple[str, ...]) -> GroupTest | None:
+def fit_group(null_model: NullModel, draws: np.ndarray, cls: type[Effect], group: tuple[str, ...]) -> GroupTest | None:
     """Scan one cause's settings on one group of joints; None where there is nothing to try."""
-    scene = ground.channel.scene
+    scene = null_model.channel.scene
     grid = cls.grid(scene, group)
     if not grid:
         return None
     units = [scene.units[scene.index(j)] for j in group]
     plain = cls(group, units)
     effects = [plain.with_settings(**setting) for setting in grid]
-    both = np.concatenate([ground.e[:, None], draws], axis=1)
+    both = np.concatenate([null_model.e[:, None], draws], axis=1)
     if cls.dense:
-        return _fit_alike(effects, ground, both[:, : 1 + DENSE_DRAWS])
+        return _fit_alike(effects, null_model, both[:, : 1 + DENSE_DRAWS])
     sizes = [len(effect.parameters) for effect in effects]
     alike = [[e for e, size in zip(effects, sizes, strict=True) if size == n] for n in sorted(set(sizes))]
-    fits = [_fit_alike(part, ground, both) for part in alike]
+    fits = [_fit_alike(part, null_model, both) for part in alike]
     best = max(fits, key=lambda fit: fit.penalised_statistic)
     return replace(best, n_effective_tests=best.n_effective_tests * len(alike))
 
 
-def _fit_alike(effects: list[Effect], ground: NullModel, both: np.ndarray) -> GroupTest:
+def _fit_alike(effects: list[Effect], null_model: NullModel, both: np.ndarray) -> GroupTest:
     """Scan settings with the same number of columns against the residual and the noise draws (R, 1 + D)."""
     sided = find_nonnegative(effects[0])
-    explained = compute_explained(effects, ground, both)
+    explained = compute_explained(effects, null_model, both)
     best = int(np.argmax(explained[:, 0]))
     noise = explained[:, 1:].max(axis=0)
     simple = bool(sided.all()) and len(sided) == 1
@@ -282,45 +290,36 @@ def _fit_alike(effects: list[Effect], ground: NullModel, both: np.ndarray) -> Gr
     near = tuple(dict(effects[k].settings) for k in (best - 1, best + 1) if 0 <= k < len(effects))
     T = float(explained[best, 0])
     fit = GroupTest(effects[best], T, tries, len(sided), simple, 1.0, noise, near)
-    fit = rescore_group(fit, ground) if T > 4 else fit
-    return match_settings(fit, ground) if T > _WORTH_MATCHING else fit
+    fit = rescore_group(fit, null_model) if T > 4 else fit
+    return match_settings(fit, null_model) if T > _WORTH_MATCHING else fit
 
 
-def rescore_group(fit: GroupTest, ground: NullModel) -> GroupTest:
+def rescore_group(fit: GroupTest, null_model: NullModel) -> GroupTest:
     """Return a fit with its exact `T` and its inflation by blocks."""
-    C = ground.rows(fit.effect)
-    T, s, G = compute_score_test(ground, C, find_nonnegative(fit.effect))
-    return GroupTest(
-        fit.effect,
-        T,
-        fit.n_effective_tests,
-        fit.dof,
-        fit.one_sided,
-        compute_fit_overdispersion(ground, C, s, G),
-        fit.noise,
-        fit.neighbours,
-    )
+    C = null_model.rows(fit.effect)
+    T, s, G = compute_score_test(null_model, C, find_nonnegative(fit.effect))
+    return replace(fit, statistic=T, overdispersion=compute_fit_overdispersion(null_model, C, s, G))
 
 
-def match_settings(fit: GroupTest, ground: NullModel) -> GroupTest:
-    """Return a fit whose matched setting equals its amplitude, the best between points of the grid, and what it explains so.
+def match_settings(fit: GroupTest, null_model: NullModel) -> GroupTest:
+    """Return a fit whose matched setting equals its amplitude, the best between points of the grid, and its statistic there.
 
-    The constrained misfit `|e - x c(x)|^2` is minimised over `x`, with `c(x)` the column at the setting `x` (Brent 1973, without
-    derivatives): what the baseline leaves of a column may fall with its setting's square, so amplitude and setting do not agree
-    by themselves. A proposal of a fit of the whole baseline that explains as much is better: `e` is whitened by a model of
-    noise that holds the effect itself.
+    The constrained misfit `|e - x c(x)|^2` is minimised over `x`, with `c(x)` the column at the setting `x` (Brent 1973,
+    without derivatives): the part of a column that the baseline leaves may fall with its setting's square, so amplitude and
+    setting do not agree by themselves. A proposal of a fit of the whole baseline that explains as much is better: `e` is
+    whitened by a model of noise that holds the effect itself.
     """
     effect = fit.effect
     if not effect.matched:
         return fit
     ((key, _),) = effect.matched.items()
-    scene = ground.channel.scene
+    scene = null_model.channel.scene
 
     def misfit(x: float) -> float:
         if x == 0:
             return 0.0
-        c = ground.rows(effect.with_settings(**{key: x}))
-        return float(x**2 * ground.gram(c)[0, 0] - 2 * x * (c.T @ ground.e)[0])
+        c = null_model.rows(effect.with_settings(**{key: x}))
+        return float(x**2 * null_model.gram(c)[0, 0] - 2 * x * (c.T @ null_model.e)[0])
 
     grid = sorted({setting[key] for setting in type(effect).grid(scene, effect.joints)})
     tried = grid if key in effect.positive else sorted({*(-x for x in grid), *grid})
@@ -335,23 +334,23 @@ def match_settings(fit: GroupTest, ground: NullModel) -> GroupTest:
     proposed = type(effect).propose(scene, effect.joints)
     if proposed is not None and misfit(proposed) < (1 - _PROPOSAL_MARGIN) * misfit(best):
         best = proposed
-    exact = rescore_group(replace(fit, effect=effect.with_settings(**{key: best})), ground)
+    exact = rescore_group(replace(fit, effect=effect.with_settings(**{key: best})), null_model)
     return replace(exact, statistic=max(0.0, -misfit(best)))
 
 
-def compute_explained(effects: Sequence[Effect], ground: NullModel, both: np.ndarray) -> np.ndarray:
-    """Return what each setting explains of each column of white residuals (R, d): (g, d), by the channel's short cuts."""
-    channel = ground.channel
-    scanned = channel.scan(effects, ground.whiten, both) if effects[0].dense else None
+def compute_explained(effects: Sequence[Effect], null_model: NullModel, both: np.ndarray) -> np.ndarray:
+    """Return the statistic of each setting for each column of white residuals (R, d): (g, d), by the channel's short cuts."""
+    channel = null_model.channel
+    scanned = channel.scan(effects, null_model.whiten, both) if effects[0].dense else None
     found = np.full((len(effects), both.shape[1]), np.nan) if scanned is None else scanned
     left = np.flatnonzero(np.isnan(found[:, 0]))
     for start in range(0, len(left), _CHUNK):
         part = [effects[k] for k in left[start : start + _CHUNK]]
         quick = [channel.quick_columns(effect) for effect in part]
         exact = [effect for c, effect in zip(quick, part, strict=True) if c is None]
-        exactly = iter(ground.library.make_together(exact, ground.whiten.runs))
+        exactly = iter(null_model.library.make_together(exact, null_model.whiten.runs))
         made = [next(exactly) if c is None else c for c in quick]
-        found[left[start : start + _CHUNK]] = ground.explained(made, both, find_nonnegative(effects[0]))
+        found[left[start : start + _CHUNK]] = null_model.explained(made, both, find_nonnegative(effects[0]))
     return found
 
 
@@ -362,40 +361,9 @@ def _tries(noise: np.ndarray, dof: int, simple: bool) -> float:
     return count_effective_tests(np.clip(tail, 1e-12, 0.5 if simple else 1 - 1e-12), seen)
 
 
-def compute_fit_overdispersion(ground: NullModel, C: np.ndarray, s: np.ndarray, G: np.ndarray) -> float:
+def compute_fit_overdispersion(null_model: WhiteResidual, C: np.ndarray, s: np.ndarray, G: np.ndarray) -> float:
     """Return the overdispersion along the direction that white rows (R, k) with scores `s` and Gram matrix `G` fit."""
-    along = ground.project_out(C @ np.linalg.lstsq(G, s, rcond=1e-9)[0])
+    along = null_model.project_out(C @ np.linalg.lstsq(G, s, rcond=1e-9)[0])
     square = float(along @ along)
-    e = ground.e - along * float(along @ ground.e) / max(square, 1e-300)
-    return compute_overdispersion(ground.whiten.block, along * e, square)
-
-
-def estimate_amplitudes(effect: Effect, ground: NullModel) -> np.ndarray:
-    """Return an effect's amplitudes (k,) beside what the ground accounts for, within their bounds at zero.
-
-    Minimises `x' G x - 2 x' C'e` with `G` the Gram matrix of what the ground leaves of the columns `C`; directions that it
-    leaves nothing of stay at zero.
-    """
-    C = ground.rows(effect)
-    scale = np.maximum(np.linalg.norm(C, axis=0), 1e-300)
-    values, vectors = np.linalg.eigh(ground.gram(C / scale))
-    seen = values > 1e-9 * max(values[-1], 1e-300)
-    values, vectors = values[seen], vectors[:, seen]
-    rows, y = np.sqrt(values)[:, None] * vectors.T, vectors.T @ (C.T @ ground.e / scale) / np.sqrt(values)
-    lower = np.where(find_nonnegative(effect), 0.0, -np.inf)
-    x = (
-        optimize.lsq_linear(rows, y, (lower, np.inf)).x
-        if np.any(lower == 0)
-        else np.linalg.lstsq(rows, y, rcond=None)[0]
-    )
-    return x / scale
-
-
-def differentiate_settings(effect: Effect, amplitude: np.ndarray, channel: Channel) -> list[list[np.ndarray]]:
-    """Return, for each refined setting, the change of the effect's force per unit of it (n, m, 1) of each run."""
-    found = []
-    for key in effect.refined:
-        step = 1e-3 * abs(effect.settings[key]) or 1e-6
-        ends = [channel.columns(effect.with_settings(**{key: effect.settings[key] + x})) for x in (step, -step)]
-        found.append([((a - b) @ amplitude / (2 * step))[:, :, None] for a, b in zip(*ends, strict=True)])
-    return found
+    e = null_model.e - along * float(along @ null_model.e) / max(square, 1e-300)
+    return compute_overdispersion(null_model.whiten.block, along * e, square)

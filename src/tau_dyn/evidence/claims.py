@@ -17,8 +17,8 @@ import numpy as np
 
 from tau_dyn.effects import Effect
 from tau_dyn.estimate import PhysicalConstraints
-from tau_dyn.evidence.channel import TEST, TRAIN, VALIDATION, Channel
-from tau_dyn.evidence.confirmation import Confirmation, confirm, drop_unconfirmed_joints
+from tau_dyn.evidence.channel import Channel
+from tau_dyn.evidence.confirmation import Confirmation, confirm
 from tau_dyn.evidence.extended_fit import (
     EvaluatedFit,
     build_extended_regression,
@@ -28,6 +28,7 @@ from tau_dyn.evidence.extended_fit import (
     restrict_to_parts,
     solve_with_fallback,
 )
+from tau_dyn.evidence.measurements import TEST, TRAIN, VALIDATION
 from tau_dyn.evidence.plausibility import (
     Implausible,
     compute_least_forces,
@@ -39,8 +40,9 @@ from tau_dyn.evidence.plausibility import (
     widen_scales,
 )
 from tau_dyn.evidence.result import Choice, Gain, Step
-from tau_dyn.evidence.search_edges import find_edge
+from tau_dyn.evidence.settings import find_edge
 from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
+from tau_dyn.evidence.validation import drop_unconfirmed_joints
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import format_percent
 
@@ -59,9 +61,9 @@ PRINTED_DIGITS = 3
 _NOT_SHOWN = "held-out data do not show it"
 _SILENT = "held-out data cannot show it"
 _WORSE = "held-out data are predicted worse with it"
-_ZERO = "no amplitude of it is distinct from zero beside the other causes"
+_ZERO = "no amplitude of it is distinct from zero next to the other causes"
 _VETO = "the test data do not show it"
-_NO_FORCE = "it takes off less than a hundred-thousandth of the force there, and no force is measured to that"
+_NO_FORCE = "its effect is below 1e-5 of the measured force, beyond sensor accuracy"
 _NO_GAIN = "its gain is not above zero (95 % interval {:.2g} to {:.2g} %)"
 
 
@@ -81,7 +83,7 @@ class Claims:
 
     @property
     def kept(self) -> list[SelectedCause]:
-        """The causes that stand so far."""
+        """The causes that no rule has rejected."""
         return [one for one, why in zip(self.found, self.why_not, strict=True) if not why]
 
     def judge(self, k: int, why_not: str) -> Claims:
@@ -107,21 +109,21 @@ class Waterfall(NamedTuple):
 
 
 def select_confirmed(
-    hunt: StepwiseSelection, tests: Sequence[Confirmation], physics: PhysicalConstraints | None = None
+    selection: StepwiseSelection, tests: Sequence[Confirmation], physics: PhysicalConstraints | None = None
 ) -> Claims:
     """Return the causes that the held-out data show and that do not make its prediction worse.
 
     A cause may be there and yet, with many amplitudes from a short log, predict badly where the training data never were.
     """
     found = tuple(
-        drop_unconfirmed_joints(hunt, one) if test.is_confirmed and not test.within else one
-        for one, test in zip(hunt.found, tests, strict=True)
+        drop_unconfirmed_joints(selection, one) if test.is_confirmed and not test.within else one
+        for one, test in zip(selection.found, tests, strict=True)
     )
     claims = Claims(found, tuple(_NOT_SHOWN if not t.is_inconclusive else _SILENT for t in tests), tuple(tests))
-    before = _missed(hunt.channel, (), physics) if any(test.is_confirmed for test in tests) else 0.0
+    before = _missed(selection.channel, (), physics) if any(test.is_confirmed for test in tests) else 0.0
     for k, test in enumerate(tests):
         if test.is_confirmed:
-            after = _missed(hunt.channel, [*claims.kept, found[k]], physics)
+            after = _missed(selection.channel, [*claims.kept, found[k]], physics)
             better = after <= (1 + MAX_RELATIVE_RMS_INCREASE) * before
             claims = claims.judge(k, "" if better else _WORSE)
             before = after if better else before
@@ -140,26 +142,26 @@ def _missed(channel: Channel, found: Sequence[SelectedCause], physics: PhysicalC
 
 
 def build_waterfall(
-    hunt: StepwiseSelection,
+    selection: StepwiseSelection,
     claims: Claims,
     rng: np.random.Generator,
     nominal: np.ndarray | None = None,
     physics: PhysicalConstraints | None = None,
-    aside: Sequence[np.ndarray] = (),
+    inner_parts: Sequence[np.ndarray] = (),
 ) -> Waterfall:
     """Fit and judge the baseline, then with one cause more each time.
 
     The gain of a cause that only blocks of the training logs can show is measured there, by a fit of the others.
 
     Args:
-        hunt: The search.
-        claims: What was found; confirmed causes come in that order.
+        selection: The search.
+        claims: The causes found; confirmed causes come in that order.
         rng: For intervals.
         nominal: The baseline's values before any fit (p,); by default its parameters' own.
         physics: Physical consistency of the baseline's values.
-        aside: Parts with the blocks set aside of the training logs, see `divide_training`.
+        inner_parts: Parts with held-out blocks of the training logs, see `divide_training`.
     """
-    channel, gains, kept = hunt.channel, [], claims.kept
+    channel, gains, kept = selection.channel, [], claims.kept
     values = channel.parameters.values if nominal is None else nominal
     first = evaluate_fit(channel, build_extended_regression(channel, ()), values, None, rng)
     fits = [fit_extended_model(channel, (), physics, rng)]
@@ -174,37 +176,39 @@ def build_waterfall(
         test = claims.tests[claims.found.index(one)]
         within, pair = test if test.within else None, (without, fits[-1])
         gains.append(
-            _measure_gain(hunt, pair, one.candidate.effects, build_effects(others), rng, physics, within, aside)
+            _measure_gain(
+                selection, pair, one.candidate.effects, build_effects(others), rng, physics, within, inner_parts
+            )
         )
     return Waterfall(steps, fits, gains, first)
 
 
 def _measure_gain(
-    hunt: StepwiseSelection,
+    selection: StepwiseSelection,
     fits: Sequence[EvaluatedFit],
     effects: Sequence[Effect],
-    beside: Sequence[Effect],
+    others: Sequence[Effect],
     rng: np.random.Generator,
     physics: PhysicalConstraints | None,
     within: Confirmation | None = None,
-    aside: Sequence[np.ndarray] = (),
+    inner_parts: Sequence[np.ndarray] = (),
     outputs: Sequence[str] = (),
 ) -> Gain:
     """Return the gain of effects between two fits on the test data, of their own joints or of `outputs`.
 
     If the test data leave the gain open, the validation data are used as well or, for a cause with a test `within` the training
-    logs, the blocks of these logs that were set aside. In both cases the fits are those of the remaining training data.
+    logs, the held-out blocks of these logs. In both cases the fits are those of the remaining training data.
     """
-    channel, own = hunt.channel, hunt.columns(effects)
+    channel, own = selection.channel, selection.columns(effects)
     joints = outputs or list_felt_joints(channel, effects)
-    shown = confirm(hunt.ground, own, beside, (TEST,), fitted_on=(TRAIN, VALIDATION))
+    shown = confirm(selection.null_model, own, others, (TEST,), fitted_on=(TRAIN, VALIDATION))
     before, after = (fit.residuals for fit in fits)
     if shown.leaves_gain_open:
-        parts = aside if within else channel.parts
+        parts = inner_parts if within else channel.parts
         channel = replace(channel, parts=tuple(np.where(p == VALIDATION, TEST, p) for p in parts))
         known = [restrict_to_parts(fit.regression, channel, TRAIN) for fit in fits]
         before, after = (r.residuals(solve_with_fallback(r, physics).theta) for r in known)
-        shown = within or confirm(hunt.ground, own, beside, (VALIDATION, TEST))
+        shown = within or confirm(selection.null_model, own, others, (VALIDATION, TEST))
     return compute_gain(channel, before, after, joints, rng, shown)
 
 
@@ -216,38 +220,38 @@ def list_felt_joints(channel: Channel, effects: Sequence[Effect]) -> list[str]:
 
 
 def select_supported(
-    hunt: StepwiseSelection,
+    selection: StepwiseSelection,
     claims: Claims,
     rng: np.random.Generator,
     nominal: np.ndarray | None = None,
     physics: PhysicalConstraints | None = None,
-    aside: Sequence[np.ndarray] = (),
+    inner_parts: Sequence[np.ndarray] = (),
 ) -> tuple[Claims, Waterfall]:
-    """Return the claims that all rules for a confirmed cause let stand, and their bars.
+    """Return the claims that pass all rules for a confirmed cause, and their waterfall.
 
-    A confirmed cause has an amplitude distinct from zero, within its plausible range, with settings off the edges of what was
-    searched; it is not absent from the test data, and the error of its own joints falls with the 95 % interval above zero. A
+    A confirmed cause has an amplitude distinct from zero, within its plausible range, with settings away from the edges of
+    the search; it is not absent from the test data, and the error of its own joints falls with the 95 % interval above zero. A
     joint of several that becomes significantly worse is dropped, and the others stay. The test data have a veto and no vote.
     Rules about one cause alone come first: a cause that they reject may be the reason why another one becomes worse.
     """
     while True:
-        bars = build_waterfall(hunt, claims, rng, nominal, physics, aside)
-        judged_again = _reject_by_amplitude(hunt, claims, bars)
+        waterfall = build_waterfall(selection, claims, rng, nominal, physics, inner_parts)
+        judged_again = _reject_by_amplitude(selection, claims, waterfall)
         if judged_again is claims:
-            judged_again = _reject_companion(hunt, claims, bars)
+            judged_again = _reject_companion(selection, claims, waterfall)
         if judged_again is claims:
-            judged_again = _drop_worse_joints(hunt.channel, claims, bars, rng)
+            judged_again = _drop_worse_joints(selection.channel, claims, waterfall, rng)
         if judged_again is claims:
-            judged_again = _reject_without_gain(hunt.channel, claims, bars)
+            judged_again = _reject_without_gain(selection.channel, claims, waterfall)
         if judged_again is claims:
-            return claims, bars
+            return claims, waterfall
         claims = judged_again
 
 
-def _reject_by_amplitude(hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> Claims:
-    """Reject what is not distinct from zero, implausible, at an edge, or absent from the test data; all at once."""
-    values, before = bars.fits[-1].parameters, bars.fits[0].parameters
-    estimate, scene, kept = bars.fits[-1].estimate, hunt.channel.scene, claims.kept
+def _reject_by_amplitude(selection: StepwiseSelection, claims: Claims, waterfall: Waterfall) -> Claims:
+    """Reject causes that are not distinct from zero, implausible, at an edge, or absent from the test data; all at once."""
+    values, before = waterfall.fits[-1].parameters, waterfall.fits[0].parameters
+    estimate, scene, kept = waterfall.fits[-1].estimate, selection.channel.scene, claims.kept
     assert estimate is not None  # only the nominal bar has none
     scales = scene.scales
     if scales:
@@ -262,24 +266,24 @@ def _reject_by_amplitude(hunt: StepwiseSelection, claims: Claims, bars: Waterfal
             why = Implausible(why or find_inconsistent(effects, values, scene.step_s))
         others = build_effects([other for other in kept if other is not one])
         if not (why or claims.tests[k].within):
-            shown = confirm(hunt.ground, hunt.columns(effects), others, (TEST,))
+            shown = confirm(selection.null_model, selection.columns(effects), others, (TEST,))
             why = "" if shown.share > 0 or shown.leaves_gain_open else _VETO
         claims = claims.judge(k, why) if why else claims
     return claims
 
 
-def _reject_companion(hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> Claims:
+def _reject_companion(selection: StepwiseSelection, claims: Claims, waterfall: Waterfall) -> Claims:
     """Reject a cause that may only be the inexactness of another one's law."""
     kept = claims.kept
-    found = find_companion(hunt.library, kept, bars.fits[-1].parameters)
+    found = find_companion(selection.library, kept, waterfall.fits[-1].parameters)
     return claims.judge(claims.found.index(kept[found[0]]), found[1]) if found else claims
 
 
-def _drop_worse_joints(channel: Channel, claims: Claims, bars: Waterfall, rng: np.random.Generator) -> Claims:
+def _drop_worse_joints(channel: Channel, claims: Claims, waterfall: Waterfall, rng: np.random.Generator) -> Claims:
     """Drop, of causes on several joints, those joints whose error grows significantly by the cause on them."""
     for n, one in enumerate(claims.kept):
         fits = one.candidate.fits
-        before, after = (bars.fits[n + k].residuals for k in (0, 1))
+        before, after = (waterfall.fits[n + k].residuals for k in (0, 1))
         gains = [compute_gain(channel, before, after, fit.effect.joints, rng) for fit in fits]
         left = tuple(fit for fit, gain in zip(fits, gains, strict=True) if not is_worse(gain))
         if 0 < len(left) < len(fits):
@@ -292,15 +296,15 @@ def is_worse(gain: Gain, tolerance_percent: float = 100 * MAX_RELATIVE_RMS_INCRE
     return gain.ci95[1] < 0 and gain.reduction_percent < -tolerance_percent
 
 
-def _reject_without_gain(channel: Channel, claims: Claims, bars: Waterfall) -> Claims:
+def _reject_without_gain(channel: Channel, claims: Claims, waterfall: Waterfall) -> Claims:
     """Reject the cause with the lowest gain where its interval is not above zero, and one whose gain is no measurable force."""
-    low = [gain.ci95[0] for gain in bars.gains]
+    low = [gain.ci95[0] for gain in waterfall.gains]
     if low and min(low) <= 0:
         n = int(np.argmin(low))
-        return claims.judge(claims.found.index(claims.kept[n]), _NO_GAIN.format(*bars.gains[n].ci95))
+        return claims.judge(claims.found.index(claims.kept[n]), _NO_GAIN.format(*waterfall.gains[n].ci95))
     if channel.name != "force":
         return claims
-    for one, gain in zip(claims.kept, bars.gains, strict=True):
+    for one, gain in zip(claims.kept, waterfall.gains, strict=True):
         joints = list_felt_joints(channel, one.candidate.effects)
         felt = [k for k, output in enumerate(channel.outputs) if output in joints] or slice(None)
         least = float(np.sqrt(np.mean(compute_least_forces(channel)[felt] ** 2)))
@@ -319,25 +323,37 @@ class Recommendation(NamedTuple):
 
 
 def recommend(
-    hunt: StepwiseSelection,
+    selection: StepwiseSelection,
     claims: Claims,
-    bars: Waterfall,
+    waterfall: Waterfall,
     rng: np.random.Generator,
     physics: PhysicalConstraints | None = None,
+    *,
+    has_load: bool = False,
 ) -> Recommendation:
-    """Return which model to use, given the causes with those that stand, and their waterfall."""
-    channel = hunt.channel
-    before, after = bars.fits[0], bars.fits[-1]
+    """Return which model to use, given the causes with their status, and their waterfall.
+
+    Args:
+        selection: The selection.
+        claims: The causes with their status.
+        waterfall: The waterfall.
+        rng: For intervals.
+        physics: Physical consistency of the baseline's values.
+        has_load: Whether some logs carry a confirmed load, which is no part of either model.
+    """
+    channel = selection.channel
+    before, after = waterfall.fits[0], waterfall.fits[-1]
     if foreign := describe_foreign_joints(find_foreign_joints(channel, after)):
         return Recommendation("neither", str(foreign[0]), foreign)
-    if bars.nominal is not None and is_worse(
-        loss := compute_gain(channel, bars.nominal.residuals, before.residuals, channel.outputs, rng)
+    if waterfall.nominal is not None and is_worse(
+        loss := compute_gain(channel, waterfall.nominal.residuals, before.residuals, channel.outputs, rng)
     ):
         more = -loss.reduction_percent
         why = f"the held-out error of the refitted model is {more:.2g} % larger than with the robot file's values"
         return Recommendation("neither", why)
     if not claims.kept:
-        return Recommendation("refitted", "no cause is confirmed")
+        load = "no cause but the load is confirmed, which is the log's own"
+        return Recommendation("refitted", load if has_load else "no cause is confirmed")
     worse = [
         (output, -gain.reduction_percent)
         for output in channel.outputs
@@ -351,7 +367,9 @@ def recommend(
     one, other = (format_percent(fit.errors.relative_error_percent, PRINTED_DIGITS) for fit in (before, after))
     if one == other:
         return Recommendation("refitted", f"the held-out error is {one} with and without the confirmed causes: no gain")
-    gain = _measure_gain(hunt, (before, after), build_effects(claims.kept), (), rng, physics, outputs=channel.outputs)
+    gain = _measure_gain(
+        selection, (before, after), build_effects(claims.kept), (), rng, physics, outputs=channel.outputs
+    )
     low, high = gain.ci95
     if low <= 0:
         return Recommendation(

@@ -1,4 +1,4 @@
-"""What was not found but would have been, what these logs cannot show, and periods that they leave open.
+"""Detection limits of causes that were not found, causes that these logs cannot show, and periods that they leave open.
 
 A detection limit is the amplitude at which the test at the family-wise level has 95 % power (noncentral chi-square), at the
 setting in the middle of the grid and on the joint where the cause is hardest to see.
@@ -19,14 +19,15 @@ from scipy import special
 
 from tau_dyn.effects import Effect, format_quantity
 from tau_dyn.evidence.candidate_scan import FAMILY_LEVEL, CandidateCause, GroupTest, compute_explained
-from tau_dyn.evidence.channel import EVERY, Channel
+from tau_dyn.evidence.channel import Channel
+from tau_dyn.evidence.measurements import EVERY
 from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.evidence.result import Finding, Limit, Untestable
 from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection
 from tau_dyn.evidence.unknown_structure import MIN_2LOGL_DIFFERENCE
 
 POWER = 0.95  # of the test at the detection limit, by convention
-OWNED = 1e-9  # share of a column's power left beside the null model; less is rounding
+OWNED = 1e-9  # share of a column's power left next to the null model; less is rounding
 _WHOLE = 0.5
 """Share of an output's rms above which a limit says that the data show nothing of the cause."""
 
@@ -34,11 +35,11 @@ _WHOLE = 0.5
 def compute_detection_limits(
     search: StepwiseSelection, named: Sequence[str]
 ) -> tuple[tuple[Limit, ...], tuple[Untestable, ...]]:
-    """Return detection limits of the causes that were tried and not found, and what could not be tried."""
+    """Return detection limits of the causes that were tried and not found, and the causes that could not be tried."""
     channel, limits, untestable = search.channel, [], []
     tried = {c.cause: c for c in search.last}
     for cls in channel.causes:
-        absorbed = explain_absorbed(search.ground, tried[cls.name]) if cls.name in tried else ""
+        absorbed = explain_absorbed(search.null_model, tried[cls.name]) if cls.name in tried else ""
         if absorbed:
             untestable.append(Untestable(cls.name, absorbed, cls.reveals))
         if cls.name in named:
@@ -53,10 +54,10 @@ def compute_detection_limits(
                 )
             )
         else:
-            limit = _limit(search.ground, tried[cls.name], len(search.last))
+            limit = _limit(search.null_model, tried[cls.name], len(search.last))
             if isinstance(limit, str):
                 untestable.append(Untestable(cls.name, limit, cls.reveals))
-            elif limit is None and _owned(search.ground, tried[cls.name]):
+            elif limit is None and _owned(search.null_model, tried[cls.name]):
                 continue  # the baseline has it, under another name
             elif limit is None and not absorbed:
                 why = "on this motion the refit of the baseline absorbs nearly all of it"
@@ -68,19 +69,19 @@ def compute_detection_limits(
 
 def compute_finding_limit(search: StepwiseSelection, one: SelectedCause) -> Limit | None:
     """Return the detection limit of a selected cause with all others in the model; None where the baseline absorbs it."""
-    ground = search.ground.beside(search.others(one))
-    limit = _limit(ground, one.candidate, len(search.last) + len(search.found))
+    null_model = search.null_model.with_effects(search.others(one))
+    limit = _limit(null_model, one.candidate, len(search.last) + len(search.found))
     return limit if isinstance(limit, Limit) else None
 
 
-def explain_absorbed(ground: NullModel, candidate: CandidateCause) -> str:
+def explain_absorbed(null_model: NullModel, candidate: CandidateCause) -> str:
     """Return on which joints the baseline leaves nothing of a cause, and why; empty where no reason is known."""
     reasons = []
     for fit in candidate.tested:
-        C = ground.rows(fit.effect)
-        raw, measured = float(np.sum(C**2)), ground.whiten(ground.channel.target) / ground.scale
+        C = null_model.rows(fit.effect)
+        raw, measured = float(np.sum(C**2)), null_model.whiten(null_model.channel.target) / null_model.scale
         felt = raw > MIN_UNABSORBED_SHARE**2 * float(measured @ measured)
-        if not (felt and float(np.trace(ground.gram(C))) > MIN_UNABSORBED_SHARE * raw):
+        if not (felt and float(np.trace(null_model.gram(C))) > MIN_UNABSORBED_SHARE * raw):
             reasons.append(fit.effect.explain_absorbed(fit.effect.joints, felt))
     return "; ".join(reason for reason in reasons if reason)
 
@@ -94,7 +95,7 @@ def solve_noncentrality(level: float, dof: int, power: float = POWER) -> float:
     return float(special.chndtrinc(special.chdtri(dof, level), dof, 1 - power))
 
 
-def _limit(ground: NullModel, candidate: CandidateCause, causes: int) -> Limit | str | None:
+def _limit(null_model: NullModel, candidate: CandidateCause, causes: int) -> Limit | str | None:
     """Return the limit at the joint where a plausible cause is hardest to see, or why no plausible one would be seen."""
     found: list[tuple[float, str, str]] = []
     beyond: list[tuple[float, str, str]] = []
@@ -102,15 +103,15 @@ def _limit(ground: NullModel, candidate: CandidateCause, causes: int) -> Limit |
         if len(fit.effect.joints) > 1 and any(len(f.effect.joints) == 1 for f in candidate.tested):
             continue
         tests = len(candidate.tested) * (2 if len(candidate.tested) > 1 else 1)  # each alone, and all together
-        amplitude = _amplitude(ground, fit, tests * causes)
+        amplitude = _amplitude(null_model, fit, tests * causes)
         if amplitude is None:
             continue  # a joint that hardly moves says nothing of the others
         first = next(iter(fit.effect.parameters))
         amplitude = max([amplitude, *(row.low for row in fit.effect.plausible if not (row.of or row.setting))])
         values = fit.effect.parameters.with_values({first.name: max(amplitude, first.lower)})
-        plausible = not fit.effect.find_implausible(values, ground.channel.scene.scales)
+        plausible = not fit.effect.find_implausible(values, null_model.channel.scene.scales)
         joints = fit.effect.joints
-        several = len(joints) > _MAX_LISTED_JOINTS and set(joints) == set(ground.channel.scene.joints)
+        several = len(joints) > _MAX_LISTED_JOINTS and set(joints) == set(null_model.channel.scene.joints)
         (found if plausible else beyond).append((amplitude, first.unit, "all joints" if several else "+".join(joints)))
     if not found and beyond:
         amplitude, unit, joint = min(beyond)
@@ -124,31 +125,31 @@ def _limit(ground: NullModel, candidate: CandidateCause, causes: int) -> Limit |
     return Limit(candidate.cause, amplitude, unit, phrase)
 
 
-def _amplitude(ground: NullModel, fit: GroupTest, families: int) -> float | None:
-    """Return the amplitude seen with 95 % power, or None where it would exceed half of what is measured."""
-    effect = select_median_setting(ground.channel, fit.effect)
-    C = ground.rows(effect)
+def _amplitude(null_model: NullModel, fit: GroupTest, families: int) -> float | None:
+    """Return the amplitude seen with 95 % power, or None where it would exceed half of the measurement."""
+    effect = select_median_setting(null_model.channel, fit.effect)
+    C = null_model.rows(effect)
     units = [p.unit for p in effect.parameters]
     C = C[:, [unit == units[0] for unit in units]]
-    G, raw = ground.gram(C), C.T @ C
+    G, raw = null_model.gram(C), C.T @ C
     k = C.shape[1]
     if not np.trace(G) > MIN_UNABSORBED_SHARE * np.trace(raw) or np.trace(raw) == 0:
         return None
     level = FAMILY_LEVEL / families / fit.n_effective_tests * (2 if fit.one_sided else 1)
     size = float(np.sqrt(solve_noncentrality(min(level, 0.5), k) * fit.overdispersion * k / np.trace(G)))
     force = size * float(np.sqrt(np.trace(raw) / k))
-    measured = float(np.linalg.norm(ground.whiten(ground.channel.target) / ground.scale))
+    measured = float(np.linalg.norm(null_model.whiten(null_model.channel.target) / null_model.scale))
     return None if force > _WHOLE * measured else size
 
 
-def _owned(ground: NullModel, candidate: CandidateCause) -> bool:
+def _owned(null_model: NullModel, candidate: CandidateCause) -> bool:
     """Tell whether the baseline has parameters for exactly this, and not only on a motion that never turns back."""
     for fit in candidate.tested:
-        C = ground.rows(fit.effect)
-        if np.trace(ground.gram(C)) > OWNED * np.trace(C.T @ C):
+        C = null_model.rows(fit.effect)
+        if np.trace(null_model.gram(C)) > OWNED * np.trace(C.T @ C):
             return False
     joints = {joint for fit in candidate.tested for joint in fit.effect.joints}
-    return not any(_one_way(ground.channel, joint) for joint in joints)
+    return not any(_one_way(null_model.channel, joint) for joint in joints)
 
 
 def _one_way(channel: Channel, joint: str) -> bool:
@@ -178,15 +179,15 @@ _PER_PERIOD = 2.5
 _MIN_EXPLAINED_SHARE = 0.8  # share of the best that a grid point explains where a finer one may explain all
 
 
-def find_alias_periods(hunt: StepwiseSelection) -> list[tuple[float, ...]]:
+def find_alias_periods(selection: StepwiseSelection) -> list[tuple[float, ...]]:
     """Return the periods [m or rad] that each cyclic error found may have; none for other causes and motion sampled in time."""
-    poses = hunt.channel.poses
+    poses = selection.channel.poses
     found: list[tuple[float, ...]] = []
-    for one in hunt.found:
+    for one in selection.found:
         effect = one.candidate.effects[0]
         found.append(())
         if poses and effect.dense and "period" in effect.settings:
-            found[-1] = compute_alias_periods(hunt.ground.beside(hunt.others(one)), effect)
+            found[-1] = compute_alias_periods(selection.null_model.with_effects(selection.others(one)), effect)
     return found
 
 
@@ -213,14 +214,14 @@ def leave_period_open(channel: Channel, one: SelectedCause, finding: Finding, pe
     )
 
 
-def compute_alias_periods(ground: NullModel, effect: Effect) -> tuple[float, ...]:
+def compute_alias_periods(null_model: NullModel, effect: Effect) -> tuple[float, ...]:
     """Return the periods [m or rad] that explain as much as an effect's own, longest first; only its own where it is sure.
 
     Args:
-        ground: Everything else accounted for.
+        null_model: Everything else accounted for.
         effect: An effect with a setting `period`.
     """
-    scene = ground.channel.scene
+    scene = null_model.channel.scene
     k = scene.index(effect.joints[0])
     travel = float(scene.high[k] - scene.low[k])
     lines = np.array([1 / s["period"] for s in type(effect).grid(scene, effect.joints) if "period" in s])
@@ -228,11 +229,11 @@ def compute_alias_periods(ground: NullModel, effect: Effect) -> tuple[float, ...
     if travel <= 0 or not len(lines):
         return (effect.settings["period"],)
     step = float(np.median(np.abs(np.diff(lines)))) if len(lines) > 1 else 1 / travel
-    rough = _explained(ground, effect, lines)
+    rough = _explained(null_model, effect, lines)
     starts = [own, *lines[rough > rough.max() * _MIN_EXPLAINED_SHARE - MIN_2LOGL_DIFFERENCE]]
     fine = np.concatenate([x + step * np.linspace(-0.5, 0.5, 2 * _FINE + 1) for x in starts])
     fine = np.concatenate([[own], fine[fine > 0]])
-    found = list(zip(_explained(ground, effect, fine), fine, strict=True))
+    found = list(zip(_explained(null_model, effect, fine), fine, strict=True))
     top = max(T for T, _ in found)
     kept: list[float] = []
     for T, line in sorted(found, reverse=True):
@@ -249,7 +250,7 @@ def compute_position_spacing(channel: Channel, joint: str) -> float:
     return float(np.median(moved)) if len(moved) else 0.0
 
 
-def _explained(ground: NullModel, effect: Effect, lines: np.ndarray) -> np.ndarray:
+def _explained(null_model: NullModel, effect: Effect, lines: np.ndarray) -> np.ndarray:
     """Return `T` (g,) of the effect with these numbers of periods a metre or radian (g,)."""
     settings = [effect.with_settings(period=float(1 / line)) for line in lines]
-    return compute_explained(settings, ground, ground.e[:, None])[:, 0]
+    return compute_explained(settings, null_model, null_model.e[:, None])[:, 0]

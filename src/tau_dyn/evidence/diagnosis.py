@@ -28,30 +28,30 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis(Shown):
-    """What a simulation gets wrong, why, and how much better it is with the cause.
+    """The error of a simulation, its cause, and how much better it is with the cause.
 
     Attributes:
         verdict: `named`, `nothing_found`, `cannot_tell` or `unexplained`.
         sentence: The answer in one or two sentences, for the top of the page.
         channel: `force`, `tool`, `deflection` or `position` (of servo loops).
-        outputs: What was measured.
+        outputs: The measured quantities.
         units: Units of the outputs.
         baseline: Errors of the refitted model.
         extended: Errors of the extended model.
-        noise_floor: What no model of these variables can get below.
+        noise_floor: Lower bound for any model of these variables.
         waterfall: Nominal, refitted, plus each cause in the order found, noise floor.
         findings: Strongest first.
-        unexplained: What no cause explains.
-        limits: What would have been seen, by cause.
-        untestable: What could not be tested and why.
+        unexplained: Structure that no cause explains.
+        limits: Detection limit of each cause.
+        untestable: Causes that could not be tested, with the reason.
         model: The baseline, refitted.
         extended_model: The model with the confirmed causes; the baseline where there are none.
         traces: The time view.
         n_parts: Seconds of usable data trained on, confirmed on, and measured on.
         how: How the data were divided, in words.
-        warnings: What is doubtful.
+        warnings: Doubts, as sentences.
         seed: Seed of whatever was random.
-        experiment: What would tell, where `verdict` is `cannot_tell`.
+        experiment: The experiment that would decide a verdict `cannot_tell`.
         recommendation: Which model to use: `extended`, `refitted`, or `neither`.
         recommendation_why: The reason, in a sentence.
         simulation: Closed-loop simulation against the measured log, before and after, where a controller was given.
@@ -90,7 +90,7 @@ class Diagnosis(Shown):
 
     @property
     def exit_status(self) -> int:
-        """3 where the data cannot tell, else 0."""
+        """3 for the verdict `cannot_tell`, else 0."""
         return 3 if self.verdict == "cannot_tell" else 0
 
     def plot(self) -> Figure:
@@ -106,7 +106,7 @@ class Diagnosis(Shown):
         return plot_outputs(curves, self.outputs, self.units)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract's JSON result, without what the command adds (version, inputs)."""
+        """Return the contract's JSON result, without the entries that the command adds (version, inputs)."""
         told = {
             "seed": self.seed,
             "status": "cannot_answer" if self.verdict == "cannot_tell" else "ok",

@@ -1,7 +1,7 @@
 """The model extended by causes, refitted, and judged on the test data; and the noise floor.
 
-The noise floor is what is left of the residual when every output may depend smoothly on all its own variables: an estimate of
-what no model of these variables can get below. Freedom spent on the smooth functions is given back.
+The noise floor is the residual that remains if every output may depend smoothly on all its own variables: an estimate of
+the lower bound for any model of these variables. Freedom spent on the smooth functions is given back.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from tau_dyn.estimate import (
     scale_columns,
     solve_least_squares,
 )
-from tau_dyn.evidence.channel import EVERY, TEST, TRAIN, VALIDATION, Channel
+from tau_dyn.evidence.channel import Channel
 from tau_dyn.evidence.confirmation import Confirmation
+from tau_dyn.evidence.measurements import EVERY, TEST, TRAIN, VALIDATION, Measurements
 from tau_dyn.evidence.null_model import build_smooth_columns
 from tau_dyn.evidence.result import Gain, OutputErrors, WholeErrors
 from tau_dyn.exceptions import InputError
@@ -100,7 +101,7 @@ def evaluate_fit(
     return EvaluatedFit(estimate, theta, regression, residuals, errors)
 
 
-def restrict_to_parts(regression: Regression, channel: Channel, *parts: int) -> Regression:
+def restrict_to_parts(regression: Regression, channel: Measurements, *parts: int) -> Regression:
     """Return a regression that may use samples of these parts only."""
     masks = channel.masks(*parts)
     return replace(
@@ -109,7 +110,7 @@ def restrict_to_parts(regression: Regression, channel: Channel, *parts: int) -> 
 
 
 def compute_errors(
-    channel: Channel,
+    channel: Measurements,
     residuals: Sequence[np.ndarray],
     rng: np.random.Generator,
     *,
@@ -135,11 +136,11 @@ def compute_errors(
     )
     low, high = np.percentile(shares, _INTERVAL)
     found = OutputErrors(channel.outputs, rms, ci95, relative, (float(low), float(high)))
-    return found if whole is None else _beside_all(found, channel, whole)
+    return found if whole is None else _add_all_samples(found, channel, whole)
 
 
-def _beside_all(errors: OutputErrors, channel: Channel, whole: Sequence[np.ndarray]) -> OutputErrors:
-    """Return errors with those over all samples of the test data beside them."""
+def _add_all_samples(errors: OutputErrors, channel: Measurements, whole: Sequence[np.ndarray]) -> OutputErrors:
+    """Return errors together with those over all samples of the test data."""
     inside = [part == TEST for part in channel.parts]
     e = np.concatenate([x[i] for x, i in zip(whole, inside, strict=True)])
     y = np.concatenate([run.y_all[i] for run, i in zip(channel.runs, inside, strict=True)])
@@ -150,7 +151,7 @@ def _beside_all(errors: OutputErrors, channel: Channel, whole: Sequence[np.ndarr
 
 
 def compute_gain(
-    channel: Channel,
+    channel: Measurements,
     before: Sequence[np.ndarray],
     after: Sequence[np.ndarray],
     joints: Sequence[str],
@@ -191,7 +192,7 @@ def compute_gain(
     return Gain(rms_before, rms_after, reduction, (float(low), float(high)))
 
 
-def _sum_blocks(channel: Channel, residuals: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _sum_blocks(channel: Measurements, residuals: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return sums of squares and counts (blocks, m) over 2 s blocks of the test data."""
     squares, counts = [], []
     for run, e, mask in zip(channel.runs, residuals, channel.masks(TEST), strict=True):

@@ -1,4 +1,4 @@
-"""From a cause that the data show to what a person reads: parameters with errors, a plot, a sentence, twins."""
+"""Findings for a reader, from causes that the data show: parameters with errors, a plot, a sentence, twins."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import numpy as np
 
 from tau_dyn.effects import EFFECTS, VOLTAGE, Effect, format_quantity, spell_unit
 from tau_dyn.estimate import scale_columns
-from tau_dyn.evidence.candidate_scan import differentiate_settings
-from tau_dyn.evidence.channel import EVERY, TRAIN, VALIDATION, Channel
+from tau_dyn.evidence.channel import Channel
 from tau_dyn.evidence.claims import Claims, Waterfall
 from tau_dyn.evidence.confirmation import Confirmation
 from tau_dyn.evidence.extended_fit import EvaluatedFit, fit_extended_model
+from tau_dyn.evidence.measurements import EVERY, TRAIN, VALIDATION
 from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.evidence.result import Finding, Gain, OutputErrors, Signature, Unexplained, Verdict
+from tau_dyn.evidence.settings import differentiate_settings
 from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -32,20 +33,24 @@ _TWIN_EXPERIMENT = "record {reveals}; that separates it from {twins}"
 _EQUIVALENT = "no log of this kind separates it from {twins}; the force is the same"
 
 
-def build_findings(hunt: StepwiseSelection, claims: Claims, bars: Waterfall, rng: np.random.Generator) -> list[Finding]:
-    """Return what is said of every cause found, confirmed or not, with all others accounted for."""
-    hunt = replace(hunt, found=claims.found)
+def build_findings(
+    selection: StepwiseSelection, claims: Claims, waterfall: Waterfall, rng: np.random.Generator
+) -> list[Finding]:
+    """Return the finding of every cause, confirmed or not, with all others in the model."""
+    selection = replace(selection, found=claims.found)
     found = []
     for one, test, why_not in zip(claims.found, claims.tests, claims.why_not, strict=True):
         if why_not:
-            found.append(build_rejected_finding(hunt, claims, one, why_not, test, rng))
+            found.append(build_rejected_finding(selection, claims, one, why_not, test, rng))
         else:
-            found.append(_build_finding(hunt, one, test, bars.fits[-1], bars.gains[claims.kept.index(one)]))
+            found.append(
+                _build_finding(selection, one, test, waterfall.fits[-1], waterfall.gains[claims.kept.index(one)])
+            )
     return found
 
 
 def build_rejected_finding(
-    hunt: StepwiseSelection,
+    selection: StepwiseSelection,
     claims: Claims,
     one: SelectedCause,
     why_not: str,
@@ -53,12 +58,12 @@ def build_rejected_finding(
     rng: np.random.Generator,
 ) -> Finding:
     """Return a suspected finding: its parameters are of a fit of the confirmed causes and this one."""
-    fit = fit_extended_model(hunt.channel, [*build_effects(claims.kept), *one.candidate.effects], None, rng)
-    return _build_finding(hunt, one, test, fit, None, why_not)
+    fit = fit_extended_model(selection.channel, [*build_effects(claims.kept), *one.candidate.effects], None, rng)
+    return _build_finding(selection, one, test, fit, None, why_not)
 
 
 def _build_finding(
-    hunt: StepwiseSelection,
+    selection: StepwiseSelection,
     one: SelectedCause,
     test: Confirmation,
     fit: EvaluatedFit,
@@ -66,14 +71,14 @@ def _build_finding(
     why_not: str = "",
 ) -> Finding:
     """Return the finding of one cause, confirmed or not."""
-    channel = hunt.channel
+    channel = selection.channel
     names = {n for e in one.candidate.effects for n in e.parameters.names}
     values = Parameters([p for p in fit.parameters if p.name in names])
     place = channel.scene.joints.index
     effects = tuple(sorted(one.candidate.effects, key=lambda effect: [place(j) for j in effect.joints]))
-    ground = NullModel.of(hunt.library, (TRAIN, VALIDATION), hunt.ground.noise, hunt.others(one))
+    null_model = NullModel.of(selection.library, (TRAIN, VALIDATION), selection.null_model.noise, selection.others(one))
     inflation = max(group.overdispersion for group in one.candidate.fits)
-    parameters = estimate_uncertainty(ground, effects, values, inflation)
+    parameters = estimate_uncertainty(null_model, effects, values, inflation)
     first = effects[0]
     known = channel.scene.signals  # a law of a voltage is no twin where none is logged
     alike = [t for e in effects for t in e.equivalent if t not in EFFECTS or VOLTAGE not in {*EFFECTS[t].needs} - known]
@@ -105,19 +110,19 @@ def _build_finding(
 
 
 def estimate_uncertainty(
-    ground: NullModel, effects: Sequence[Effect], values: Parameters, inflation: float
+    null_model: NullModel, effects: Sequence[Effect], values: Parameters, inflation: float
 ) -> Parameters:
     """Return amplitudes and refined settings with standard errors that count each other's uncertainty.
 
-    What the baseline's refit absorbs (a shared motor's inertia, which the links' inertia takes) has none: data do not tell it.
+    An amplitude that the baseline's refit absorbs has none (a shared motor's inertia, which the links' inertia takes).
     """
-    rows, columns = [], [ground.rows(effect) for effect in effects]
+    rows, columns = [], [null_model.rows(effect) for effect in effects]
     slopes = []
     for effect in effects:
         amplitude = values.select(effect.parameters.names).values
-        slopes += [ground.whiten_columns(x) for x in differentiate_settings(effect, amplitude, ground.channel)]
+        slopes += [null_model.whiten_columns(x) for x in differentiate_settings(effect, amplitude, null_model.channel)]
     everything, norm = scale_columns(np.concatenate([*columns, *slopes], axis=1))
-    variance = _variances(ground.gram(everything)) / norm**2
+    variance = _variances(null_model.gram(everything)) / norm**2
     stderr = iter(None if np.isnan(x) else float(np.sqrt(inflation * x)) for x in variance)
     for effect in effects:
         for p in values.select(effect.parameters.names):
@@ -132,7 +137,7 @@ def estimate_uncertainty(
 
 
 def _variances(gram: np.ndarray) -> np.ndarray:
-    """Return the variances (k,) of unit columns' amplitudes from what the baseline leaves of them; nan where data cannot tell."""
+    """Return the variances (k,) of unit columns' amplitudes, the baseline refitted; nan where data do not determine them."""
     values, vectors = np.linalg.eigh(gram)
     seen = values > _DEPENDENT * max(values.max(initial=0.0), 1e-300)
     variance = (vectors[:, seen] ** 2 / values[seen]).sum(axis=1)
@@ -158,7 +163,7 @@ def format_reduction(percent: float) -> str:
 def build_signature(
     channel: Channel, effects: Sequence[Effect], residuals: Sequence[np.ndarray], values: Parameters
 ) -> Signature | None:
-    """Return the residual without these effects, of the output that shows them best, against what it depends on."""
+    """Return the residual without these effects, of the output that shows them best, against the variable that it depends on."""
     made = [channel.columns(effect) for effect in effects]
     share = [
         np.sum([c[r] @ values.select(e.parameters.names).values for e, c in zip(effects, made, strict=True)], axis=0)
@@ -178,7 +183,7 @@ def build_signature(
 
 
 def build_axis(channel: Channel, effect: Effect, output: str) -> tuple[str, list[np.ndarray]]:
-    """Return what a cause's plot shows on its horizontal axis, and its values (n,) for each run."""
+    """Return the label of the horizontal axis of a cause's plot, and its values (n,) for each run."""
     variables = channel.variables()
     position = "m" if channel.scene.units[0] == "N" else "rad"
     joint = output if f"v_{output}" in variables[0] else effect.joints[0]
@@ -203,19 +208,22 @@ def describe_diagnosis(
     aliased: Sequence[Finding],
     unexplained: Sequence[Unexplained],
     errors: tuple[OutputErrors, OutputErrors],
+    loads: Sequence[Finding] = (),
 ) -> str:
     """Return the answer in one or two sentences.
 
     Args:
         channel: The measurements.
-        verdict: The verdict.
-        findings: All findings.
+        verdict: The verdict on everything but loads.
+        findings: All findings but those of loads.
         aliased: Those whose period is open.
         unexplained: Structure without a name.
         errors: Of the refitted and of the extended model.
+        loads: Findings of confirmed loads, which come first.
     """
     if channel.name == "force":
-        return _describe_forces(verdict, findings, unexplained, *errors)
+        rest = _describe_forces(verdict, findings, unexplained, *errors, other="other " if loads else "")
+        return " ".join([*(f.sentence for f in loads), rest])
     named = [f for f in findings if f.status == "confirmed"]
     if channel.name == "tool":
         return _describe_tool(named, aliased, *errors)
@@ -228,6 +236,7 @@ def _describe_forces(
     unexplained: Sequence[Unexplained],
     before: OutputErrors,
     after: OutputErrors,
+    other: str = "",
 ) -> str:
     """Return the answer in one or two sentences."""
     missed = f"The residual of the refitted model is {before.relative_error_percent:.2g} % of the measured force"
@@ -241,7 +250,9 @@ def _describe_forces(
         if verdict == "cannot_tell":
             text += f" Indistinguishable with these data: {f.cause} and {', '.join(f.indistinguishable_from)}."
     elif verdict == "nothing_found":
-        text = f"{missed}. No model error was detected: the residual is consistent with the noise at the 1 % level."
+        text = (
+            f"{missed}. No {other}model error was detected: the residual is consistent with the noise at the 1 % level."
+        )
     else:
         text = f"{missed}. No cause is confirmed, and the residual is not consistent with the noise."
         text += "".join(f" {_describe_rejection(f)}" for f in findings if f.is_shown)

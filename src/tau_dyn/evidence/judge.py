@@ -6,7 +6,7 @@ A selected cause that the validation data show, but whose amplitude or setting n
 selection is repeated without it: another cause may explain the same residual. That other cause has to leave a residual that is
 consistent with the noise, since the better fit was turned down.
 
-`nothing_found` is a test result. The residual of every output is consistent with its noise (`noise_consistency.py`), and no
+`nothing_found` is a test result. The residual of every output is consistent with its noise (`unexplained.py`), and no
 rejected candidate is shown by the validation data; else the verdict is `unexplained`.
 """
 
@@ -19,24 +19,20 @@ import numpy as np
 
 from tau_dyn.estimate import PhysicalConstraints
 from tau_dyn.evidence.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS
-from tau_dyn.evidence.channel import Channel, divide_training
+from tau_dyn.evidence.channel import Channel
 from tau_dyn.evidence.claims import Claims, Waterfall, select_confirmed, select_supported
-from tau_dyn.evidence.confirmation import (
-    Confirmation,
-    ConfirmationResults,
-    build_unexplained,
-    confirm,
-    confirm_all,
-    confirm_within_training,
-)
+from tau_dyn.evidence.confirmation import Confirmation, confirm
 from tau_dyn.evidence.detection_limits import compute_finding_limit, find_alias_periods, leave_period_open
 from tau_dyn.evidence.findings import build_findings, build_rejected_finding
-from tau_dyn.evidence.noise_consistency import NoiseConsistency, assess_noise_consistency, list_inconsistent
+from tau_dyn.evidence.measurements import HELD_OUT, TRAIN, divide_training
 from tau_dyn.evidence.noise_only_bootstrap import NoiseOnlyBootstrap
+from tau_dyn.evidence.null_model import NullModel
 from tau_dyn.evidence.plausibility import Implausible
 from tau_dyn.evidence.result import Finding, Progress, Unexplained, Verdict
 from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection, build_effects, select_causes
+from tau_dyn.evidence.unexplained import NoiseConsistency, add_inconsistent, assess_noise_consistency, build_unexplained
 from tau_dyn.evidence.unknown_structure import Structure, compute_structure_p_value, find_structure
+from tau_dyn.evidence.validation import ConfirmationResults, confirm_all, confirm_within_training
 
 MAX_SEARCHES = 3
 """Selections of one channel: each one after the first leaves out the causes that no machine has."""
@@ -71,9 +67,9 @@ class Examination:
     """Selected causes of a channel with their evidence.
 
     Attributes:
-        hunt: The selection.
+        selection: The selection.
         claims: The selected causes with their status.
-        bars: The waterfall with the gains.
+        waterfall: The waterfall with the gains.
         tests: Tests on the validation data.
         periods: Periods that fit each selected cause equally, for poses held still.
         consistency: Test of each output's residual against its noise; empty if a cause is confirmed.
@@ -83,9 +79,9 @@ class Examination:
         remark: A fact about the nominal values for the reader, as a sentence.
     """
 
-    hunt: StepwiseSelection
+    selection: StepwiseSelection
     claims: Claims
-    bars: Waterfall
+    waterfall: Waterfall
     tests: ConfirmationResults
     periods: tuple[tuple[float, ...], ...]
     consistency: tuple[NoiseConsistency, ...] = ()
@@ -108,40 +104,40 @@ def examine_channel(channel: Channel, options: ExaminationOptions, first: Select
         first: What `search_channel` returned for them; None to search.
     """
     excluded: set[tuple[str, tuple[str, ...]]] = set()
-    turned_down: list[Finding] = []
+    rejected: list[Finding] = []
     for search in range(MAX_SEARCHES):
         found = _examine_once(channel, options, excluded, None if search else first)
         if search:
             found = _require_consistency(found, options)
-        lost = _list_implausible(found)
-        if not lost or options.doubt or search + 1 == MAX_SEARCHES:
+        implausible = _list_implausible(found)
+        if not implausible or options.doubt or search + 1 == MAX_SEARCHES:
             break
-        findings = build_findings(found.hunt, found.claims, found.bars, options.rng)
-        turned_down += [findings[k] for k in lost]
-        excluded |= {(e.name, e.joints) for k in lost for e in found.claims.found[k].candidate.effects}
-    return _with_findings(found, options, turned_down)
+        findings = build_findings(found.selection, found.claims, found.waterfall, options.rng)
+        rejected += [findings[k] for k in implausible]
+        excluded |= {(e.name, e.joints) for k in implausible for e in found.claims.found[k].candidate.effects}
+    return _with_findings(found, options, rejected)
 
 
 def _examine_once(
     channel: Channel,
     options: ExaminationOptions,
     excluded: set[tuple[str, tuple[str, ...]]],
-    selection: Selection | None,
+    given: Selection | None,
 ) -> Examination:
     """Select causes, confirm them and measure their gain."""
     noise, rng = options.noise, options.rng
-    hunt, structure = selection or search_channel(channel, options, excluded)
+    selection, structure = given or search_channel(channel, options, excluded)
     options.progress("confirming")
-    tests = confirm_all(hunt, structure)
-    aside: Sequence[np.ndarray] = ()
+    tests = confirm_all(selection, structure)
+    inner_parts: Sequence[np.ndarray] = ()
     if noise and options.gap_s is not None:
-        tests = confirm_within_training(hunt, tests, options.gap_s, rng, noise)
-        aside = divide_training(channel.runs, channel.parts, options.gap_s)
-    periods = tuple(find_alias_periods(hunt))
-    claims = _doubt(select_confirmed(hunt, tests.causes, options.physics), periods, options.doubt)
+        tests = confirm_within_training(selection, tests, options.gap_s, rng, noise)
+        inner_parts = divide_training(channel.runs, channel.parts, options.gap_s)
+    periods = tuple(find_alias_periods(selection))
+    claims = _doubt(select_confirmed(selection, tests.causes, options.physics), periods, options.doubt)
     options.progress("measuring the gain")
-    claims, bars = select_supported(hunt, claims, rng, options.nominal, options.physics, aside)
-    return Examination(hunt, claims, bars, tests, periods)
+    claims, waterfall = select_supported(selection, claims, rng, options.nominal, options.physics, inner_parts)
+    return Examination(selection, claims, waterfall, tests, periods)
 
 
 def search_channel(
@@ -150,28 +146,30 @@ def search_channel(
     """Return the causes that the training data show, and a structure without a name with these in the model."""
     options.progress("looking for causes")
     noise = options.noise
-    sift = noise.reject_artefacts if noise else None
-    hunt = select_causes(channel, options.rng, options.progress, sift=sift, excluded=excluded)
+    artefact_filter = noise.reject_artefacts if noise else None
+    selection = select_causes(
+        channel, options.rng, options.progress, artefact_filter=artefact_filter, excluded=excluded
+    )
     structure = None
     if channel.has_unnamed_structures:
-        draws = hunt.ground.draw_null_residuals(N_NULL_DRAWS, options.rng)
-        structure = find_structure(hunt.ground, draws, FAMILY_LEVEL)
-    return _reject_artefacts(noise, hunt, structure) if noise else (hunt, structure)
+        draws = selection.null_model.draw_null_residuals(N_NULL_DRAWS, options.rng)
+        structure = find_structure(selection.null_model, draws, FAMILY_LEVEL)
+    return _reject_artefacts(noise, selection, structure) if noise else (selection, structure)
 
 
 def _reject_artefacts(
-    noise: NoiseOnlyBootstrap, hunt: StepwiseSelection, structure: Structure | None
+    noise: NoiseOnlyBootstrap, selection: StepwiseSelection, structure: Structure | None
 ) -> tuple[StepwiseSelection, Structure | None]:
     """Leave out the causes and the structure that encoder noise alone may have made, all others in the model."""
     kept = []
-    for one in hunt.found:
-        left = noise.reject_artefacts(hunt.ground, one.candidate, hunt.others(one), len(hunt.last))
+    for one in selection.found:
+        left = noise.reject_artefacts(selection.null_model, one.candidate, selection.others(one), len(selection.last))
         if left is not None:
             kept.append(replace(one, candidate=left))
     if structure is not None:
-        chance = compute_structure_p_value(noise, hunt.ground, structure, build_effects(hunt.found))
+        chance = compute_structure_p_value(noise, selection.null_model, structure, build_effects(selection.found))
         structure = structure if chance <= FAMILY_LEVEL else None
-    return replace(hunt, found=tuple(kept)), structure
+    return replace(selection, found=tuple(kept)), structure
 
 
 def _doubt(claims: Claims, periods: Sequence[tuple[float, ...]], doubt: str) -> Claims:
@@ -193,7 +191,7 @@ def _require_consistency(found: Examination, options: ExaminationOptions) -> Exa
     claims = found.claims
     if not claims.kept:
         return found
-    tests = assess_noise_consistency(found.hunt, build_effects(claims.kept), options.noise)
+    tests = _assess_noise_consistency(found, options)
     inconsistent = {test.output for test in tests if not test.is_consistent}
     for k, one in enumerate(claims.found):
         joints = {joint for effect in one.candidate.effects for joint in effect.joints}
@@ -201,52 +199,61 @@ def _require_consistency(found: Examination, options: ExaminationOptions) -> Exa
             claims = claims.judge(k, _LEAVES_STRUCTURE)
     if claims is found.claims:
         return found
-    claims, bars = select_supported(found.hunt, claims, options.rng, options.nominal, options.physics)
-    return replace(found, claims=claims, bars=bars)
+    claims, waterfall = select_supported(found.selection, claims, options.rng, options.nominal, options.physics)
+    return replace(found, claims=claims, waterfall=waterfall)
 
 
-def _with_findings(found: Examination, options: ExaminationOptions, turned_down: Sequence[Finding]) -> Examination:
+def _with_findings(found: Examination, options: ExaminationOptions, rejected: Sequence[Finding]) -> Examination:
     """Return the examination with its findings, the structure without a name, and the test of the residual."""
-    hunt, claims, rng = found.hunt, found.claims, options.rng
+    selection, claims, rng = found.selection, found.claims, options.rng
     findings = [
-        leave_period_open(hunt.channel, one, finding, fitting) if len(fitting) > 1 else _with_limit(hunt, one, finding)
+        leave_period_open(selection.channel, one, finding, fitting)
+        if len(fitting) > 1
+        else _with_limit(selection, one, finding)
         for one, finding, fitting in zip(
-            claims.found, build_findings(hunt, claims, found.bars, rng), found.periods, strict=True
+            claims.found, build_findings(selection, claims, found.waterfall, rng), found.periods, strict=True
         )
     ]
     aliased = tuple(f for f, fitting in zip(findings, found.periods, strict=True) if len(fitting) > 1)
-    for one in hunt.rejected:
-        test = _confirm_rejected(hunt, one.selected)
-        findings.append(build_rejected_finding(hunt, claims, one.selected, one.why, test, rng))
+    for one in selection.rejected:
+        test = _confirm_rejected(selection, one.selected)
+        findings.append(build_rejected_finding(selection, claims, one.selected, one.why, test, rng))
     known = {(f.cause, f.joints) for f in findings}
-    findings += [f for f in turned_down if (f.cause, f.joints) not in known]
-    unexplained = build_unexplained(hunt, found.tests.structure)
+    findings += [f for f in rejected if (f.cause, f.joints) not in known]
+    unexplained = build_unexplained(selection.null_model, selection.known_columns, found.tests.structure)
     if options.doubt:
         unexplained = tuple(replace(u, status="suspected") for u in unexplained)
     if claims.kept or options.doubt:
         return replace(found, findings=tuple(findings), unexplained=unexplained, aliased=aliased)
-    consistency = assess_noise_consistency(hunt, build_effects(claims.kept), options.noise)
-    known_outputs = {u.joint for u in unexplained if u.status == "confirmed"}
-    more = tuple(u for u in list_inconsistent(consistency, hunt.channel) if u.joint not in known_outputs)
+    consistency = _assess_noise_consistency(found, options)
     return replace(
         found,
         consistency=consistency,
         findings=tuple(findings),
-        unexplained=(*unexplained, *more),
+        unexplained=add_inconsistent(unexplained, consistency, selection.channel),
         aliased=aliased,
     )
 
 
-def _with_limit(hunt: StepwiseSelection, one: SelectedCause, finding: Finding) -> Finding:
+def _assess_noise_consistency(found: Examination, options: ExaminationOptions) -> tuple[NoiseConsistency, ...]:
+    """Test each output's residual against its noise, with the accepted causes in the model."""
+    selection, effects = found.selection, build_effects(found.claims.kept)
+    null_models = [
+        NullModel.of(selection.library, parts, selection.null_model.noise, effects) for parts in ((TRAIN,), HELD_OUT)
+    ]
+    return assess_noise_consistency(null_models, effects, options.noise)
+
+
+def _with_limit(selection: StepwiseSelection, one: SelectedCause, finding: Finding) -> Finding:
     """Return a confirmed finding with its detection limit; a rejected candidate has none."""
     if finding.why_not_confirmed:
         return finding
-    return replace(finding, detection_limit=compute_finding_limit(hunt, one))
+    return replace(finding, detection_limit=compute_finding_limit(selection, one))
 
 
-def _confirm_rejected(hunt: StepwiseSelection, one: SelectedCause) -> Confirmation:
+def _confirm_rejected(selection: StepwiseSelection, one: SelectedCause) -> Confirmation:
     """Test a rejected candidate on the validation data, all selected causes in the model."""
-    return confirm(hunt.ground, hunt.columns(one.candidate.effects), build_effects(hunt.found))
+    return confirm(selection.null_model, selection.columns(one.candidate.effects), build_effects(selection.found))
 
 
 def _is_gain_or_body(finding: Finding) -> bool:

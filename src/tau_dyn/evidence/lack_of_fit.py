@@ -57,7 +57,7 @@ def find_poor_fits(regression: Regression, residuals: Sequence[np.ndarray]) -> t
 
     Args:
         regression: Forces, masks and the low-pass that they went through.
-        residuals: Measured minus predicted (n, m) of each run, filtered alike.
+        residuals: Measured minus predicted (n, m) of each run, filtered equally.
     """
     found = []
     for k, joint in enumerate(regression.outputs):

@@ -19,7 +19,7 @@ from scipy import stats
 from tau_dyn.effects import Effect
 from tau_dyn.evidence.candidate_scan import FAMILY_LEVEL, GROUP_LEVEL, CandidateCause, find_nonnegative
 from tau_dyn.evidence.channel import Channel, ColumnCache
-from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_score_test
+from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel, WhiteResidual, compute_score_test
 
 N_BOOTSTRAP_DRAWS = 4
 """Draws of encoder noise; what it makes of a cause on one of them may be near nothing, or four times the mean."""
@@ -47,27 +47,27 @@ class NoiseOnlyBootstrap:
         """Return the same channels divided otherwise."""
         return NoiseOnlyBootstrap(lambda: [replace(channel, parts=parts) for channel in self.channels])
 
-    def fit_null_models(self, ground: NullModel, effects: Sequence[Effect]) -> list[NullModel]:
-        """Return the same parts of each channel with effects in the model, whitened as `ground` is."""
-        return [NullModel.of(library, ground.parts, ground.noise, effects) for library in self.libraries]
+    def fit_null_models(self, null_model: WhiteResidual, effects: Sequence[Effect]) -> list[NullModel]:
+        """Return the same parts of each channel with effects in the model, whitened as `null_model`."""
+        return [NullModel.of(library, null_model.parts, null_model.noise, effects) for library in self.libraries]
 
     def reject_artefacts(
-        self, ground: NullModel, candidate: CandidateCause, others: Sequence[Effect], n: int
+        self, null_model: NullModel, candidate: CandidateCause, others: Sequence[Effect], n: int
     ) -> CandidateCause | None:
         """Return a candidate without the groups that encoder noise could have made; None if it could have made the strongest.
 
         Args:
-            ground: The training data of the measured channel, for its noise model and scale.
+            null_model: The training data of the measured channel, for its noise model and scale.
             candidate: The cause, on measured data.
             others: The other causes.
             n: Number of causes tried, which count in the chance as the candidate's groups and settings do.
         """
-        blanks = self.fit_null_models(ground, others)
+        noise_only_models = self.fit_null_models(null_model, others)
         chances = []
         for fit in candidate.fits:
             columns = [library.columns(fit.effect) for library in self.libraries]
             T, sided = fit.statistic / fit.overdispersion, find_nonnegative(fit.effect)
-            tail = compute_artefact_chance(T, blanks, ground, columns, sided)
+            tail = compute_artefact_chance(T, noise_only_models, null_model, columns, sided)
             chances.append(min(1.0, fit.n_effective_tests * tail))
         least = min(chances)
         if least * len(candidate.tested) * n >= FAMILY_LEVEL:
@@ -78,34 +78,34 @@ class NoiseOnlyBootstrap:
 
 def compute_artefact_chance(
     statistic: float,
-    blanks: Sequence[NullModel],
-    ground: NullModel,
+    noise_only_models: Sequence[NullModel],
+    null_model: WhiteResidual,
     columns: Sequence[Sequence[np.ndarray]],
     sided: np.ndarray,
     absorbed: float = MIN_UNABSORBED_SHARE,
 ) -> float:
     """Return the chance that encoder noise makes a statistic of these columns on each blank, by a noncentral chi-square."""
-    bias = NONCENTRALITY_SAFETY_FACTOR * estimate_noncentrality(blanks, ground, columns, sided, absorbed)
+    bias = NONCENTRALITY_SAFETY_FACTOR * estimate_noncentrality(noise_only_models, null_model, columns, sided, absorbed)
     return float(stats.ncx2.sf(statistic, len(sided), bias) if bias > 0 else stats.chi2.sf(statistic, len(sided)))
 
 
 def estimate_noncentrality(
-    blanks: Sequence[NullModel],
-    ground: NullModel,
+    noise_only_models: Sequence[NullModel],
+    null_model: WhiteResidual,
     columns: Sequence[Sequence[np.ndarray]],
     sided: np.ndarray,
     absorbed: float = MIN_UNABSORBED_SHARE,
 ) -> float:
     """Return what columns explain of the misfit that encoder noise makes, in units of the measured noise.
 
-    It is the mean over draws of the noise, less what the draws' own chance adds to the mean of squares. More than the measured
-    noise it cannot have made. Where it seems so, a loop followed it: the misfit is `|S|^2` of what the made logs have, in power,
-    and so is what columns find in it.
+    It is the mean over draws of the noise, less the contribution of the draws' own chance to the mean of squares. More than
+    the measured noise it cannot have made. Where it seems so, a loop followed it: the misfit is `|S|^2` of that of the
+    simulated logs, in power, and so is what columns find in it.
     """
     T = [
         compute_score_test(b, b.whiten_columns(c), np.zeros_like(sided), absorbed)[0]
-        for b, c in zip(blanks, columns, strict=True)
+        for b, c in zip(noise_only_models, columns, strict=True)
     ]
-    share = [min(1.0, b.scale / ground.scale) ** 2 for b in blanks]
+    share = [min(1.0, b.scale / null_model.scale) ** 2 for b in noise_only_models]
     chance = len(sided) * (1 - 1 / len(T))
     return max(0.0, float(np.mean(T)) - chance) * float(np.mean(share))

@@ -1,4 +1,4 @@
-r"""What is accounted for already, on one part of the data, and how much a further column would add.
+r"""The null model on one part of the data, and the score statistic of further columns.
 
 With white rows `y = B theta + C gamma + e`, `Q` an orthonormal basis of `B` and `e_0 = (I - Q Q') y`,
 
@@ -7,32 +7,27 @@ With white rows `y = B theta + C gamma + e`, `Q` an orthonormal basis of `B` and
 the gain in twice the log-likelihood by `C`, the baseline refitted (Frisch & Waugh 1933). Under the null it is chi-square with
 as many degrees of freedom as columns; `T` of the true column alone has the noncentrality `lambda`.
 
-The noise that whitens is judged on what a rich model leaves: on the baseline's residual a hidden effect would count as noise. So
-every output may depend smoothly on all variables of its own joint, times the direction of motion, and ring at the frequencies
-that a black-box fit proposes (an autoregressive model would otherwise take a resonance for the noise's colour).
-
-Thousands of periods are tried at once by Fourier transforms over the position (Scargle 1982). The score of `exp(i w q)`,
-`w = 2 pi / P`, against white residual rows `L e` is a Fourier sum over positions of `u = L' e`, weighted by what the low-pass
-leaves at the local frequency `f = |v| / P`. Samples are sorted into a few classes of speed, in which this weight depends on P
-alone, and binned by position. A displacement acts by its acceleration, `(i w a - w^2 v^2) exp(i w q)`: two such sums. What noise
-makes of each period is seen from the noise draws, put through the same sums. What is found is weighed again exactly.
+The noise that whitens is estimated on the residual of a rich model: on the baseline's residual a hidden effect would count as
+noise. So every output may depend smoothly on all variables of its own joint, times the direction of motion, and ring at the
+frequencies that a black-box fit proposes (an autoregressive model would otherwise take a resonance for the noise's colour).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, cast
 
 import numpy as np
 from numpy.polynomial import legendre
-from scipy import fft, linalg, ndimage, sparse
+from scipy import linalg
 
-from tau_dyn.effects import Effect, StructuralCompliance
+from tau_dyn.effects import Effect
 from tau_dyn.estimate import Autoregression, Whitener, fit_autoregression, solve_scaled
 from tau_dyn.evidence.channel import Channel, ColumnCache
-from tau_dyn.log import compute_attenuation, find_true_runs
+from tau_dyn.evidence.measurements import Measurements
+from tau_dyn.log import find_true_runs
 
 WHOLE_TIME = "t_whole"
 """Time through all logs, one after the other, where there are several: what settles may go on in the next one, or begin anew."""
@@ -41,27 +36,53 @@ _MAX_ORDER = 8  # of the autoregressive model of the residual, selected below it
 
 
 def fit_noise_models(
-    channel: Channel, parts: Sequence[int], extra: Sequence[Sequence[np.ndarray]] = ()
+    measurements: Measurements, parts: Sequence[int], extra: Sequence[Sequence[np.ndarray]] = ()
 ) -> tuple[Autoregression, ...]:
     """Return the noise model of each output, from samples of these parts, further columns (n, m, k) accounted for."""
-    masks, variables, target = channel.masks(*parts), channel.variables(), channel.target
-    scene = channel.scene
-    ringing = [StructuralCompliance.of_resonances(scene, scene.joints)] if scene.resonances else []
-    known = [channel.free_columns, *(channel.columns(effect) for effect in ringing), *extra]
+    masks, variables, target = measurements.masks(*parts), measurements.variables(), measurements.target
+    known = [*measurements.list_known_columns(), *extra]
     models = []
-    for k, output in enumerate(channel.outputs):
+    for k, output in enumerate(measurements.outputs):
         rich = build_smooth_columns(variables, output)
-        columns = [np.concatenate([*(c[r][:, k] for c in known), rich[r]], axis=1) for r in range(len(channel.runs))]
-        rows = np.concatenate([x[m[:, k]] for x, m in zip(columns, masks, strict=True)])
-        y = channel.gather(target, k, *parts)
-        theta = solve_scaled(rows, y, 1e-7)
-        stretches = []
-        for x, y_run, mask in zip(columns, target, masks, strict=True):
-            e = y_run[:, k] - x @ theta
-            stretches += [e[s] for s in find_true_runs(mask[:, k])]
-        still = Autoregression(np.zeros(0), 1.0)  # an output without a usable sample has no rows to whiten
-        models.append(fit_autoregression(stretches, _MAX_ORDER) if stretches else still)
+        columns = [np.concatenate([*(c[r][:, k] for c in known), x], axis=1) for r, x in enumerate(rich)]
+        measured = [y[:, k] for y in target]
+        models.append(fit_noise_model(columns, measured, [mask[:, k] for mask in masks], _MAX_ORDER))
     return tuple(models)
+
+
+def fit_noise_model(
+    columns: Sequence[np.ndarray],
+    measured: Sequence[np.ndarray],
+    masks: Sequence[np.ndarray],
+    max_order: int,
+    *,
+    unbiased: bool = False,
+) -> Autoregression:
+    """Return the noise of one output: the autoregressive model of the residual of a least-squares fit.
+
+    Args:
+        columns: Columns (n, c) of each run.
+        measured: Measurements (n,) of each run.
+        masks: Which samples count (n,).
+        max_order: Largest order of the model; 0 for independent noise.
+        unbiased: Whether the variance is enlarged for the rank of the columns.
+
+    Returns:
+        The model; independent noise of variance 1 for an output without a usable sample.
+    """
+    y = np.concatenate([x[m] for x, m in zip(measured, masks, strict=True)])
+    if not len(y):
+        return Autoregression(np.zeros(0), 1.0)
+    rows = np.concatenate([x[m] for x, m in zip(columns, masks, strict=True)])
+    theta = solve_scaled(rows, y, 1e-7)
+    stretches = []
+    for x, y_run, mask in zip(columns, measured, masks, strict=True):
+        e = y_run - x @ theta
+        stretches += [e[s] for s in find_true_runs(mask)]
+    found = fit_autoregression(stretches, max_order)
+    if not unbiased:
+        return found
+    return replace(found, variance=found.variance * len(y) / max(1, len(y) - np.linalg.matrix_rank(rows)))
 
 
 def build_smooth_columns(variables: Sequence[Mapping[str, np.ndarray]], output: str) -> list[np.ndarray]:
@@ -108,16 +129,6 @@ def smooth(x: np.ndarray, degree: int = SMOOTH_DEGREE) -> list[np.ndarray]:
     return list(legendre.legvander(scaled, degree).T[1:])
 
 
-_CLASSES = 8  # of speed, each with as many samples
-_PER_PERIOD = 12  # position bins a period of the shortest wave
-_SMOOTHED = 9  # lines of the spectrum averaged for the noise beside a peak
-OVERSAMPLING = 4
-"""Steps of the scan per 1 / range; `effects/periodic.py` lays its grid out alike."""
-LONG = 8.0
-"""Periods in the range up to which one is not scanned but tried exactly: there the acceleration counts beside the speed."""
-
-Term = tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]
-"""A factor of each sample (n,), and its complex size (g,) at angular frequencies w (g,) over the position."""
 PRIOR_WEIGHT_BLOCKS = 10.0
 """Weight against the scatter of blocks, in blocks: of 'the noise model is right' on the training data, and of the training
 part's own scatter on the held-out one."""
@@ -127,20 +138,20 @@ because encoder noise sits in the baseline's columns: a smooth copy of one of th
 
 
 @dataclass(frozen=True, eq=False)
-class NullModel:
-    """White rows of one part with everything accounted for projected out.
+class WhiteResidual:
+    """White rows of one part of measurements with everything accounted for projected out.
 
     Attributes:
-        library: Makes columns of the channel that the data come from.
+        measurements: The measurements.
         parts: The parts of the data.
         whiten: Makes rows of arrays over the runs.
-        Q: Orthonormal basis of what is accounted for (R, r).
-        e: What it leaves of the measurements (R,).
+        Q: Orthonormal basis of all columns in the model (R, r).
+        e: The residual (R,).
         noise: Noise model of each output.
         scale: Standard deviation of white rows (1 where the noise model is right); rows are divided by it.
     """
 
-    library: ColumnCache
+    measurements: Measurements
     parts: tuple[int, ...]
     whiten: Whitener
     Q: np.ndarray
@@ -149,41 +160,23 @@ class NullModel:
     scale: float
 
     @classmethod
-    def of(
-        cls, library: ColumnCache, parts: Sequence[int], noise: Sequence[Autoregression], effects: Sequence[Effect] = ()
-    ) -> NullModel:
-        """Project out the baseline's free columns and those of effects."""
-        channel = library.channel
-        whiten, free, target = library.whiten_baseline(tuple(parts), tuple(noise))
-        prior_rows, prior_y = channel.prior
-        B = [free, *(whiten(library.columns(effect)) for effect in effects)]
-        blank = np.zeros((len(prior_y), sum(c.shape[1] for c in B[1:])))
-        stacked = np.concatenate([np.concatenate(B, axis=1), np.concatenate([prior_rows, blank], axis=1)])
-        y = np.concatenate([target, prior_y])
-        Q = orthonormalise(stacked)
-        e = y - Q @ (Q.T @ y)
-        n = whiten.n_rows
-        dof = max(1, n - Q.shape[1])
-        scale = float(np.sqrt(e @ e / dof))
-        return cls(library, tuple(parts), whiten, Q[:n], e[:n] / scale, tuple(noise), scale)
-
-    def beside(self, effects: Sequence[Effect]) -> NullModel:
-        """Return the same part under the same noise, with these effects accounted for."""
-        return NullModel.of(self.library, self.parts, self.noise, effects)
-
-    @property
-    def channel(self) -> Channel:
-        """Where the data come from."""
-        return self.library.channel
+    def of_columns(
+        cls,
+        measurements: Measurements,
+        parts: Sequence[int],
+        noise: Sequence[Autoregression],
+        more: Sequence[Sequence[np.ndarray]] = (),
+    ) -> WhiteResidual:
+        """Project out the baseline's free columns and further ones (n, m, k) of each run."""
+        whiten = Whitener.of(measurements.runs, measurements.masks(*parts), noise)
+        rows = [whiten(columns) for columns in (measurements.free_columns, *more)]
+        Q, e, scale = _project_out_rows(measurements, rows, whiten(measurements.target))
+        return WhiteResidual(measurements, tuple(parts), whiten, Q, e, tuple(noise), scale)
 
     @property
     def n_rows(self) -> int:
         """Number of white rows R."""
         return len(self.e)
-
-    def rows(self, effect: Effect) -> np.ndarray:
-        """Return white rows (R, k) of an effect's exact columns, scaled like the residual."""
-        return self.whiten_columns(self.library.columns(effect))
 
     def whiten_columns(self, columns: Sequence[np.ndarray]) -> np.ndarray:
         """Return white rows (R, k) of columns over the runs, scaled like the residual."""
@@ -191,13 +184,7 @@ class NullModel:
 
     def draw_null_residuals(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Return residuals (R, count) of pure noise after the same projection."""
-        noise = rng.standard_normal((self.n_rows, count))
-        return noise - self.Q @ (self.Q.T @ noise)
-
-    def augment(self, effects: Sequence[Effect]) -> NullModel:
-        """Return what is left with further effects accounted for too."""
-        more = orthonormalise(self.project_out(np.concatenate([self.rows(effect) for effect in effects], axis=1)))
-        return replace(self, Q=np.concatenate([self.Q, more], axis=1), e=self.e - more @ (more.T @ self.e))
+        return self.project_out(rng.standard_normal((self.n_rows, count)))
 
     def gram(self, C: np.ndarray) -> np.ndarray:
         """Return `G` (k, k) of white rows (R, k)."""
@@ -208,12 +195,73 @@ class NullModel:
         """Return white rows (R, k) with everything accounted for projected out."""
         return C - self.Q @ (self.Q.T @ C)
 
+
+def _project_out_rows(
+    measurements: Measurements, rows: Sequence[np.ndarray], target: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return `Q` (R, r), the residual (R,) over its scale, and the scale.
+
+    Args:
+        measurements: Give the prior of the baseline's free columns.
+        rows: White rows of these columns, then of further ones.
+        target: White rows of the measurements (R,).
+    """
+    prior_rows, prior_y = measurements.prior
+    blank = np.zeros((len(prior_y), sum(c.shape[1] for c in rows[1:])))
+    stacked = np.concatenate([np.concatenate(rows, axis=1), np.concatenate([prior_rows, blank], axis=1)])
+    y = np.concatenate([target, prior_y])
+    Q = orthonormalise(stacked)
+    e = y - Q @ (Q.T @ y)
+    n = len(target)
+    scale = float(np.sqrt(e @ e / max(1, n - Q.shape[1])))
+    return Q[:n], e[:n] / scale, scale
+
+
+@dataclass(frozen=True, eq=False)
+class NullModel(WhiteResidual):
+    """The white residual of a channel, with effects in the model.
+
+    Attributes:
+        library: Makes columns of effects on the channel.
+    """
+
+    library: ColumnCache
+
+    @classmethod
+    def of(
+        cls, library: ColumnCache, parts: Sequence[int], noise: Sequence[Autoregression], effects: Sequence[Effect] = ()
+    ) -> NullModel:
+        """Project out the baseline's free columns and those of effects."""
+        channel = library.channel
+        whiten, free, target = library.whiten_baseline(tuple(parts), tuple(noise))
+        rows = [free, *(whiten(library.columns(effect)) for effect in effects)]
+        Q, e, scale = _project_out_rows(channel, rows, target)
+        return cls(channel, tuple(parts), whiten, Q, e, tuple(noise), scale, library)
+
+    def with_effects(self, effects: Sequence[Effect]) -> NullModel:
+        """Return the same part under the same noise, with these effects accounted for."""
+        return NullModel.of(self.library, self.parts, self.noise, effects)
+
+    @property
+    def channel(self) -> Channel:
+        """Where the data come from."""
+        return self.library.channel
+
+    def rows(self, effect: Effect) -> np.ndarray:
+        """Return white rows (R, k) of an effect's exact columns, scaled like the residual."""
+        return self.whiten_columns(self.library.columns(effect))
+
+    def augment(self, effects: Sequence[Effect]) -> NullModel:
+        """Return the null model with further effects."""
+        more = orthonormalise(self.project_out(np.concatenate([self.rows(effect) for effect in effects], axis=1)))
+        return replace(self, Q=np.concatenate([self.Q, more], axis=1), e=self.e - more @ (more.T @ self.e))
+
     def explained(
         self, settings: Sequence[Sequence[np.ndarray]], both: np.ndarray, nonnegative: np.ndarray
     ) -> np.ndarray:
         """Return score statistics (g, d) of g settings' columns, each over the runs (n, m, k), for residuals (R, d).
 
-        Rows of outputs at which all of them are zero say nothing and are left out: most effects act on one joint.
+        Rows of outputs at which all of them are zero are left out: most effects act on one joint.
         """
         whiten, k = self.whiten, len(nonnegative)
         parts, rows, first = [], [], 0
@@ -271,10 +319,10 @@ def count_effective_tests(tails: np.ndarray, seen: int) -> float:
 
 
 def compute_score_test(
-    ground: NullModel, C: np.ndarray, nonnegative: np.ndarray, absorbed: float = MIN_UNABSORBED_SHARE
+    null_model: WhiteResidual, C: np.ndarray, nonnegative: np.ndarray, absorbed: float = MIN_UNABSORBED_SHARE
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Return `T` of one setting's white rows (R, k), their scores `s` (k,) and `G` (k, k); see `compute_score_statistics`."""
-    s, G = C.T @ ground.e, ground.gram(C)
+    s, G = C.T @ null_model.e, null_model.gram(C)
     T = compute_score_statistics(s[None, :, None], G[None], np.sum(C**2, axis=0)[None], nonnegative, absorbed)
     return float(T[0, 0]), s, G
 
@@ -335,99 +383,3 @@ def _unconstrained(s: np.ndarray, G: np.ndarray, raw: np.ndarray, absorbed: floa
     T = np.einsum("gld,gl->gd", along**2, inverse)
     amplitude = np.einsum("gkl,gl,gld->gkd", vectors, inverse, along) / norm[:, :, None]
     return T, amplitude
-
-
-def compute_period_statistics(
-    q: np.ndarray,
-    v: np.ndarray,
-    u: np.ndarray,
-    mask: np.ndarray,
-    periods: np.ndarray,
-    cutoff_hz: float,
-    terms: Sequence[Term],
-) -> np.ndarray:
-    """Return `T` (g, d) of each period for each residual.
-
-    Args:
-        q: Positions of samples (n,) [m or rad].
-        v: Speeds (n,).
-        u: White rows carried back to samples (n, d): the residual first, then noise draws.
-        mask: Samples that count (n,).
-        periods: Periods (g,) [m or rad].
-        cutoff_hz: The zero-phase low-pass that both sides pass [Hz].
-        terms: What a unit amplitude is before it; see `build_force_terms` and `build_displacement_terms`.
-    """
-    if not mask.any():
-        return np.zeros((len(periods), u.shape[1]))
-    lines = 1 / periods
-    travel = float(np.ptp(q)) or 1.0
-    size = int(2 ** np.ceil(np.log2(OVERSAMPLING * travel * _PER_PERIOD * lines.max())))
-    bins = np.minimum(((q - q.min()) / (OVERSAMPLING * travel) * size).astype(int), size - 1)
-    index = np.minimum(np.round(lines * OVERSAMPLING * travel).astype(int), size // 2)
-    speed = np.abs(v)
-    edges = np.quantile(speed[mask], np.linspace(0, 1, _CLASSES + 1)[1:-1])
-    number = np.searchsorted(edges, speed)
-    S = np.zeros((u.shape[1], len(lines)), complex)
-    for c in range(_CLASSES):
-        mine = np.flatnonzero((number == c) & mask)
-        if mine.size:
-            passed = 1 / compute_attenuation(float(np.median(speed[mine])) * lines, cutoff_hz)
-            for factor, size_of in terms:
-                spectrum = np.asarray(fft.rfft(_sum_into_bins(bins[mine], factor[mine, None] * u[mine], size)))
-                S += passed * size_of(2 * np.pi * lines) * np.conj(spectrum[:, index])
-    power = np.abs(S) ** 2
-    noise = ndimage.uniform_filter1d(power[1:].mean(axis=0), min(_SMOOTHED, len(lines)), mode="nearest") / 2
-    return np.divide(power, noise, out=np.zeros_like(power), where=noise > 1e-9 * noise.max(initial=1e-300)).T
-
-
-def _sum_into_bins(bins: np.ndarray, values: np.ndarray, size: int) -> np.ndarray:
-    """Return the sums (d, size) of samples' values (n, d) in each bin; a transform along the last axis is the quickest."""
-    order = np.argsort(bins, kind="stable")
-    place, first = np.unique(bins[order], return_index=True)
-    sums = np.zeros((values.shape[1], size))
-    sums[:, place] = np.add.reduceat(values[order], first, axis=0).T
-    return sums
-
-
-def build_force_terms(q: np.ndarray) -> list[Term]:
-    """Return the one term of a force of the position."""
-    return [(np.ones(len(q)), np.ones_like)]
-
-
-def build_displacement_terms(v: np.ndarray, a: np.ndarray) -> list[Term]:
-    """Return the terms of a displacement's acceleration along speeds and accelerations (n,)."""
-    return [(a, lambda w: 1j * w), (v**2, lambda w: -(w**2))]
-
-
-def scan_periods(
-    effects: Sequence[Effect],
-    whiten: Whitener,
-    joint: int,
-    white: np.ndarray,
-    q: np.ndarray,
-    v: np.ndarray,
-    cutoff_hz: float,
-    terms: Sequence[Term] | None = None,
-    scale: np.ndarray | float = 1.0,
-) -> np.ndarray:
-    """Return what periods of one joint's effects explain of white residuals (R, d), as (g, d).
-
-    The joint has positions `q` (n,) [m or rad] and speeds `v` (n,); a unit amplitude is `terms`, by default a force of the
-    position, times a factor `scale` (n, 1).
-    """
-    u, mask = select_output_rows(whiten, joint, white)
-    periods = np.array([effect.settings["period"] for effect in effects])
-    return compute_period_statistics(q, v, u * scale, mask, periods, cutoff_hz, terms or build_force_terms(q))
-
-
-def select_output_rows(whiten: Whitener, output: int, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return white rows (R, d) of all outputs as samples (n, d) of one of them, and which samples (n,) are in a row of it."""
-    rows = whiten.rows[output :: whiten.n_outputs]
-    u = np.concatenate(project_to_samples(rows, white[np.flatnonzero(whiten.index == output)]))
-    return u, np.concatenate([np.asarray(abs(L).sum(axis=0)).ravel() > 0 for L in rows])
-
-
-def project_to_samples(rows: Sequence[sparse.csr_matrix], white: np.ndarray) -> list[np.ndarray]:
-    """Return white rows (R, d) of one output carried back to the samples of each run (n, d)."""
-    borders = np.cumsum([0, *(len(L.indptr) - 1 for L in rows)])
-    return [L.T @ white[a:b] for L, a, b in zip(rows, borders[:-1], borders[1:], strict=True)]

@@ -1,9 +1,9 @@
-"""May a cause be confirmed? Its amplitudes are plausible, its settings inside what was searched, and it is no companion.
+"""May a cause be confirmed? Its amplitudes are plausible, its settings inside the range of the search, and it is no companion.
 
 A fit finds the best amplitude of any law; these rules ask whether a machine can have it. They are applied after the search: a
 law that fails them has been accounted for while others were looked for, and stays in the answer as `suspected` with the reason.
 
-No law is exact on a machine. What a law leaves of a large force is a small force on the same joint, which another cause's law may
+No law is exact on a machine. The remainder of a large force is a small force on the same joint, which another cause's law may
 take up: its companion. Two laws of one joint's speed take up each other's remainder best: there a curve that one law alone meets
 to within what measured friction follows textbook laws is no evidence for a second law. Reference: Armstrong-Helouvry, Dupont &
 Canudas de Wit 1994.
@@ -20,7 +20,8 @@ from scipy import stats
 
 from tau_dyn.effects import Effect, JointScales, Motion, Scene, format_quantity
 from tau_dyn.estimate import Estimate, solve_scaled
-from tau_dyn.evidence.channel import TRAIN, VALIDATION, Channel, ColumnCache
+from tau_dyn.evidence.channel import Channel, ColumnCache
+from tau_dyn.evidence.measurements import TRAIN, VALIDATION
 from tau_dyn.evidence.result import Unexplained
 from tau_dyn.evidence.stepwise_selection import SelectedCause
 from tau_dyn.parameters import Parameters
@@ -69,7 +70,7 @@ def measure_friction(parameters: Parameters, scene: Scene) -> dict[str, dict[str
 
 
 def widen_scales(first: JointScales, *others: JointScales) -> JointScales:
-    """Return the larger of each scale: beside a friction cause the fit may leave little to the baseline's friction."""
+    """Return the larger of each scale: next to a friction cause the fit may leave little to the baseline's friction."""
     return {
         joint: {key: max([x, *(s[joint][key] for s in others if key in s.get(joint, {}))]) for key, x in own.items()}
         for joint, own in first.items()
@@ -84,7 +85,7 @@ def find_implausible(effects: Sequence[Effect], values: Parameters, scales: Join
 def find_inconsistent(effects: Sequence[Effect], values: Parameters, step_s: float) -> str:
     """Return that a time which all joints share differs from joint to joint, as a phrase; empty where it does not.
 
-    Channels that one controller reads in turn stand anywhere within one sample, so times that differ by less are one.
+    Channels that one controller reads in turn are anywhere within one sample, so times that differ by less are one.
 
     Args:
         effects: The cause's effects on its joints.
@@ -144,7 +145,7 @@ _ONE_CURVE = "{} alone meets the joint's friction to {:.1f} %, and no law of fri
 
 
 def measure_net_forces(library: ColumnCache, kept: Sequence[SelectedCause], values: Parameters) -> np.ndarray:
-    """Return the rms force (causes, m) of each cause, net of what the baseline absorbs of it."""
+    """Return the rms force (causes, m) of each cause, net of the part that the baseline absorbs."""
     channel = library.channel
     sizes = np.zeros((len(kept), len(channel.outputs)))
     usable = sum(int(mask.sum()) for mask in channel.masks(TRAIN, VALIDATION))
@@ -167,7 +168,7 @@ def find_companion(library: ColumnCache, kept: Sequence[SelectedCause], values: 
 
     Args:
         library: The exact columns of effects.
-        kept: The causes that stand.
+        kept: The accepted causes.
         values: The fitted amplitudes of all of them.
     """
     if len(kept) < 2:
@@ -212,7 +213,7 @@ def measure_law_error(
         law: Effects of the law.
         every: Effects of all the laws.
         values: The fitted amplitudes, and the joint's Coulomb and viscous friction where the model has them.
-        scene: What the motion offers; the speeds are between its slowest and its fast ones.
+        scene: The range of the motion; the speeds are between its slowest and its fast ones.
         joint: The joint.
     """
     k = scene.index(joint)
@@ -248,7 +249,7 @@ def _compute_curve(effect: Effect, speed: np.ndarray) -> np.ndarray:
 
 
 def compute_least_forces(channel: Channel) -> np.ndarray:
-    """Return the rms (m,) below which nothing at an output is told from what filters leave of the measured force."""
+    """Return the rms (m,) below which a force at an output is not distinct from filter residues of the measured force."""
     return np.asarray(MIN_FORCE_SHARE * np.sqrt(np.mean(np.concatenate([run.y for run in channel.runs]) ** 2, axis=0)))
 
 

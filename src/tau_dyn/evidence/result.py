@@ -12,6 +12,10 @@ from tau_dyn.effects import Effect
 from tau_dyn.parameters import Parameter
 from tau_dyn.results import Z95, Brief, to_plain
 
+DIFFERENCE_LEVEL = 0.01
+"""Significance level, over all comparisons together, at which recordings, units or values that should be equal are called
+different."""
+
 
 @dataclass(frozen=True, eq=False)
 class WholeErrors:
@@ -31,7 +35,7 @@ class OutputErrors:
     """How far a model is from the test data.
 
     Attributes:
-        outputs: What was measured: joints' forces, joints' deflections, or the tool's axes.
+        outputs: The measured quantities: joints' forces, joints' deflections, or the tool's axes.
         rms: Residual rms of each output (m,) [unit of the output].
         ci95: Its 95 % interval (m, 2), from blocks.
         relative_error_percent: `100 norm(residual) / norm(measured)` over all outputs.
@@ -84,7 +88,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Gain:
-    """What a cause is worth on the test data: rms over its outputs before and after, and their ratio."""
+    """Gain of a cause on the test data: rms over its outputs before and after, and their ratio."""
 
     rms_before: float
     rms_after: float
@@ -104,11 +108,11 @@ class Signature(Brief):
 
     Attributes:
         output: The joint or axis shown.
-        x_label: What is on the horizontal axis, in words with its unit, such as `speed of cart1 [m/s]`.
-        y_label: What is on the vertical axis, in words with its unit.
+        x_label: Quantity on the horizontal axis with its unit, such as `speed of cart1 [m/s]`.
+        y_label: Quantity on the vertical axis with its unit.
         x: Horizontal values of samples (n,), thinned to at most 2000.
         y: Residual of the model without this cause but with all others (n,).
-        fitted: What the cause contributes at each sample (n,).
+        fitted: Contribution of the cause at each sample (n,).
     """
 
     output: str
@@ -154,11 +158,11 @@ class Finding(Brief):
         score: Twice the gain in log-likelihood on the training data; large is strong.
         p_value: Chance of such a score on clean data, all causes and settings tried taken into account.
         parameters: Amplitudes and settings with their standard errors.
-        gain: What it is worth on the test data; None where the baseline's refit absorbs it.
-        indistinguishable_from: Causes that these data cannot tell from it.
+        gain: Its gain on the test data; None where the baseline's refit absorbs it.
+        indistinguishable_from: Causes that these data do not separate from it.
         equation: The law in one line.
         sentence: The finding in one sentence.
-        experiment: What would separate it from its twins; empty where there are none.
+        experiment: The experiment that separates it from indistinguishable causes; empty without any.
         effects: The effects that extend the model; empty for `parameter`.
         signature: Its plot; None for `parameter`.
         channel: `force`, `tool` or `deflection`.

@@ -15,31 +15,23 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.effects import Effect
-from tau_dyn.estimate import scale_columns
 from tau_dyn.evidence.candidate_scan import (
     FAMILY_LEVEL,
-    MIN_SHARE_OF_STRONGEST,
     N_NULL_DRAWS,
     CandidateCause,
     GroupTest,
     combine_group_tests,
     compute_penalised_statistic,
-    differentiate_settings,
-    estimate_amplitudes,
-    match_settings,
     rescore_group,
     scan_causes,
 )
-from tau_dyn.evidence.channel import TRAIN, Channel, ColumnCache
+from tau_dyn.evidence.channel import Channel, ColumnCache
+from tau_dyn.evidence.forward_step import ArtefactFilter, choose_next_cause, drop_redundant_groups, find_rival_pairs
+from tau_dyn.evidence.measurements import TRAIN
 from tau_dyn.evidence.null_model import NullModel, fit_noise_models
-from tau_dyn.evidence.pairs import find_rival_pairs
-from tau_dyn.evidence.search_edges import replace_at_edge
+from tau_dyn.evidence.settings import find_unbelievable, refine_settings
 from tau_dyn.evidence.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, find_structure
 
-_STEPS = 3  # Gauss-Newton steps of the settings
-_TERM_LEVEL = 1e-4
-"""Chance at which noise alone adds a term to a law."""
-_WIDE = 2.0  # factor by which a range of settings is widened
 MAX_CAUSES = 5
 """Causes looked for at most."""
 MIMIC_MARGIN = 12.0
@@ -49,161 +41,6 @@ MIMIC_RATIO = 1.5
 what is left gets none."""
 STEADIER_RATIO = 1.15
 """The same where the cause explains by fits and starts, as a wrong law does, and the structure alike at all times."""
-
-
-def refine_settings(candidate: CandidateCause, ground: NullModel) -> CandidateCause:
-    """Return a candidate with its settings adjusted by Gauss-Newton steps within the neighbouring grid points.
-
-    A setting that agrees with an amplitude is found together with it.
-    """
-    fits = []
-    for fit in candidate.fits:
-        fit = match_settings(fit, ground)
-        for _ in range(_STEPS if fit.effect.refined else 0):
-            moved = _step(fit.effect, ground, fit.neighbours)
-            if moved is None:
-                break
-            better = rescore_group(replace(fit, effect=moved), ground)
-            if not better.statistic > fit.statistic + 0.01:
-                break
-            fit = better
-        fits.append(replace_at_edge(_grown(fit, ground), ground))
-    return replace(candidate, fits=tuple(fits))
-
-
-def _grown(fit: GroupTest, ground: NullModel) -> GroupTest:
-    """Return a fit with as many terms of its law as earn their freedom."""
-    key = fit.effect.grows
-    while key:
-        more = fit.effect.with_settings(**{key: fit.effect.settings[key] + 1})
-        better = rescore_group(replace(fit, effect=more, dof=len(more.parameters)), ground)
-        if not (better.statistic - fit.statistic) / better.overdispersion > stats.chi2.isf(
-            _TERM_LEVEL, better.dof - fit.dof
-        ):
-            break
-        fit = better
-    return fit
-
-
-def drop_redundant_groups(candidate: CandidateCause, ground: NullModel) -> CandidateCause:
-    """Return a candidate with the groups that explain something beside its stronger ones, and what each explains there.
-
-    What a joint does leaks through the baseline's refit into the others, where the same cause would be found again.
-    """
-    kept = [candidate.fits[0]]
-    for fit in candidate.fits[1:]:
-        beside = rescore_group(fit, ground.augment([one.effect for one in kept]))
-        if beside.statistic > beside.threshold:
-            kept.append(beside)
-    return replace(candidate, fits=tuple(kept))
-
-
-def _step(effect: Effect, ground: NullModel, limits: Sequence[dict[str, float]]) -> Effect | None:
-    C = ground.rows(effect)
-    amplitude = estimate_amplitudes(effect, ground)
-    if not np.any(amplitude):
-        return None
-    D = np.concatenate(
-        [ground.whiten_columns(x) for x in differentiate_settings(effect, amplitude, ground.channel)], axis=1
-    )
-    both, norm = scale_columns(np.concatenate([C, D], axis=1))
-    solution = np.linalg.lstsq(ground.gram(both), both.T @ ground.e, rcond=1e-8)[0] / norm
-    changed = {}
-    for key, change in zip(effect.refined, solution[len(amplitude) :], strict=True):
-        values = [n[key] for n in limits] + [effect.settings[key]]
-        low, high = min(values), max(values)
-        if low == high and key in effect.positive:  # the grid has few values of it, not next to each other
-            low, high = low / _WIDE, high * _WIDE
-        changed[key] = float(np.clip(effect.settings[key] + change, low, high))
-    return effect.with_settings(**changed) if changed != {k: effect.settings[k] for k in changed} else None
-
-
-SEARCH_MARGIN = 5.0
-"""Factor by which plausible ranges are widened inside the search: a law beyond it only resembles the true one, and would keep
-it from being found; one closer by is judged at the end, by its final amplitude."""
-TAKEOVER_2LOGL_MARGIN = 4.0
-"""Merit by which another cause takes over one joint of several: that all joints share one cause is likelier beforehand."""
-
-ArtefactFilter = Callable[[NullModel, CandidateCause, Sequence[Effect], int], CandidateCause | None]
-"""Return what of a candidate is no artefact, or None: judged on a ground, beside the effects in it, as one of so many causes."""
-
-
-def choose_next_cause(
-    significant: Sequence[CandidateCause],
-    ground: NullModel,
-    others: Sequence[Effect],
-    n: int,
-    sift: ArtefactFilter | None,
-) -> tuple[CandidateCause, tuple[str, ...]] | None:
-    """Return the strongest cause that is no artefact, its settings refined, and its twins, or None."""
-    left = [drop_redundant_groups(c, ground) for c in significant]
-    while left:
-        strongest, twins = _strongest(left)
-        own, more = _drop_shadowed_joints(strongest, left, ground)
-        best = refine_settings(own, ground)
-        genuine = sift(ground, best, others, n) if sift else best
-        if genuine is not None and not _find_unbelievable(genuine, ground):
-            return genuine, tuple(dict.fromkeys((*twins, *more)))
-        left = [c for c in left if c is not strongest]
-    return None
-
-
-def _find_unbelievable(candidate: CandidateCause, ground: NullModel) -> str:
-    """Return which amplitude is far beyond its plausible range, as a phrase; empty where all are near it."""
-    for fit in candidate.fits:
-        values = fit.effect.parameters.with_values(estimate_amplitudes(fit.effect, ground))
-        if why := fit.effect.find_implausible(values, ground.channel.scene.scales, SEARCH_MARGIN):
-            return why
-    return ""
-
-
-def _strongest(significant: Sequence[CandidateCause]) -> tuple[CandidateCause, tuple[str, ...]]:
-    """Return the cause that explains most, each by its own scatter, and its twins.
-
-    Among those that explain as much under one scatter the one with the least freedom is taken.
-    """
-    first = max(significant, key=lambda c: c.penalised_statistic)
-    scatter = first.fits[0].overdispersion
-    beyond = [c.merit_under(scatter) - first.merit_under(scatter) for c in significant]
-    level = [(x, k) for k, x in enumerate(beyond) if abs(x) < MIN_2LOGL_DIFFERENCE]
-    best = significant[max(level)[1]]
-    best = next((significant[k] for _, k in level if significant[k].cause == best.effects[0].special), best)
-    alike = {k for _, k in level}
-    near = (
-        c
-        for k, c in enumerate(significant)
-        if c.penalised_statistic > best.penalised_statistic - MIN_2LOGL_DIFFERENCE or k in alike
-    )
-    return best, tuple(dict.fromkeys(c.cause for c in near if c is not best and c.cause != best.cause))
-
-
-def _drop_shadowed_joints(
-    best: CandidateCause, significant: Sequence[CandidateCause], ground: NullModel
-) -> tuple[CandidateCause, tuple[str, ...]]:
-    """Return a cause without the joints at which it is the shadow of another one that explains more, and its twins elsewhere.
-
-    A shadow explains hardly a tenth of its own beside the other; what explains more than that is a thing of its own. Where
-    neither explains more than the other, by far, they are twins at this joint.
-    """
-    scatter = best.fits[0].overdispersion
-    alone = [(c.cause, fit) for c in significant if c is not best for fit in c.tested]
-    kept, twins = [], []
-    for fit in best.fits:
-        own = next(f for f in best.tested if f.effect.joints == fit.effect.joints)
-        merit = compute_penalised_statistic([own], scatter)
-        same = [(cause, other) for cause, other in alone if set(other.effect.joints) == set(fit.effect.joints)]
-        near = [x for x in same if compute_penalised_statistic([x[1]], scatter) > merit - MIN_2LOGL_DIFFERENCE]
-        over = [(cause, other) for cause, other in near if _is_shadow(own, other, ground)]
-        if any(compute_penalised_statistic([other], scatter) > merit + TAKEOVER_2LOGL_MARGIN for _, other in over):
-            continue
-        kept.append(fit)
-        twins += [cause for cause, _ in over]
-    return replace(best, fits=tuple(kept) or best.fits[:1]), tuple(twins)
-
-
-def _is_shadow(fit: GroupTest, other: GroupTest, ground: NullModel) -> bool:
-    left = rescore_group(fit, ground.augment([other.effect]))
-    return left.statistic <= max(left.threshold, MIN_SHARE_OF_STRONGEST * fit.statistic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,29 +77,34 @@ class StepwiseSelection:
 
     Attributes:
         found: Causes in the order of their selection.
-        ground: The training data with baseline and causes accounted for.
+        null_model: The training data with baseline and causes accounted for.
         last: All causes of the last scan, with those found in the model.
         rejected: Candidates that are significant in the last scan and were not selected.
     """
 
     found: tuple[SelectedCause, ...]
-    ground: NullModel
+    null_model: NullModel
     last: tuple[CandidateCause, ...]
     rejected: tuple[RejectedCause, ...] = ()
 
     @property
     def channel(self) -> Channel:
         """The measurements."""
-        return self.ground.channel
+        return self.null_model.channel
 
     @property
     def library(self) -> ColumnCache:
         """Columns made on the way."""
-        return self.ground.library
+        return self.null_model.library
 
     def columns(self, effects: Sequence[Effect]) -> list[Sequence[np.ndarray]]:
         """Return the columns (n, m, k) of each run of several effects."""
         return [self.library.columns(effect) for effect in effects]
+
+    @property
+    def known_columns(self) -> list[Sequence[np.ndarray]]:
+        """The columns of the effects of all causes found."""
+        return self.columns(build_effects(self.found))
 
     def others(self, one: SelectedCause) -> list[Effect]:
         """Return the effects of all causes found but one."""
@@ -280,46 +122,46 @@ def select_causes(
     progress: Callable[[str], None],
     *,
     level: float = FAMILY_LEVEL,
-    sift: ArtefactFilter | None = None,
+    artefact_filter: ArtefactFilter | None = None,
     excluded: Collection[tuple[str, tuple[str, ...]]] = (),
 ) -> StepwiseSelection:
     """Select causes on the training data by forward selection and backward elimination.
 
-    A candidate that `sift` rejects is passed over at once: in the model, an artefact would take a part of a true cause's effect.
+    A candidate that `artefact_filter` rejects is skipped: in the model, an artefact would take a part of a true cause's effect.
 
     Args:
         channel: The measurements.
         rng: For noise draws.
         progress: Called with a word for each step.
         level: Family-wise significance level.
-        sift: Removes artefacts of encoder noise from a candidate.
+        artefact_filter: Removes artefacts of encoder noise from a candidate.
         excluded: Causes with their joints that are not tried.
     """
     library = ColumnCache(channel)
     found: list[SelectedCause] = []
     pending: list[tuple[str, ...]] = []  # rivals of each; the next round shows whether they still explain anything
     while True:
-        ground, candidates = _scan_beside(library, found, rng, progress, excluded)
+        null_model, candidates = _scan_with(library, found, rng, progress, excluded)
         significant = [c for c in candidates if adjust_p_value_bonferroni(c, candidates) < level]
         if pending and len(pending) == len(found):
             still = {c.cause for c in significant}
             found[-1] = replace(found[-1], rivals=tuple(r for r in pending[-1] if not still & set(r.split("+"))))
         if not significant or len(found) >= MAX_CAUSES or len(pending) >= 2 * MAX_CAUSES:
             break
-        taken = choose_next_cause(significant, ground, build_effects(found), len(candidates), sift)
+        taken = choose_next_cause(significant, null_model, build_effects(found), len(candidates), artefact_filter)
         if taken is None:
             break
         best, twins = taken
         progress(f"found {best.cause}")
-        pending.append((*twins, *find_rival_pairs(best, candidates, ground)))
+        pending.append((*twins, *find_rival_pairs(best, candidates, null_model)))
         found = _join(found, SelectedCause(best, adjust_p_value_bonferroni(best, candidates), ()))
-    kept = _eliminate_backward(ground, found, level)
-    kept = _reject_lack_of_fit(ground, kept, ground.draw_null_residuals(N_NULL_DRAWS, rng))
+    kept = _eliminate_backward(null_model, found, level)
+    kept = _reject_lack_of_fit(null_model, kept, null_model.draw_null_residuals(N_NULL_DRAWS, rng))
     if kept != found:
-        kept = _refine_again(ground, kept)
-        ground, candidates = _scan_beside(library, kept, rng, progress, excluded)
-    rejected = _list_rejected(ground, candidates, build_effects(kept), level, sift)
-    return StepwiseSelection(tuple(kept), ground, tuple(candidates), rejected)
+        kept = _refine_again(null_model, kept)
+        null_model, candidates = _scan_with(library, kept, rng, progress, excluded)
+    rejected = _list_rejected(null_model, candidates, build_effects(kept), level, artefact_filter)
+    return StepwiseSelection(tuple(kept), null_model, tuple(candidates), rejected)
 
 
 MAX_REJECTED = 3
@@ -327,20 +169,22 @@ MAX_REJECTED = 3
 
 
 def _list_rejected(
-    ground: NullModel,
+    null_model: NullModel,
     candidates: Sequence[CandidateCause],
     others: Sequence[Effect],
     level: float,
-    sift: ArtefactFilter | None,
+    artefact_filter: ArtefactFilter | None,
 ) -> tuple[RejectedCause, ...]:
     """Return the significant candidates of the last scan that are no artefacts, with the reason of their rejection."""
     found = []
     ranked = sorted(candidates, key=lambda c: -c.penalised_statistic)
     significant = [c for c in ranked if adjust_p_value_bonferroni(c, candidates) < level]
     for candidate in significant[:MAX_REJECTED]:
-        refined = refine_settings(drop_redundant_groups(candidate, ground), ground)
-        why = _find_unbelievable(refined, ground)
-        if why and (sift is None or sift(ground, refined, others, len(candidates)) is not None):
+        refined = refine_settings(drop_redundant_groups(candidate, null_model), null_model)
+        why = find_unbelievable(refined, null_model)
+        if why and (
+            artefact_filter is None or artefact_filter(null_model, refined, others, len(candidates)) is not None
+        ):
             found.append(
                 RejectedCause(SelectedCause(refined, adjust_p_value_bonferroni(candidate, candidates), ()), why)
             )
@@ -361,7 +205,7 @@ def adjust_p_value_bonferroni(candidate: CandidateCause, candidates: Sequence[Ca
     return min(1.0, candidate.p_value * len(candidates))
 
 
-def _scan_beside(
+def _scan_with(
     library: ColumnCache,
     found: Sequence[SelectedCause],
     rng: np.random.Generator,
@@ -371,27 +215,27 @@ def _scan_beside(
     """Return the training data with the causes found accounted for, and all other causes tested next to them."""
     effects = build_effects(found)
     noise = fit_noise_models(library.channel, (TRAIN,), [library.columns(effect) for effect in effects])
-    ground = NullModel.of(library, (TRAIN,), noise, effects)
+    null_model = NullModel.of(library, (TRAIN,), noise, effects)
     taken = {(effect.name, effect.joints) for effect in effects} | set(excluded)
-    draws = ground.draw_null_residuals(N_NULL_DRAWS, rng)
-    return ground, scan_causes(ground, draws, library.channel.causes, taken, progress)
+    draws = null_model.draw_null_residuals(N_NULL_DRAWS, rng)
+    return null_model, scan_causes(null_model, draws, library.channel.causes, taken, progress)
 
 
-def _rescore_beside(
-    ground: NullModel, found: Sequence[SelectedCause], one: SelectedCause
+def _rescore_with_others(
+    null_model: NullModel, found: Sequence[SelectedCause], one: SelectedCause
 ) -> tuple[NullModel, list[GroupTest]]:
-    """Return the null model with all other causes accounted for, and what the groups of one explain there."""
-    beside = ground.beside(build_effects([other for other in found if other is not one]))
-    return beside, [rescore_group(fit, beside) for fit in one.candidate.fits]
+    """Return the null model with all other causes accounted for, and the statistics of the groups of one there."""
+    with_others = null_model.with_effects(build_effects([other for other in found if other is not one]))
+    return with_others, [rescore_group(fit, with_others) for fit in one.candidate.fits]
 
 
-def _eliminate_backward(ground: NullModel, found: list[SelectedCause], level: float) -> list[SelectedCause]:
-    """Drop, weakest first, what no longer explains anything beside the others."""
+def _eliminate_backward(null_model: NullModel, found: list[SelectedCause], level: float) -> list[SelectedCause]:
+    """Drop, weakest first, the causes that are not significant next to the others."""
     kept = list(found)
     while len(kept) > 1:
         judged = []
         for k, one in enumerate(kept):
-            _, fits = _rescore_beside(ground, kept, one)
+            _, fits = _rescore_with_others(null_model, kept, one)
             statistic = combine_group_tests(one.candidate.cause, fits).statistic
             tail = float(stats.chi2.sf(statistic, sum(f.dof for f in fits)))
             judged.append((min(1.0, tail * np.prod([f.n_effective_tests for f in fits])), k))
@@ -402,27 +246,27 @@ def _eliminate_backward(ground: NullModel, found: list[SelectedCause], level: fl
     return kept
 
 
-def _refine_again(ground: NullModel, kept: Sequence[SelectedCause]) -> list[SelectedCause]:
-    """Return what was kept, weighed and refined beside the others that were: what was dropped had explained a part of it."""
+def _refine_again(null_model: NullModel, kept: Sequence[SelectedCause]) -> list[SelectedCause]:
+    """Return the remaining causes, scored and refined next to each other: the dropped ones had explained a part of them."""
     found = list(kept)
     for k, one in enumerate(found):
-        beside, fits = _rescore_beside(ground, found, one)
-        found[k] = replace(one, candidate=refine_settings(replace(one.candidate, fits=tuple(fits)), beside))
+        with_others, fits = _rescore_with_others(null_model, found, one)
+        found[k] = replace(one, candidate=refine_settings(replace(one.candidate, fits=tuple(fits)), with_others))
     return found
 
 
-def _reject_lack_of_fit(ground: NullModel, found: list[SelectedCause], draws: np.ndarray) -> list[SelectedCause]:
+def _reject_lack_of_fit(null_model: NullModel, found: list[SelectedCause], draws: np.ndarray) -> list[SelectedCause]:
     """Drop what only mimics a law or a structure without a name: where smooth functions of some variables explain far more.
 
-    A true cause leaves nothing behind, so no structure in its place explains much more than it does. Smooth functions that
+    A true cause leaves no structure, so no structure in its place explains much more than it does. Smooth functions that
     beat a cause by far more than their freedom are a force that this cause resembles, and it would be a wrong name.
     """
     kept = []
     for one in found:
-        beside, fits = _rescore_beside(ground, found, one)
-        structure = find_structure(beside, draws, level=1.0)
+        with_others, fits = _rescore_with_others(null_model, found, one)
+        structure = find_structure(with_others, draws, level=1.0)
         mimics = [f for f in fits if structure and structure.output in f.effect.joints and _is_beaten(f, structure)]
-        mimics += [f for f in fits if f not in mimics and _is_outshone(f, beside)]
+        mimics += [f for f in fits if f not in mimics and _is_outshone(f, with_others)]
         left = tuple(f for f, new in zip(one.candidate.fits, fits, strict=True) if new not in mimics)
         if left:
             kept.append(replace(one, candidate=replace(one.candidate, fits=left)) if mimics else one)
@@ -442,7 +286,7 @@ def _is_beaten(fit: GroupTest, structure: Structure) -> bool:
     return structure.penalised_statistic > MIMIC_RATIO * fit.statistic or structure.dof < fit.dof or steadier
 
 
-def _is_outshone(fit: GroupTest, ground: NullModel) -> bool:
+def _is_outshone(fit: GroupTest, null_model: NullModel) -> bool:
     """Tell whether a law without a name, as free as this one, is more likely."""
-    others = [rescore_group(replace(fit, effect=effect), ground) for effect in fit.effect.lookalikes()]
+    others = [rescore_group(replace(fit, effect=effect), null_model) for effect in fit.effect.lookalikes()]
     return any((other.statistic - fit.statistic) / fit.overdispersion > MIN_2LOGL_DIFFERENCE for other in others)

@@ -21,7 +21,7 @@ from tau_dyn.evidence.null_model import (
     SMOOTH_DEGREE,
     WHOLE_TIME,
     JoinedVariables,
-    NullModel,
+    WhiteResidual,
     compute_overdispersion,
     compute_statistics_of_rows,
     count_effective_tests,
@@ -82,7 +82,7 @@ class Dependence(NamedTuple):
         return (stacked * np.sign(joined.values[f"v_{self.turns}"]) if self.turns else stacked).T
 
     def terms(self, values: Sequence[Values]) -> dict[str, list[np.ndarray]]:
-        """Return simple products (n, 1) of each run by what they are called."""
+        """Return simple products (n, 1) of each run by their labels."""
         names, found = self.names, {}
         for first, f in _SHAPES.items():
             seconds = _SHAPES.items() if len(names) == 2 else [("", lambda x: np.ones_like(x))]
@@ -122,9 +122,10 @@ MIN_2LOGL_DIFFERENCE = 8.0
 50 to 1."""
 _MAX_INDISTINGUISHABLE = 6  # structures that a result names; more do not help
 _PAIR_PRICE = 4.0
-"""What a second variable, or another joint's direction, has to explain more, in twice the log-likelihood, beside its freedom."""
+"""Statistic that a second variable, or another joint's direction, has to add (twice the log-likelihood), beyond the cost of its
+columns."""
 _CHUNK = 16  # sets of variables tried at once; bounds memory
-_LEFT = 0.01
+MIN_LEFT_SHARE = 0.01
 """Part of a function that the baseline must leave: the functions are not filtered as the baseline's columns are."""
 _SIMPLE = 0.85
 """Share of the structure that one term must explain to be suggested as its formula."""
@@ -145,11 +146,11 @@ class Structure:
 
     Attributes:
         on: The output, the variables, and whose direction of motion it follows.
-        statistic: What it explains, in units of the noise.
+        statistic: Its score statistic, in units of the noise.
         dof: Number of its columns.
         p_value: Chance on clean data, all sets tried taken into account.
         n_effective_tests: Number of independent tries that the search over sets amounts to.
-        penalised_statistic: What it explains less the price of its freedom, not divided by the scatter of blocks as `T` is.
+        penalised_statistic: The statistic less the cost of its columns, not divided by the scatter of blocks as `T` is.
         share: Its part of the output's residual variance.
         columns: Its columns (n, m, k) of each run.
         formula: A simple expression, or empty.
@@ -174,37 +175,37 @@ class Structure:
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """What it depends on."""
+        """The variables that it depends on."""
         return self.on.variables
 
 
-def find_structure(ground: NullModel, draws: np.ndarray, level: float) -> Structure | None:
+def find_structure(null_model: WhiteResidual, draws: np.ndarray, level: float) -> Structure | None:
     """Return the strongest dependence that noise does not explain at this family-wise level, or None."""
-    shapes, tries = _tried(ground, draws)
+    shapes, tries = _tried(null_model, draws)
     if not shapes:
         return None
     best = shapes[0]
-    if level < 1 and _chance(best, tries, _inflation(ground, best.on)) >= level:
+    if level < 1 and _chance(best, tries, _inflation(null_model, best.on)) >= level:
         return None
     near = [
         s
         for s in shapes[1:]
         if s.on.output == best.on.output and s.penalised_statistic > best.penalised_statistic - MIN_2LOGL_DIFFERENCE
     ]
-    return _structure(ground, best, tries, tuple(near[:_MAX_INDISTINGUISHABLE]))
+    return _structure(null_model, best, tries, tuple(near[:_MAX_INDISTINGUISHABLE]))
 
 
-def list_indistinguishable(ground: NullModel, structure: Structure) -> list[Structure]:
+def list_indistinguishable(null_model: WhiteResidual, structure: Structure) -> list[Structure]:
     """Return the structures that a structure was not distinguished from on the training data."""
-    return [_structure(ground, shape, structure.n_effective_tests, ()) for shape in structure.alike]
+    return [_structure(null_model, shape, structure.n_effective_tests, ()) for shape in structure.alike]
 
 
 def _structure(
-    ground: NullModel, shape: _StructureCandidate, tries: float, alike: tuple[_StructureCandidate, ...]
+    null_model: WhiteResidual, shape: _StructureCandidate, tries: float, alike: tuple[_StructureCandidate, ...]
 ) -> Structure:
-    k = ground.channel.outputs.index(shape.on.output)
-    rows = np.flatnonzero(ground.whiten.index == k)
-    inflation = _inflation(ground, shape.on)
+    k = null_model.measurements.outputs.index(shape.on.output)
+    rows = np.flatnonzero(null_model.whiten.index == k)
+    inflation = _inflation(null_model, shape.on)
     return Structure(
         shape.on,
         shape.statistic / inflation,
@@ -212,9 +213,12 @@ def _structure(
         _chance(shape, tries, inflation),
         tries,
         shape.penalised_statistic,
-        min(1.0, shape.statistic / max(float(ground.e[rows] @ ground.e[rows]), 1e-300)),
-        [place_columns(b, k, len(ground.channel.outputs)) for b in shape.on.bases(ground.channel.variables())],
-        _formula(ground, shape),
+        min(1.0, shape.statistic / max(float(null_model.e[rows] @ null_model.e[rows]), 1e-300)),
+        [
+            place_columns(b, k, len(null_model.measurements.outputs))
+            for b in shape.on.bases(null_model.measurements.variables())
+        ],
+        _formula(null_model, shape),
         alike,
     )
 
@@ -225,23 +229,23 @@ def _chance(shape: _StructureCandidate, tries: float, inflation: float) -> float
     return float(-np.expm1(tries * np.log1p(-tail)))
 
 
-def _tried(ground: NullModel, draws: np.ndarray) -> tuple[list[_StructureCandidate], float]:
+def _tried(null_model: WhiteResidual, draws: np.ndarray) -> tuple[list[_StructureCandidate], float]:
     """Return all sets of variables, the largest merit first, and how many independent tries the search over them amounts to."""
-    values = ground.channel.variables()
+    values = null_model.measurements.variables()
     joined = JoinedVariables(values)
     found: list[_StructureCandidate] = []
     noise_chances = []
-    for k, output in enumerate(ground.channel.outputs):
-        rows = np.flatnonzero(ground.whiten.index == k)
-        both, Q = np.concatenate([ground.e[rows, None], draws[rows]], axis=1), ground.Q[rows]
+    for k, output in enumerate(null_model.measurements.outputs):
+        rows = np.flatnonzero(null_model.whiten.index == k)
+        both, Q = np.concatenate([null_model.e[rows, None], draws[rows]], axis=1), null_model.Q[rows]
         tried = list_dependences(values, output)
         for start in range(0, len(tried), _CHUNK):
             made = [(on, on.build_columns(joined)) for on in tried[start : start + _CHUNK]]
             for size in sorted({columns.shape[1] for _, columns in made} - {0}):
                 alike = [(on, columns) for on, columns in made if columns.shape[1] == size]
                 basis = joined.split(np.concatenate([columns for _, columns in alike], axis=1))
-                C = _rows(ground, k, basis).reshape(len(rows), len(alike), size)
-                T = compute_statistics_of_rows(C, both, Q, np.zeros(size, bool), _LEFT)
+                C = _rows(null_model, k, basis).reshape(len(rows), len(alike), size)
+                T = compute_statistics_of_rows(C, both, Q, np.zeros(size, bool), MIN_LEFT_SHARE)
                 noise_chances.append(stats.chi2.sf(T[:, 1:], size))
                 for (on, _), statistic in zip(alike, T[:, 0].tolist(), strict=True):
                     merit = statistic - 2 * size - _PAIR_PRICE * on.further
@@ -254,7 +258,7 @@ def _tried(ground: NullModel, draws: np.ndarray) -> tuple[list[_StructureCandida
 
 
 def compute_structure_p_value(
-    noise: NoiseOnlyBootstrap, ground: NullModel, structure: Structure, others: Sequence[Effect]
+    noise: NoiseOnlyBootstrap, null_model: WhiteResidual, structure: Structure, others: Sequence[Effect]
 ) -> float:
     """Return a structure's p-value by the parametric bootstrap of `noise_only_bootstrap.py`."""
     columns = []
@@ -262,38 +266,42 @@ def compute_structure_p_value(
         bases = structure.on.bases(clean.variables())
         columns.append([place_columns(b, clean.outputs.index(structure.output), len(clean.outputs)) for b in bases])
     nonnegative = np.zeros(columns[0][0].shape[-1], bool)
-    blanks = noise.fit_null_models(ground, others)
-    tail = compute_artefact_chance(structure.statistic, blanks, ground, columns, nonnegative, _LEFT)
+    noise_only_models = noise.fit_null_models(null_model, others)
+    tail = compute_artefact_chance(
+        structure.statistic, noise_only_models, null_model, columns, nonnegative, MIN_LEFT_SHARE
+    )
     return min(1.0, structure.n_effective_tests * tail)
 
 
-def _rows(ground: NullModel, output: int, basis: Sequence[np.ndarray]) -> np.ndarray:
-    return ground.whiten.one(output, basis) / ground.scale
+def _rows(null_model: WhiteResidual, output: int, basis: Sequence[np.ndarray]) -> np.ndarray:
+    return null_model.whiten.one(output, basis) / null_model.scale
 
 
-def _inflation(ground: NullModel, on: Dependence) -> float:
+def _inflation(null_model: WhiteResidual, on: Dependence) -> float:
     """Return the scatter of blocks over their variance under the noise model, at least 1."""
-    k = ground.channel.outputs.index(on.output)
-    rows = np.flatnonzero(ground.whiten.index == k)
-    C = _rows(ground, k, on.bases(ground.channel.variables()))
-    left = C - ground.Q[rows] @ (ground.Q[rows].T @ C)
-    gamma = np.linalg.lstsq(left, ground.e[rows], rcond=1e-7)[0]
+    k = null_model.measurements.outputs.index(on.output)
+    rows = np.flatnonzero(null_model.whiten.index == k)
+    C = _rows(null_model, k, on.bases(null_model.measurements.variables()))
+    left = C - null_model.Q[rows] @ (null_model.Q[rows].T @ C)
+    gamma = np.linalg.lstsq(left, null_model.e[rows], rcond=1e-7)[0]
     along = left @ gamma
-    return compute_overdispersion(ground.whiten.block[rows], along * (ground.e[rows] - along), float(along @ along))
+    return compute_overdispersion(
+        null_model.whiten.block[rows], along * (null_model.e[rows] - along), float(along @ along)
+    )
 
 
-def _formula(ground: NullModel, shape: _StructureCandidate) -> str:
+def _formula(null_model: WhiteResidual, shape: _StructureCandidate) -> str:
     """Return the one product of simple terms that explains nearly all, or an empty text."""
-    k = ground.channel.outputs.index(shape.on.output)
-    rows = np.flatnonzero(ground.whiten.index == k)
+    k = null_model.measurements.outputs.index(shape.on.output)
+    rows = np.flatnonzero(null_model.whiten.index == k)
     best, text = _SIMPLE * shape.statistic, ""
-    for label, bases in shape.on.terms(ground.channel.variables()).items():
-        C = _rows(ground, k, bases)
-        A = ground.Q[rows].T @ C
+    for label, bases in shape.on.terms(null_model.measurements.variables()).items():
+        C = _rows(null_model, k, bases)
+        A = null_model.Q[rows].T @ C
         G = float(np.sum(C**2) - np.sum(A**2))
-        if G <= _LEFT * float(np.sum(C**2)):
+        if G <= MIN_LEFT_SHARE * float(np.sum(C**2)):
             continue
-        s = float(C[:, 0] @ ground.e[rows])
+        s = float(C[:, 0] @ null_model.e[rows])
         if s * s / G > best:
             best, text = s * s / G, f"{s / G:.3g} * {label}"
     return text

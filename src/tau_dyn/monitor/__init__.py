@@ -1,4 +1,4 @@
-"""A payload from two recordings, units of one type, and what has changed on a running robot since when."""
+"""A payload from two recordings, units of one type, and changes of a running robot with their time."""
 
 from tau_dyn.public_names import attach_public_names
 

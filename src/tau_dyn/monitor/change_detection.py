@@ -5,12 +5,12 @@ payload, ...), the score and the information
 
     s_b = X_b' (e_b - X_b theta_0),     G_b = X_b' X_b
 
-with `theta_0` of a reference, blocks that stand for the normal state: what the model misses there counts as normal. A change of
+with `theta_0` of a reference, blocks of the normal state: a model error there counts as normal. A change of
 direction d since block k is tested by
 
     T_d(k, n) = (sum_k^n s_bd)^2 / (phi_d (G_dd + g' G_0^-1 g)),     g = row d of G = sum_k^n G_b
 
-`g' G_0^-1 g` is what the reference itself is unsure of, `phi_d` the scatter of the reference's scores in units of G: so no noise
+`g' G_0^-1 g` is the uncertainty of the reference itself, `phi_d` the scatter of the reference's scores in units of G: so no noise
 model has to be exact, and without a change `sqrt(T)` is Student's t with the reference's degrees of freedom. Each new block
 tests D directions over L lengths from 2 s to an hour. With N = 1800 blocks an hour, the threshold h follows from the rate r [1/h]
 by Bonferroni,  2 P(t > h) = r / (N D L);  the expected number of false alarms is at most r an hour, averaged over references.
@@ -26,6 +26,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import stats
 
+from tau_dyn.evidence import MIN_2LOGL_DIFFERENCE
+
 BLOCK_S = 2.0
 """Length of a block [s]: longer than a residual's memory, a fraction of the minute in which a change is to be named."""
 BLOCKS_PER_HOUR = 3600 / BLOCK_S
@@ -37,8 +39,6 @@ CONFIRMING_BLOCKS = 5
 """Blocks after a detection that take part in the name, the size and the time of a change: 10 s tell near causes apart."""
 CHANGE_POINT_95 = 7.35
 """Fall of the likelihood ratio within which 95 % of true change-points lie: -2 log(1 - sqrt(0.95)) (Hansen 2000)."""
-TWIN_MARGIN = 8.0
-"""Difference of the statistic below which two directions are not told apart: odds of 50 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,9 @@ class DetectedChange:
         detected_t: When it was detected [s].
         detected_log: Log in which that was.
         size: Change in the direction's unit.
-        ci95: Its interval.
+        stderr: Its standard error.
+        ci95: Its interval (Student's t).
+        statistic: Likelihood ratio of the change.
         false_alarms_per_hour: Expected number of false alarms with a statistic as large.
         twins: Directions that explain it as well.
     """
@@ -82,14 +84,16 @@ class DetectedChange:
     detected_t: float
     detected_log: str
     size: float
+    stderr: float
     ci95: tuple[float, float]
+    statistic: float
     false_alarms_per_hour: float
     twins: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class NormalState:
-    """What a reference says of the normal state.
+    """The normal state, learned from a reference.
 
     Attributes:
         theta: Offset of each direction (D,).
@@ -105,7 +109,7 @@ class NormalState:
 
     @classmethod
     def of(cls, blocks: Sequence[BlockScore], sizes: np.ndarray) -> NormalState:
-        """Learn from blocks; `sizes` (D,) are typical amounts of the directions, for those that the blocks do not tell."""
+        """Learn from blocks; `sizes` (D,) are typical amounts of the directions, for those that the blocks do not determine."""
         z, G = np.array([b.z for b in blocks]), np.array([b.G for b in blocks])
         inverse = np.linalg.inv(G.sum(axis=0) + np.diag(1 / sizes**2))
         theta = inverse @ z.sum(axis=0)
@@ -123,7 +127,7 @@ class NormalState:
         return np.where(known > 0, s**2 / np.maximum(variance, 1e-300), 0.0)
 
     def estimate_sizes(self, s: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the sizes (D,) that summed scores tell, each direction taken alone, and their standard errors (D,)."""
+        """Return the sizes (D,) by summed scores, each direction taken alone, and their standard errors (D,)."""
         known = np.maximum(np.diag(G), 1e-300)
         unsure = np.einsum("de,ef,df->d", G, self.inverse, G)
         return s / known, np.sqrt(self.phi * (known + unsure)) / known
@@ -131,13 +135,13 @@ class NormalState:
 
 @dataclass(eq=False)
 class ChangeDetector:
-    """Takes block after block, learns the normal state from the first, and says what has changed since when.
+    """Takes block after block, learns the normal state from the first, and finds changes with their time.
 
     Attributes:
         sizes: Typical amounts of the directions (D,).
         reference_blocks: Blocks from which the normal state is learned, at the beginning and after each alarm.
         rate: False alarms an hour.
-        changes: What was found.
+        changes: The changes found.
         trace: Time, log and the largest statistic's root over the threshold of each block.
         normal: The normal state; None while it is learned.
     """
@@ -189,7 +193,7 @@ class ChangeDetector:
             self._forget()
 
     def settle(self) -> None:
-        """Name the change that was detected, where one is open, and learn anew; also to be called when the blocks end."""
+        """Name the change that was detected, where one is open, and learn again; also to be called when the blocks end."""
         if self._detected is None or self.normal is None:
             return
         self.changes.append(self._describe(self.normal, self._detected))
@@ -227,10 +231,10 @@ class ChangeDetector:
         begin, end = (self._blocks[first + int(x)] for x in (near[0], near[-1]))
         at, found = self._blocks[first + k], self._blocks[detected]
         chance = BLOCKS_PER_HOUR * self.n_tests * 2 * float(stats.t.sf(np.sqrt(T[k, d]), normal.dof))
-        twins = [int(x) for x in np.flatnonzero(T.max(axis=0) > T[k, d] - TWIN_MARGIN) if x != d]
+        twins = [int(x) for x in np.flatnonzero(T.max(axis=0) > T[k, d] - MIN_2LOGL_DIFFERENCE) if x != d]
         early = begin.t[0] if begin.log == at.log else at.t[0]
         late = end.t[1] if end.log == at.log else at.t[1]
         return DetectedChange(
-            d, at.t[0], at.log, (early, late), found.t[1], found.log, float(sizes[d]),
-            (float(sizes[d]) - half, float(sizes[d]) + half), chance, tuple(twins),
+            d, at.t[0], at.log, (early, late), found.t[1], found.log, float(sizes[d]), float(errors[d]),
+            (float(sizes[d]) - half, float(sizes[d]) + half), float(T[k, d]), chance, tuple(twins),
         )  # fmt: skip

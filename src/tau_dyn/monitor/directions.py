@@ -1,4 +1,4 @@
-"""What may change on a robot, and how its forces change with it: a few directions that a user would do something about.
+"""Possible changes of a robot, and the forces that each adds: a few directions that a user would do something about.
 
 friction         of one joint: the model's Coulomb and viscous friction times 1 + size (without a model of it: N or N m)
 payload          a point mass at the tool, or at the last link's joint [kg]
@@ -27,13 +27,28 @@ _MIN_EFFECT = 1e-6  # force of a typical size, relative to all forces, below whi
 _LAWS = ("coulomb", "coulomb_pos", "coulomb_neg", "viscous", "viscous_pos", "viscous_neg")
 
 
+CAUSES = {
+    "friction": ("friction_change", 1.0),
+    "payload": ("payload", 1.0),
+    "encoder_offset": ("joint_zero", -1.0),
+    "delay": ("delay", 1.0),
+}
+"""Name of each kind of change in the catalogue of causes, and the sign of its amplitude there: `joint_zero` is added to logged
+positions, `encoder_offset` to the positions at which the forces are."""
+
+
 class Direction(NamedTuple):
-    """What may change: its kind, the joint (empty for all), the unit and a typical size."""
+    """A possible change: its kind, the joint (empty for all), the unit and a typical size."""
 
     what: str
     joint: str
     unit: str
     typical: float
+
+    @property
+    def cause(self) -> str:
+        """Its name in the catalogue of causes."""
+        return CAUSES[self.what][0]
 
     @property
     def words(self) -> str:
@@ -44,7 +59,7 @@ class Direction(NamedTuple):
 def compute_direction_columns(
     model: Model, motion: Motion, forces: np.ndarray, dt: float
 ) -> tuple[tuple[Direction, ...], np.ndarray]:
-    """Return what may change, and how the forces change with it (N, na, D) per unit, along a motion.
+    """Return the possible changes, and how the forces change with each (N, na, D) per unit, along a motion.
 
     Args:
         model: The model.

@@ -7,7 +7,7 @@ standard error. Spread by Paule & Mandel: the weighted squares about the mean ar
 for few units: of the mean with Student's t and a scale that is estimated (Hartung & Knapp, at least one), of the spread where
 the same squares leave their chi-square distribution (Q profile). A unit is outlying where it leaves the prediction of the others.
 
-The fleet's model holds the means, and as `prior_stderr` what a new unit may differ by; `identify --model` takes these as measured
+The fleet's model holds the means, and as `prior_stderr` the spread of a new unit; `identify --model` takes these as measured
 beforehand. The spread there is the upper end of its 80 % interval: a prior that is too narrow biases, one too wide costs little.
 
 Reference: Paule & Mandel 1982; Hartung & Knapp 2001; Roever, Knapp & Friede 2015; Viechtbauer 2007; DerSimonian & Laird 1986.
@@ -23,6 +23,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from tau_dyn.estimate import Estimate, PhysicalConstraints, Regression, solve_least_squares
+from tau_dyn.evidence import DIFFERENCE_LEVEL
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import (
     Choices,
@@ -46,8 +47,6 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Shown, format_list
 from tau_dyn.robot import Robot
 
-SIGNIFICANCE_LEVEL = 0.01
-"""Chance, over all units and parameters together (Holm), at which a unit like the others is called outlying."""
 MIN_UNITS = 3  # of which a spread can be told
 _MIN_UNITS_OUTLYING = 4  # from which a unit can be held against the spread of the others
 _PRIOR_TAIL = 0.10  # below the upper end of the spread that a new unit is given
@@ -58,15 +57,15 @@ class FleetParameter(NamedTuple):
     """A base parameter over the units.
 
     Attributes:
-        name: The parameter that stands for it.
-        expression: The combination that the logs tell.
+        name: The parameter that represents it.
+        expression: The combination that the logs determine.
         unit: SI unit.
-        n_units: Units whose logs tell it.
+        n_units: Units whose logs determine it.
         mean: Mean over units.
         mean_ci95: Its 95 % interval.
         spread: Standard deviation over units.
         spread_ci95: Its 95 % interval.
-        prior_stderr: What a new unit may differ from the mean by.
+        prior_stderr: Standard deviation of a new unit's difference from the mean.
         values: The units' own estimates, by unit.
     """
 
@@ -106,11 +105,11 @@ class Fleet(Shown):
     """Units of one type.
 
     Attributes:
-        model: Means as values, with what a new unit may differ by as `prior_stderr`.
+        model: Means as values, with the spread of a new unit as `prior_stderr`.
         units: Their names.
-        parameters: Mean and spread of each base parameter that three units or more tell.
+        parameters: Mean and spread of each base parameter that three units or more determine.
         outlying: Units that differ from the others.
-        warnings: What is doubtful.
+        warnings: Doubts, as sentences.
         seed: Of whatever was random.
     """
 
@@ -157,7 +156,7 @@ def estimate_random_effects(values: np.ndarray, stderr: np.ndarray) -> RandomEff
 
 
 def _solve_spread(values: np.ndarray, stderr: np.ndarray, wanted: float) -> float:
-    """Return the squared spread at which the weighted squares about the mean are what is wanted; 0 where they are less."""
+    """Return the squared spread at which the weighted squares about the mean have a given value; 0 if they are less."""
 
     def excess(spread2: float) -> float:
         w = 1 / (stderr**2 + spread2)
@@ -185,14 +184,14 @@ def identify_fleet(
         robot: The type, with nominal parameters.
         units: Logs of each unit, by its name.
         model: Friction model or model, as `identify` takes it.
-        choices: What is fixed, free or bounded.
+        choices: Parameters that are fixed, free or bounded.
         exclude: Log columns whose nonzero samples are left out.
         seed: Of whatever is random.
         progress: Called with a word for each step.
 
     Raises:
         InputError: A log or a choice is at fault.
-        CannotAnswer: Fewer than three units, or no parameter that three of them tell.
+        CannotAnswer: Fewer than three units, or no parameter that three of them determine.
     """
     if len(units) < MIN_UNITS:
         raise CannotAnswer(
@@ -256,7 +255,7 @@ def _find_centre(model: Model, together: Estimate, seed: int) -> dict[str, float
 
 
 def _fix_unseen(regression: Regression, together: Estimate, centre: Mapping[str, float]) -> Regression:
-    """Return the regression with one unknown a base parameter: what the logs see only with others has a fixed value."""
+    """Return the regression with one unknown a base parameter; all other parameters are fixed."""
     changes: dict[str, dict[str, Any]] = {name: {"value": centre[name]} for name in together.base.names}
     for column in together.base.dropped:
         changes[together.base.names[column]] |= {"free": False, "prior_stderr": None}
@@ -264,7 +263,7 @@ def _fix_unseen(regression: Regression, together: Estimate, centre: Mapping[str,
 
 
 def _solve_unit(regression: Regression, names: set[str]) -> Estimate | None:
-    """Return a unit's own estimate; None where its logs tell nothing."""
+    """Return a unit's own estimate; None if its logs determine no parameter."""
     runs = tuple(run for run in regression.runs if run.name in names)
     if not runs:
         return None
@@ -275,7 +274,7 @@ def _solve_unit(regression: Regression, names: set[str]) -> Estimate | None:
 
 
 def _collect_values(estimates: Mapping[str, Estimate | None]) -> dict[str, dict[str, tuple[float, float]]]:
-    """Return each unit's values and standard errors of what its logs tell alone, by parameter."""
+    """Return each unit's values and standard errors of the parameters that its logs determine alone, by parameter."""
     found: dict[str, dict[str, tuple[float, float]]] = {}
     for unit, estimate in estimates.items():
         if estimate is None:
@@ -287,7 +286,7 @@ def _collect_values(estimates: Mapping[str, Estimate | None]) -> dict[str, dict[
 
 
 def find_outlying_units(parameters: Sequence[FleetParameter]) -> tuple[OutlyingUnit, ...]:
-    """Return the units that leave what the others predict, the most striking parameter of each (Student's t, Holm)."""
+    """Return the units outside of the prediction by the others, the most significant parameter of each (Student's t, Holm)."""
     rows = []
     for p in parameters:
         names, table = list(p.values), np.array(list(p.values.values()))
@@ -303,14 +302,14 @@ def find_outlying_units(parameters: Sequence[FleetParameter]) -> tuple[OutlyingU
     found_units: dict[str, OutlyingUnit] = {}
     for k, row in enumerate(rows):
         corrected = min(1.0, row.p_value * (len(rows) - k))
-        if corrected >= SIGNIFICANCE_LEVEL:
+        if corrected >= DIFFERENCE_LEVEL:
             break
         found_units.setdefault(row.unit, row._replace(p_value=corrected))
     return tuple(found_units.values())
 
 
 def _build_fleet_model(model: Model, shared: Parameters, told: Sequence[FleetParameter], names: Sequence[str]) -> Model:
-    """Return the model of means, with what a new unit may differ by."""
+    """Return the model of means, with the spread of a new unit."""
     found = {p.name: p for p in told}
 
     def place(p: Parameter) -> Parameter:

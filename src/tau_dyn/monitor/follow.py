@@ -40,7 +40,7 @@ class GrowingFile:
 
     @property
     def sha256(self) -> str:
-        """Hash of what was read so far."""
+        """Hash of the text read so far."""
         return self._digest.hexdigest()
 
     def read(self) -> Iterator[Log]:

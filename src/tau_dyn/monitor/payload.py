@@ -2,12 +2,12 @@ r"""A payload from logs without and with it: its mass, centre and inertia, in on
 
     tau = Y theta + [loaded] (Y_last pi + sum_j (c_j sign(v_j) + d_j v_j))
 
-`pi` are the ten inertial numbers of a rigid body fixed to a link, so that what the model misses in both recordings alike does not
-reach them. Coulomb friction depends on the load that a gear or a guide carries, and on its temperature: each joint's Coulomb and
-viscous friction may differ between empty and loaded, by the same amount in both directions, and a test says where it does. The
-part of load friction that follows the force within the motion stays in the residual, whose scatter the intervals allow for. The
-payload is kept physical: its pseudo-inertia is positive semidefinite (`estimate/physical_consistency.py`). Drive gains scale
-the result: a force scale that is 2 % off makes a mass 2 % off. Reference: Khalil, Gautier & Lemoine 2007.
+`pi` are the ten inertial numbers of a rigid body fixed to a link, so that model errors common to both recordings do not reach
+them. Coulomb friction depends on the load that a gear or a guide carries, and on its temperature: each joint's Coulomb and
+viscous friction may differ between empty and loaded, by the same amount in both directions, and a test names the joints where
+it does. The part of load friction that follows the force within the motion stays in the residual, whose scatter the intervals
+allow for. The payload is kept physical: its pseudo-inertia is positive semidefinite (`estimate/physical_consistency.py`).
+Drive gains scale the result: a force scale that is 2 % off makes a mass 2 % off. Reference: Khalil, Gautier & Lemoine 2007.
 """
 
 from __future__ import annotations
@@ -18,15 +18,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tau_dyn.diagnose import estimate_body, find_end_link, find_payload_frame
-from tau_dyn.estimate import (
-    MAX_RELATIVE_STDERR,
-    Estimate,
-    InertialBody,
-    PhysicalConstraints,
-    Regression,
-    solve_least_squares,
+from tau_dyn.diagnose import (
+    PAYLOAD,
+    BodyEstimate,
+    build_body_parameters,
+    build_load_parameters,
+    constrain_loads,
+    estimate_body,
+    find_end_link,
+    find_payload_frame,
+    format_load_sentence,
+    list_load_names,
 )
+from tau_dyn.effects import PARAMETER_CAUSES
+from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Regression, solve_least_squares
+from tau_dyn.evidence import DIFFERENCE_LEVEL, Finding
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError, UnknownName
 from tau_dyn.excitation import Noise, predict_ideal_log
 from tau_dyn.identify import (
@@ -42,7 +48,7 @@ from tau_dyn.identify import (
     require_forces,
 )
 from tau_dyn.log import Log
-from tau_dyn.message_codes import CodedWarning, format_warnings
+from tau_dyn.message_codes import CodedWarning, format_warnings, get_code
 from tau_dyn.model import Model
 from tau_dyn.monitor.drive_gains import compare_drives
 from tau_dyn.parameters import Parameter, Parameters
@@ -50,8 +56,6 @@ from tau_dyn.results import Z95, Shown, format_list
 from tau_dyn.robot import INERTIAL, LinkInertia, Robot
 from tau_dyn.simulate import build_fourier_motion
 
-SIGNIFICANCE_LEVEL = 0.01
-"""Chance at which two equal recordings are said to differ by a payload."""
 MIN_DRIVE_DIFFERENCE = 0.05
 """Relative difference of the mass by two joints that counts; torque constants and the load friction of gears scatter less."""
 MAX_HIDDEN_SHARE = 0.05
@@ -61,7 +65,6 @@ _MAX_EXPERIMENT_S = 600.0  # a longer motion than ten minutes is no short one; m
 _MIN_JOINT_SHARE = 0.1  # of the information about a payload's mass that makes a joint worth naming
 _MIN_LENGTH_M = 0.05  # lever by which a centre counts as known where the payload sits at the frame's origin
 
-CENTRE = ("x", "y", "z")
 INERTIA = INERTIAL[4:]
 
 
@@ -74,7 +77,7 @@ class PropertyEstimate(NamedTuple):
     determined: bool
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers; those that the data do not tell are None."""
+        """Return plain numbers; those that the data do not determine are None."""
         told = np.isfinite(self.stderr)
         values = [float(x) if ok else None for x, ok in zip(self.values, told, strict=True)]
         ends = [
@@ -100,7 +103,7 @@ class FrictionDifference(NamedTuple):
     @property
     def differs(self) -> bool:
         """Whether the friction differs."""
-        return self.p_value is not None and self.p_value < SIGNIFICANCE_LEVEL
+        return self.p_value is not None and self.p_value < DIFFERENCE_LEVEL
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers."""
@@ -111,7 +114,7 @@ class FrictionDifference(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PayloadEstimate(Shown):
-    """What the loaded logs carry beyond the empty ones.
+    """The body that the loaded logs carry beyond the empty ones.
 
     Attributes:
         robot: The robot.
@@ -125,7 +128,7 @@ class PayloadEstimate(Shown):
         friction: Differences of friction.
         logs: Names of the empty and of the loaded logs.
         estimate: The solved regression.
-        warnings: What is doubtful.
+        warnings: Doubts, as sentences.
     """
 
     robot: Robot
@@ -144,15 +147,52 @@ class PayloadEstimate(Shown):
     @property
     def differs(self) -> bool:
         """Whether the loaded logs carry anything."""
-        return self.p_value < SIGNIFICANCE_LEVEL
+        return self.p_value < DIFFERENCE_LEVEL
 
     @property
     def largest_mass(self) -> float:
         """Upper end of the mass' 95 % interval [kg]."""
         return max(float(self.mass.values[0]), 0.0) + Z95 * float(self.mass.stderr[0])
 
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """The payload as a finding; empty where equal recordings differ as much.
+
+        Its status is `parameter`, since no part of the logs is held out. It is `suspected` if the joints disagree about the mass,
+        or if the loaded logs are lighter.
+        """
+        if not self.differs:
+            return ()
+        parts = (self.mass, self.centre, self.inertia)
+        values, stderr = (np.concatenate([getattr(part, key) for part in parts]) for key in ("values", "stderr"))
+        body = BodyEstimate(values, stderr, np.isfinite(stderr))
+        empty, loaded = self.logs
+        why = "the joints disagree about its mass" if any(get_code(w) == "scale_wrong" for w in self.warnings) else ""
+        why = "the loaded logs are lighter than the empty ones" if self.is_lighter else why
+        return (
+            Finding(
+                PAYLOAD,
+                (self.link,),
+                "suspected" if why else "parameter",
+                float((values[0] / stderr[0]) ** 2),
+                self.p_value,
+                tuple(build_body_parameters(body, self.frame)),
+                None,
+                (),
+                PARAMETER_CAUSES[PAYLOAD],
+                format_load_sentence(body, self.frame, loaded, empty),
+                why_not_confirmed=why,
+                logs=loaded,
+            ),
+        )
+
+    @property
+    def is_lighter(self) -> bool:
+        """Whether the loaded logs carry significantly less than the empty ones."""
+        return self.differs and self.plain_mass < -Z95 * float(self.mass.stderr[0])
+
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract's JSON result, without what the command adds."""
+        """Return the contract's JSON result, without the entries that the command adds."""
         parts = (("mass", self.mass), ("centre", self.centre), ("inertia", self.inertia))
         return {
             "payload": {
@@ -162,6 +202,7 @@ class PayloadEstimate(Shown):
             "p_value": self.p_value,
             "differ": self.differs,
             "friction": [row.to_dict() for row in self.friction],
+            "findings": [f.to_dict() for f in self.findings],
             **format_warnings(self.warnings),
         }  # fmt: skip
 
@@ -176,7 +217,7 @@ def identify_payload(
     seed: int = 0,
     progress: Callable[[str], None] = lambda step: None,
 ) -> PayloadEstimate:
-    """Identify what the loaded logs carry beyond the empty ones.
+    """Identify the body that the loaded logs carry beyond the empty ones.
 
     Args:
         robot: The robot, whose friction is then asymmetric; or a model with its effects.
@@ -204,7 +245,7 @@ def identify_payload(
 
 
 class TooLittleTold(CannotAnswer):
-    """The logs do not tell a payload's mass."""
+    """The logs do not determine a payload's mass."""
 
 
 def replace_experiment(fault: CannotAnswer, experiment: str) -> CannotAnswer:
@@ -248,7 +289,7 @@ def _refuse_wrong_wiring(warnings: Sequence[str]) -> None:
     """Refuse forces of another sign or joint: no payload makes them so, and the difference would be taken for one.
 
     Raises:
-        InputError: A log is wired otherwise than the robot file says.
+        InputError: A log has other cabling than the robot file.
     """
     for warning in warnings:
         if isinstance(warning, CodedWarning) and warning.code in ("sign_reversed", "joints_exchanged"):
@@ -313,8 +354,7 @@ def add_payload_columns(model: Model, body: LinkInertia, regression: Regression,
     ten = [names.index(f"{body.link}.{quantity}") for quantity in INERTIAL]
     own = [model.parameters.names.index(name) for name in body.names]
     shared[np.ix_(ten, own)] = body.map
-    extra = [Parameter(f"payload.{quantity}", 0.0, unit, lower=0.0 if quantity == "mass" else -np.inf)
-             for quantity, unit in zip(INERTIAL, ("kg", *["kg m"] * 3, *["kg m^2"] * 6), strict=True)]  # fmt: skip
+    extra = list(build_load_parameters())
     columns = list(np.eye(len(names))[ten])
     for joint in model.robot.actuated:
         for law in ("coulomb", "viscous"):
@@ -333,9 +373,7 @@ def _friction_names(joint: str, law: str) -> tuple[str, ...]:
 
 def solve_payload(model: Model, regression: Regression) -> Estimate:
     """Return the joint estimate, links and payload kept physical."""
-    physics = build_physical_constraints(model)
-    body = InertialBody("payload", tuple(f"payload.{quantity}" for quantity in INERTIAL), np.eye(10))
-    return solve_least_squares(regression, physics=PhysicalConstraints((*physics.bodies, body), physics.rotors))
+    return solve_least_squares(regression, physics=constrain_loads(build_physical_constraints(model), [""]))
 
 
 def describe_payload(
@@ -347,7 +385,7 @@ def describe_payload(
     kept = [base.names[k] for k in base.kept]
     mine = np.eye(base.rank)[[k for k, name in enumerate(kept) if name.startswith("payload.")]]
     p_value = compute_contrast_p_value(estimate, mine)
-    values, stderr, _ = estimate_body(estimate, [f"payload.{quantity}" for quantity in INERTIAL], R, p)
+    values, stderr, _ = estimate_body(estimate, list_load_names(), R, p)
     mass = float(values[0])
     lever = max(float(np.linalg.norm(values[1:4])), _MIN_LENGTH_M)
     size = np.array([abs(mass), *[lever] * 3, *[float(np.abs(values[4:]).max())] * 6])
@@ -381,8 +419,8 @@ def _compare_drives(found: PayloadEstimate) -> list[str]:
     """Return a warning where the joints disagree about the payload, with the mass by each of them."""
     if not found.differs or not found.mass.values[0] > 0:
         return []
-    gains = compare_drives(found.estimate, tuple(f"payload.{quantity}" for quantity in INERTIAL))
-    if gains is None or gains.p_value >= SIGNIFICANCE_LEVEL or gains.largest_difference < MIN_DRIVE_DIFFERENCE:
+    gains = compare_drives(found.estimate, list_load_names())
+    if gains is None or gains.p_value >= DIFFERENCE_LEVEL or gains.largest_difference < MIN_DRIVE_DIFFERENCE:
         return []
     first, rows = gains.joints[0], zip(gains.joints[1:], gains.factors[1:], gains.stderr[1:], strict=True)
     listed = format_list([f"{joint} {factor:.3g} ± {stderr:.1g}" for joint, factor, stderr in rows])
@@ -401,7 +439,7 @@ def _list_warnings(found: PayloadEstimate) -> list[str]:
             f"the friction of {format_list(changed)} differs between empty and loaded logs; each recording has its own in the "
             "estimate, as friction follows load and temperature"
         )
-    if found.differs and found.plain_mass < -Z95 * float(found.mass.stderr[0]):
+    if found.is_lighter:
         said.append(
             f"the loaded logs are lighter than the empty ones by {-found.plain_mass:.3g} kg; are they exchanged?"
         )
@@ -416,7 +454,7 @@ def _list_warnings(found: PayloadEstimate) -> list[str]:
 def _refuse_undetermined(
     model: Model, body: LinkInertia, found: PayloadEstimate, seed: int, progress: Callable[[str], None]
 ) -> None:
-    """Refuse logs that do not tell the mass, and say which motion would.
+    """Refuse logs that do not determine the mass, and propose a motion that does.
 
     Raises:
         TooLittleTold: The mass' error is too large for an answer.

@@ -1,7 +1,7 @@
-"""What has changed on a running robot, and since when: residuals of a model, in a few directions, block by block.
+"""Changes of a running robot with their time: residuals of a model, in a few directions, block by block.
 
-Forces are prepared as identification prepares them (filters, gate around reversals) and the model's own are subtracted; what
-may change stands in `directions.py`.
+Forces are prepared as identification prepares them (filters, gate around reversals) and the model's own are subtracted; the
+possible changes are in `directions.py`.
 
 The first minute of motion is the reference: whatever the model misses there counts as normal (`change_detection.py`), and its
 residual gives the noise model of each joint. After an alarm the next minute is the new reference. Logs follow each other in the
@@ -16,7 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tau_dyn.effects import EFFECTS, PARAMETER_CAUSES
 from tau_dyn.estimate import Autoregression, Preparation, RegressionRun, Whitener, fit_autoregression
+from tau_dyn.evidence import Finding
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import (
     TooShort,
@@ -37,7 +39,8 @@ from tau_dyn.monitor.change_detection import (
     ChangeDetector,
     DetectedChange,
 )
-from tau_dyn.monitor.directions import Direction, compute_direction_columns, list_felt
+from tau_dyn.monitor.directions import CAUSES, Direction, compute_direction_columns, list_felt
+from tau_dyn.parameters import Parameter
 from tau_dyn.results import Shown
 
 REFERENCE_S = 60.0
@@ -54,8 +57,8 @@ class WatchResult(Shown):
 
     Attributes:
         model: The model.
-        directions: What was watched.
-        unfelt: What this robot does not feel, so that no change of it can show.
+        directions: The changes watched for.
+        unfelt: Changes that the forces of this robot do not show.
         changes: What changed.
         trace: Time [s], log and largest statistic over its threshold, of each block.
         logs: Names of the logs.
@@ -63,7 +66,7 @@ class WatchResult(Shown):
         reference_s: Motion of each reference [s].
         rate: Expected false alarms an hour.
         threshold: In standard errors; NaN where no reference was complete.
-        warnings: What is doubtful.
+        warnings: Doubts, as sentences.
     """
 
     model: Model
@@ -82,10 +85,16 @@ class WatchResult(Shown):
         """Return the alarms in the contract's form."""
         return [describe_change(change, self.directions) for change in self.changes]
 
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """The alarms as findings of the kind that `diagnose` gives."""
+        return tuple(build_change_finding(change, self.directions, self.watched_s / 3600) for change in self.changes)
+
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract's JSON result, without what the command adds."""
+        """Return the contract's JSON result, without the entries that the command adds."""
         return {
             "alarms": self.rows(),
+            "findings": [f.to_dict() for f in self.findings],
             "false_alarm_rate_per_hour": self.rate,
             "threshold": None if np.isnan(self.threshold) else self.threshold,
             "watched_s": self.watched_s,
@@ -110,6 +119,34 @@ def describe_change(change: DetectedChange, directions: Sequence[Direction]) -> 
     }  # fmt: skip
 
 
+def build_change_finding(change: DetectedChange, directions: Sequence[Direction], watched_h: float) -> Finding:
+    """Return an alarm as a finding: a number that differs from its value in the reference.
+
+    Args:
+        change: The alarm.
+        directions: The changes watched for.
+        watched_h: Motion watched [h], over which a false alarm may occur.
+    """
+    d = directions[change.direction]
+    name = f"{d.joint}.{d.cause}" if d.joint else d.cause
+    size = Parameter(name, CAUSES[d.what][1] * change.size, d.unit, stderr=change.stderr, origin=d.cause)
+    others = dict.fromkeys(directions[k].cause for k in change.twins)
+    amount = f"{change.size:+.3g} {d.unit}".removesuffix(" 1")
+    return Finding(
+        d.cause,
+        (d.joint,) if d.joint else (),
+        "parameter",
+        change.statistic,
+        float(-np.expm1(-change.false_alarms_per_hour * watched_h)),
+        (size,),
+        None,
+        tuple(cause for cause in others if cause != d.cause),
+        (PARAMETER_CAUSES | {n: effect.equation for n, effect in EFFECTS.items()})[d.cause],
+        f"{d.words[:1].upper()}{d.words[1:]} changes by {amount} since t = {change.since_t:.4g} s of {change.since_log}.",
+        logs=tuple(dict.fromkeys((change.since_log, change.detected_log))),
+    )
+
+
 class _Block(NamedTuple):
     """A block's rows: their times (n,), the residual (n, na), the directions' columns (n, na, D), and which count (n, na)."""
 
@@ -131,9 +168,9 @@ class Watch:
         exclude: Log columns whose nonzero samples are left out.
         detector: What finds changes; None before the first log.
         logs: Names of the logs so far.
-        warnings: What is doubtful about them.
-        directions: What is watched, known from the first log on.
-        unfelt: What the robot does not feel.
+        warnings: Doubts about the logs.
+        directions: The changes watched for, known from the first log on.
+        unfelt: Changes that the forces do not show.
     """
 
     model: Model
@@ -188,7 +225,7 @@ class Watch:
         return [describe_change(change, self.directions) for change in changes]
 
     def finish(self) -> WatchResult:
-        """Return what was found.
+        """Return the result.
 
         Raises:
             CannotAnswer: The logs are not longer than the reference.
@@ -285,7 +322,7 @@ def watch_logs(
 
 
 def fit_noise(blocks: Sequence[_Block]) -> list[Autoregression]:
-    """Return each joint's noise model, of what the directions leave of the residual."""
+    """Return each joint's noise model, of the residual without the directions."""
     D, na = blocks[0].X.shape[2], blocks[0].e.shape[1]
     found = []
     W = np.concatenate([block.X[block.usable] for block in blocks])

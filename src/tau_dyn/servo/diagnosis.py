@@ -43,7 +43,7 @@ from tau_dyn.servo.fit import LoopFit
 from tau_dyn.servo.identification import fill_model
 from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
 from tau_dyn.servo.records import LoopRecord
-from tau_dyn.servo.residual_structure import compute_noise_floor, find_structure
+from tau_dyn.servo.residual_structure import LoopResidual, compute_noise_floor, find_residual_structure
 from tau_dyn.servo.unknowns import HIGHEST, LoopUnknowns, get_unit
 from tau_dyn.simulate import SERVO_ENTRIES
 
@@ -129,11 +129,11 @@ def diagnose_loop(
         _predict(one, search.unknowns, search.fit.x, records)
         for one, records in ((data, parts.train), (held, parts.confirm))
     )
-    unexplained = find_structure(
-        law.joints,
-        [(x, r.r, r.blocks) for x, r in ((parts.train, train), (parts.confirm, confirm), (parts.gain, after))],
-        floor,
-    )
+    residuals = [
+        LoopResidual(records, found.r)
+        for records, found in ((parts.train, train), (parts.confirm, confirm), (parts.gain, after))
+    ]
+    unexplained = find_residual_structure(law.joints, residuals, floor, np.random.default_rng(seed))
     progress("detection limits")
     limits, untestable = _list_limits(data, base, findings)
     warnings = [*given.warnings, *describe_foreign_joints(foreign)]

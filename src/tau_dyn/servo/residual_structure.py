@@ -1,36 +1,44 @@
-"""What the extended loop still leaves: the floor that encoders set, and structure above it.
+"""The residual of the extended loop as measurements for the judge: the encoders' floor, structure, and colour above the floor.
 
-The floor is the white part of the measured positions, rounding included. Residuals above it are regressed on smooth functions
-(Legendre, degree 4) of each joint's position, speed, acceleration and position error and of time, with and without the
-direction of motion; what the search's data show must be there again in the two parts that it did not see. Residuals that
-depend on none of these, but are far above the floor and coloured, are reported as well.
+Structure is found, confirmed and tested as in the residual of forces (`evidence/unexplained.py`). The variables are
+position, speed, acceleration and position error of each joint, and time. Encoders set a floor that forces do not have: the
+white part of the measured positions, rounding included. A residual that is far above it and coloured is reported as well, if it
+depends on none of the variables.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.stats import chi2
 
-from tau_dyn.evidence import Unexplained
+from tau_dyn.estimate import RegressionRun
+from tau_dyn.evidence import EVERY, Measurements, Unexplained, find_unexplained
 from tau_dyn.log import estimate_encoder_noise
-from tau_dyn.servo.records import LoopRecord
+from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.servo.records import MOTION_HZ, LoopRecord
 
-DEGREE = 4  # of the Legendre polynomials, as in a diagnosis of forces
-MIN_SHARE = 0.1
-"""Share of the residual's variance on data not fitted, from which a dependence is reported; less changes no simulation."""
-FAMILY_LEVEL = 0.01
-"""Chance that any variable of a joint without structure seems to matter."""
-ABOVE_FLOOR = 1.5
+RESIDUAL_HZ = 5 * MOTION_HZ
+"""Rate to which residuals are averaged at least [Hz]: no variable has content above `MOTION_HZ`."""
+COLOUR_LEVEL = 0.01
+"""Significance level of the portmanteau test of a joint."""
+MIN_FLOOR_RATIO = 1.5
 """Residual over the floor from which colour without a cause is reported: more than half of its variance is not the encoder's."""
 MAX_LAG_S = 0.5  # over which autocorrelations are tested
-_MOVING = 0.02  # rad/s; below it a joint has no direction
 
-_Part = tuple[Sequence[LoopRecord], np.ndarray, np.ndarray]
-"""Records, residuals (N, na, S) and blocks (N, S) of a part of the data."""
-_Rows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Residual of a joint (M,), variables (M, k), direction of motion (M,) and blocks (M,)."""
+
+class LoopResidual(NamedTuple):
+    """Residual of one part of the data.
+
+    Attributes:
+        records: The records.
+        values: Measured minus simulated positions (N, na, S), zero where a sample does not count [rad].
+    """
+
+    records: Sequence[LoopRecord]
+    values: np.ndarray
 
 
 def compute_noise_floor(records: Sequence[LoopRecord]) -> np.ndarray:
@@ -38,89 +46,78 @@ def compute_noise_floor(records: Sequence[LoopRecord]) -> np.ndarray:
     return np.sqrt(np.mean([estimate_encoder_noise(r.q) ** 2 for r in records], axis=0))
 
 
-def find_structure(
-    joints: Sequence[str],
-    parts: Sequence[_Part],
-    floor: np.ndarray,
+def find_residual_structure(
+    joints: tuple[str, ...], parts: Sequence[LoopResidual], floor: np.ndarray, rng: np.random.Generator
 ) -> tuple[Unexplained, ...]:
-    """Return what is left at each joint.
+    """Return the structure in the residual, and the joints whose residual is not consistent with its noise.
 
     Args:
         joints: Actuated joints.
-        parts: Records, residuals (N, na, S) and blocks (N, S) of what was fitted, confirmed on, and measured on.
+        parts: Residuals of the training, validation and test data.
         floor: See `compute_noise_floor`.
+        rng: For noise draws.
     """
-    names, tables = _build_variables(joints, [p[0] for p in parts])
-    found = []
-    for j, joint in enumerate(joints):
-        rows = [_gather(p, table, j) for p, table in zip(parts, tables, strict=True)]
-        if any(len(r) < 20 * DEGREE for r, *_ in rows):
-            continue
-        structure = _find_dependence(joint, names, rows) or _find_colour(joint, parts[-1], j, float(floor[j]))
-        if structure is not None:
-            found.append(structure)
-    return tuple(found)
+    found = find_unexplained(build_residual_measurements(joints, parts), rng)
+    known = {u.joint for u in found if u.status == "confirmed"}
+    colours = [_find_colour(joint, parts[-1], j, float(floor[j])) for j, joint in enumerate(joints)]
+    return (*found, *(u for u in colours if u is not None and u.joint not in known))
 
 
-def _build_variables(joints: Sequence[str], sets: Sequence[Sequence[LoopRecord]]) -> tuple[list[str], list[np.ndarray]]:
-    """Return names, and for each part the values (M, k) of all records' used samples, with each joint's direction (M, na)."""
-    names = [f"{kind}_{j}" for kind in ("q", "v", "a", "error") for j in joints] + ["t"]
-    tables = []
-    for records in sets:
-        rows = [np.column_stack([*r.motion, r.goal - r.q, r.t])[r.used] for r in records]
-        tables.append(np.concatenate(rows))
-    return names, tables
+def build_residual_measurements(joints: tuple[str, ...], parts: Sequence[LoopResidual]) -> Measurements:
+    """Return residuals as measurements, each joint's mean free.
+
+    Args:
+        joints: Actuated joints.
+        parts: Residuals of the training, validation and test data. Parts of one log become one run.
+    """
+    logs: dict[int, list[tuple[int, int]]] = {}  # records of one log share its positions
+    for number, part in enumerate(parts):
+        for k, record in enumerate(part.records):
+            logs.setdefault(id(record.q), []).append((number, k))
+    made = [_build_run(joints, parts, places) for places in logs.values()]
+    offsets = Parameters(Parameter(f"{joint}.mean_residual", 0.0, "rad") for joint in joints)
+    runs, divided = zip(*made, strict=True)
+    return Measurements("position", joints, ("rad",) * len(joints), offsets, runs, divided)
 
 
-def _gather(part: _Part, table: np.ndarray, j: int) -> _Rows:
-    """Return the residual of a joint (M,), the variables (M, k), the direction (M,) and the blocks (M,)."""
-    records, residual, blocks = part
-    na = residual.shape[1]
-    r = np.concatenate([residual[: len(x.t), j, k][x.used] for k, x in enumerate(records)])
-    b = np.concatenate([blocks[: len(x.t), k][x.used] for k, x in enumerate(records)])
-    v = table[:, na + j]
-    return r, table, np.where(np.abs(v) > _MOVING, np.sign(v), 0.0), b
+def _build_run(
+    joints: tuple[str, ...], parts: Sequence[LoopResidual], places: Sequence[tuple[int, int]]
+) -> tuple[RegressionRun, np.ndarray]:
+    """Return one log as a run, and the part of each of its samples; places are numbers of parts and of their records."""
+    first = parts[places[0][0]].records[places[0][1]]
+    residual, part = np.zeros(first.q.shape), np.full(len(first.t), -1)
+    for number, k in places:
+        used = parts[number].records[k].used
+        residual[used] = parts[number].values[: len(first.t), :, k][used]
+        part[used] = EVERY[number]
+    every = max(1, int(1 / (RESIDUAL_HZ * first.dt)))
+    q, v, a = first.motion
+    means = [_average(x, every) for x in (first.t, residual, q, v, a, first.goal - first.q)]
+    t, y, *signals = means
+    groups = part[: len(t) * every].reshape(len(t), every)
+    whole = np.where((groups == groups[:, :1]).all(axis=1), groups[:, 0], -1)
+    W = np.broadcast_to(np.eye(len(joints)), (len(t), len(joints), len(joints)))
+    usable = np.broadcast_to((whole >= 0)[:, None], y.shape)
+    names: tuple[str, ...] = ("q", "v", "a", "error")
+    named = {name: x for name, x in zip(names, signals, strict=True)}
+    return RegressionRun(first.name, t, W, y, usable, W, y, named), whole
 
 
-def _find_dependence(joint: str, names: Sequence[str], rows: Sequence[_Rows]) -> Unexplained | None:
-    """Return the variable on which a residual depends most, alike in all parts."""
-    best = None
-    for k, name in enumerate(names):
-        low, high = np.percentile(rows[0][1][:, k], [0.5, 99.5])
-        if high - low < 1e-9:
-            continue
-        columns = [_build_columns(table[:, k], sign, low, high) for _, table, sign, _ in rows]
-        weights = np.linalg.lstsq(columns[0], rows[0][0], rcond=1e-8)[0]
-        told = [_test(c @ weights, r, b) for c, (r, _, _, b) in zip(columns[1:], rows[1:], strict=True)]
-        p = float(norm.sf(min(t for t, _ in told))) * len(names)
-        share = min(s for _, s in told)
-        if p < FAMILY_LEVEL and share > MIN_SHARE and (best is None or share > best.share_of_residual_variance):
-            best = Unexplained(joint, (name,), share, "", p, "confirmed")
-    return best
+def _average(x: np.ndarray, every: int) -> np.ndarray:
+    """Return the means (n, ...) of `every` samples in turn of an array (N, ...)."""
+    n = len(x) // every
+    return x[: n * every].reshape(n, every, *x.shape[1:]).mean(axis=1)
 
 
-def _build_columns(x: np.ndarray, sign: np.ndarray, low: float, high: float) -> np.ndarray:
-    scaled = np.clip((2 * x - low - high) / (high - low), -1.0, 1.0)
-    smooth = np.polynomial.legendre.legvander(scaled, DEGREE)
-    return np.concatenate([smooth, smooth * sign[:, None]], axis=1)
-
-
-def _test(predicted: np.ndarray, r: np.ndarray, blocks: np.ndarray) -> tuple[float, float]:
-    """Return how many standard errors, by blocks, a prediction is found in a residual, and the share that it takes off."""
-    gained = r**2 - (r - predicted) ** 2
-    spread = float(np.sqrt((np.bincount(blocks, weights=gained - gained.mean()) ** 2).sum()))
-    return float(gained.sum()) / max(spread, 1e-300), float(gained.sum() / max((r**2).sum(), 1e-300))
-
-
-def _find_colour(joint: str, part: _Part, j: int, floor: float) -> Unexplained | None:
+def _find_colour(joint: str, part: LoopResidual, j: int, floor: float) -> Unexplained | None:
     """Return colour of a residual that is far above the floor, by a portmanteau test of samples in order (Ljung & Box 1978)."""
-    records, residual, _ = part
+    records, residual = part
     x = residual[:, j] * np.stack([np.pad(r.used, (0, len(residual) - len(r.t))) for r in records], axis=1)
     count = int(sum(r.used.sum() for r in records))
     rms = float(np.sqrt((x**2).sum() / max(count, 1)))
-    if floor <= 0 or rms < ABOVE_FLOOR * floor:
+    if floor <= 0 or rms < MIN_FLOOR_RATIO * floor:
         return None
     lags = int(np.clip(MAX_LAG_S / records[0].dt, 5, 100))
     rho = np.array([(x[lag:] * x[:-lag]).sum() for lag in range(1, lags + 1)]) / (x**2).sum()
     p = float(chi2.sf(count * (count + 2) * (rho**2 / np.maximum(count - np.arange(1, lags + 1), 1)).sum(), lags))
-    return Unexplained(joint, (), 1 - (floor / rms) ** 2, "", p, "confirmed") if p < FAMILY_LEVEL else None
+    return Unexplained(joint, (), 1 - (floor / rms) ** 2, "", p, "confirmed") if p < COLOUR_LEVEL else None

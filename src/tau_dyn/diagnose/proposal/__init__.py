@@ -1,1 +1,1 @@
-"""The motion that answers what a diagnosis left open."""
+"""The motion that answers the open questions of a diagnosis."""

@@ -5,13 +5,13 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.effects import CyclicRipple
-from tau_dyn.evidence.null_model import (
+from tau_dyn.diagnose.periodogram import (
     build_displacement_terms,
     build_force_terms,
     compute_period_statistics,
     project_to_samples,
 )
+from tau_dyn.effects import CyclicRipple
 
 CUTOFF_HZ = 10.0
 OPEN_HZ = 1e9  # nothing is filtered
@@ -131,19 +131,19 @@ def test_the_scan_sees_through_whitening_gaps_and_a_refitted_baseline(make, rng)
     """On a bench with AR(1) noise, gaps and a friction to refit, T is that of exact white rows at the best period."""
     period = 0.0209
     channel = make.bench(rng, lambda m: 0.6 * np.sin(2 * np.pi * m.q / period), n=8000)
-    ground = make.ground(channel)
+    null_model = make.null_model(channel)
     grid = [{"period": x} for x in lines_of(channel.motions[0].q, most=40.0)]
-    both = np.column_stack([ground.e, ground.draw_null_residuals(24, rng)])
-    (u,) = project_to_samples(ground.whiten.rows, both)
+    both = np.column_stack([null_model.e, null_model.draw_null_residuals(24, rng)])
+    (u,) = project_to_samples(null_model.whiten.rows, both)
     motion, mask = channel.motions[0], channel.masks(0)[0][:, 0]
     periods = np.array([s["period"] for s in grid])
     T = compute_period_statistics(
         motion.q[:, 0], motion.v[:, 0], u, mask, periods, OPEN_HZ, build_force_terms(motion.q)
     )[:, 0]
     best = int(np.argmax(T))
-    C = ground.whiten_columns(channel.columns(CyclicRipple(("x",), ("N",), **grid[best])))
-    s = C.T @ ground.e
-    assert_allclose(T[best], s @ np.linalg.solve(ground.gram(C), s), rtol=0.2)
+    C = null_model.whiten_columns(channel.columns(CyclicRipple(("x",), ("N",), **grid[best])))
+    s = C.T @ null_model.e
+    assert_allclose(T[best], s @ np.linalg.solve(null_model.gram(C), s), rtol=0.2)
     assert abs(1 / periods[best] - 1 / period) < 0.5 / np.ptp(motion.q)
 
 

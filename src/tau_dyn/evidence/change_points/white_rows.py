@@ -1,0 +1,96 @@
+"""White rows of one log in time order, with the model and smooth functions of each joint's own motion projected out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tau_dyn.estimate import Autoregression, Regression, Whitener
+from tau_dyn.evidence.change_points.log_data import Columns, Hypothesis, LogData
+from tau_dyn.evidence.null_model import fit_noise_model, orthonormalise, smooth
+
+SLOW_SPEED_SHARES = (0.02, 0.06, 0.2)
+"""Speeds over the fastest at which Stribeck friction that the model may lack has fallen to a third: a logarithmic grid, as
+polynomials of the speed do not follow it."""
+
+
+@dataclass(frozen=True, eq=False)
+class WhiteRows:
+    """White rows of one log in time order, no change accounted for that is not in the columns.
+
+    Attributes:
+        whiten: Makes rows of arrays over the runs.
+        order: Order of those rows in time (R,).
+        y: Forces (R,).
+        Q: Orthonormal basis of everything accounted for (R, r).
+        t: Times (R,) [s].
+        output: Outputs (R,).
+        block: Numbers of blocks of 2 s (R,).
+    """
+
+    whiten: Whitener
+    order: np.ndarray
+    y: np.ndarray
+    Q: np.ndarray
+    t: np.ndarray
+    output: np.ndarray
+    block: np.ndarray
+
+    @property
+    def fit(self) -> np.ndarray:
+        """Predicted forces (R,)."""
+        return self.Q @ (self.Q.T @ self.y)
+
+    def whiten_columns(self, columns: Columns) -> np.ndarray:
+        """Return rows (R, d) of columns (n, m, d) over the runs."""
+        return self.whiten(columns)[self.order]
+
+    def make_rows(self, hypothesis: Hypothesis) -> np.ndarray:
+        """Return the rows (R, d) whose step a hypothesis is; of a factor, the predicted force."""
+        if hypothesis.columns:
+            return self.whiten_columns(hypothesis.columns)
+        return np.where(self.output == hypothesis.output, self.fit, 0.0)[:, None]
+
+
+def make_rows(data: LogData, noise: Sequence[Autoregression]) -> WhiteRows | None:
+    """Return white rows; None where the log is too short for its columns."""
+    runs, rich = data.runs, _build_smooth_columns(data.regression)
+    known = data.columns
+    if sum(int(run.usable.sum()) for run in runs) < 2 * (sum(x[0].shape[1] for x in rich) + known[0].shape[2]):
+        return None
+    whiten = Whitener.of(runs, [run.usable for run in runs], noise)
+    order = np.argsort(whiten.t, kind="stable")
+    own = []
+    for k, x in enumerate(rich):
+        placed = np.zeros((whiten.n_rows, x[0].shape[1]))
+        placed[whiten.index == k] = whiten.one(k, x)
+        own.append(placed)
+    Q = orthonormalise(np.concatenate([whiten(known), *own], axis=1)[order])
+    y = whiten([run.y for run in runs])[order]
+    return WhiteRows(whiten, order, y, Q, whiten.t[order], whiten.index[order], whiten.block[order])
+
+
+def _build_smooth_columns(regression: Regression) -> list[list[np.ndarray]]:
+    """Return smooth functions (n, c) of each joint's own position and speed, and the same times the direction, of each run."""
+    ends = np.cumsum([len(run.t) for run in regression.runs])[:-1]
+    found = []
+    for k in range(len(regression.outputs)):
+        q, v = (np.concatenate([run.signals[x][:, k] for run in regression.runs]) for x in ("q", "v"))
+        slow = [np.exp(-np.abs(v) / max(share * np.abs(v).max(), 1e-300)) for share in SLOW_SPEED_SHARES]
+        basis = [*smooth(q), *smooth(v), *slow]
+        basis += [np.sign(v) * c for c in (np.ones(len(v)), *basis)]
+        found.append(np.split(np.column_stack(basis), ends))
+    return found
+
+
+def estimate_noise(data: LogData, order: int) -> tuple[Autoregression, ...]:
+    """Return the noise model of each output, of at most an order, its variance free of the bias of the fitted columns."""
+    runs, known, rich = data.runs, data.columns, _build_smooth_columns(data.regression)
+    found = []
+    for k in range(len(data.regression.outputs)):
+        columns = [np.concatenate([c[:, k], x], axis=1) for c, x in zip(known, rich[k], strict=True)]
+        measured, masks = [run.y[:, k] for run in runs], [run.usable[:, k] for run in runs]
+        found.append(fit_noise_model(columns, measured, masks, order, unbiased=True))
+    return tuple(found)
