@@ -319,9 +319,9 @@ def compute_actuated_positions_from(robot: Robot, joints: Sequence[str], q: np.n
     """Return the actuated positions (N, na) [m or rad] at positions of other joints of the same loops.
 
     A robot with `na` freedoms is placed by any `na` joints whose motions are independent: with `v_tree = G v_a`, rows of `G` of
-    full rank. They are chosen at home by QR with column pivoting of `G'`, which takes the joints that tell most. The loops are then
-    closed with these in the place of the actuated joints, from the same configuration at home, so that the assembly mode is the
-    same. Reference: Khalil & Dombre 2002, ch. 7.
+    full rank. They are chosen at home by QR with column pivoting of `G'`, which takes the joints that tell most. The loops are
+    then closed with these in the place of the actuated joints, from the same configuration at home, so that the assembly mode is
+    the same. Reference: Khalil & Dombre 2002, ch. 7.
 
     Args:
         robot: A robot with loops.
