@@ -58,7 +58,7 @@ def list_estimate_warnings(estimate: Estimate, sizes: Mapping[str, float] = Mapp
 
     Args:
         estimate: The fit.
-        sizes: What the robot file leaves open of the bodies' parameters, by name.
+        sizes: Sizes of the bodies' parameters, by name; see `BodyPrior`.
     """
     return [
         *_moved(estimate),

@@ -21,10 +21,10 @@ from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Z95, Shown
-from tau_dyn.robot import compute_nominal_stderr, list_body_stderr
+from tau_dyn.robot import BodyPrior, compute_nominal_stderr
 
-SMALL_SHARE = 0.1
-"""Share of what the robot file leaves open of a number from which a standard error is small: 2.5 % of the body's size."""
+SMALL_SHARE = 0.025
+"""Standard error of a number, relative to its body's size, below which it is small: a tenth of a rough file's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +161,7 @@ class Identification(Shown):
     @property
     def poorly_determined(self) -> list[str]:
         """Parameters with a standard error above 30 %; see `list_poorly_determined`."""
-        return list_poorly_determined(self.estimate, list_body_stderr(self.model.robot))
+        return list_poorly_determined(self.estimate, BodyPrior.of(self.model.robot).size)
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the parameter table in the contract's form.
@@ -259,7 +259,7 @@ def list_poorly_determined(estimate: Estimate, sizes: Mapping[str, float]) -> li
 
     Args:
         estimate: The fit.
-        sizes: What a robot file leaves open of the bodies' parameters, by name.
+        sizes: Sizes of the bodies' parameters, by name; see `BodyPrior`.
     """
     shown = {n: estimate.parameters[n].stderr for n in estimate.base.names}
     return [
