@@ -256,6 +256,6 @@ def _conditioning(estimate: Estimate) -> list[str]:
         )
     correlation = np.abs(np.triu(estimate.correlation, 1))
     for i, j in np.argwhere(correlation > _CORRELATED)[:5]:
-        a, b = estimate.base.expression(int(i)), estimate.base.expression(int(j))
+        a, b = estimate.expression(int(i)), estimate.expression(int(j))
         found.append(f"{a} and {b} are correlated by {estimate.correlation[i, j]:+.3f}; use only their combination")
     return found

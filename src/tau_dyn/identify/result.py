@@ -29,7 +29,10 @@ SMALL_SHARE = 0.025
 
 @dataclass(frozen=True, eq=False)
 class ForceErrors:
-    """Errors of predicted forces on some logs.
+    """Errors of predicted forces on some logs: the one definition of `identify`, `diagnose` and of every validation.
+
+    Residual = measured - predicted. Both went through the filter that was chosen from the training logs, and masked samples are
+    left out (`preparation.py`). Means stay in.
 
     Attributes:
         joints: Actuated joints.
@@ -172,18 +175,24 @@ class Identification(Shown):
         return [self._row(p) for p in self.parameters if p.free]
 
     def base_rows(self) -> list[dict[str, Any]]:
-        """Return the base parameters with their expressions."""
+        """Return the base parameters with their expressions.
+
+        A fixed drive inertia that one contains is a term of its expression, and its value is in the value: the data determine the
+        sum, whatever value was fixed.
+        """
         base, rows = self.estimate.base, []
         before = self.nominal.select(base.names).values
         for k, (column, value, sigma) in enumerate(
             zip(base.kept, self.estimate.beta, self.estimate.stderr, strict=True)
         ):
-            p = self.estimate.parameters[base.names[column]]
-            nominal = None if self._is_friction(p.name) else float(base.combine(before)[k])
-            row = {"name": p.name, "expression": base.expression(k), "value": float(value), "unit": p.unit}
-            row |= _uncertainty(float(value), float(sigma), p if base.alone[column] else None)
+            p, fixed = self.estimate.parameters[base.names[column]], self.estimate.sum_contained(k)
+            alone = bool(base.alone[column]) and not self.estimate.contained[k]
+            nominal = None if self._is_friction(p.name) else float(base.combine(before)[k]) + fixed
+            total = float(value) + fixed
+            row = {"name": p.name, "expression": self.estimate.expression(k), "value": total, "unit": p.unit}
+            row |= _uncertainty(total, float(sigma), p if alone else None)
             row |= {"identifiable": True, "nominal": nominal}
-            if base.alone[column]:
+            if alone:
                 row |= {key: self._row(p)[key] for key in ("nominal_stderr", "at_bound")}
             else:
                 row |= {"nominal_stderr": None, "at_bound": False}
