@@ -37,7 +37,7 @@ from tau_dyn.identify import (
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.monitor import FleetParameter, estimate_random_effects, find_outlying_units, identify_fleet
-from tau_dyn.robot import Robot, compute_body_stderr, load_robot, load_robot_from_urdf
+from tau_dyn.robot import ROUGH_FILE, Robot, compute_body_size, load_robot, load_robot_from_urdf
 from tau_dyn.simulate import build_fourier_motion
 
 COLOUR = 0.6
@@ -115,7 +115,7 @@ def draw_truth(model: Model, rng: np.random.Generator) -> np.ndarray:
     robot, values = model.robot, dict(zip(model.parameters.names, model.parameters.values, strict=True))
     total = sum(float(link.nominal[0]) for link in robot.links)
     for link in robot.links:
-        sizes = compute_body_stderr(link, total)
+        sizes = ROUGH_FILE * compute_body_size(link, total)
         while True:
             pi = link.nominal + sizes * rng.standard_normal(10)
             if np.linalg.eigvalsh(pseudo_inertia(pi))[0] > 0:

@@ -21,7 +21,7 @@ from tau_dyn.calibrate.models import TreeFamily
 from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.cli import main
-from tau_dyn.robot import BODY_STDERR, Robot, load_robot_from_urdf
+from tau_dyn.robot import ROUGH_FILE, Robot, load_robot_from_urdf
 
 NOISE = (3e-5, 6e-5)
 PLACES = ("0 0 0.4", "0.1 0 0", "0.6 0 0", "0.4 0 0.05")
@@ -156,9 +156,7 @@ def test_masses_off_the_file_and_a_tilted_base_are_within_the_intervals(robot):
         true = theta[arm.parameters.names.index(compliance.name)]
         assert compliance.stderr is not None
         if not fix:  # poses tell the torques' shape, no scale: that of a compliance is as sure as the masses
-            assert (
-                0.05 < compliance.stderr / true < BODY_STDERR and abs(compliance.value - true) < 3 * compliance.stderr
-            )
+            assert 0.05 < compliance.stderr / true < ROUGH_FILE and abs(compliance.value - true) < 3 * compliance.stderr
     assert missed[0] < 1.4 and errors[1] > 2 * errors[0]
 
 

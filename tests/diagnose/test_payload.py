@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -221,3 +222,29 @@ def test_trust_in_the_file_enters_as_its_square(robot) -> None:
         added.append(compare_with_trusted(robot, fit.nominal.update(known), fit.estimate).S)
     assert_allclose(added[2] - added[0], 8 / 3 * (added[1] - added[0]), rtol=1e-6, atol=1e-12)
     assert np.trace(added[1] - added[0]) > 0
+
+
+def _scaled(robot: Robot, factors: Sequence[float]) -> Robot:
+    """Return the robot with each body as a whole times a factor."""
+    model = pin.Model(robot.model)
+    for k, factor in enumerate(factors, start=1):
+        model.inertias[k] = pin.Inertia.FromDynamicParameters(factor * model.inertias[k].toDynamicParameters())
+    return replace(robot, model=model)
+
+
+@pytest.mark.parametrize(
+    ("factors", "cause"),
+    [
+        ((1.09, 1.21, 1.08, 0.67), None),
+        ((0.84, 0.96, 1.42, 1.16), None),
+        ((1.0, 1.3, 1.0, 1.0), "link_mass"),
+        ((1.05, 1.05, 1.05, 1.05), "drive_gain"),
+    ],
+)
+def test_a_file_with_all_bodies_off_has_no_single_cause(robot, judged, factors, cause) -> None:
+    """Four bodies that are off by different shares are no payload and no wrong link; one body, or one factor of all, is named."""
+    found = judged(recorded(_scaled(robot, factors), 100))
+    assert [finding.cause for finding in found] == ([] if cause is None else [cause])
+    if cause == "link_mass":
+        assert found[0].joints == ("upper_link",)
+        assert_allclose(found[0].parameters[0].value, 0.3 * 6.0, rtol=0.1)

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.estimate import BaseParameters, find_base, read_expression
+from tau_dyn.estimate.base_parameters import find_contained
 from tau_dyn.identify.fitted_model import find_structural_base
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
@@ -109,3 +110,11 @@ def test_an_expression_is_read_back():
     """Signs, factors with exponents, and joints joined by a plus come back as written."""
     base = BaseParameters(("a+b.inertia", "c", "d"), np.array([0]), np.array([1, 2]), np.array([[-1.0, 2.5e-7]]))
     assert read_expression(base.expression(0)) == {"a+b.inertia": 1.0, "c": -1.0, "d": 2.5e-7}
+
+
+def test_a_fixed_column_in_the_span_of_base_columns_is_contained(dependent, rng):
+    """The column c = 2 a - b / 4 is contained with these factors; one that differs from it by 1e-4 is not, nor is d = 0."""
+    W = np.column_stack([dependent, dependent[:, 2] * (1 + 1e-4 * rng.normal(size=200))])
+    assert_allclose(
+        find_contained(W, [0, 1, 4], [2, 5, 3]), [[2, 0, 0], [-0.25, 0, 0], [0, 0, 0]], rtol=1e-9, atol=1e-12
+    )

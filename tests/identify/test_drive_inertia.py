@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tau_dyn.estimate import read_expression
 from tau_dyn.identify import Choices, build_model, identify
 from tau_dyn.log import Log
 from tau_dyn.robot import load_robot, load_robot_from_urdf
@@ -100,3 +101,64 @@ def test_a_rotor_larger_than_any_body_may_hold_is_estimated_beside_it():
     assert found.train.relative_error_percent < 1 and not found.estimate.moved
     at = [rng.normal(size=(50, 2)) for _ in range(3)]
     np.testing.assert_allclose(found.model.torque(*at), true.torque(*at), atol=0.02)
+
+
+GEARED = (
+    '<rotor_inertia xmlns="http://drake.mit.edu" value="2e-4"/><gear_ratio xmlns="http://drake.mit.edu" value="100"/>'
+)
+TRUE_ROTORS = {"j1": 3.0, "j2": 2.0}
+"""Reflected inertia of the rotors [kg m^2]; the robot file says 2 of both."""
+
+
+def record_two_links(robot) -> Log:
+    """Return 20 s of the two links, whose first rotor has another inertia than the file says."""
+    rng = np.random.default_rng(0)
+    true = build_model(robot, "asymmetric").with_values({f"{j}.armature": x for j, x in TRUE_ROTORS.items()})
+    t = np.arange(0, 20, 0.005)
+    q, v, a = np.zeros((3, len(t), 2))
+    for k in range(2):
+        for h in range(1, 6):
+            w, size, phase = 2 * np.pi * 0.17 * h * rng.uniform(0.9, 1.1), rng.uniform(0.2, 0.4) / h, rng.uniform(0, 6)
+            q[:, k] += size * np.sin(w * t + phase)
+            v[:, k] += size * w * np.cos(w * t + phase)
+            a[:, k] -= size * w**2 * np.sin(w * t + phase)
+    tau = true.mechanism.inverse_dynamics(q, v, a) + 2 * np.sign(v) + v + 0.02 * rng.standard_normal(q.shape)
+    q = q + 1e-6 * rng.standard_normal(q.shape)
+    return Log(t, {f"{s}_j{k + 1}": x[:, k] for s, x in (("q", q), ("tau", tau)) for k in range(2)}, "geared.csv")
+
+
+def find_inertia(found) -> dict:
+    """Return the row of the base parameter that the first link's inertia leads."""
+    return next(row for row in found.base_rows() if row["name"] == "a_link.iyy")
+
+
+def test_a_base_parameter_names_the_fixed_rotor_that_it_contains():
+    """The first rotor turns as its link does: the data determine the sum with 3 kg m2, although the file's 2 are held."""
+    robot = two_links(GEARED, GEARED)
+    found = identify(robot, record_two_links(robot))
+    row = find_inertia(found)
+    weights = read_expression(row["expression"])
+    assert weights["j1.armature"] == pytest.approx(1.0)
+    assert not any(
+        "j2.armature" in other["expression"] for other in found.base_rows()
+    )  # the second is determined alone
+    truth = robot.parameters.with_values({f"{j}.armature": x for j, x in TRUE_ROTORS.items()})
+    total = sum(weight * truth[name].value for name, weight in weights.items())
+    assert abs(row["value"] - total) < 4 * row["stderr"] < 0.05 * TRUE_ROTORS["j1"]
+    nominal = sum(weight * robot.parameters[name].value for name, weight in weights.items())
+    assert row["nominal"] == pytest.approx(nominal)
+
+
+def test_the_value_with_its_rotor_does_not_depend_on_the_value_that_is_held():
+    """Whether 0.5 or 2 kg m2 are held, the first link and its rotor have the same inertia together."""
+    robot = two_links(GEARED, GEARED)
+    log = record_two_links(robot)
+    rows = [find_inertia(identify(robot, log, choices=Choices(fix=(f"j1.armature={x}",)))) for x in (0.5, 2.0)]
+    assert rows[0]["expression"] == rows[1]["expression"]
+    assert rows[0]["value"] == pytest.approx(rows[1]["value"], rel=1e-4)
+
+
+def test_a_rotor_that_nobody_gave_is_named_by_the_combination_that_holds_it():
+    """Without a word about rotors the first one is within its link, whose combination says so."""
+    robot = two_links("", "")
+    assert "j1.armature" in read_expression(find_inertia(identify(robot, record_two_links(robot)))["expression"])

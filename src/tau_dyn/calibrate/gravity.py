@@ -8,9 +8,10 @@ for a slide: `tau_j = -g . s_j`. Of a turn j its derivative by a joint k that it
 that carries it, itself included, `-(g x z_k) . s_j`; all others are zero. A joint yields by `e = c tau(q) + d tau_1(q)`, `tau`
 the torque of the file's masses and `tau_1` that of 1 kg at the tool, which stands for a load that the file does not have.
 
-The file's masses are known to `BODY_STDERR` only, so `tau = sum_k (1 + m_k) tau_k` over the bodies k that yielding joints carry,
-and the base is level within the prior of all angles, as the device's frame takes its tilt `t` up: gravity is `g + t x g`. The
-shares `m_k` and `t` are unknowns with these priors; what poses do not tell of them widens intervals of compliances and of poses.
+The file's masses are known to `BodyPrior.rough` only, so `tau = sum_k (1 + m_k) tau_k` over the bodies k that yielding joints
+carry, and the base is level within the prior of all angles, as the device's frame takes its tilt `t` up: gravity is `g + t x
+g`. The shares `m_k` and `t` are unknowns with these priors; what poses do not tell of them widens intervals of compliances and
+of poses.
 
 Torques are those of the nominal arm at the joints' positions before they yield. Calibrated placements would make the direction of
 a link's centre of mass a parameter: an offset and the next joint's place turn a link in its own frame without moving the tool.
@@ -31,7 +32,7 @@ from tau_dyn.calibrate.joint_laws import Displaced, Law, displace
 from tau_dyn.calibrate.tree_geometry import TreeGeometry
 from tau_dyn.mechanism import Poses, Rods, compute_frames, forward_kinematics, transform_point
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.robot import BODY_STDERR, Robot
+from tau_dyn.robot import ROUGH_FILE, BodyPrior, Robot
 
 MAX_DEFLECTION = 0.01
 """Deflection by gravity that a machine is taken to have before its poses are known (one standard deviation) [rad or m]."""
@@ -255,7 +256,8 @@ class ArmGeometry(GeometryDefaults):
     @cached_property
     def _parameters(self) -> Parameters:
         masses = [
-            Parameter(f"{body}.mass_error", 0.0, "1", prior_stderr=BODY_STDERR, origin="law") for body in self._bodies
+            Parameter(f"{body}.mass_error", 0.0, "1", prior_stderr=share, origin="law")
+            for body, share in self._mass_shares.items()
         ]
         tilts = [Parameter(_TILTS[axis], 0.0, "rad", origin="law") for axis in self._tilts]
         return Parameters([*self.tree.parameters, *(p for law in self.laws for p in law.parameters), *masses, *tilts])
@@ -264,6 +266,17 @@ class ArmGeometry(GeometryDefaults):
     def _bodies(self) -> tuple[str, ...]:
         """Joints whose bodies load a joint that yields, each once."""
         return tuple(dict.fromkeys(b for law in self._gravity_laws for b in law.bodies))
+
+    @property
+    def _mass_shares(self) -> dict[str, float]:
+        """Standard deviation of the mass of each of these bodies, relative to the robot file's."""
+        robot, known = self.robot, BodyPrior.of(self.robot).rough
+        stated = {
+            str(robot.model.names[link.joint_id]): known[f"{link.link}.mass"] / float(link.nominal[0])
+            for link in robot.links
+            if f"{link.link}.mass" in known and link.nominal[0] > 0
+        }
+        return {body: stated.get(body, ROUGH_FILE) for body in self._bodies}
 
     @cached_property
     def _gravity_laws(self) -> tuple[GravityLaw, ...]:

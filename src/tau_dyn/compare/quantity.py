@@ -161,7 +161,8 @@ def read_combinations(content: Mapping[str, Any]) -> Combinations:
         ValueError: A text is no number, or the correlation is no table.
     """
     entries = list(pick_dicts(content.get("base_parameters")))
-    names = {str(x["name"]) for x in [*pick_dicts(content.get("parameters")), *entries] if "name" in x}
+    listed = [*pick_dicts(content.get("parameters")), *pick_dicts(content.get("fixed_parameters")), *entries]
+    names = {str(x["name"]) for x in listed if "name" in x}
     rows = dict(_row(x, names) for x in entries)
     matrix = np.asarray(content["correlation"], float) if rows and content.get("correlation") else None
     if matrix is not None and (matrix.shape != 2 * (len(rows),) or not np.isfinite(matrix).all()):

@@ -18,6 +18,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from tau_dyn.diagnose.force_channel import (
     ForceChannel,
+    add_reported_channel,
     build_force_channel,
     build_force_regression,
     compute_determined_rank,
@@ -49,12 +50,14 @@ from tau_dyn.identify import (
     PreparedSegment,
     build_physical_constraints,
     check_integrity,
+    choose_preparation,
     count_information,
     list_crumbs,
     list_information_warnings,
     list_resting_warnings,
     log_warnings,
     name_apart,
+    select_long,
 )
 from tau_dyn.log import Log, compute_edge_samples, decimate, find_motion_band, lowpass, mend_log, resample_segments
 from tau_dyn.model import Model
@@ -175,7 +178,11 @@ class FittedBaseline:
                     y_all=run.y_all + W_all @ force,
                 )
         more = [p for _, parameters in self.loads for p in parameters]
-        return replace(channel, parameters=channel.parameters + Parameters(more), runs=tuple(runs))
+        found = replace(channel, parameters=channel.parameters + Parameters(more), runs=tuple(runs))
+        shown = channel.report()
+        if shown is channel or not isinstance(shown, ForceChannel):
+            return found
+        return replace(found, reported=self.carry_loads(shown, shown.prepared, known=known))
 
 
 def fit_baseline(
@@ -213,10 +220,11 @@ def fit_baseline(
         filters = preparation or choose_diagnosis_preparation(robot, train, exclude)
         pieces, is_held = (*train, *held), (*[False] * len(train), *[True] * len(held))
         smooth_hz, clear_hz = smooth_cutoffs(robot, train, held), clear_cutoff(robot, train)
-        case = _fitted(model, pieces, is_held, filters, smooth_hz, clear_hz, progress)
+        reported = preparation or choose_preparation(robot, select_long(train), exclude)
+        case = _fitted(model, pieces, is_held, (filters, reported), smooth_hz, clear_hz, progress)
         if detect_position_periodicity(case.channel, smooth_hz):
             smooth_hz = (filters.position_cutoff_hz,) * len(pieces)  # as they are
-            case = _fitted(model, pieces, is_held, filters, smooth_hz, clear_hz, progress)
+            case = _fitted(model, pieces, is_held, (filters, reported), smooth_hz, clear_hz, progress)
         return replace(case, warnings=(*warnings, *_data_warnings(case, train)))
     except CannotAnswer as fault:
         fault.warnings = (*warnings, *fault.warnings)
@@ -250,12 +258,16 @@ def _fitted(
     model: Model,
     pieces: tuple[Log, ...],
     is_held: tuple[bool, ...],
-    preparation: Preparation,
+    preparations: tuple[Preparation, Preparation],
     smooth_hz: tuple[float, ...],
     clear_hz: float,
     progress: Progress,
 ) -> FittedBaseline:
-    """Return the baseline fitted to pieces whose positions are low-passed at `smooth_hz` [Hz], each at its own."""
+    """Return the baseline fitted to pieces whose positions are low-passed at `smooth_hz` [Hz], each at its own.
+
+    Of the two preparations, the first is that of the search, the second that of an identification, for which errors are reported.
+    """
+    preparation, reported = preparations
     progress("columns")
     thinned = [decimate_log(piece, preparation.position_cutoff_hz) for piece in pieces]
     prepared = prepare_segments(model, thinned, preparation, smooth_hz)
@@ -272,6 +284,7 @@ def _fitted(
     channel = build_force_channel(fit, prepared, is_held, preparation, regression, clear_hz)
     scene = replace(channel.scene, step_s=1 / pieces[0].rate_hz)
     channel = replace(channel, parameters=model.parameters, scene=scene)
+    channel = add_reported_channel(channel, fit, pieces, is_held, reported, clear_hz)
     return FittedBaseline(model, fit, channel, physics, preparation, smooth_hz, clear_hz, is_held, pieces)
 
 

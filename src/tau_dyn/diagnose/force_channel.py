@@ -24,6 +24,7 @@ from tau_dyn.effects import (
 )
 from tau_dyn.estimate import Regression, RegressionRun, Whitener
 from tau_dyn.evidence import (
+    EVERY,
     TRAIN,
     WHOLE_TIME,
     Channel,
@@ -56,11 +57,17 @@ class ForceChannel(Channel):
         prepared: The stretches at their logs' own rate.
         thinned: Their motions at the regression's rate, for quick scans.
         preparation: Filters and masks.
+        reported: The same logs, filtered and masked as an identification does; None where too few test data are left of them.
     """
 
     prepared: tuple[PreparedSegment, ...]
     thinned: tuple[Motion, ...]
     preparation: Preparation
+    reported: ForceChannel | None = None
+
+    def report(self) -> Channel:
+        """Return the logs as an identification filters and masks them, so that both report the same errors of a model."""
+        return self.reported or self
 
     def run_columns(self, effect: Effect, run: int) -> np.ndarray:
         """Return an effect's columns (n, m, k) of one run; see `Channel.run_columns`."""
@@ -117,9 +124,16 @@ def _get_forces(motion: Motion) -> dict[str, np.ndarray]:
 
 
 def prepare_segments(
-    model: Model, pieces: Sequence[Log], preparation: Preparation, smooth_hz: Sequence[float]
+    model: Model, pieces: Sequence[Log], preparation: Preparation, smooth_hz: Sequence[float | None]
 ) -> tuple[PreparedSegment, ...]:
-    """Return all pieces ready for making columns, in their order; `smooth_hz` is the low-pass of each one's positions."""
+    """Return all pieces ready for making columns, in their order.
+
+    Args:
+        model: The baseline.
+        pieces: Even stretches of logs.
+        preparation: Filters and masks.
+        smooth_hz: Low-pass of each piece's positions [Hz]; None for that of an identification.
+    """
     names = list(dict.fromkeys(piece.name for piece in pieces))
     found = []
     for piece, smooth in zip(pieces, smooth_hz, strict=True):
@@ -209,7 +223,50 @@ def replace_measurements(
     """Return a channel, its parts and its scene, with other measurements at the same times; see `build_force_channel`."""
     prepared, regression, *_ = _complete(model, prepared, held, regression, clear_hz)
     thinned = tuple(_thinned(piece) for piece in prepared)
-    return replace(channel, runs=regression.runs, prepared=tuple(prepared), thinned=thinned)
+    return replace(channel, runs=regression.runs, prepared=tuple(prepared), thinned=thinned, reported=None)
+
+
+def add_reported_channel(
+    channel: ForceChannel,
+    model: Model,
+    pieces: Sequence[Log],
+    held: Sequence[bool],
+    preparation: Preparation,
+    clear_hz: float,
+) -> ForceChannel:
+    """Return a channel with the same logs as an identification filters and masks them.
+
+    Causes act far above the motion's own band, so a search looks at a wider one, in which noise is a larger share of the force.
+    Errors are reported in the identification's band. Every sample belongs to the part in which the search has it.
+
+    Args:
+        channel: The channel in which causes are searched.
+        model: The baseline at fitted values.
+        pieces: Even stretches of the training logs, then of the held-out logs, as they were logged.
+        held: Whether a piece belongs to a held-out log.
+        preparation: Filters and masks of an identification of the training logs.
+        clear_hz: Low-pass of the forces that springs carry [Hz]; see `clear_cutoff`.
+    """
+    prepared = prepare_segments(model, pieces, preparation, [None] * len(pieces))
+    runs = build_force_regression(model, prepared, preparation).runs
+    refitted = RefittedModel(model, channel.parameters.values, prepared, runs, tuple(not out for out in held))
+    prepared = tuple(_with_signals(piece, refitted, k, clear_hz, None) for k, piece in enumerate(prepared))
+    parts = []
+    for run, searched, part in zip(runs, channel.runs, channel.parts, strict=True):
+        middles = (searched.t[1:] + searched.t[:-1]) / 2
+        parts.append(part[np.searchsorted(middles, run.t)])
+    found = replace(
+        channel,
+        runs=runs,
+        parts=tuple(parts),
+        prepared=prepared,
+        thinned=tuple(_thinned(piece) for piece in prepared),
+        preparation=preparation,
+        reported=None,
+    )
+    least = MIN_VALUES * len(channel.outputs)
+    enough = all(sum(int(mask.sum()) for mask in found.masks(part)) >= least for part in EVERY)
+    return replace(channel, reported=found) if enough else channel
 
 
 def _complete(

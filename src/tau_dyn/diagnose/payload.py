@@ -2,15 +2,17 @@ r"""The change of base parameters by one body at the end of a robot, one force s
 
     d = beta - E pi_0 ~ N(B x, S),     S = cov(beta) + E P E'
 
-with `beta` the base parameters of a fit, `E` the combinations they are, `pi_0` trusted values with covariance `P`. Each
-explanation has columns `B` and amplitudes `x`, estimated by generalised least squares (Aitken 1936):
+with `beta` the base parameters of a fit, `E` the combinations they are, `pi_0` trusted values with covariance `P` (of an accurate
+robot file; `robot/body_prior.py`). Each explanation has columns `B` and amplitudes `x`, estimated by generalised least squares
+(Aitken 1936):
 
 - payload: the ten inertial numbers of a rigid body fixed to the last link, about that link's joint frame;
 - link mass: one link's mass, alone or with its whole inertia in proportion;
 - force scale: the force of one joint times a factor, as far as a refit of the log's own motion takes it for bodies;
 - drive gain: all forces times one factor, so all base parameters.
 
-The explanation with the least misfit for its number of amplitudes is taken, if it explains nearly all of the difference.
+The explanation with the least misfit for its number of amplitudes is taken, if it explains nearly all of the difference, and is
+likelier than a rough file, in which each body k has a wrong density, `d ~ N(0, S + sum_k (s_k E pi_k) (s_k E pi_k)')`.
 Reference: Khalil, Gautier & Lemoine 2007 (identification of the payload inertial parameters).
 """
 
@@ -27,7 +29,7 @@ from scipy.linalg import solve_triangular
 from tau_dyn.estimate import Estimate, InertialBody, PhysicalConstraints
 from tau_dyn.evidence import DIFFERENCE_LEVEL, MIN_2LOGL_DIFFERENCE, MIN_LEFT_P_VALUE
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.robot import INERTIAL, NOMINAL_MASS_STDERR, NOT_GIVEN, LinkInertia, Robot, find_end_link
+from tau_dyn.robot import INERTIAL, NOT_GIVEN, BodyPrior, LinkInertia, Robot, find_end_link
 
 MIN_EXPLAINED_SHARE = 0.95
 """Or share of the squared difference that it explains: errors of the fit that its covariance does not know of remain."""
@@ -39,8 +41,6 @@ _RELATIVE_RANK = 1e-9
 """Part of the largest eigenvalue of an explanation's information below which a direction of its amplitudes is not seen."""
 _MIN_EFFECT = 1e-8
 """Size of a column, relative to the largest parameter's, below which it is rounding: what hides behind a drive's inertia."""
-_MIN_LENGTH_M = 0.05
-"""Length that stands for a link whose centre and inertia are not given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,8 @@ class BaseParameterDifference:
 
     Attributes:
         d: Fit minus trusted (r,).
-        S: Covariance of both together (r, r).
+        S: Covariance of both together, if the robot file is accurate (r, r).
+        S_rough: The same if it is rough (r, r): every body is off as a whole; None if the trusted values were identified.
         combine: Base parameters per unit of each parameter (r, p).
         names: Parameters' names (p,).
         estimate: The fit.
@@ -59,6 +60,7 @@ class BaseParameterDifference:
 
     d: np.ndarray
     S: np.ndarray
+    S_rough: np.ndarray | None
     combine: np.ndarray
     names: tuple[str, ...]
     estimate: Estimate
@@ -69,6 +71,14 @@ class BaseParameterDifference:
     def misfit(self) -> float:
         """Squared difference in units of its covariance."""
         return float(self.d @ np.linalg.solve(self.S, self.d))
+
+    @property
+    def rough_misfit(self) -> float:
+        """Misfit of a rough file, comparable with `misfit`: both are twice a negative log-likelihood less the same constant."""
+        if self.S_rough is None:
+            return np.inf
+        rough, accurate = np.linalg.slogdet(self.S_rough)[1], np.linalg.slogdet(self.S)[1]
+        return float(self.d @ np.linalg.solve(self.S_rough, self.d) + rough - accurate)
 
     @property
     def force_share(self) -> float:
@@ -127,8 +137,8 @@ def compare_with_trusted(robot: Robot, trusted: Parameters, estimate: Estimate) 
     """Return how far the bodies of a fit are from trusted values.
 
     Where the trusted values were themselves identified (they have standard errors), their combinations are taken to be known as
-    well as this fit's: a model file keeps no covariance. Else a link's numbers are known to its mass' error in proportion,
-    and combinations that an unknown drive inertia can change are left out.
+    well as this fit's: a model file keeps no covariance. Else they are known as `BodyPrior` states, and what a drive's inertia
+    that nobody gave can make of them is left out.
     """
     base = estimate.base
     bodies = {n for n in robot.parameters.names if not n.endswith(".gravity_mass")}
@@ -150,13 +160,14 @@ def compare_with_trusted(robot: Robot, trusted: Parameters, estimate: Estimate) 
     values = _values(trusted, base.names)
     own = estimate.stderr / np.sqrt(np.maximum(np.diag(estimate.cov), 1e-300))
     cov = select @ (estimate.cov * np.outer(own, own)) @ select.T
-    if identified:
-        S = 2 * cov
-    else:
-        spread = np.array([_trusted_stderr(robot, trusted, n) if n in bodies else 0.0 for n in base.names])
-        S = cov + (E * spread**2) @ E.T
+    S, S_rough = 2 * cov, None
+    if not identified:
+        prior = BodyPrior.of(robot, trusted)
+        stderr = np.array([prior.accurate.get(name, 0.0) for name in base.names])
+        S = cov + (E * stderr**2) @ E.T
+        S_rough = S + _scale_bodies(robot, prior, base.names, E * values)
     return BaseParameterDifference(
-        select @ estimate.beta_plain - E @ values, S, E, base.names, estimate, select, trusted
+        select @ estimate.beta_plain - E @ values, S, S_rough, E, base.names, estimate, select, trusted
     )
 
 
@@ -167,6 +178,7 @@ def find_explanation(robot: Robot, difference: BaseParameterDifference) -> Expla
     found = [one for row in _candidates(robot, difference) if (one := _fit(difference, *row)) is not None]
     whole = difference.misfit
     fit = [one for one in found if one.explains(whole) and one.p_value(whole, len(found)) < DIFFERENCE_LEVEL]
+    fit = [one for one in fit if one.penalised < difference.rough_misfit]
     if not fit:
         return None
     best = min(fit, key=lambda one: one.penalised)
@@ -378,22 +390,25 @@ def _fit(difference: BaseParameterDifference, cause: str, place: str, B: np.ndar
     return Explanation(cause, place, x / unit, cov, float(e @ np.linalg.solve(difference.S, e)), rank, len(e) - rank)
 
 
-def _trusted_stderr(robot: Robot, trusted: Parameters, name: str) -> float:
-    """Return how well a robot file's inertial number is known: its own error, else its link's in proportion."""
-    p = trusted[name]
-    if p.prior_stderr is not None:
-        return p.prior_stderr
-    owner, _, quantity = name.rpartition(".")
-    if quantity == "armature":
-        return NOMINAL_MASS_STDERR * abs(p.value)
-    link = next(link for link in robot.links if link.link == owner)
-    mass = float(link.nominal[0])
-    prior = trusted[f"{owner}.mass"].prior_stderr if f"{owner}.mass" in trusted else None
-    share = NOMINAL_MASS_STDERR if prior is None or mass == 0 else prior / mass
-    trace = float(link.nominal[4] + link.nominal[6] + link.nominal[9])
-    length = max(float(np.sqrt(max(trace, 0.0) / mass)) if mass > 0 else 0.0, _MIN_LENGTH_M)
-    power = {0: 0, 1: 1, 2: 1, 3: 1}.get(INERTIAL.index(quantity), 2)
-    return share * mass * length**power
+def _scale_bodies(robot: Robot, prior: BodyPrior, names: Sequence[str], forces: np.ndarray) -> np.ndarray:
+    """Return the covariance (r, r) of base parameters if every body is off as a whole, each by the share of its mass.
+
+    Args:
+        robot: The robot.
+        prior: Of its bodies.
+        names: Parameters' names (p,).
+        forces: What each parameter contributes to the base parameters (r, p).
+    """
+    shares = {
+        link.link: prior.rough[f"{link.link}.mass"] / prior.size[f"{link.link}.mass"]
+        for link in robot.links
+        if f"{link.link}.mass" in prior.rough
+    }
+    bodies = [
+        share * forces[:, [name.rpartition(".")[0] == link for name in names]].sum(axis=1)
+        for link, share in shares.items()
+    ]
+    return sum((np.outer(one, one) for one in bodies), np.zeros((len(forces),) * 2))
 
 
 def _error(variance: float) -> float | None:

@@ -40,6 +40,7 @@ from tau_dyn.evidence import (
     LogChange,
     NoiseOnlyBootstrap,
     Recommendation,
+    SearchBand,
     Step,
     TimeTrace,
     Unexplained,
@@ -196,7 +197,7 @@ def diagnose_channel(
         first = search_channel(channel, options)
         loads = find_loads(case, channel, build_effects(first[0].found), np.random.default_rng(seed))
         if not doubt and any(one.is_confirmed for one in loads):
-            without = fit_extended_model(channel, (), case.physics, np.random.default_rng(seed)).errors
+            without = fit_extended_model(channel, (), case.physics, np.random.default_rng(seed)).reported.errors
             case = add_loads(case, loads)
             channel, first = case.carry_loads(channel, case.channel.prepared), None
             options = _build_options(case, rng, progress, doubt)
@@ -267,11 +268,14 @@ def _answer(
     )
     findings, unexplained, aliased = found.findings, found.unexplained, found.aliased
     channel, before, after = selection.channel, waterfall.fits[0], waterfall.fits[-1]
+    band = (
+        None if case is None else _measure_search_band(channel, before, after, case.preparation.force_cutoff_hz, seed)
+    )
     rest = "cannot_tell" if spoiled else decide_verdict(findings, unexplained, aliased)
     verdict = "named" if loads.confirmed and rest in ("nothing_found", "unexplained") else rest
     sentence = f"These data name no cause: {spoiled}."
     if not spoiled:
-        errors = before.errors, after.errors
+        errors = before.reported.errors, after.reported.errors, band
         sentence = describe_diagnosis(channel, rest, findings, aliased, unexplained, errors, loads.confirmed)
         sentence = f"{sentence} {found.remark}".rstrip()
     experiments = (f.experiment for f in aliased or findings if f.experiment and verdict == "cannot_tell")
@@ -279,7 +283,7 @@ def _answer(
     use = Recommendation("neither", spoiled)
     if not spoiled:
         use = recommend(selection, claims, waterfall, rng, case and case.physics, has_load=bool(loads.confirmed))
-    floor = estimate_noise_floor(channel, after, np.random.default_rng(seed))
+    floor = estimate_noise_floor(channel.report(), after.reported, np.random.default_rng(seed))
     settings = {"noise_draws": N_NULL_DRAWS, "family_level": FAMILY_LEVEL, "causes_tried": len(selection.last)}
     return Diagnosis(
         verdict=verdict,
@@ -287,8 +291,8 @@ def _answer(
         channel=channel.name,
         outputs=channel.outputs,
         units=channel.units,
-        baseline=before.errors,
-        extended=after.errors,
+        baseline=before.reported.errors,
+        extended=after.reported.errors,
         noise_floor=floor,
         waterfall=loads.insert_step((*waterfall.steps, Step("noise_floor", floor))),
         findings=tuple(sorted((*findings, *loads.findings), key=lambda f: f.rank)),
@@ -307,7 +311,18 @@ def _answer(
         recommendation_why=use.why,
         preparation=case and case.preparation,
         settings=({"preparation": case.preparation.to_dict()} if case else {}) | settings,
+        search_band=band,
     )
+
+
+def _measure_search_band(
+    channel: Channel, before: EvaluatedFit, after: EvaluatedFit, cutoff_hz: float, seed: int
+) -> SearchBand | None:
+    """Return the errors in the band in which causes are searched; None where errors are reported in the same one."""
+    if channel.report() is channel:
+        return None
+    floor = estimate_noise_floor(channel, after, np.random.default_rng(seed))
+    return SearchBand(cutoff_hz, before.errors, after.errors, floor)
 
 
 def _describe_spoiled(warnings: Sequence[str]) -> str:

@@ -8,8 +8,9 @@ norm. Reference: Gautier 1991, Numerical calculation of the base inertial parame
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from scipy import linalg
@@ -65,10 +66,15 @@ class BaseParameters:
         """Return the base parameters (r,) of a full vector (p,)."""
         return theta[self.kept] + self.K @ theta[self.dropped]
 
-    def expression(self, row: int) -> str:
-        """Return a base parameter in words, such as `rod2a_link.mass + 0.5*rod2b_link.mass`."""
-        text = self.names[self.kept[row]]
-        for name, factor in zip([self.names[d] for d in self.dropped], self.K[row], strict=True):
+    def expression(self, row: int, more: Mapping[str, float] = MappingProxyType({})) -> str:
+        """Return a base parameter in words, such as `rod2a_link.mass + 0.5*rod2b_link.mass`.
+
+        Args:
+            row: Its number.
+            more: Factors of fixed parameters that it contains, by name; see `find_contained`.
+        """
+        text, dropped = self.names[self.kept[row]], [self.names[d] for d in self.dropped]
+        for name, factor in [*zip(dropped, self.K[row], strict=True), *more.items()]:
             if factor:
                 size = abs(factor)
                 text += (" + " if factor > 0 else " - ") + (name if abs(size - 1) < 1e-9 else f"{size:.6g}*{name}")
@@ -132,6 +138,30 @@ def find_base(
     K = K * norm[dropped] / norm[kept][:, None]
     relative = np.abs(K) * norm[kept][:, None] / np.where(norm[dropped] > 0, norm[dropped], 1.0)
     return BaseParameters(names, np.array(kept, int), np.array(dropped, int), np.where(relative > small, K, 0.0))
+
+
+def find_contained(W: np.ndarray, kept: Sequence[int], fixed: Sequence[int]) -> np.ndarray:
+    """Return the factors (r, k) by which base parameters contain fixed parameters; zero where data tell the two apart.
+
+    The column of a fixed parameter that is a combination of base columns, `W_F = W_B K_F`, adds `K_F theta_F` to what the data
+    determine: `W_B beta + W_F theta_F = W_B (beta + K_F theta_F)`.
+
+    Args:
+        W: Columns (N, p), or a triangular factor of them.
+        kept: Base columns (r).
+        fixed: Columns of the fixed parameters (k).
+    """
+    found = np.zeros((len(kept), len(fixed)))
+    norm = np.linalg.norm(W, axis=0)
+    unit = W / np.where(norm > 0, norm, 1.0)
+    basis = unit[:, kept]
+    for k, column in enumerate(fixed):
+        if not len(kept) or not norm[column]:
+            continue
+        factors = np.linalg.lstsq(basis, unit[:, column], rcond=None)[0]
+        if np.linalg.norm(unit[:, column] - basis @ factors) < _CLEAR * RANK_TOLERANCE:
+            found[:, k] = np.where(np.abs(factors) > _CLEAR * RANK_TOLERANCE, factors * norm[column] / norm[kept], 0.0)
+    return found
 
 
 def _leftmost(R: np.ndarray, seen: np.ndarray, rank: int, tolerance: float) -> list[int]:

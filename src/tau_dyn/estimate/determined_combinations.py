@@ -34,11 +34,13 @@ class DeterminedCombinations:
 
     Attributes:
         base: The parameter that stands for each combination, and the factors of the others.
+        contained: Of each combination, the fixed drive inertias that it contains, with their factors.
         values: Their values (k,), each in the unit of its first parameter.
         stderr: Their standard errors (k,).
     """
 
     base: BaseParameters
+    contained: tuple[dict[str, float], ...]
     values: np.ndarray
     stderr: np.ndarray
 
@@ -71,7 +73,18 @@ def find_determined_combinations(estimate: Estimate, sizes: Mapping[str, float])
     told = replace(
         composed, K=np.where(moved < _NEGLIGIBLE * errors[:, None], 0.0, composed.K)
     )  # without a prior it stays
-    return DeterminedCombinations(told, weights @ estimate.beta, errors)
+    fixed = np.array([estimate.sum_contained(k) for k in range(base.rank)])
+    contained = tuple(_sum_contained(estimate, row) for row in weights)
+    return DeterminedCombinations(told, contained, weights @ (estimate.beta + fixed), errors)
+
+
+def _sum_contained(estimate: Estimate, weights: np.ndarray) -> dict[str, float]:
+    """Return the fixed drive inertias that a sum of base parameters, weights (r,), contains, with their factors."""
+    found: dict[str, float] = {}
+    for weight, inside in zip(weights.tolist(), estimate.contained, strict=True):
+        for name, factor in inside.items():
+            found[name] = found.get(name, 0.0) + weight * factor
+    return {name: factor for name, factor in found.items() if factor}
 
 
 def _compute_prior_stderr(base: BaseParameters, stderr: np.ndarray, sizes: Mapping[str, float]) -> np.ndarray:

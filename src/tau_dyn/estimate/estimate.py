@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from tau_dyn.estimate.autoregression import Autoregression
-from tau_dyn.estimate.base_parameters import BaseParameters
+from tau_dyn.estimate.base_parameters import BaseParameters, find_contained
 from tau_dyn.estimate.covariance import select_larger_stderr
 from tau_dyn.estimate.regression import Regression
 from tau_dyn.estimate.weights import build_prior_rows, solve_scaled
@@ -26,6 +27,8 @@ MAX_RELATIVE_STDERR = 0.30
 """Relative standard error below which a parameter counts as determined."""
 
 
+_DRIVE_INERTIA = ".armature"
+"""End of the names of drive inertias."""
 _REFIT_TOLERANCE = 1e-10
 """Relative singular value below which a direction of a refit is rounding."""
 
@@ -107,6 +110,36 @@ class Estimate(Brief):
         rows = [(run.W[:, :, kept] / self.sigma[:, None])[run.usable] for run in self.regression.runs]
         known, _ = build_prior_rows(parameters.select(base.names))
         return np.concatenate([*rows, known[:, base.kept]])
+
+    @cached_property
+    def contained(self) -> tuple[dict[str, float], ...]:
+        """Of each base parameter, the fixed drive inertias that it contains, with their factors.
+
+        A rotor's reflected inertia `G^2 J` acts as `armature a`. Where bodies give the same column, as the link behind the first
+        joint of an arm does, no data tell the two apart. A body that alone holds a drive's inertia nobody gave keeps its name.
+        """
+        parameters, base = self.regression.parameters, self.base
+        drives = [k for k, p in enumerate(parameters) if not p.free and p.name.endswith(_DRIVE_INERTIA)]
+        if not drives:
+            return ({},) * base.rank
+        R = self.regression.totals().R[:, :, :-1].reshape(-1, len(parameters))
+        kept = [parameters.names.index(base.names[c]) for c in base.kept]
+        K = find_contained(R, kept, drives)
+        names = [parameters.names[k] for k in drives]
+        given = [parameters[name].value != 0 for name in names]
+        alone = base.alone[base.kept]
+        return tuple(
+            {name: float(x) for name, x, known in zip(names, row, given, strict=True) if x and (known or not own)}
+            for row, own in zip(K, alone, strict=True)
+        )
+
+    def sum_contained(self, row: int) -> float:
+        """Return what fixed drive inertias add to a base parameter."""
+        return sum(factor * self.regression.parameters[name].value for name, factor in self.contained[row].items())
+
+    def expression(self, row: int) -> str:
+        """Return a base parameter in words, with the fixed drive inertias that it contains."""
+        return self.base.expression(row, self.contained[row])
 
     def identifiable(self, name: str) -> bool:
         """Return whether some motion could show this parameter by itself."""

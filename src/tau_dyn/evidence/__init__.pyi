@@ -120,6 +120,7 @@ from .result import (
     Gain as Gain,
     Limit as Limit,
     OutputErrors as OutputErrors,
+    SearchBand as SearchBand,
     Signature as Signature,
     Status as Status,
     Step as Step,

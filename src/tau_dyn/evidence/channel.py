@@ -32,6 +32,10 @@ class Channel(Measurements, ABC):
     scene: Scene
     causes: tuple[type[Effect], ...]
 
+    def report(self) -> Channel:
+        """Return the same measurements as errors are reported of them; by default as causes are searched in them."""
+        return self
+
     @abstractmethod
     def run_columns(self, effect: Effect, run: int) -> np.ndarray:
         """Return an effect's columns (n, m, k) of one run, filtered and masked as the measurements are."""

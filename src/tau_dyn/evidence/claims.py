@@ -165,11 +165,11 @@ def build_waterfall(
     values = channel.parameters.values if nominal is None else nominal
     first = evaluate_fit(channel, build_extended_regression(channel, ()), values, None, rng)
     fits = [fit_extended_model(channel, (), physics, rng)]
-    steps = [Step("nominal", first.errors), Step("refitted", fits[0].errors)]
+    steps = [Step("nominal", first.reported.errors), Step("refitted", fits[0].reported.errors)]
     for k, one in enumerate(kept):
         fits.append(fit_extended_model(channel, build_effects(kept[: k + 1]), physics, rng))
         joints = sorted({j for e in one.candidate.effects for j in e.joints}, key=channel.scene.joints.index)
-        steps.append(Step(f"{one.candidate.cause} {' '.join(joints)}", fits[-1].errors))
+        steps.append(Step(f"{one.candidate.cause} {' '.join(joints)}", fits[-1].reported.errors))
     for one in kept:
         others = [other for other in kept if other is not one]
         without = fits[-2] if one is kept[-1] else fit_extended_model(channel, build_effects(others), physics, rng)
@@ -364,8 +364,10 @@ def recommend(
     if worse:
         listed = ", ".join(f"{output} by {loss:.2g} %" for output, loss in worse)
         return Recommendation("refitted", f"the confirmed causes increase the held-out error at {listed}")
-    one, other = (format_percent(fit.errors.relative_error_percent, PRINTED_DIGITS) for fit in (before, after))
-    if one == other:
+    pairs = ((before.reported.errors, after.reported.errors), (before.errors, after.errors))
+    printed = [[format_percent(e.relative_error_percent, PRINTED_DIGITS) for e in pair] for pair in pairs]
+    one = printed[0][0]
+    if all(a == b for a, b in printed):
         return Recommendation("refitted", f"the held-out error is {one} with and without the confirmed causes: no gain")
     gain = _measure_gain(
         selection, (before, after), build_effects(claims.kept), (), rng, physics, outputs=channel.outputs

@@ -12,6 +12,7 @@ from tau_dyn.evidence.result import (
     Finding,
     Limit,
     OutputErrors,
+    SearchBand,
     Step,
     TimeTrace,
     Unexplained,
@@ -58,6 +59,7 @@ class Diagnosis(Shown):
         preparation: Filters and masks of forces; None for other channels.
         settings: How the data were prepared and tests calibrated, for the page's foot.
         further: Keys that a channel adds to the JSON result.
+        search_band: The errors in the band in which causes are searched, of forces; None where it is that of all other errors.
     """
 
     verdict: Verdict
@@ -87,6 +89,7 @@ class Diagnosis(Shown):
     preparation: Preparation | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     further: Mapping[str, Any] = field(default_factory=dict)
+    search_band: SearchBand | None = None
 
     @property
     def exit_status(self) -> int:
@@ -120,6 +123,6 @@ class Diagnosis(Shown):
 
 _TOLD = (
     "verdict", "sentence", "channel", "recommendation", "recommendation_why", "baseline", "extended", "noise_floor",
-    "waterfall", "findings", "unexplained", "untestable", "simulation", "settings",
+    "waterfall", "findings", "unexplained", "untestable", "simulation", "settings", "search_band",
 )  # fmt: skip
 """What a diagnosis tells as it is."""

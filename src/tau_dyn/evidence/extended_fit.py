@@ -42,7 +42,8 @@ class EvaluatedFit:
         theta: All parameters (p,), the baseline's and then the effects'.
         regression: Baseline and effects on all data.
         residuals: Measured minus predicted (n, m) of each run, all parts.
-        errors: On the test data.
+        errors: On the test data, as they are filtered for the search.
+        other: The same values on the measurements of which errors are reported, where these are others; see `Channel.report`.
     """
 
     estimate: Estimate | None
@@ -50,6 +51,12 @@ class EvaluatedFit:
     regression: Regression
     residuals: list[np.ndarray]
     errors: OutputErrors
+    other: EvaluatedFit | None = None
+
+    @property
+    def reported(self) -> EvaluatedFit:
+        """The same values on the measurements of which errors are reported."""
+        return self.other or self
 
     @property
     def parameters(self) -> Parameters:
@@ -80,7 +87,7 @@ def fit_extended_model(
     """Fit baseline and effects on training and confirmation parts, and judge them on the rest."""
     regression = build_extended_regression(channel, effects)
     estimate = solve_with_fallback(restrict_to_parts(regression, channel, TRAIN, VALIDATION), physics)
-    return evaluate_fit(channel, regression, estimate.theta, estimate, rng)
+    return evaluate_fit(channel, regression, estimate.theta, estimate, rng, effects)
 
 
 def solve_with_fallback(regression: Regression, physics: PhysicalConstraints | None) -> Estimate:
@@ -93,12 +100,21 @@ def solve_with_fallback(regression: Regression, physics: PhysicalConstraints | N
 
 
 def evaluate_fit(
-    channel: Channel, regression: Regression, theta: np.ndarray, estimate: Estimate | None, rng: np.random.Generator
+    channel: Channel,
+    regression: Regression,
+    theta: np.ndarray,
+    estimate: Estimate | None,
+    rng: np.random.Generator,
+    effects: Sequence[Effect] = (),
 ) -> EvaluatedFit:
-    """Judge parameter values (p,)."""
+    """Judge parameter values (p,), those of the channel and then those of effects."""
     residuals = regression.residuals(theta)
     errors = compute_errors(channel, residuals, rng, whole=regression.residuals_all(theta))
-    return EvaluatedFit(estimate, theta, regression, residuals, errors)
+    shown, other = channel.report(), None
+    if shown is not channel:
+        rows = build_extended_regression(shown, effects)
+        other = evaluate_fit(shown, rows, theta, estimate, rng.spawn(1)[0], effects)
+    return EvaluatedFit(estimate, theta, regression, residuals, errors, other)
 
 
 def restrict_to_parts(regression: Regression, channel: Measurements, *parts: int) -> Regression:
@@ -211,7 +227,13 @@ def _resample(squares: np.ndarray, counts: np.ndarray, rng: np.random.Generator)
 
 
 def estimate_noise_floor(channel: Channel, extended: EvaluatedFit, rng: np.random.Generator) -> OutputErrors:
-    """Return the floor on the test data; over all samples, the same functions are taken beyond the masks."""
+    """Return the floor on the test data; over all samples, the same functions are taken beyond the masks.
+
+    Args:
+        channel: The measurements of which errors are reported.
+        extended: The extended model on them.
+        rng: For intervals.
+    """
     masks, variables = channel.masks(*EVERY), channel.variables()
     left = [e.copy() for e in extended.residuals]
     whole = [e.copy() for e in extended.regression.residuals_all(extended.theta)]

@@ -15,7 +15,7 @@ from tau_dyn.evidence.confirmation import Confirmation
 from tau_dyn.evidence.extended_fit import EvaluatedFit, fit_extended_model
 from tau_dyn.evidence.measurements import EVERY, TRAIN, VALIDATION
 from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel
-from tau_dyn.evidence.result import Finding, Gain, OutputErrors, Signature, Unexplained, Verdict
+from tau_dyn.evidence.result import Finding, Gain, OutputErrors, SearchBand, Signature, Unexplained, Verdict
 from tau_dyn.evidence.settings import differentiate_settings
 from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
 from tau_dyn.parameters import Parameter, Parameters
@@ -207,7 +207,7 @@ def describe_diagnosis(
     findings: Sequence[Finding],
     aliased: Sequence[Finding],
     unexplained: Sequence[Unexplained],
-    errors: tuple[OutputErrors, OutputErrors],
+    errors: tuple[OutputErrors, OutputErrors, SearchBand | None],
     loads: Sequence[Finding] = (),
 ) -> str:
     """Return the answer in one or two sentences.
@@ -218,7 +218,7 @@ def describe_diagnosis(
         findings: All findings but those of loads.
         aliased: Those whose period is open.
         unexplained: Structure without a name.
-        errors: Of the refitted and of the extended model.
+        errors: Of the refitted and of the extended model, and in the band of the search if that is wider.
         loads: Findings of confirmed loads, which come first.
     """
     if channel.name == "force":
@@ -226,8 +226,8 @@ def describe_diagnosis(
         return " ".join([*(f.sentence for f in loads), rest])
     named = [f for f in findings if f.status == "confirmed"]
     if channel.name == "tool":
-        return _describe_tool(named, aliased, *errors)
-    return _describe_deflection(channel, named, unexplained, *errors)
+        return _describe_tool(named, aliased, *errors[:2])
+    return _describe_deflection(channel, named, unexplained, *errors[:2])
 
 
 def _describe_forces(
@@ -236,6 +236,7 @@ def _describe_forces(
     unexplained: Sequence[Unexplained],
     before: OutputErrors,
     after: OutputErrors,
+    band: SearchBand | None,
     other: str = "",
 ) -> str:
     """Return the answer in one or two sentences."""
@@ -243,6 +244,7 @@ def _describe_forces(
     confirmed = [f for f in findings if f.status == "confirmed"]
     if confirmed:
         text = f"{missed}; with {_listed(confirmed)} it is {after.relative_error_percent:.2g} %."
+        text += _describe_band(before, after, band)
         text += "".join(f" {f.sentence}" for f in findings if f.status == "parameter" and f.cause == "payload")
     elif verdict in ("named", "cannot_tell"):
         f = next(f for f in findings if f.status == "parameter")
@@ -262,6 +264,15 @@ def _describe_forces(
         share = f"{100 * u.share_of_residual_variance:.0f} % of its residual"
         text += f" Significant unexplained structure at {u.joint} depends on {what} ({share})."
     return text
+
+
+def _describe_band(before: OutputErrors, after: OutputErrors, band: SearchBand | None) -> str:
+    """Return the errors in the band of the search, where causes act above that of the reported errors; else empty."""
+    one, other = (f"{errors.relative_error_percent:.2g}" for errors in (before, after))
+    if band is None or one != other:
+        return ""
+    high, low = (f"{errors.relative_error_percent:.2g}" for errors in (band.baseline, band.extended))
+    return f" Of forces up to {band.cutoff_hz:.2g} Hz it is {high} % without and {low} % with the cause."
 
 
 def _describe_rejection(finding: Finding) -> str:

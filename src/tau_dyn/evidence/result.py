@@ -74,6 +74,28 @@ class OutputErrors:
 
 
 @dataclass(frozen=True, eq=False)
+class SearchBand:
+    """Errors on the test data in the band in which causes are searched, where errors are reported in a narrower one.
+
+    Attributes:
+        cutoff_hz: Upper end of the band [Hz].
+        baseline: Errors of the refitted model.
+        extended: Errors of the extended model.
+        noise_floor: What no model of these variables can get below.
+    """
+
+    cutoff_hz: float
+    baseline: OutputErrors
+    extended: OutputErrors
+    noise_floor: OutputErrors
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        errors = {key: getattr(self, key).to_dict() for key in ("baseline", "extended", "noise_floor")}
+        return {"cutoff_hz": self.cutoff_hz} | errors
+
+
+@dataclass(frozen=True, eq=False)
 class Step:
     """One bar of the waterfall: `nominal`, `refitted`, a cause with its joints, or `noise_floor`."""
 

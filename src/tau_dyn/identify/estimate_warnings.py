@@ -53,19 +53,24 @@ _MAX_INERTIA_RATIO = 30.0
 """Factor between identified and nominal inertia beyond which units are doubted; a robot file may be wrong by much less."""
 
 
-def list_estimate_warnings(estimate: Estimate, sizes: Mapping[str, float] = MappingProxyType({})) -> list[str]:
+def list_estimate_warnings(
+    estimate: Estimate,
+    sizes: Mapping[str, float] = MappingProxyType({}),
+    prior: Mapping[str, float] = MappingProxyType({}),
+) -> list[str]:
     """Return a sentence for each thing about the estimate that a reader must know before using it.
 
     Args:
         estimate: The fit.
-        sizes: What the robot file leaves open of the bodies' parameters, by name.
+        sizes: Sizes of the bodies' parameters, by name; see `BodyPrior`.
+        prior: Their standard deviations before the logs, by name.
     """
     return [
         *_moved(estimate),
         *_at_bound(estimate),
         *_unseen(estimate),
         *_undetermined(estimate, sizes),
-        *_conditioning(estimate, sizes),
+        *_conditioning(estimate, prior),
     ]
 
 
@@ -248,13 +253,13 @@ def _undetermined(estimate: Estimate, sizes: Mapping[str, float]) -> list[str]:
     return [f"poorly determined (standard error above 30 %): {listed}{more}"]
 
 
-def _conditioning(estimate: Estimate, sizes: Mapping[str, float]) -> list[str]:
+def _conditioning(estimate: Estimate, prior: Mapping[str, float]) -> list[str]:
     found = []
     if estimate.cond > _ILL_CONDITIONED:
         found.append(
             f"the regression is ill-conditioned (condition number {estimate.cond:.3g}); estimates are sensitive to noise"
         )
-    determined = find_determined_combinations(estimate, sizes)
+    determined = find_determined_combinations(estimate, prior)
     if determined is not None:
         lost = estimate.base.rank - determined.base.rank
         found.append(
@@ -264,6 +269,6 @@ def _conditioning(estimate: Estimate, sizes: Mapping[str, float]) -> list[str]:
         return found
     correlation = np.abs(np.triu(estimate.correlation, 1))
     for i, j in np.argwhere(correlation > _CORRELATED)[:5]:
-        a, b = estimate.base.expression(int(i)), estimate.base.expression(int(j))
+        a, b = estimate.expression(int(i)), estimate.expression(int(j))
         found.append(f"{a} and {b} are correlated by {estimate.correlation[i, j]:+.3f}; use only their combination")
     return found

@@ -60,7 +60,7 @@ from tau_dyn.log import Log, Recording
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
-from tau_dyn.robot import Robot, list_body_stderr
+from tau_dyn.robot import BodyPrior, Robot
 from tau_dyn.scale import count_cores
 
 
@@ -164,7 +164,8 @@ def identify(
     warnings += list_held_out_warnings(trained, errors.errors if held else None)
     warnings += list_voltage_warnings(train, fitted.robot.actuated)
     warnings += list_short_voltage_warnings(estimate)
-    warnings += list_estimate_warnings(estimate, list_body_stderr(fitted.robot))
+    bodies = BodyPrior.of(fitted.robot)
+    warnings += list_estimate_warnings(estimate, bodies.size, bodies.rough)
     warnings += list_inertia_scale_warnings(estimate, nominal)
     return Identification(
         model=replace(_place(fitted, estimate), provenance=list_provenance(train, held, seed)),

@@ -1,9 +1,9 @@
 """The whole-robot fit of a log under one reading of its columns: samples, regressors, prior, and the log marginal likelihood.
 
-Unknowns are the bodies, with the robot file as a prior (25 % a body), drive inertia and friction not below zero, and an offset of
-each drive. Friction is `offset + coulomb sign(v) + viscous_pos v (v > 0) + viscous_neg v (v < 0)`: the sum of both directions'
-Coulomb friction is positive, while a current sensor's offset may exceed it. The residual's standard deviation of each joint is a
-free scale, at least a share of the joint's force. The evidence rule is in `evidence/readings.py`.
+Unknowns are the bodies, with the robot file as a prior (`BodyPrior.rough`), drive inertia and friction not below zero, and an
+offset of each drive. Friction is `offset + coulomb sign(v) + viscous_pos v (v > 0) + viscous_neg v (v < 0)`: the sum of both
+directions' Coulomb friction is positive, while a current sensor's offset may exceed it. The residual's standard deviation of
+each joint is a free scale, at least a share of the joint's force. The evidence rule is in `evidence/readings.py`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.identify.excerpt import Excerpt, compute_clipped_power
 from tau_dyn.identify.wiring_alternatives import Rewiring
 from tau_dyn.mechanism import Mechanism, build_mechanism
-from tau_dyn.robot import Robot, compute_body_stderr
+from tau_dyn.robot import LENGTH_POWERS, BodyPrior, Robot, compute_body_radius
 
 MODEL_ERROR = 0.05
 """Least residual of a joint, as a share of its force: what compliance, cables and heat leave of sound robots."""
@@ -274,20 +274,20 @@ def _bounds(robot: Robot, prior: np.ndarray) -> np.ndarray:
 
 
 def _prior(robot: Robot, is_bare: bool) -> np.ndarray:
-    """Return how parameters follow independent unknowns of unit variance (p, n): 25 % of a body, more at the last bodies.
+    """Return how parameters follow independent unknowns of unit variance (p, n): `BodyPrior.rough`, more at the last bodies.
 
     Drive inertia: three times what the joint itself moves, and 5 kg m^2 where gears reflect a rotor.
     """
     names = robot.parameters.names
     total = sum(max(link.nominal[0], 0.0) for link in robot.links) or 1.0
     parents = {int(robot.model.parents[link.joint_id]) for link in robot.links}
-    spread = np.zeros(len(names))
+    spread, known = np.zeros(len(names)), BodyPrior.of(robot).rough
     for link in robot.links:
-        sizes = compute_body_stderr(link, total)
+        stderr = np.array([known.get(name, 0.0) for name in link.names])
         if link.joint_id not in parents and not is_bare:
-            reach = max(PAYLOAD_REACH_M, sizes[1] / sizes[0])
-            sizes = np.hypot(sizes, PAYLOAD_SHARE * total * reach ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2]))
-        spread[[names.index(name) for name in link.names]] = sizes[list(link.own)]
+            reach = max(PAYLOAD_REACH_M, compute_body_radius(link, total))
+            stderr = np.hypot(stderr, PAYLOAD_SHARE * total * reach ** LENGTH_POWERS[list(link.own)])
+        spread[[names.index(name) for name in link.names]] = stderr
     moved = np.abs(np.diagonal(build_mechanism(robot).inertia(robot.home[None])[0]))
     for joint, kind, m in zip(robot.actuated, robot.joint_kinds, moved, strict=True):
         spread[names.index(f"{joint}.armature")] = max(3 * m, ROTOR_INERTIA_KG_M2 if kind == "revolute" else 0.0)

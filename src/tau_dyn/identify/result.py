@@ -29,18 +29,21 @@ from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Z95, Shown, Stretch, plot_outputs
-from tau_dyn.robot import compute_nominal_stderr, list_body_stderr
+from tau_dyn.robot import BodyPrior, compute_nominal_stderr
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SMALL_SHARE = 0.1
-"""Share of what the robot file leaves open of a number from which a standard error is small: 2.5 % of the body's size."""
+SMALL_SHARE = 0.025
+"""Standard error of a number, relative to its body's size, below which it is small: a tenth of a rough file's."""
 
 
 @dataclass(frozen=True, eq=False)
 class ForceErrors:
-    """Errors of predicted forces on some logs.
+    """Errors of predicted forces on some logs: the one definition of `identify`, `diagnose` and of every validation.
+
+    Residual = measured - predicted. Both went through the filter that was chosen from the training logs, and masked samples are
+    left out (`preparation.py`). Means stay in.
 
     Attributes:
         joints: Actuated joints.
@@ -172,7 +175,7 @@ class Identification(Shown):
     @property
     def poorly_determined(self) -> list[str]:
         """Parameters with a standard error above 30 %; see `list_poorly_determined`."""
-        return list_poorly_determined(self.estimate, list_body_stderr(self.model.robot))
+        return list_poorly_determined(self.estimate, BodyPrior.of(self.model.robot).size)
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the parameter table in the contract's form.
@@ -183,18 +186,24 @@ class Identification(Shown):
         return [self._row(p) for p in self.parameters if p.free]
 
     def base_rows(self) -> list[dict[str, Any]]:
-        """Return the base parameters with their expressions."""
+        """Return the base parameters with their expressions.
+
+        A fixed drive inertia that one contains is a term of its expression, and its value is in the value: the data determine the
+        sum, whatever value was fixed.
+        """
         base, rows = self.estimate.base, []
         before = self.nominal.select(base.names).values
         for k, (column, value, sigma) in enumerate(
             zip(base.kept, self.estimate.beta, self.estimate.stderr, strict=True)
         ):
-            p = self.estimate.parameters[base.names[column]]
-            nominal = None if self._is_friction(p.name) else float(base.combine(before)[k])
-            row = {"name": p.name, "expression": base.expression(k), "value": float(value), "unit": p.unit}
-            row |= _uncertainty(float(value), float(sigma), p if base.alone[column] else None)
+            p, fixed = self.estimate.parameters[base.names[column]], self.estimate.sum_contained(k)
+            alone = bool(base.alone[column]) and not self.estimate.contained[k]
+            nominal = None if self._is_friction(p.name) else float(base.combine(before)[k]) + fixed
+            total = float(value) + fixed
+            row = {"name": p.name, "expression": self.estimate.expression(k), "value": total, "unit": p.unit}
+            row |= _uncertainty(total, float(sigma), p if alone else None)
             row |= {"identifiable": True, "nominal": nominal}
-            if base.alone[column]:
+            if alone:
                 row |= {key: self._row(p)[key] for key in ("nominal_stderr", "at_bound")}
             else:
                 row |= {"nominal_stderr": None, "at_bound": False}
@@ -204,7 +213,7 @@ class Identification(Shown):
     @cached_property
     def determined_combinations(self) -> DeterminedCombinations | None:
         """Combinations that the logs tell better than the robot file; None where they tell every base parameter."""
-        return find_determined_combinations(self.estimate, list_body_stderr(self.model.robot))
+        return find_determined_combinations(self.estimate, BodyPrior.of(self.model.robot).rough)
 
     def combination_rows(self) -> list[dict[str, Any]]:
         """Return the determined combinations of several parameters in the contract's form; empty if all base parameters are."""
@@ -214,12 +223,14 @@ class Identification(Shown):
         before = found.base.combine(self.nominal.select(found.base.names).values)
         rows = []
         for k, (column, value, sigma) in enumerate(zip(found.base.kept, found.values, found.stderr, strict=True)):
-            if found.base.alone[column]:
+            inside = found.contained[k]
+            if found.base.alone[column] and not inside:
                 continue
             p = self.estimate.parameters[found.base.names[column]]
-            row = {"expression": found.base.expression(k), "value": float(value), "unit": p.unit}
+            row = {"expression": found.base.expression(k, inside), "value": float(value), "unit": p.unit}
             row |= _uncertainty(float(value), float(sigma), None)
-            rows.append(row | {"nominal": None if self._is_friction(p.name) else float(before[k])})
+            fixed = sum(factor * self.parameters[name].value for name, factor in inside.items())
+            rows.append(row | {"nominal": None if self._is_friction(p.name) else float(before[k]) + fixed})
         return rows
 
     def plot(self) -> Figure:
@@ -309,7 +320,7 @@ def list_poorly_determined(estimate: Estimate, sizes: Mapping[str, float]) -> li
 
     Args:
         estimate: The fit.
-        sizes: What a robot file leaves open of the bodies' parameters, by name.
+        sizes: Sizes of the bodies' parameters, by name; see `BodyPrior`.
     """
     shown = {n: estimate.parameters[n].stderr for n in estimate.base.names}
     return [

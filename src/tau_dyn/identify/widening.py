@@ -15,7 +15,7 @@ from scipy import linalg, optimize, stats
 from tau_dyn.estimate import Estimate, InertialBody, assign_blocks, pseudo_inertia
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
-from tau_dyn.robot import list_body_stderr
+from tau_dyn.robot import BodyPrior
 
 _SIGNIFICANCE_LEVEL = 0.01  # at which physics or another log is said to contradict the errors
 _ACTIVE = 1e-6  # of a pseudo-inertia's trace: an eigenvalue below it is held by physics
@@ -138,7 +138,7 @@ def list_prior_stderr(model: Model, estimate: Estimate, nominal: Parameters) -> 
 
     What was measured beforehand is in the data already and has none here either.
     """
-    told = list_body_stderr(model.robot)
+    told = BodyPrior.of(model.robot).rough
     known = [nominal[n].prior_stderr is None and told.get(n, 0.0) > 0 for n in estimate.base.names]
     return np.array([told[n] if ok else np.inf for n, ok in zip(estimate.base.names, known, strict=True)])
 

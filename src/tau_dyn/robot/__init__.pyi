@@ -6,6 +6,15 @@ from .annotations import (
     Spring as Spring,
     read_annotations as read_annotations,
 )
+from .body_prior import (
+    ACCURATE_FILE as ACCURATE_FILE,
+    LENGTH_POWERS as LENGTH_POWERS,
+    ROUGH_FILE as ROUGH_FILE,
+    BodyPrior as BodyPrior,
+    compute_body_radius as compute_body_radius,
+    compute_body_size as compute_body_size,
+    compute_nominal_stderr as compute_nominal_stderr,
+)
 from .dimensions import read_dimensions_file as read_dimensions_file
 from .expand import (
     describe_robot as describe_robot,
@@ -17,18 +26,13 @@ from .expand import (
 from .load import as_robot as as_robot, load_robot as load_robot, load_robot_from_urdf as load_robot_from_urdf
 from .packages import find_package as find_package, resolve_mesh as resolve_mesh
 from .robot import (
-    BODY_STDERR as BODY_STDERR,
     INERTIAL as INERTIAL,
-    NOMINAL_MASS_STDERR as NOMINAL_MASS_STDERR,
     NOT_GIVEN as NOT_GIVEN,
     LinkInertia as LinkInertia,
     Loop as Loop,
     Robot as Robot,
-    compute_body_stderr as compute_body_stderr,
     compute_inertia_matrix as compute_inertia_matrix,
-    compute_nominal_stderr as compute_nominal_stderr,
     find_end_link as find_end_link,
-    list_body_stderr as list_body_stderr,
 )
 from .stock import list_stock_robots as list_stock_robots
 from .visuals import (

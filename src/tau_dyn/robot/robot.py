@@ -24,14 +24,6 @@ INERTIAL = ("mass", "mx", "my", "mz", "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 _UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 NOT_GIVEN = "not given"
 """Origin of a drive inertia that the robot file says nothing about."""
-BODY_STDERR = 0.25
-"""Standard deviation of a body's mass, moments and inertia against the robot file, relative to its size, if not weighed."""
-NOMINAL_MASS_STDERR = 0.02
-"""Standard deviation of a nominal mass, relative to it, against which an estimate is compared, if the file gives none.
-
-It is the accuracy of a CAD volume with a catalogue density, and the level at which a difference is worth a look. A maker's file
-of a sold arm is often further off: `--fix LINK.mass=VALUE+-SIGMA` states its error. `BODY_STDERR` answers another question: how
-far an estimate may move from the file where the data are silent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,38 +313,6 @@ def get_inertial_parameters(link: LinkInertia) -> list[Parameter]:
         lower = 0.0 if INERTIAL[k] in ("mass", "ixx", "iyy", "izz") else -np.inf
         rows.append(Parameter(f"{link.link}.{INERTIAL[k]}", float(link.nominal[k]), _UNITS[k], lower))
     return rows
-
-
-def compute_nominal_stderr(p: Parameter) -> float | None:
-    """Return how well a nominal value is known: the robot file's error, else `NOMINAL_MASS_STDERR` of a mass; None of others."""
-    if p.prior_stderr is not None:
-        return p.prior_stderr
-    return NOMINAL_MASS_STDERR * abs(p.value) if p.name.endswith(".mass") else None
-
-
-def compute_body_stderr(link: LinkInertia, total: float) -> np.ndarray:
-    """Return how far a link's ten numbers (10,) may be off the robot file, if nobody weighed it: 25 % of its size.
-
-    Args:
-        link: The link; its radius is that of gyration about the joint frame's origin, or its centre's distance if larger.
-        total: Mass of all links [kg]; a link without mass counts as a thousandth of it.
-    """
-    mass = max(float(link.nominal[0]), 1e-3 * total)
-    radius = np.sqrt(max(float(link.nominal[[4, 6, 9]].sum()), 1e-6 * mass) / mass / 2)
-    radius = max(radius, float(np.linalg.norm(link.nominal[1:4])) / mass)
-    return BODY_STDERR * mass * radius ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
-
-
-def list_body_stderr(robot: Robot) -> dict[str, float]:
-    """Return how far each body's parameter may be off the robot file, by name; none where the file holds no mass at all.
-
-    See `compute_body_stderr`.
-    """
-    total = sum(max(float(link.nominal[0]), 0.0) for link in robot.links)
-    if total == 0:
-        return {}
-    sizes = [(link, compute_body_stderr(link, total)) for link in robot.links]
-    return {name: float(size[k]) for link, size in sizes for k, name in zip(link.own, link.names, strict=True)}
 
 
 def compute_inertia_matrix(pi: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log, differentiate, lowpass
 from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.model import Model
-from tau_dyn.robot import list_body_stderr
+from tau_dyn.robot import BodyPrior
 from tau_dyn.servo.consistent_bodies import ConsistentBodies
 from tau_dyn.servo.waves import LoadRows, Waves
 from tau_dyn.simulate import COMMANDS, ServoLaw
@@ -204,12 +204,12 @@ class InertialSpace:
     @classmethod
     def of(cls, model: Model) -> InertialSpace:
         """Return the space of a model, without unknowns."""
-        parameters, sizes = model.robot.parameters, list_body_stderr(model.robot)
+        parameters, known = model.robot.parameters, BodyPrior.of(model.robot).rough
         nominal, prior = np.zeros((2, len(parameters)))
         for k, p in enumerate(parameters):
             if not p.name.endswith(".armature"):
                 nominal[k] = p.value
-                given = p.prior_stderr if p.prior_stderr is not None else sizes.get(p.name, 0.0)
+                given = p.prior_stderr if p.prior_stderr is not None else known.get(p.name, 0.0)
                 prior[k] = given if p.free or p.prior_stderr is not None else 0.0
         return cls(model, nominal, np.zeros((len(parameters), 0)), prior)
 

@@ -93,6 +93,8 @@ def _build_waterfall(found: Diagnosis) -> Iterator[r.Element]:
     every = words.describe_all_samples(found)
     if every:
         yield r.Text(every, on=r.On.PRINTED)
+    if band := words.describe_search_band(found):
+        yield r.Text(band, on=r.On.PRINTED)
     if parts:
         what = "axis" if found.channel == "tool" else "joint"
         yield r.Text(f"Each {what}, in percent of its own {reference}", "heading")

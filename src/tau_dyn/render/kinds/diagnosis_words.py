@@ -16,6 +16,7 @@ from tau_dyn.evidence import (
     Finding,
     Gain,
     Limit,
+    OutputErrors,
     Signature,
     Status,
     Unexplained,
@@ -58,9 +59,14 @@ def recommend_model(diagnosis: Diagnosis) -> r.Verdict:
     if diagnosis.recommendation == "neither":
         return r.Verdict("poor", f"Use neither model: {diagnosis.recommendation_why}.")
     if diagnosis.recommendation == "extended":
-        before, after = (
-            r.format_percent(e.relative_error_percent, PRINTED_DIGITS) for e in (diagnosis.baseline, diagnosis.extended)
-        )
+        before, after = _print_fall(diagnosis.baseline, diagnosis.extended)
+        band = diagnosis.search_band
+        if band is not None and before == after:
+            before, after = _print_fall(band.baseline, band.extended)
+            what, floor_ = (
+                f"{what} up to {band.cutoff_hz:.2g} Hz",
+                r.format_percent(band.noise_floor.relative_error_percent),
+            )
         text = f"Use the extended model: its error on held-out data is {after} of the {what} instead of {before}"
         limit = "" if diagnosis.channel == "position" else f" No output loses more than {MAX_OUTPUT_LOSS_PERCENT:g} %."
         return r.Verdict(level, f"{text}; noise floor: {floor_}.{limit}")
@@ -75,6 +81,27 @@ def recommend_model(diagnosis: Diagnosis) -> r.Verdict:
     if diagnosis.verdict == "named":
         return r.Verdict(level, text)
     return r.Verdict(level, f"{text} Detection limits are listed below.")
+
+
+def _print_fall(before: OutputErrors, after: OutputErrors) -> tuple[str, str]:
+    """Return two relative errors to as many digits as a gain needs."""
+    one, other = (r.format_percent(e.relative_error_percent, PRINTED_DIGITS) for e in (before, after))
+    return one, other
+
+
+def describe_search_band(diagnosis: Diagnosis) -> str:
+    """Return the errors in the band in which causes are searched, in a sentence; empty where it is that of all errors."""
+    band = diagnosis.search_band
+    if band is None:
+        return ""
+    before, after, floor_ = (
+        r.format_percent(e.relative_error_percent) for e in (band.baseline, band.extended, band.noise_floor)
+    )
+    more = f", of the extended model {after}" if diagnosis.verdict == "named" else ""
+    return (
+        f"These errors are of forces as identify filters them. Causes are searched up to {band.cutoff_hz:.2g} Hz; there "
+        f"the residual of the refitted model is {before}{more}, the noise floor {floor_}."
+    )
 
 
 def describe_all_samples(diagnosis: Diagnosis) -> str:

@@ -289,12 +289,13 @@ def describe_separation(cond: float) -> str:
 
 def list_correlations(found: Identification, most: int = 8) -> list[tuple[str, str, str]]:
     """Return the strongest correlations above 0.9: both parameters, and the number."""
-    base, matrix = found.estimate.base, np.triu(found.estimate.correlation, 1)
+    estimate, matrix = found.estimate, np.triu(found.estimate.correlation, 1)
     pairs = sorted(np.argwhere(np.abs(matrix) > MIN_REPORTED_CORRELATION), key=lambda ij: -abs(matrix[ij[0], ij[1]]))[
         :most
     ]
     return [
-        (base.expression(int(i)), base.expression(int(j)), f"{matrix[i, j]:+.3f}".replace("-", "−")) for i, j in pairs
+        (estimate.expression(int(i)), estimate.expression(int(j)), f"{matrix[i, j]:+.3f}".replace("-", "−"))
+        for i, j in pairs
     ]
 
 
