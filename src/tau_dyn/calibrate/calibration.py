@@ -8,7 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from tau_dyn.calibrate.addition_tests import find_move_within, find_unit_coupling
-from tau_dyn.calibrate.causes import as_finding, as_reading_findings, find_causes, suspect_all, suspect_laws
+from tau_dyn.calibrate.causes import (
+    as_finding,
+    as_reading_findings,
+    build_rejected_findings,
+    find_causes,
+    suspect_all,
+    suspect_laws,
+)
 from tau_dyn.calibrate.conventions import FoundReading, find_reading, measure_misfit
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.model_selection import Options, check_patterns, describe_implausible, fit_models
@@ -127,6 +134,7 @@ def calibrate(
         findings=(
             *(as_reading_findings(reading, seed) if reading else ()),
             *find_causes(family, chosen, still, options),
+            *build_rejected_findings(steps),
             *(as_finding(one) for one in moved),
         ),
         warnings=tuple(

@@ -42,6 +42,7 @@ from .claims import (
     Recommendation as Recommendation,
     Waterfall as Waterfall,
     describe_foreign_joints as describe_foreign_joints,
+    explain_gain as explain_gain,
     recommend as recommend,
 )
 from .detection_limits import (
@@ -93,6 +94,7 @@ from .plausibility import (
     MIN_FORCE_SHARE as MIN_FORCE_SHARE,
     compute_least_forces as compute_least_forces,
     demote_small as demote_small,
+    find_out_of_range as find_out_of_range,
     measure_net_forces as measure_net_forces,
     measure_scales as measure_scales,
 )

@@ -14,10 +14,9 @@ import numpy as np
 
 from tau_dyn.calibrate.conventions.readings import Reading, apply_reading, list_readings
 from tau_dyn.calibrate.conventions.rigid_fit import UNREACHED, Misfit, measure_misfit
-from tau_dyn.calibrate.crossvalidation import CrossValidationGain
 from tau_dyn.calibrate.geometry import Geometry, Predicted
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.evidence import find_equivalent, prefer_reading
+from tau_dyn.evidence import Gain, find_equivalent, prefer_reading
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.message_codes import CodedWarning
 
@@ -65,7 +64,7 @@ class FoundReading:
         """Return poses as the file means them."""
         return apply_reading(self.reading, poses)
 
-    def compute_gain(self, seed: int = 0) -> CrossValidationGain:
+    def compute_gain(self, seed: int = 0) -> Gain:
         """Return what it gains, with the robot file's dimensions; the interval is by bootstrap over poses."""
         p_value = float(np.exp(-self.meant.n_numbers * np.log(self.written.value / max(self.meant.value, 1e-300))))
         rng = np.random.default_rng(seed)
@@ -77,7 +76,7 @@ class FoundReading:
             ends = (100 * (1 - float(high)), 100 * (1 - float(low)))
         percent = 100 * (1 - self.meant.value / self.written.value)
         turned = (self.written.rotation, self.meant.rotation) if self.written.rotation is not None else (None, None)
-        return CrossValidationGain(
+        return Gain(
             self.written.position, self.meant.position, percent, ends, min(1.0, p_value * self.n_tried), *turned
         )
 
