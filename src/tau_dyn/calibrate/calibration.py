@@ -236,8 +236,7 @@ def _doubts(fitted: GeometryFit) -> tuple[str, ...]:
     missed = int((~fitted.state.ok).sum())
     if missed:
         said.append(f"{missed} poses are out of the fitted model's reach and were not used")
-    place = fitted.poses.position
-    off, wide = fitted.noise[0], float(np.sqrt(np.mean(np.sum((place - place.mean(axis=0)) ** 2, axis=1))))
+    off, wide = fitted.noise[0], fitted.poses.spread
     if fitted.kind == "forward" and off > _MAX_RELATIVE_MISFIT * wide:
         said.append(
             f"the robot misses its own poses by {off:.2g} m, while they spread over {wide:.2g} m; were two joints' or two axes' "

@@ -131,7 +131,7 @@ _OF_STRUCTURE: dict[str, Callable[[Geometry], Geometry | None]] = {
 }
 
 
-def build_finding(
+def _build_finding(
     cause: str,
     joints: tuple[str, ...],
     gain: Gain,
@@ -141,18 +141,7 @@ def build_finding(
     alike: tuple[str, ...] = (),
     dof: float = np.inf,
 ) -> Finding:
-    """Return the finding of a cause in poses.
-
-    Args:
-        cause: The contract's name.
-        joints: Where, for causes that have places.
-        gain: On held-out poses, or by cross-validation where there are none.
-        n_numbers: Coordinates and angles that show it.
-        why_not: Why it is not confirmed; empty if it is.
-        parameters: Its numbers.
-        alike: Causes that such poses do not tell from it.
-        dof: Degrees of freedom of the numbers' standard errors.
-    """
+    """Return the finding of a cause by its gain in so many coordinates and angles; confirmed unless there is a reason why not."""
     return Finding(
         cause,
         joints,
@@ -190,7 +179,7 @@ def as_finding(moved: MovedFrame) -> Finding:
     """Return a move before the held-out poses as a finding; suspected where device and target are not told apart."""
     n_numbers = int(moved.own.sum()) * (3 if moved.gain.orientation_rms_after is None else 6)
     why_not = _NOT_APART.format(moved.other) if moved.other else ""
-    return build_finding(f"{moved.owner}_moved", (), moved.gain, n_numbers, why_not, moved.move)
+    return _build_finding(f"{moved.owner}_moved", (), moved.gain, n_numbers, why_not, moved.move)
 
 
 def as_reading_findings(found: FoundReading, seed: int) -> tuple[Finding, ...]:
@@ -199,7 +188,7 @@ def as_reading_findings(found: FoundReading, seed: int) -> tuple[Finding, ...]:
     alike = [tuple(c.cause for c in reading if c.cause) for reading in found.alike]
     others = tuple(dict.fromkeys("+".join(causes) for causes in alike if causes and set(causes) != whole))
     n_numbers = found.meant.n_numbers
-    return tuple(build_finding(c.cause, c.joints, gain, n_numbers, alike=others) for c in found.reading if c.cause)
+    return tuple(_build_finding(c.cause, c.joints, gain, n_numbers, alike=others) for c in found.reading if c.cause)
 
 
 def find_causes(
@@ -227,7 +216,7 @@ def find_causes(
             why_not = _ELSEWHERE.format(format_list(places)) if places else ""
         shown = holdout is not None and not explain_gain(gain)
         numbers, dof = _parameters(cause, joints, chosen.fit), chosen.fit.dof
-        one = build_finding(cause, joints, gain, 0, why_not, numbers, alike, dof)
+        one = _build_finding(cause, joints, gain, 0, why_not, numbers, alike, dof)
         findings.append(replace(one, score=score, is_shown=shown))
     return tuple(sorted(findings, key=lambda f: -f.gain.reduction_percent if f.gain else 0.0))
 
@@ -239,7 +228,7 @@ def build_rejected_findings(steps: Sequence[SelectionStep]) -> tuple[Finding, ..
         if (one := step.rejected) is not None:
             cause, joints = _OF_ADDITION[one.addition], _split_place(one.place)
             numbers, size = _parameters(cause, joints, one.fit), one.fit.residuals.size
-            found.append(build_finding(cause, joints, step.gain, size, one.why, numbers, dof=one.fit.dof))
+            found.append(_build_finding(cause, joints, step.gain, size, one.why, numbers, dof=one.fit.dof))
     return tuple(found)
 
 

@@ -23,7 +23,7 @@ from tau_dyn.calibrate.models import Family, Spec
 from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.estimate import DescentRules, LinearSystem, descend, factor_system
-from tau_dyn.evidence import Gain
+from tau_dyn.evidence import Gain, explain_gain
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.mechanism import Poses
 from tau_dyn.message_codes import CodedWarning
@@ -357,7 +357,7 @@ def _find_move(
     level = _SIGNIFICANCE_LEVEL / len(owners)
     after = _leave_out_each(fit)
     gain = compare_paired(_as_errors(before * sigma, poses), _as_errors(after * sigma, poses))
-    if not gain.reduction_percent > _MIN_GAIN_PERCENT or not p_determined < level:
+    if explain_gain(gain) or not gain.reduction_percent > _MIN_GAIN_PERCENT or not p_determined < level:
         return None
     if not p_value < level:
         return _describe_undetermined(owner, fit, where)

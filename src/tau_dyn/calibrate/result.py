@@ -56,10 +56,9 @@ class Calibration(Shown):
     @property
     def misses_poses(self) -> bool:
         """Whether the held-out error is so large that units, joints or frames are wrong, or the robot is another one."""
-        errors, place = self.errors(self.chosen), self.poses.position
-        spread = float(np.sqrt(np.mean(np.sum((place - place.mean(axis=0)) ** 2, axis=1))))
+        errors = self.errors(self.chosen)
         turned = errors.orientation_size
-        near = errors.position_size.rms < _MAX_RELATIVE_ERROR * spread
+        near = errors.position_size.rms < _MAX_RELATIVE_ERROR * self.poses.spread
         return not near or (turned is not None and not turned.rms < _MAX_ORIENTATION_ERROR)
 
     @property

@@ -99,7 +99,6 @@ from .plausibility import (
     measure_scales as measure_scales,
 )
 from .readings import (
-    ALIAS_NATS as ALIAS_NATS,
     MAX_NUMBER_STDERR as MAX_NUMBER_STDERR,
     MAX_ZERO_MEAN as MAX_ZERO_MEAN,
     MIN_GAIN_NATS as MIN_GAIN_NATS,
@@ -108,13 +107,14 @@ from .readings import (
     ReadingFit as ReadingFit,
     ReadingTest as ReadingTest,
     compute_zero_mean_nats as compute_zero_mean_nats,
-    find_equivalent as find_equivalent,
     is_hopeless as is_hopeless,
     is_part_missing as is_part_missing,
+    is_preferred as is_preferred,
     is_preferred_in_each_half as is_preferred_in_each_half,
+    list_aliases as list_aliases,
     permits_size as permits_size,
     permits_speed_scale as permits_speed_scale,
-    prefer_reading as prefer_reading,
+    search_readings as search_readings,
 )
 from .result import (
     Choice as Choice,

@@ -76,14 +76,12 @@ def describe_verdict(found: Calibration) -> Verdict:
     reached, turned = errors.position_size.rms, errors.orientation_size
     if not found.fit.converged:
         return _judge("poor", "The fit did not converge; do not use it.")
-    place = found.poses.position
-    spread = float(np.sqrt(np.mean(np.sum((place - place.mean(axis=0)) ** 2, axis=1))))
     if found.misses_poses:
         also = "" if turned is None else f" and {format_angle(turned.rms)}"
         return _judge(
             "poor",
             f"Do not use it: the held-out RMS error is {format_length(reached)}{also}, while the poses spread over "
-            f"{format_length(spread)}. Check units, joint columns, and whether frames were moved.",
+            f"{format_length(found.poses.spread)}. Check units, joint columns, and whether frames were moved.",
         )
     if found.chosen is found.models[0]:
         return _judge("care", "No larger model has a smaller held-out error than the robot file.")
