@@ -97,6 +97,7 @@ def test_two_wrong_conventions_are_named_together(robot):
     poses = measure(robot, 2)
     found = search(robot, replace(poses, q=np.rad2deg(poses.q), position=1e3 * poses.position))
     assert found is not None and {change.cause for change in found.reading} == {"joint_unit", "position_unit"}
+    assert found.n_tried < 250  # the two likeliest are combined, and no third one is looked for
 
 
 def test_positions_alone_show_a_sign(robot):
