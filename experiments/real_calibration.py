@@ -148,7 +148,7 @@ def main() -> None:
         said += "" if turned is None else f", {MILLI * turned.mean:.3g} mrad"
         print(f"{name}: published: {case.published}; held out: {said}; {found.chosen.name}", flush=True)
         for one in found.findings:
-            print(f"   {one.status} {one.cause} {' '.join(one.joints)}: {one.gain.percent:.1f} %")
+            print(f"   {one.status} {one.cause} {' '.join(one.joints)}: {one.gain.reduction_percent:.1f} %")
         if asked.pybotics and name in TARGET:
             print(f"   pybotics: {MILLI * run_pybotics(case.table, TARGET[name], *sets):.3g} mm", flush=True)
 

@@ -12,6 +12,7 @@ from lazy_loader import attach_stub
 DEPRECATED: dict[str, dict[str, str]] = {
     "tau_dyn.calibrate": {
         "CAUSE_EQUATIONS": "tau_dyn.effects.GEOMETRY_CAUSES",
+        "CalibrationFinding": "tau_dyn.evidence.Finding",
         "Errors": "PoseErrors",
         "Fit": "GeometryFit",
         "fit": "fit_geometry_to_poses",

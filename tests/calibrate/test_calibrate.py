@@ -24,13 +24,13 @@ from tau_dyn.calibrate import (
     read_poses,
     save_calibration,
 )
-from tau_dyn.calibrate.crossvalidation import CrossValidationGain
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.model_selection import Options, fit_and_cross_validate
 from tau_dyn.calibrate.models import get_family
 from tau_dyn.calibrate.pose_errors import MeasurementNoise, estimate_measurement_noise
 from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.unknowns import collect
+from tau_dyn.evidence import Gain
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import forward_kinematics
 from tau_dyn.message_codes import get_code
@@ -78,7 +78,7 @@ def test_causes_are_named_with_their_gain(worn):
     assert {("transmission_error", ("cart2",)), ("backlash", ("cart1",))} <= set(causes)
     assert {"guideway_nonparallel", "rod_length", "joint_placement"} <= {f.cause for f in found.findings}
     assert causes["transmission_error", ("cart2",)].status == "confirmed"
-    assert causes["transmission_error", ("cart2",)].gain.percent > 30
+    assert causes["transmission_error", ("cart2",)].gain.reduction_percent > 30
 
 
 def test_a_gross_outlier_is_named_and_left_out(worn):
@@ -142,8 +142,8 @@ def test_a_target_that_turned_between_campaigns_is_named():
     found = calibrate(rods.robot, poses)
     (finding,) = found.findings
     assert found.chosen.name == "frames+tool_frame" and finding.cause == "tool_frame" and finding.status == "confirmed"
-    assert finding.gain.orientation_after is not None and finding.gain.orientation_before is not None
-    assert finding.gain.orientation_after < 0.6 * finding.gain.orientation_before
+    assert finding.gain.orientation_rms_after is not None and finding.gain.orientation_rms_before is not None
+    assert finding.gain.orientation_rms_after < 0.6 * finding.gain.orientation_rms_before
 
 
 def test_stated_standard_errors_weigh_the_poses(tmp_path):
@@ -183,8 +183,8 @@ def test_what_held_out_poses_contradict_is_not_confirmed(monkeypatch, ci95, stat
     poses, _ = measured(rods, "nonparallel", 60, 5)
     family, options = family_at(rods), Options()
     chosen = fit_and_cross_validate(family, family.spec("nonparallel"), poses, options)
-    by_folds = CrossValidationGain(2e-5, 1e-5, 50.0, (40.0, 60.0), 1e-9)
-    held = CrossValidationGain(8.1e-5, 10.6e-5, ci95[0], ci95, 1e-3)
+    by_folds = Gain(2e-5, 1e-5, 50.0, (40.0, 60.0), 1e-9)
+    held = Gain(8.1e-5, 10.6e-5, ci95[0], ci95, 1e-3)
     answers = iter([by_folds, held] * 20)
     monkeypatch.setattr(causes, "compare_paired", lambda *_: next(answers))
     found = causes.find_causes(family, chosen, poses, options)

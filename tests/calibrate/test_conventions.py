@@ -97,6 +97,7 @@ def test_two_wrong_conventions_are_named_together(robot):
     poses = measure(robot, 2)
     found = search(robot, replace(poses, q=np.rad2deg(poses.q), position=1e3 * poses.position))
     assert found is not None and {change.cause for change in found.reading} == {"joint_unit", "position_unit"}
+    assert found.n_tried < 250  # the two likeliest are combined, and no third one is looked for
 
 
 def test_positions_alone_show_a_sign(robot):
@@ -104,6 +105,21 @@ def test_positions_alone_show_a_sign(robot):
     poses = measure(robot, 3, turned=False)
     found = search(robot, replace(poses, q=poses.q * [1, -1, 1, 1]))
     assert found is not None and [c.joints for c in found.reading] == [("j2",)]
+
+
+def test_limits_of_the_joints_veto_a_reading(robot):
+    """A positive joint of a file written as it is meant is not read as a negative one beyond its limit."""
+    poses = measure(robot, 1)
+    q = np.abs(poses.q)
+    wrong = replace(poses, q=q * [1, 1, -1, 1])
+    family = get_family(robot, poses)
+    geometry = family.build(family.spec("frames"))
+    nominal = geometry.forward(geometry.parameters.values, q).poses
+    wrong = replace(wrong, position=nominal.position, rotation=nominal.rotation)
+    found = [find_reading(geometry, wrong, (np.full(4, -3.0), np.array([3.0, 3.0, high, 3.0])), lambda _: 1.0)
+             for high in (3.0, 0.3)]  # fmt: skip
+    assert found[0] is not None and [c.joints for c in found[0].reading] == [("j3",)]
+    assert found[1] is None
 
 
 @pytest.mark.parametrize("turned", [True, False])

@@ -255,13 +255,13 @@ def test_a_move_before_the_held_out_poses_is_named(robot, owner: str, size: floa
         return
     (finding,) = moved
     assert (finding.cause, finding.status) == (f"{owner}_moved", "confirmed")
-    values = [p.value for p in finding.further[:3]]
+    values = [p.value for p in finding.parameters[:3]]
     assert values == pytest.approx(
         list(shift), abs=1e-4 + 5e-3 * size
     )  # a turn moves the 1 mm by which frames are free
     others = {f.status for f in found.findings if f.cause == "joint_placement"}
     assert others == {"confirmed"}  # judged with the move undone, as it would hide them
-    rows = finding.to_dict(found.fit)["parameters"]
+    rows = finding.to_dict()["parameters"]
     assert isinstance(rows, list) and rows[0]["name"] == f"{owner}_moved.x"
 
 

@@ -61,7 +61,7 @@ def test_a_moved_device_is_no_outlier_and_hides_none(robot):
     held.position[[7, 40]] += [0, OFF, 0]
     found = calibrate(robot, train, held, model="complete")
     (moved,) = [f for f in found.findings if f.cause.endswith("_moved")]
-    assert moved.cause == "device_moved" and moved.further[0].value == pytest.approx(0.02, abs=1e-3)
+    assert moved.cause == "device_moved" and moved.parameters[0].value == pytest.approx(0.02, abs=1e-3)
     assert any("2 of 100 held-out poses left out" in w and "pose 8" in w and "pose 41" in w for w in found.warnings)
 
 

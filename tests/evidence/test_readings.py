@@ -10,9 +10,12 @@ from tau_dyn.evidence import (
     ReadingTest,
     compute_zero_mean_nats,
     is_part_missing,
+    is_preferred,
     is_preferred_in_each_half,
+    list_aliases,
     permits_size,
     permits_speed_scale,
+    search_readings,
 )
 
 SIZE = np.array([10.0, 2.0])
@@ -92,3 +95,37 @@ def test_forces_that_the_bodies_explain_better_do_not_lack_them():
     bare = ReadingFit(40.0, 40.0, (0.03 * size) ** 2, 0.0, np.zeros((1, 1)))
     assert not test.accepts_lack(full, bare)
     assert test.accepts_lack(ReadingFit(10.0, 10.0, (0.03 * size) ** 2, 0.0, np.zeros((1, 1))), bare)
+
+
+def test_a_gain_alone_is_no_preference() -> None:
+    """Error levels of 3 and 2.5 % over a thousand numbers differ by 180 nats, as two wrong models do."""
+    assert not is_preferred(1000 * np.log(3 / 2.5), (2.5 / 3) ** 2)
+    assert is_preferred(1000 * np.log(3 / 0.2), (0.2 / 3) ** 2) and not is_preferred(
+        5 * np.log(3 / 0.2), (0.2 / 3) ** 2
+    )
+
+
+def test_the_good_share_belongs_to_the_data() -> None:
+    """What is a good fit of forces, 10 % of their size, is a poor one of poses."""
+    after = fit(0.0, 0.1, 0.1)
+    assert ReadingTest(SIZE, 0.05).is_good(after, (0, 1), (0, 1))
+    assert not ReadingTest(SIZE, 0.05, max_good_share=0.05).is_good(after, (0, 1), (0, 1))
+
+
+def test_readings_within_five_nats_are_told_together() -> None:
+    """A likelihood ratio of 150 is the border."""
+    assert list_aliases([100.0, 94.0, 104.0, 99.5]) == [2, 0, 3]
+
+
+def test_a_search_meets_the_simple_readings_first_and_ends_with_a_good_one() -> None:
+    """Only "bc" is good: the beam of two holds "b", although "a" is likelier."""
+    worth = {"a": 5.0, "b": 4.0, "c": 1.0, "bc": 9.0}
+
+    def grow(last):
+        grown = {"".join(sorted(base + letter)) for base in last for letter in "abc" if letter not in base}
+        return sorted(grown, key=lambda r: -worth.get(r, 0.0))
+
+    met = search_readings("", grow, 3, 2, lambda best: best == "bc")
+    assert met[:3] == ["a", "b", "c"] and met[3] == "bc" and max(map(len, met)) == 2
+    assert max(map(len, search_readings("", grow, 1, 2))) == 1
+    assert "bc" not in search_readings("", grow, 2, 1)

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from tau_dyn.calibrate.conventions import measure_misfit
 from tau_dyn.calibrate.fit_problem import compute_actuated_positions
-from tau_dyn.calibrate.frames import align_with_targets
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.models import Family, Spec
 from tau_dyn.calibrate.pose_set import PoseSet
@@ -59,8 +59,7 @@ class UnitCoupling(NamedTuple):
 def find_unit_coupling(family: Family, poses: PoseSet) -> UnitCoupling | None:
     """Return the coupling of all of one joint's motion to another joint that the poses ask for, None where none stands out."""
     without = _measure_misfit(family, poses, Spec("frames"))
-    wide = float(np.sqrt(np.mean(np.sum((poses.position - poses.position.mean(axis=0)) ** 2, axis=1))))
-    if not without > _MIN_RELATIVE_MISFIT * wide:
+    if not without > _MIN_RELATIVE_MISFIT * poses.spread:
         return None
     names = [pair.replace("/", sign) for pair in family.can_have("coupling") for sign in ("=", "=-")]
     errors = np.array([_measure_misfit(family, poses, Spec("frames", {"coupling": (name,)})) for name in names])
@@ -73,16 +72,10 @@ def find_unit_coupling(family: Family, poses: PoseSet) -> UnitCoupling | None:
 
 
 def _measure_misfit(family: Family, poses: PoseSet, spec: Spec) -> float:
-    """Return the rms error of the positions [m], inf where fewer than half of the poses are reached."""
+    """Return the trimmed rms error of the positions [m], inf where fewer than half of the poses are reached."""
     geometry = family.build(spec)
     found = geometry.forward(geometry.parameters.values, poses.q)
-    if 2 * found.ok.sum() < poses.n:
-        return float("inf")
-    seen, nominal = poses.take(found.ok), found.poses.take(found.ok)
-    frame, place = align_with_targets(seen, nominal)
-    known = nominal.position + np.einsum("nij,nj->ni", nominal.rotation, place[seen.target])
-    left = seen.position - frame.translation - known @ frame.rotation.T
-    return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+    return measure_misfit(poses, found.poses, found.ok, turns=geometry.orients).position
 
 
 _MIN_PERIOD_M = 0.004  # [m]: finer than any rack's teeth

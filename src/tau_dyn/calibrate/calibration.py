@@ -8,7 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from tau_dyn.calibrate.addition_tests import find_move_within, find_unit_coupling
-from tau_dyn.calibrate.causes import as_finding, as_reading_findings, find_causes, suspect_all, suspect_laws
+from tau_dyn.calibrate.causes import (
+    as_finding,
+    as_reading_findings,
+    build_rejected_findings,
+    find_causes,
+    suspect_all,
+    suspect_laws,
+)
 from tau_dyn.calibrate.conventions import FoundReading, find_reading, measure_misfit
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.model_selection import Options, check_patterns, describe_implausible, fit_models
@@ -127,6 +134,7 @@ def calibrate(
         findings=(
             *(as_reading_findings(reading, seed) if reading else ()),
             *find_causes(family, chosen, still, options),
+            *build_rejected_findings(steps),
             *(as_finding(one) for one in moved),
         ),
         warnings=tuple(
@@ -228,8 +236,7 @@ def _doubts(fitted: GeometryFit) -> tuple[str, ...]:
     missed = int((~fitted.state.ok).sum())
     if missed:
         said.append(f"{missed} poses are out of the fitted model's reach and were not used")
-    place = fitted.poses.position
-    off, wide = fitted.noise[0], float(np.sqrt(np.mean(np.sum((place - place.mean(axis=0)) ** 2, axis=1))))
+    off, wide = fitted.noise[0], fitted.poses.spread
     if fitted.kind == "forward" and off > _MAX_RELATIVE_MISFIT * wide:
         said.append(
             f"the robot misses its own poses by {off:.2g} m, while they spread over {wide:.2g} m; were two joints' or two axes' "

@@ -8,26 +8,24 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from tau_dyn.calibrate.addition_tests import find_rivals
 from tau_dyn.calibrate.conventions import FoundReading
-from tau_dyn.calibrate.crossvalidation import (
-    CrossValidationGain,
-    compare_paired,
-    cross_validate,
-)
+from tau_dyn.calibrate.crossvalidation import compare_paired, cross_validate, earns_parameters
 from tau_dyn.calibrate.geometry import ConstrainedGeometry, Geometry, constrain_parameters
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_geometry, transfer_state
+from tau_dyn.calibrate.model_selection import CandidateModel, Options, SelectionStep, fit_geometry, transfer_state
 from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Family, Spec
 from tau_dyn.calibrate.outliers import MovedFrame
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.effects import CONVENTIONS, GEOMETRY_CAUSES
+from tau_dyn.effects import CONVENTIONS, GEOMETRY_CAUSES, GEOMETRY_SENTENCES
+from tau_dyn.evidence import Finding, Gain, explain_gain
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.results import format_list, format_percent, format_quantity
 
 
 def fix_parameters(geometry: Geometry, what: Sequence[str]) -> Geometry | None:
@@ -92,7 +90,11 @@ def _recombined(
     )
 
 
-_LEVEL = 0.05  # significance at which held-out poses agree with a cause that cross-validation found at 1 %
+_NO_HELD_OUT = "no held-out poses show it"
+_ELSEWHERE = "the poses show the same at {} as well"
+_NOT_APART = "the poses do not tell it from a move of the {}"
+_OUTDONE = "an implausible law explains the poses better"
+_MISSED_POSES = "the model misses the poses by far, or a frame moved between them"
 _OF_ADDITION = {
     "periodic": "transmission_error",
     "periodic2": "transmission_error",
@@ -129,94 +131,105 @@ _OF_STRUCTURE: dict[str, Callable[[Geometry], Geometry | None]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class CalibrationFinding:
-    """A cause and what it costs.
-
-    Attributes:
-        cause: The contract's name.
-        joints: Where, for causes that have places.
-        status: `confirmed` where the weighted error at held-out poses falls, its interval above zero; else `suspected`.
-        gain: On held-out poses, or by cross-validation where there are none.
-        parameters: Names of its parameters.
-        equation: What it does.
-        further: Parameters that are not in the chosen model.
-        indistinguishable_from: Causes that such poses do not tell from it.
-    """
-
-    cause: str
-    joints: tuple[str, ...]
-    status: str
-    gain: CrossValidationGain
-    parameters: tuple[str, ...]
-    equation: str
-    further: tuple[Parameter, ...] = ()
-    indistinguishable_from: tuple[str, ...] = ()
-
-    def to_dict(self, fitted: GeometryFit) -> dict[str, object]:
-        """Return the finding with its parameters' values."""
-        values = fitted.parameters
-        rows = [
-            {"name": p.name, "value": p.value, "unit": p.unit, "stderr": p.stderr}
-            for p in (*values, *self.further)
-            if p.name in self.parameters or p in self.further
-        ]
-        return {
-            "cause": self.cause,
-            "joints": list(self.joints),
-            "status": self.status,
-            "p_value": self.gain.p_value,
-            "parameters": rows,
-            "gain": self.gain,
-            "equation": self.equation,
-            "indistinguishable_from": list(self.indistinguishable_from),
-        }
+def _build_finding(
+    cause: str,
+    joints: tuple[str, ...],
+    gain: Gain,
+    n_numbers: int,
+    why_not: str = "",
+    parameters: tuple[Parameter, ...] = (),
+    alike: tuple[str, ...] = (),
+    dof: float = np.inf,
+) -> Finding:
+    """Return the finding of a cause by its gain in so many coordinates and angles; confirmed unless there is a reason why not."""
+    return Finding(
+        cause,
+        joints,
+        "suspected" if why_not else "confirmed",
+        gain.compute_score(n_numbers),
+        1.0 if gain.p_value is None else gain.p_value,
+        parameters,
+        gain,
+        alike,
+        GEOMETRY_CAUSES[cause],
+        _describe(cause, joints, gain, alike),
+        channel="pose",
+        why_not_confirmed=why_not,
+        is_shown=not why_not,
+        dof=dof,
+    )
 
 
-def as_finding(moved: MovedFrame) -> CalibrationFinding:
+def _describe(cause: str, joints: tuple[str, ...], gain: Gain, alike: tuple[str, ...]) -> str:
+    """Return a finding as a sentence."""
+    where = f" ({format_list(joints)})" if joints else ""
+    others = [GEOMETRY_SENTENCES[other] for other in alike if other != cause]
+    named = [f"{text[0].lower()}{text[1:]}" for text in others] + ["the same elsewhere"] * (cause in alike)
+    where += f", or {format_list(named)}" if named else ""
+    with_it, without = (format_quantity(x, "m") for x in (gain.rms_after, gain.rms_before))
+    if gain.orientation_rms_after is not None and gain.orientation_rms_before is not None:
+        with_it += f" and {format_quantity(gain.orientation_rms_after, 'rad')}"
+        without += f" and {format_quantity(gain.orientation_rms_before, 'rad')}"
+    less, low, high = (format_percent(x) for x in (gain.reduction_percent, *gain.ci95))
+    share = f"{less} less, 95 % interval [{low}, {high}]"
+    return f"{GEOMETRY_SENTENCES[cause]}{where}: {with_it} rms with it, {without} without ({share})."
+
+
+def as_finding(moved: MovedFrame) -> Finding:
     """Return a move before the held-out poses as a finding; suspected where device and target are not told apart."""
-    cause = f"{moved.owner}_moved"
-    status = "suspected" if moved.other else "confirmed"
-    return CalibrationFinding(cause, (), status, moved.gain, (), GEOMETRY_CAUSES[cause], moved.move)
+    n_numbers = int(moved.own.sum()) * (3 if moved.gain.orientation_rms_after is None else 6)
+    why_not = _NOT_APART.format(moved.other) if moved.other else ""
+    return _build_finding(f"{moved.owner}_moved", (), moved.gain, n_numbers, why_not, moved.move)
 
 
-def as_reading_findings(found: FoundReading, seed: int) -> tuple[CalibrationFinding, ...]:
+def as_reading_findings(found: FoundReading, seed: int) -> tuple[Finding, ...]:
     """Return the conventions of a pose file as findings; those of a file without a stated convention are none."""
     gain, whole = found.compute_gain(seed), {change.cause for change in found.reading}
     alike = [tuple(c.cause for c in reading if c.cause) for reading in found.alike]
     others = tuple(dict.fromkeys("+".join(causes) for causes in alike if causes and set(causes) != whole))
-    return tuple(
-        CalibrationFinding(c.cause, c.joints, "confirmed", gain, (), GEOMETRY_CAUSES[c.cause], (), others)
-        for c in found.reading
-        if c.cause
-    )
+    n_numbers = found.meant.n_numbers
+    return tuple(_build_finding(c.cause, c.joints, gain, n_numbers, alike=others) for c in found.reading if c.cause)
 
 
 def find_causes(
     family: Family, chosen: CandidateModel, holdout: PoseSet | None, options: Options
-) -> tuple[CalibrationFinding, ...]:
-    """Return the causes in a chosen model, costliest first."""
+) -> tuple[Finding, ...]:
+    """Return the causes in a chosen model, costliest first; confirmed ones lower the error at held-out poses."""
     findings = []
     for cause, joints, geometry, spec in _leave_out_causes(family, chosen):
         try:
             smaller = _fitted(chosen, geometry, spec, options)
-            by_folds = compare_paired(cross_validate(smaller, options.seed), chosen.unseen, options.seed)
+            gain = compare_paired(cross_validate(smaller, options.seed), chosen.unseen, options.seed)
         except (InputError, CannotAnswer):
             continue
-        if not by_folds.is_significant:
+        if not earns_parameters(gain):
             continue
-        gain, agrees = by_folds, False
+        score, why_not = gain.compute_score(chosen.fit.residuals.size), _NO_HELD_OUT
         if holdout is not None:
             gain = compare_paired(smaller.errors(holdout), chosen.fit.errors(holdout), options.seed)
-            agrees = gain.p_value < _LEVEL and gain.ci95[0] > 0
-        names, status = _parameters(cause, joints, chosen.fit), "confirmed" if agrees else "suspected"
+            why_not = explain_gain(gain)
         alike = _list_alike(family, cause, joints)
-        if agrees:
+        if not why_not:
             rivals = _list_rivals(family, chosen, cause, joints, smaller, spec)
             alike = tuple(dict.fromkeys((*alike, *(_OF_ADDITION[addition] for addition, _ in rivals))))
-            status = "suspected" if any(place != "/".join(joints) for _, place in rivals) else status
-        findings.append(CalibrationFinding(cause, joints, status, gain, names, GEOMETRY_CAUSES[cause], (), alike))
-    return tuple(sorted(findings, key=lambda f: -f.gain.percent))
+            places = [place for _, place in rivals if place != "/".join(joints)]
+            why_not = _ELSEWHERE.format(format_list(places)) if places else ""
+        shown = holdout is not None and not explain_gain(gain)
+        numbers, dof = _parameters(cause, joints, chosen.fit), chosen.fit.dof
+        one = _build_finding(cause, joints, gain, 0, why_not, numbers, alike, dof)
+        findings.append(replace(one, score=score, is_shown=shown))
+    return tuple(sorted(findings, key=lambda f: -f.gain.reduction_percent if f.gain else 0.0))
+
+
+def build_rejected_findings(steps: Sequence[SelectionStep]) -> tuple[Finding, ...]:
+    """Return the additions that fit the poses significantly better and that no machine has."""
+    found = []
+    for step in steps:
+        if (one := step.rejected) is not None:
+            cause, joints = _OF_ADDITION[one.addition], _split_place(one.place)
+            numbers, size = _parameters(cause, joints, one.fit), one.fit.residuals.size
+            found.append(_build_finding(cause, joints, step.gain, size, one.why, numbers, dof=one.fit.dof))
+    return tuple(found)
 
 
 def _list_alike(family: Family, cause: str, joints: tuple[str, ...]) -> tuple[str, ...]:
@@ -250,9 +263,13 @@ def _leave_out_causes(family: Family, chosen: CandidateModel) -> list[tuple[str,
         for joint in joints:
             left = {a: tuple(j for j in own if (a, j) != (addition, joint)) for a, own in chosen.spec.additions.items()}
             spec = Spec(chosen.spec.structure, {a: own for a, own in left.items() if own})
-            where = () if joint == "all" else tuple(re.split("/|=-|=", joint))
-            out.append((_OF_ADDITION[addition], where, family.build(spec, _periods(chosen.fit)), spec))
+            out.append((_OF_ADDITION[addition], _split_place(joint), family.build(spec, _periods(chosen.fit)), spec))
     return out
+
+
+def _split_place(place: str) -> tuple[str, ...]:
+    """Return the joints of an addition's place."""
+    return () if place == "all" else tuple(re.split("/|=-|=", place))
 
 
 def _periods(fitted: GeometryFit) -> dict[str, float]:
@@ -279,25 +296,26 @@ def _fitted(chosen: CandidateModel, geometry: Geometry, spec: Spec, options: Opt
     return fit_geometry(geometry, spec, chosen.fit.poses, options, start, "this model")
 
 
-def _parameters(cause: str, joints: tuple[str, ...], fitted: GeometryFit) -> tuple[str, ...]:
-    names = [p.name for p in fitted.parameters if p.stderr is not None]
+def _parameters(cause: str, joints: tuple[str, ...], fitted: GeometryFit) -> tuple[Parameter, ...]:
+    """Return the estimated numbers of a cause."""
+    known = [p for p in fitted.parameters if p.stderr is not None]
     if cause in ("tool_frame", "base_frame"):
         owner = "tool" if cause == "tool_frame" else "device"
-        return tuple(n for n in names if n.startswith(owner))
+        return tuple(p for p in known if p.name.startswith(owner))
     if cause == "joint_coupling":
-        return (f"{joints[0]}.coupling_{joints[1]}",)
-    what = _PATTERNS[cause]
-    found = [n for n in names if any(w in n.partition(".")[2] for w in what) and not n.startswith(("device", "tool"))]
-    return tuple(n for n in found if not joints or n.partition(".")[0] in joints)
+        return tuple(p for p in known if p.name == f"{joints[0]}.coupling_{joints[1]}")
+    found = [p for p in known if any(w in p.name.partition(".")[2] for w in _PATTERNS[cause])]
+    own = [p for p in found if not joints or p.name.partition(".")[0] in joints]
+    return tuple(p for p in own if not p.name.startswith(("device", "tool")))
 
 
-def suspect_laws(findings: tuple[CalibrationFinding, ...]) -> tuple[CalibrationFinding, ...]:
+def suspect_laws(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
     """Return findings with the laws of joints and drives suspected: another law explains the poses better."""
     laws = {cause for addition, cause in _OF_ADDITION.items() if addition not in BETWEEN_CAMPAIGNS}
-    return tuple(replace(f, status="suspected") if f.cause in laws else f for f in findings)
+    return tuple(f.reject(_OUTDONE) if f.cause in laws else f for f in findings)
 
 
-def suspect_all(findings: tuple[CalibrationFinding, ...]) -> tuple[CalibrationFinding, ...]:
+def suspect_all(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
     """Return findings of a model that misses its poses by far: none is confirmed but conventions and moves between files."""
     sure = ("device_moved", "target_moved", *CONVENTIONS)
-    return tuple(f if f.cause in sure else replace(f, status="suspected") for f in findings)
+    return tuple(f if f.cause in sure else f.reject(_MISSED_POSES) for f in findings)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -13,6 +12,7 @@ from tau_dyn.calibrate.fit_problem import FitState, Problem, WeightedProblem, de
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.evidence import Gain
 
 FOLDS = 5  # a common choice between bias and variance (Hastie et al. 2009, section 7.10)
 _REFIT_STEPS = 6  # from the whole fit's optimum, which is near
@@ -21,43 +21,10 @@ _SIGNIFICANCE_LEVEL = 0.01  # of the paired comparison by which a larger model i
 _MIN_RELATIVE_GAIN = 0.02  # share of the weighted rms error that a larger model must take away
 
 
-class CrossValidationGain(NamedTuple):
-    """What one model gains over another on poses that neither has seen.
-
-    Attributes:
-        before: Rms position error of the smaller model [m].
-        after: Of the larger one [m].
-        percent: Reduction of the weighted error, position and orientation each in units of the larger model's [%].
-        ci95: Its interval, by bootstrap over poses [%].
-        p_value: Chance of so much gain where there is none (Wilcoxon's signed ranks, one-sided).
-        orientation_before: Rms orientation error of the smaller model [rad], None where orientation is not predicted.
-        orientation_after: Of the larger one.
-    """
-
-    before: float
-    after: float
-    percent: float
-    ci95: tuple[float, float]
-    p_value: float
-    orientation_before: float | None = None
-    orientation_after: float | None = None
-
-    @property
-    def is_significant(self) -> bool:
-        """Whether the larger model has earned its parameters."""
-        return self.p_value < _SIGNIFICANCE_LEVEL and self.percent > 100 * _MIN_RELATIVE_GAIN
-
-    def to_dict(self) -> dict[str, object]:
-        """Return it as results spell it."""
-        return {
-            "rms_before": self.before,
-            "rms_after": self.after,
-            "orientation_rms_before": self.orientation_before,
-            "orientation_rms_after": self.orientation_after,
-            "reduction_percent": self.percent,
-            "ci95": list(self.ci95),
-            "p_value": self.p_value,
-        }
+def earns_parameters(gain: Gain) -> bool:
+    """Return whether a larger model is worth its parameters, by its gain on training poses that no refit has seen."""
+    significant = gain.p_value is not None and gain.p_value < _SIGNIFICANCE_LEVEL
+    return significant and gain.reduction_percent > 100 * _MIN_RELATIVE_GAIN
 
 
 def split_folds(configuration: np.ndarray, seed: int, many: int = FOLDS) -> list[np.ndarray]:
@@ -105,10 +72,11 @@ def _without(fitted: GeometryFit, rest: np.ndarray) -> GeometryFit:
     return replace(fitted, poses=poses, state=state)
 
 
-def compare_paired(small: PoseErrors, large: PoseErrors, seed: int = 0) -> CrossValidationGain:
+def compare_paired(small: PoseErrors, large: PoseErrors, seed: int = 0) -> Gain:
     """Return what a larger model gains over a smaller one on the same poses; those of one joint configuration count as one.
 
-    Position and orientation count as in a Gaussian likelihood: each in units of what the larger model leaves of it.
+    Position and orientation count as in a Gaussian likelihood: each in units of what the larger model leaves of it. The p-value
+    is that of Wilcoxon's signed ranks, one-sided; the interval is by bootstrap over poses.
     """
     noise = large.noise()
     a, b = small.score(noise), large.score(noise)
@@ -122,7 +90,7 @@ def compare_paired(small: PoseErrors, large: PoseErrors, seed: int = 0) -> Cross
     percent = 100 * (1 - float(np.sqrt(b.sum() / max(float(a.sum()), 1e-300))))
     before, after = (float(np.sqrt(x.squared_distance().mean())) for x in (small, large))
     turned = [None if e.orientation_size is None or not e.oriented else e.orientation_size.rms for e in (small, large)]
-    return CrossValidationGain(before, after, percent, (float(low), float(high)), p, *turned)
+    return Gain(before, after, percent, (float(low), float(high)), p, *turned)
 
 
 _MAX_ERROR_GROWTH = 1.5

@@ -175,12 +175,16 @@ class GeometryFit(Brief):
         relative = self.poses.relative_errors(m) if self.kind == "forward" else np.ones((self.poses.n, m))
         return relative * np.repeat(self.noise, m // len(self.noise))
 
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of the residuals, at least one."""
+        return max(self.residuals.size - self.n_estimated, 1)
+
     def interval(self, parameter: Parameter, share: float = 0.95) -> tuple[float, float] | None:
         """Return a parameter's interval (Student's t), None where it was not estimated."""
         if parameter.stderr is None:
             return None
-        left = max(self.residuals.size - self.n_estimated, 1)
-        half = float(stats.t.ppf(0.5 + share / 2, left)) * parameter.stderr
+        half = float(stats.t.ppf(0.5 + share / 2, self.dof)) * parameter.stderr
         return parameter.value - half, parameter.value + half
 
     @property

@@ -7,16 +7,17 @@ paired test over poses. Held-out poses take no part in it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from typing import NamedTuple
 
 import numpy as np
 
 from tau_dyn.calibrate.addition_tests import find_strongest_periods, screen_additions
 from tau_dyn.calibrate.crossvalidation import (
-    CrossValidationGain,
     compare_paired,
     cross_validate,
+    earns_parameters,
     is_worse_in_order,
 )
 from tau_dyn.calibrate.fit_problem import FitState
@@ -26,6 +27,7 @@ from tau_dyn.calibrate.geometry_fit import GeometryFit, fit_geometry_to_poses
 from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Family, Spec
 from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.evidence import Gain, find_out_of_range
 from tau_dyn.exceptions import CannotAnswer, InputError, UnknownName
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import Brief
@@ -48,6 +50,22 @@ class CandidateModel(Brief):
     unseen: PoseErrors
 
 
+class RejectedAddition(NamedTuple):
+    """An addition that fits the poses significantly better and has a sign or a size that no machine has.
+
+    Attributes:
+        addition: Its kind.
+        place: Its joint, of a coupling `JOINT/OTHER`.
+        fit: The model with it.
+        why: Its implausible number, as a phrase.
+    """
+
+    addition: str
+    place: str
+    fit: GeometryFit
+    why: str
+
+
 @dataclass(frozen=True, eq=False)
 class SelectionStep:
     """One step of the ladder.
@@ -57,14 +75,14 @@ class SelectionStep:
         over: Model that it was compared with.
         gain: On training poses by cross-validation.
         taken: Whether it was worth its parameters.
-        implausible: Whether its laws have a sign or a size that no machine has.
+        rejected: A significant addition that no machine has; None for all other steps.
     """
 
     name: str
     over: str
-    gain: CrossValidationGain
+    gain: Gain
     taken: bool
-    implausible: bool = False
+    rejected: RejectedAddition | None = None
 
 
 @dataclass(frozen=True)
@@ -218,8 +236,8 @@ def _structures(
             break
         if taken:
             gain = compare_paired(taken[-1].unseen, candidate.unseen, options.seed)
-            steps.append(SelectionStep(candidate.name, taken[-1].name, gain, gain.is_significant))
-            if not gain.is_significant:
+            steps.append(SelectionStep(candidate.name, taken[-1].name, gain, earns_parameters(gain)))
+            if not earns_parameters(gain):
                 continue
         between = {a: own for a, own in candidate.spec.additions.items() if a in BETWEEN_CAMPAIGNS}
         if moved and set(between) > set(moved) and candidate.spec.structure == family.structures[0]:
@@ -245,8 +263,8 @@ def _drop_earlier_frame(
     alone = Spec(both.spec.structure, {a: own for a, own in both.spec.additions.items() if a not in earlier})
     candidate = fit_and_cross_validate(family, alone, poses, options)
     gain = compare_paired(candidate.unseen, both.unseen, options.seed)
-    step = SelectionStep(both.name, candidate.name, gain, gain.is_significant)
-    return (both if gain.is_significant else candidate), step
+    step = SelectionStep(both.name, candidate.name, gain, earns_parameters(gain))
+    return (both if step.taken else candidate), step
 
 
 def _list_structures(family: Family, always: Mapping[str, tuple[str, ...]]) -> list[Spec]:
@@ -287,9 +305,10 @@ def _additions(
                 refused.add((hint.addition, hint.joints))
                 continue
             gain = compare_paired(now.unseen, candidate.unseen, options.seed)
-            odd = gain.is_significant and not has_plausible_laws(candidate.fit)
-            good = gain.is_significant and not odd and not is_worse_in_order(now.fit, candidate.fit)
-            steps.append(SelectionStep(candidate.name, now.name, gain, good, odd))
+            better, odd = earns_parameters(gain), find_implausible_law(candidate.fit)
+            good = better and not odd and not is_worse_in_order(now.fit, candidate.fit)
+            rejected = RejectedAddition(hint.addition, hint.joints[0], candidate.fit, odd) if better and odd else None
+            steps.append(SelectionStep(candidate.name, now.name, gain, good, rejected))
             if good:
                 taken.append(candidate)
                 now, periods = candidate, tried
@@ -302,32 +321,34 @@ def _additions(
 
 _MAX_ECCENTRICITY_RAD = 5e-3
 """Amplitude of a joint's error once a turn: an encoder disc of 20 mm radius 0.1 mm off its axis; more is another effect."""
-_N_STDERR = 2.0  # standard errors by which a number may miss its range and count as within it
 
 
 def describe_implausible(steps: Sequence[SelectionStep]) -> tuple[str, ...]:
     """Return a sentence if a model with implausible values fits the poses better than the selected one."""
-    odd = [step for step in steps if step.implausible]
-    taken = {step.over: step.gain.percent for step in steps if step.taken}
-    odd = [step for step in odd if step.gain.percent > taken.get(step.over, 0.0)]
+    odd = [step for step in steps if step.rejected]
+    taken = {step.over: step.gain.reduction_percent for step in steps if step.taken}
+    odd = [step for step in odd if step.gain.reduction_percent > taken.get(step.over, 0.0)]
     if not odd:
         return ()
-    best = max(odd, key=lambda step: step.gain.percent)
+    best = max(odd, key=lambda step: step.gain.reduction_percent)
     sentence = (
-        f"{best.name} takes away {best.gain.percent:.0f} % of the error, yet with a joint that rises against its load or turns "
-        "further off its axis than machines do; it is not taken, and effects in its place are suspected only: check the "
-        "direction of gravity and the masses in the robot file, and joints that the poses' controller corrects itself"
+        f"{best.name} takes away {best.gain.reduction_percent:.0f} % of the error, yet with a joint that rises against its load "
+        "or turns further off its axis than machines do; it is not taken, and effects in its place are suspected only: check "
+        "the direction of gravity and the masses in the robot file, and joints that the poses' controller corrects itself"
     )
     return (CodedWarning("implausible_effect", sentence),)
 
 
-def has_plausible_laws(fitted: GeometryFit) -> bool:
-    """Tell whether no joint rises against the load that it carries, and none turns off its axis by more than machines do."""
+def find_implausible_law(fitted: GeometryFit) -> str:
+    """Return the joint that rises against its load, or turns off its axis further than machines do; empty where none does."""
     laws = [p for p in fitted.parameters if p.stderr is not None]
-    yielding = [p for p in laws if p.name.endswith("_compliance")]
-    turning = [p for p in laws if ".eccentricity_" in p.name]
-    rises = any(p.value < -_N_STDERR * (p.stderr or 0.0) for p in yielding)
-    return not rises and not any(abs(p.value) - _N_STDERR * (p.stderr or 0.0) > _MAX_ECCENTRICITY_RAD for p in turning)
+    yielding = [replace(p, lower=0.0, upper=np.inf) for p in laws if p.name.endswith("_compliance")]
+    turning = [
+        replace(p, lower=-_MAX_ECCENTRICITY_RAD, upper=_MAX_ECCENTRICITY_RAD)
+        for p in laws
+        if ".eccentricity_" in p.name
+    ]
+    return find_out_of_range([*yielding, *turning])
 
 
 def fit_models(

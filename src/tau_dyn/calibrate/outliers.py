@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from tau_dyn.calibrate.crossvalidation import CrossValidationGain, compare_paired
+from tau_dyn.calibrate.crossvalidation import compare_paired
 from tau_dyn.calibrate.frames import AXES, DeviceFrames, Frame, compute_rotation_between, is_flat
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_geometry, fit_spec
@@ -23,6 +23,7 @@ from tau_dyn.calibrate.models import Family, Spec
 from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.estimate import DescentRules, LinearSystem, descend, factor_system
+from tau_dyn.evidence import Gain, explain_gain
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.mechanism import Poses
 from tau_dyn.message_codes import CodedWarning
@@ -266,7 +267,7 @@ class MovedFrame(NamedTuple):
     other: str
     where: str
     move: tuple[Parameter, ...]
-    gain: CrossValidationGain
+    gain: Gain
     own: np.ndarray
     before: Frame
     after: Frame
@@ -289,7 +290,7 @@ class MovedFrame(NamedTuple):
         """Return it as a sentence with its remedy."""
         shift, turn = (1e3 * np.linalg.norm([p.value for p in part]) for part in (self.move[:3], self.move[3:]))
         who = f"the {self.owner}" + (f" or the {self.other}" if self.other else "")
-        rms = [f"{1e3 * x:.3g} mm" for x in (self.gain.after, self.gain.before)]
+        rms = [f"{1e3 * x:.3g} mm" for x in (self.gain.rms_after, self.gain.rms_before)]
         by = f"{shift:.3g} mm" + (f" and {turn:.3g} mrad" if self.move[3:] else "")
         return (
             f"{self.where}: {who} seems to have moved before the held-out poses, by {by}; with that move their rms error "
@@ -356,7 +357,7 @@ def _find_move(
     level = _SIGNIFICANCE_LEVEL / len(owners)
     after = _leave_out_each(fit)
     gain = compare_paired(_as_errors(before * sigma, poses), _as_errors(after * sigma, poses))
-    if not gain.percent > _MIN_GAIN_PERCENT or not p_determined < level:
+    if explain_gain(gain) or not gain.reduction_percent > _MIN_GAIN_PERCENT or not p_determined < level:
         return None
     if not p_value < level:
         return _describe_undetermined(owner, fit, where)

@@ -26,6 +26,11 @@ _MAX_COORDINATE_M = 1e3  # [m] from the device; farther is a file in mm
 _MAX_ROOM_M = 50.0  # [m] from the device in most rows; farther, single far rows are no slips but all rows are in mm
 
 
+def measure_spread(position: np.ndarray) -> float:
+    """Return the rms distance of positions (N, 3) from their middle [m]."""
+    return float(np.sqrt(np.sum(np.var(position, axis=0))))
+
+
 @dataclass(frozen=True, eq=False)
 class PoseSet(Brief):
     """Measured poses.
@@ -93,6 +98,11 @@ class PoseSet(Brief):
     def na(self) -> int:
         """Number of actuated joints."""
         return self.q.shape[1]
+
+    @property
+    def spread(self) -> float:
+        """Rms distance of the positions from their middle [m]."""
+        return measure_spread(self.position)
 
     @property
     def configuration(self) -> np.ndarray:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.causes import CalibrationFinding
 from tau_dyn.calibrate.crossvalidation import compute_rms_interval
 from tau_dyn.calibrate.geometry import expand_constraints
 from tau_dyn.calibrate.geometry_fit import GeometryFit, compute_sensitivities
 from tau_dyn.calibrate.model_selection import CandidateModel, SelectionStep
 from tau_dyn.calibrate.pose_errors import MeasurementNoise, PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.evidence import Finding
 from tau_dyn.results import Shown, to_plain
 from tau_dyn.robot import Robot
 
@@ -36,7 +36,7 @@ class Calibration(Shown):
         split: How they came about: `given`, `split` or `cross-validated`.
         models: The ladder, smallest first; the last one is the chosen one, the first has the robot file's dimensions.
         steps: All steps that were tried.
-        findings: Causes, costliest first.
+        findings: Causes, costliest first; then rejected candidates and moves.
         warnings: Sentences.
         seed: Of folds and bootstrap.
         measured: How exact the measured poses are, known from outside the fit.
@@ -48,7 +48,7 @@ class Calibration(Shown):
     split: str
     models: tuple[CandidateModel, ...]
     steps: tuple[SelectionStep, ...]
-    findings: tuple[CalibrationFinding, ...]
+    findings: tuple[Finding, ...]
     warnings: tuple[str, ...]
     seed: int
     measured: MeasurementNoise = MeasurementNoise("unknown")
@@ -56,10 +56,9 @@ class Calibration(Shown):
     @property
     def misses_poses(self) -> bool:
         """Whether the held-out error is so large that units, joints or frames are wrong, or the robot is another one."""
-        errors, place = self.errors(self.chosen), self.poses.position
-        spread = float(np.sqrt(np.mean(np.sum((place - place.mean(axis=0)) ** 2, axis=1))))
+        errors = self.errors(self.chosen)
         turned = errors.orientation_size
-        near = errors.position_size.rms < _MAX_RELATIVE_ERROR * spread
+        near = errors.position_size.rms < _MAX_RELATIVE_ERROR * self.poses.spread
         return not near or (turned is not None and not turned.rms < _MAX_ORIENTATION_ERROR)
 
     @property
@@ -108,7 +107,7 @@ class Calibration(Shown):
             "chosen": self.chosen.name,
             "steps": [{"model": s.name, "over": s.over, "gain": s.gain, "taken": s.taken} for s in self.steps],
             "waterfall": self._waterfall(),
-            "findings": [f.to_dict(self.fit) for f in self.findings],
+            "findings": self.findings,
             "noise": self._noise(),
             "measurement_noise": self.measured,
             "predicted_rms": self.predicted_error(),

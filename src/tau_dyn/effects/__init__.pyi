@@ -12,6 +12,7 @@ from .catalogue import (
 from .causes import (
     CONVENTIONS as CONVENTIONS,
     GEOMETRY_CAUSES as GEOMETRY_CAUSES,
+    GEOMETRY_SENTENCES as GEOMETRY_SENTENCES,
     LOOP_CAUSES as LOOP_CAUSES,
     PARAMETER_CAUSES as PARAMETER_CAUSES,
     list_causes as list_causes,

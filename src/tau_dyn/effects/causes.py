@@ -49,6 +49,34 @@ GEOMETRY_CAUSES = {
     "base_frame": "the robot's base stands elsewhere in the device's frame in another campaign",
 }
 """Causes that `calibrate` names, with their equations."""
+GEOMETRY_SENTENCES = {
+    "rod_length": "Rod lengths differ from the robot file",
+    "joint_placement": "Joint positions differ from the robot file",
+    "guideway_nonparallel": "Guideways are not parallel",
+    "pinion_scale": "The drive's scale is wrong",
+    "cart_tilt": "Carts turn as they travel",
+    "transmission_error": "The drive has a periodic error",
+    "guideway_not_straight": "The guideway has a straightness error",
+    "guideway_compliance": "Cart and drive are compliant",
+    "backlash": "The drive has backlash",
+    "joint_coupling": "The second joint moves the first along",
+    "gravity_deflection": "The joint yields to gravity",
+    "joint_eccentricity": "The joint's angle has an error once a turn",
+    "tool_frame": "The target moved between campaigns",
+    "base_frame": "The base moved between campaigns",
+    "device_moved": "The device moved before the held-out poses",
+    "target_moved": "The target moved before the held-out poses",
+    "joint_sign": "The file counts the joint the other way (sign)",
+    "joint_zero": "The joint's zero is a quarter turn or a half turn away",
+    "columns_exchanged": "Columns of the pose file are exchanged",
+    "joint_unit": "Joint positions are in another unit",
+    "axis_sign": "An axis of the positions has the opposite sign",
+    "position_unit": "Positions are in another unit than m",
+    "quaternion_order": "The quaternion's order is w x y z",
+    "inverse_poses": "The poses or orientations are inverse",
+    "row_shift": "Joints and poses are shifted by rows",
+}
+"""The same as sentences."""
 
 
 class LoopCause(NamedTuple):

@@ -35,6 +35,7 @@ from .claims import (
     Recommendation as Recommendation,
     Waterfall as Waterfall,
     describe_foreign_joints as describe_foreign_joints,
+    explain_gain as explain_gain,
     recommend as recommend,
 )
 from .detection_limits import (
@@ -92,11 +93,11 @@ from .plausibility import (
     MIN_FORCE_SHARE as MIN_FORCE_SHARE,
     compute_least_forces as compute_least_forces,
     demote_small as demote_small,
+    find_out_of_range as find_out_of_range,
     measure_net_forces as measure_net_forces,
     measure_scales as measure_scales,
 )
 from .readings import (
-    ALIAS_NATS as ALIAS_NATS,
     MAX_NUMBER_STDERR as MAX_NUMBER_STDERR,
     MAX_ZERO_MEAN as MAX_ZERO_MEAN,
     MIN_GAIN_NATS as MIN_GAIN_NATS,
@@ -105,13 +106,14 @@ from .readings import (
     ReadingFit as ReadingFit,
     ReadingTest as ReadingTest,
     compute_zero_mean_nats as compute_zero_mean_nats,
-    find_equivalent as find_equivalent,
     is_hopeless as is_hopeless,
     is_part_missing as is_part_missing,
+    is_preferred as is_preferred,
     is_preferred_in_each_half as is_preferred_in_each_half,
+    list_aliases as list_aliases,
     permits_size as permits_size,
     permits_speed_scale as permits_speed_scale,
-    prefer_reading as prefer_reading,
+    search_readings as search_readings,
 )
 from .result import (
     DIFFERENCE_LEVEL as DIFFERENCE_LEVEL,

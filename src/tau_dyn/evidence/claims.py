@@ -18,7 +18,7 @@ import numpy as np
 from tau_dyn.effects import Effect
 from tau_dyn.estimate import PhysicalConstraints
 from tau_dyn.evidence.channel import Channel
-from tau_dyn.evidence.confirmation import Confirmation, confirm
+from tau_dyn.evidence.confirmation import SIGNIFICANCE_LEVEL, Confirmation, confirm
 from tau_dyn.evidence.extended_fit import (
     EvaluatedFit,
     build_extended_regression,
@@ -296,12 +296,18 @@ def is_worse(gain: Gain, tolerance_percent: float = 100 * MAX_RELATIVE_RMS_INCRE
     return gain.ci95[1] < 0 and gain.reduction_percent < -tolerance_percent
 
 
+def explain_gain(gain: Gain) -> str:
+    """Return why a gain on held-out data does not confirm its cause; empty where it does."""
+    if gain.p_value is not None and not gain.p_value < SIGNIFICANCE_LEVEL:
+        return _NOT_SHOWN
+    return _NO_GAIN.format(*gain.ci95) if gain.ci95[0] <= 0 else ""
+
+
 def _reject_without_gain(channel: Channel, claims: Claims, waterfall: Waterfall) -> Claims:
     """Reject the cause with the lowest gain where its interval is not above zero, and one whose gain is no measurable force."""
     low = [gain.ci95[0] for gain in waterfall.gains]
-    if low and min(low) <= 0:
-        n = int(np.argmin(low))
-        return claims.judge(claims.found.index(claims.kept[n]), _NO_GAIN.format(*waterfall.gains[n].ci95))
+    if low and (why := explain_gain(waterfall.gains[n := int(np.argmin(low))])):
+        return claims.judge(claims.found.index(claims.kept[n]), why)
     if channel.name != "force":
         return claims
     for one, gain in zip(claims.kept, waterfall.gains, strict=True):

@@ -24,7 +24,7 @@ from tau_dyn.evidence.channel import Channel, ColumnCache
 from tau_dyn.evidence.measurements import TRAIN, VALIDATION
 from tau_dyn.evidence.result import Unexplained
 from tau_dyn.evidence.stepwise_selection import SelectedCause
-from tau_dyn.parameters import Parameters
+from tau_dyn.parameters import Parameter, Parameters
 
 
 class Implausible(str):
@@ -33,6 +33,8 @@ class Implausible(str):
 
 INCONSISTENT_LEVEL = 1e-3
 """Significance level of a difference between joints; standard errors of amplitudes may be some tens of per cent too small."""
+MAX_EXCESS_STDERR = 2.0
+"""Standard errors by which a number may miss its plausible range and count as within it."""
 
 
 def measure_scales(
@@ -80,6 +82,17 @@ def widen_scales(first: JointScales, *others: JointScales) -> JointScales:
 def find_implausible(effects: Sequence[Effect], values: Parameters, scales: JointScales) -> str:
     """Return the amplitude outside its plausible range, as a phrase; empty where all lie within."""
     return next((text for effect in effects if (text := effect.find_implausible(values, scales))), "")
+
+
+def find_out_of_range(parameters: Sequence[Parameter]) -> str:
+    """Return the parameter beyond its bounds by more than its uncertainty, as a phrase; empty where all lie within."""
+    for p in parameters:
+        spare = MAX_EXCESS_STDERR * (p.stderr or 0.0)
+        if not p.lower - spare <= p.value <= p.upper + spare:
+            low, high = (format_quantity(x, p.unit) if np.isfinite(x) else "" for x in (p.lower, p.upper))
+            span = f"{low} to {high}" if low and high else f"at least {low}" if low else f"at most {high}"
+            return f"{p.name} = {format_quantity(p.value, p.unit)} is outside of its plausible range ({span})"
+    return ""
 
 
 def find_inconsistent(effects: Sequence[Effect], values: Parameters, step_s: float) -> str:

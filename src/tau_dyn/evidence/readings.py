@@ -1,30 +1,33 @@
-"""When is another reading of a log accepted: another sign, joint, scale or clock of its columns, or forces without gravity?
+"""When is another reading of a log or a pose file accepted: another sign, joint, scale, unit or clock, or forces without gravity?
 
-Readings have no parameter, or one number a column. Each is compared with the log as read by its log marginal likelihood,
-Laplace's approximation about the maximum a posteriori fit of a whole-robot model (MacKay 1992; Kass & Raftery 1995):
+Readings have no parameter, or one number a column. Each is compared with the data as read by its log marginal likelihood,
+Laplace's approximation about the maximum a posteriori fit (MacKay 1992; Kass & Raftery 1995; Burnham & Anderson 2002, 2.2):
 
     log p = -sum_j n_j log(sigma_j) - |u|^2 / 2 - log det(A / P) / 2,     n_j = effective number of samples
 
-with the prior's precision `P` and the posterior's `A`. A reading is named only if four conditions hold.
+with the prior's precision `P` and the posterior's `A`. The outputs `j` are joints of a log, or position and orientation of poses,
+whose fit has no prior. A reading is named only if four conditions hold.
 
-1. **Gain**: more than `MIN_GAIN_NATS`, and it halves the residual's power of a joint or restores the bodies of the file.
-2. **Good fit**: the joints concerned are predicted to `MAX_GOOD_SHARE`. A true reading is exact, so it leaves the sensor's noise
-   and the model's small errors; a machine that the model describes badly is not described well by another wrong model. Gains
-   alone do not separate the two: model errors are correlated between samples, and their likelihood ratio grows with the log's
-   length.
-3. **Both halves agree**: columns are named once, so each half of the log prefers the reading by itself. A chance winner gains
-   in one half and loses in the other.
+1. **Gain**: more than `MIN_GAIN_NATS`, and it halves the residual's power of an output or restores the bodies of the file.
+2. **Good fit**: the outputs concerned are predicted well. A true reading is exact, so it leaves the sensor's noise and the
+   model's small errors; a machine that the model describes badly is not described well by another wrong model. Gains alone do
+   not separate the two: model errors are correlated between samples, and their likelihood ratio grows with the data's length.
+3. **Both halves of a log agree**: columns are named once, so each half prefers the reading by itself. A chance winner gains in
+   one half and loses in the other. Poses are no sequence; four fifths of them have to fit well.
 4. **No veto**: recorded velocities, and limits of position, speed and force in the robot file, do not contradict it.
 
-A column map is advised only after the log read so passes the test again, and each joint concerned is predicted well.
+Readings closer than `ALIAS_NATS` are told together. A reading is advised or applied only after the data read so pass the test.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
+
+Reading = TypeVar("Reading")
 
 MIN_GAIN_NATS = 30.0
 """Log-likelihood gain from which a reading is named [nats]; sound logs with bodies 40 % off the file reach about 5."""
@@ -92,14 +95,14 @@ ROUNDING_SHARE = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class ReadingFit:
-    """A whole-robot fit under one reading.
+    """A whole-robot fit under one reading; outputs are joints, or position and orientation of poses.
 
     Attributes:
         log_p: Log marginal likelihood [nats].
         log_posterior: Log posterior density at its maximum [nats].
-        power: Residual power of each joint (na,) [N^2 or (N m)^2].
+        power: Residual power of each output (na,) [N^2 or (N m)^2; of poses the squared share of the spread, rad^2].
         prior: Half the squared misfit of the prior [nats].
-        residual: Residual of the samples used, zero elsewhere (n, na) [N or N m].
+        residual: Residual of the samples used, zero elsewhere (n, na) [N or N m; of poses m, rad].
     """
 
     log_p: float
@@ -111,17 +114,19 @@ class ReadingFit:
 
 @dataclass(frozen=True, eq=False)
 class ReadingTest:
-    """The measure by which readings of one log are judged.
+    """The measure by which readings are judged.
 
     Attributes:
-        size: Root mean square force of each column (na,) [N or N m].
-        model_error: Least residual of a sound robot, as a share of its force.
+        size: Size of each output (na,): root mean square force [N or N m]; of poses 1 and the angle [rad] alike to the spread.
+        model_error: Least residual of a sound robot, as a share of the size.
         is_fine: Whether each joint must be explained to `EXPLAINED`.
+        max_good_share: Largest residual of the outputs concerned, as a share of the size.
     """
 
     size: np.ndarray
     model_error: float
     is_fine: bool = False
+    max_good_share: float = MAX_GOOD_SHARE
 
     @property
     def floor(self) -> np.ndarray:
@@ -146,24 +151,60 @@ class ReadingTest:
         least = (MIN_MODEL_ERROR * self.size) ** 2 if self.is_fine else self.floor
         drop = np.min(np.maximum(after.power, least) / np.maximum(before.power, least))
         spared = before.prior - after.prior
-        return bool(gain > MIN_GAIN_NATS and (drop < MIN_POWER_DROP or spared > SPARED_NATS))
+        return is_preferred(gain, MIN_POWER_DROP / 2 if spared > SPARED_NATS else float(drop))
 
-    def is_mended(
-        self, after: ReadingFit, joints: Sequence[int], columns: Sequence[int], *, partly: bool = False
-    ) -> bool:
+    def is_mended(self, after: ReadingFit, joints: Sequence[int], columns: Sequence[int]) -> bool:
         """Return whether the joints concerned, read from columns (na,), are predicted well together."""
         size, which = self.size[list(columns)], list(joints) or list(range(len(columns)))
-        return bool(np.sum(after.power[which]) <= MAX_GOOD_SHARE**2 * np.sum(size[which] ** 2))
+        return bool(np.sum(after.power[which]) <= self.max_good_share**2 * np.sum(size[which] ** 2))
 
     def is_good(self, after: ReadingFit, joints: Sequence[int], columns: Sequence[int]) -> bool:
         """Return whether each joint concerned, read from columns (na,), is predicted well."""
         share = np.sqrt(after.power) / self.size[list(columns)]
-        return bool(np.all(share[list(joints)] <= MAX_GOOD_SHARE))
+        return bool(np.all(share[list(joints)] <= self.max_good_share))
 
     def sharpened(self, after: ReadingFit, columns: Sequence[int]) -> ReadingTest:
         """Return the measure with the residual that a reading leaves as the model error, at most the usual one."""
         share = float(np.max(np.sqrt(after.power) / self.size[list(columns)]))
         return replace(self, model_error=min(self.model_error, max(share, MIN_MODEL_ERROR)))
+
+
+def is_preferred(gain: float, power_left: float) -> bool:
+    """Return whether a gain [nats], and the share of an output's residual power that is left, speak for a reading."""
+    return bool(gain > MIN_GAIN_NATS and power_left < MIN_POWER_DROP)
+
+
+def search_readings(
+    start: Reading,
+    grow: Callable[[Sequence[Reading]], Sequence[Reading]],
+    max_changes: int,
+    n_branches: int = 1,
+    is_enough: Callable[[Reading], bool] = lambda best: False,
+) -> list[Reading]:
+    """Return the readings that a beam search meets: those of one change first, in each step the best first.
+
+    Args:
+        start: The data as read.
+        grow: Returns readings with one change more than some of those before, best first.
+        max_changes: Number of steps.
+        n_branches: Number of readings that each step goes on from.
+        is_enough: Whether the best reading of a step ends the search.
+    """
+    met: list[Reading] = []
+    last: Sequence[Reading] = [start]
+    for _ in range(max_changes):
+        grown = grow(last)
+        met += grown
+        last = grown[:n_branches]
+        if not last or is_enough(last[0]):
+            break
+    return met
+
+
+def list_aliases(log_p: Sequence[float]) -> list[int]:
+    """Return the indices of readings that the data do not distinguish from the best one, best first."""
+    best = max(log_p)
+    return [int(k) for k in np.argsort(-np.asarray(log_p), kind="stable") if best - log_p[k] < ALIAS_NATS]
 
 
 def is_hopeless(test: ReadingTest, fit: ReadingFit, counts: np.ndarray, used: np.ndarray) -> bool:
@@ -224,33 +265,3 @@ def compute_zero_mean_nats(mean: np.ndarray, expected: np.ndarray, size: np.ndar
     least = np.maximum(np.abs(mean), ROUNDING_SHARE * size)
     nats = np.log(np.maximum(np.abs(expected) / least, 1.0))
     return np.where(np.abs(expected) > MIN_MEAN_SHARE * size, nats, 0.0)
-
-
-MAX_ERROR_LEFT = 0.3
-"""Error with the right reading over that as written: effects of a machine's own size seldom take more than two thirds."""
-_READING_LEVEL = 1e-3
-"""Share of the likelihood of all readings that the one as written may keep; of findings that need no held-out part."""
-_EQUAL_ERRORS = 1e-3
-"""Relative difference of errors below which two readings are one: equivalent conventions differ by iteration only."""
-
-
-def prefer_reading(errors: Sequence[float], n_numbers: int) -> bool:
-    """Return whether the best reading of a pose file replaces the first, the one as written.
-
-    Readings of poses fit the same parameters, so their maximum log-likelihoods `-n log(error)` are compared directly. Misfits of
-    a model that is wrong in other ways are similar between measurements, so the error has to fall by a factor as well. Reference:
-    Burnham & Anderson 2002, 2.2.
-
-    Args:
-        errors: Error level of each reading, the one as written first.
-        n_numbers: Numbers that each was compared at.
-    """
-    best = min(errors)
-    if not best < MAX_ERROR_LEFT * errors[0]:
-        return False
-    return n_numbers * np.log(errors[0] / max(best, 1e-300)) > np.log(len(errors) / _READING_LEVEL)
-
-
-def find_equivalent(errors: Sequence[float]) -> np.ndarray:
-    """Return the indices of readings that the data do not distinguish from the best one."""
-    return np.flatnonzero(np.asarray(errors) <= (1 + _EQUAL_ERRORS) * min(errors))

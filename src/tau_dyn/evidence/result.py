@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from scipy import stats
 
 from tau_dyn.effects import Effect
 from tau_dyn.parameters import Parameter
@@ -110,12 +111,34 @@ class Step:
 
 @dataclass(frozen=True)
 class Gain:
-    """Gain of a cause on the test data: rms over its outputs before and after, and their ratio."""
+    """What a cause is worth on the test data.
+
+    Attributes:
+        rms_before: Rms over the cause's outputs without it [unit of the output]; of poses the rms position error [m].
+        rms_after: The same with it.
+        reduction_percent: Reduction of the error [%]; of poses that of position and orientation, each over its noise.
+        ci95: Its 95 % interval [%].
+        p_value: Chance of so much gain where there is none, by a paired test over poses; None where data are in blocks.
+        orientation_rms_before: Rms orientation error of poses without it [rad]; None where orientation is not predicted.
+        orientation_rms_after: The same with it.
+    """
 
     rms_before: float
     rms_after: float
     reduction_percent: float
     ci95: tuple[float, float]
+    p_value: float | None = None
+    orientation_rms_before: float | None = None
+    orientation_rms_after: float | None = None
+
+    def compute_score(self, n_numbers: int) -> float:
+        """Return twice the gain in log-likelihood of so many Gaussian numbers with a free variance."""
+        return float(-2 * n_numbers * np.log(max(1 - self.reduction_percent / 100, 1e-300)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form; gains of poses have more keys."""
+        of_poses = ("p_value", "orientation_rms_before", "orientation_rms_after")
+        return to_plain(self, leave_out=() if self.p_value is not None else of_poses)
 
 
 Progress = Callable[[str], None]
@@ -177,7 +200,7 @@ class Finding(Brief):
         cause: Its name in the contract.
         joints: Joints it acts on.
         status: `confirmed` on held-out data, `suspected`, or `parameter` (a refit off its trusted nominal).
-        score: Twice the gain in log-likelihood on the training data; large is strong.
+        score: Twice the gain in log-likelihood on the training data (of a move between two files, on the later one).
         p_value: Chance of such a score on clean data, all causes and settings tried taken into account.
         parameters: Amplitudes and settings with their standard errors.
         gain: Its gain on the test data; None where the baseline's refit absorbs it.
@@ -187,12 +210,13 @@ class Finding(Brief):
         experiment: The experiment that separates it from indistinguishable causes; empty without any.
         effects: The effects that extend the model; empty for `parameter`.
         signature: Its plot; None for `parameter`.
-        channel: `force`, `tool` or `deflection`.
+        channel: `force`, `tool`, `deflection`, `position` (of servo loops) or `pose`.
         confirmation: Share of the predicted effect that the held-out data show, with its standard error; 1 is all of it.
         why_not_confirmed: Why it is `suspected` only; empty if it is confirmed.
         is_shown: Whether the validation data show it; a suspected cause that they show is a residual above the noise.
         detection_limit: The smallest amplitude that these data show with 95 % power; None for a rejected candidate.
         logs: Logs that it concerns; empty for all.
+        dof: Degrees of freedom of the standard errors.
     """
 
     cause: str
@@ -214,6 +238,11 @@ class Finding(Brief):
     is_shown: bool = False
     detection_limit: Limit | None = None
     logs: tuple[str, ...] = ()
+    dof: float = np.inf
+
+    def reject(self, why: str) -> Finding:
+        """Return the finding as suspected, with the reason; the reason of one that is suspected already stays."""
+        return replace(self, status="suspected", why_not_confirmed=self.why_not_confirmed or why)
 
     @property
     def rank(self) -> tuple[bool, bool, float]:
@@ -225,8 +254,9 @@ class Finding(Brief):
         """Return the contract's form."""
         shown = self.confirmation and dict(zip(("share", "stderr"), self.confirmation, strict=True))
         changed = {"why_not_confirmed": self.why_not_confirmed or None, "confirmation": shown}
-        changed["parameters"] = [_row(p) for p in self.parameters]
-        return to_plain(self, leave_out=("effects", "signature", "is_shown")) | changed
+        times = Z95 if np.isinf(self.dof) else float(stats.t.ppf(0.975, self.dof))
+        changed["parameters"] = [_row(p, times) for p in self.parameters]
+        return to_plain(self, leave_out=("effects", "signature", "is_shown", "dof")) | changed
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,6 +320,6 @@ class TimeTrace(Brief):
     part: np.ndarray
 
 
-def _row(p: Parameter) -> dict[str, Any]:
-    ci95 = None if p.stderr is None else [p.value - Z95 * p.stderr, p.value + Z95 * p.stderr]
+def _row(p: Parameter, times: float) -> dict[str, Any]:
+    ci95 = None if p.stderr is None else [p.value - times * p.stderr, p.value + times * p.stderr]
     return {"name": p.name, "value": p.value, "unit": p.unit, "stderr": p.stderr, "ci95": ci95}

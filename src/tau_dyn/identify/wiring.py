@@ -9,6 +9,7 @@ predicted well, gives the advice of a column map. It has one line a column.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
@@ -17,7 +18,6 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from tau_dyn.evidence import (
-    ALIAS_NATS,
     MAX_NUMBER_STDERR,
     MAX_ZERO_MEAN,
     MIN_GAIN_NATS,
@@ -26,8 +26,10 @@ from tau_dyn.evidence import (
     is_hopeless,
     is_part_missing,
     is_preferred_in_each_half,
+    list_aliases,
     permits_size,
     permits_speed_scale,
+    search_readings,
 )
 from tau_dyn.identify.excerpt import Excerpt, Records
 from tau_dyn.identify.reading_fit import Design, LogModel
@@ -166,14 +168,12 @@ class Search:
             fit = search.model.fit(current)
             if fit is not None and is_hopeless(search.model.test, fit, search.model.counts, search.model.used):
                 return []
-        faults: list[Fault] = []
-        for _ in range(MAX_FAULTS):
-            found = search.find_best(current, fit)
-            if not found:
-                break
-            faults += found
-            current, fit = found[0].reading, found[0].after
-        return faults
+
+        def grow(last: Sequence[Fault | None]) -> list[Fault | None]:
+            fault = last[0]
+            return [*(search.find_best(fault.reading, fault.after) if fault else search.find_best(current, fit))]
+
+        return [fault for fault in search_readings(None, grow, MAX_FAULTS) if fault]
 
     def find_best(self, current: Rewiring, fit: ReadingFit | None) -> list[Fault]:
         """Return the reading that gains most, and those that cannot be told from it and have another code."""
@@ -196,11 +196,9 @@ class Search:
         best = max(found, key=lambda fault: fault.after.log_p)
         sharp = replace(self.model, test=self.model.test.sharpened(best.after, best.reading.tau_from))
         values = [fit.log_p if (fit := sharp.fit(fault.reading)) else -np.inf for fault in found]
-        order = sorted(range(len(found)), key=lambda k: -values[k])
         codes: dict[str, Fault] = {}
-        for k in order:
-            if values[order[0]] - values[k] < ALIAS_NATS:
-                codes.setdefault(found[k].reading.code, found[k])
+        for k in list_aliases(values):
+            codes.setdefault(found[k].reading.code, found[k])
         return [replace(fault, is_alias=n > 0) for n, fault in enumerate(codes.values())]
 
     def try_map(self, faults: list[Fault]) -> Mend:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.frames import align, compute_rotation_between
-from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.pose_set import PoseSet, measure_spread
 from tau_dyn.mechanism import Poses
 
 _TRIMMED_SHARE = 0.2
@@ -98,8 +98,7 @@ def measure_misfit(poses: PoseSet, nominal: Poses, ok: np.ndarray, *, turns: boo
     parts = [_measure_group(seen.take(mask), known.take(mask), turns) for mask in own]
     position, angles = np.concatenate([distance for distance, _ in parts]), [a for _, a in parts if a is not None]
     rotation = np.concatenate(angles) if angles else None
-    spread = float(np.sqrt(np.mean(np.sum((known.position - known.position.mean(axis=0)) ** 2, axis=1))))
-    return Misfit.of(position, rotation, spread)
+    return Misfit.of(position, rotation, measure_spread(known.position))
 
 
 def compute_trimmed_rms(errors: np.ndarray) -> float:

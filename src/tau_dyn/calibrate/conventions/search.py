@@ -1,34 +1,38 @@
 """The reading of a pose file with which the robot file fits: found without parameters, then applied and named.
 
 The robot file's dimensions, with device and targets placed in closed form, are compared at every reading of one cause; where
-none is enough, the best are combined. A reading is taken if the likelihood prefers it (`evidence`) and the robot file then misses
-the poses by no more than a machine is built off its drawing.
+none is enough, the best are combined. `evidence/readings.py` decides whether one is taken; the robot file then misses the poses
+by no more than a machine is built off its drawing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tau_dyn.calibrate.conventions.readings import Reading, apply_reading, list_readings
 from tau_dyn.calibrate.conventions.rigid_fit import UNREACHED, Misfit, measure_misfit
-from tau_dyn.calibrate.crossvalidation import CrossValidationGain
 from tau_dyn.calibrate.geometry import Geometry, Predicted
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.evidence import find_equivalent, prefer_reading
+from tau_dyn.evidence import (
+    Gain,
+    ReadingFit,
+    ReadingTest,
+    is_preferred,
+    list_aliases,
+    search_readings,
+)
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.message_codes import CodedWarning
 
-_BUILT_POSITION = 0.01
-"""Rms position error over the spread of the tool below which a file is read as it is written: an arm out of the box has 0.002."""
-_BUILT_ROTATION = 0.02
-"""Rms orientation error [rad] below which the same is true."""
-_PLAUSIBLE_POSITION = 0.05
-"""Rms position error over the spread of the tool up to which dimensions explain it: joints 20 mrad off move a tool so far."""
-_PLAUSIBLE_ROTATION = 0.1
-"""Rms orientation error [rad] up to which the same is true: six joints 40 mrad off."""
+_ALIKE_RAD = 2.0
+"""Angle that counts as much as the spread of the tool: six joints 40 mrad off turn it by 5 % of this."""
+_TEST = ReadingTest(np.array([1.0, _ALIKE_RAD]), model_error=0.01, max_good_share=0.05)
+"""Errors over the spread of the tool: an arm out of the box has 0.002, joints 20 mrad off move a tool by 0.05."""
+_MAX_DIMENSIONS_SHARE = 0.15
+"""The same as written up to which fitted dimensions are asked as well whether they explain it: three times as much."""
 _MAX_CAUSES = 3
 """Causes in one file; more are another file's."""
 _BRANCHES = 3
@@ -65,7 +69,7 @@ class FoundReading:
         """Return poses as the file means them."""
         return apply_reading(self.reading, poses)
 
-    def compute_gain(self, seed: int = 0) -> CrossValidationGain:
+    def compute_gain(self, seed: int = 0) -> Gain:
         """Return what it gains, with the robot file's dimensions; the interval is by bootstrap over poses."""
         p_value = float(np.exp(-self.meant.n_numbers * np.log(self.written.value / max(self.meant.value, 1e-300))))
         rng = np.random.default_rng(seed)
@@ -77,7 +81,7 @@ class FoundReading:
             ends = (100 * (1 - float(high)), 100 * (1 - float(low)))
         percent = 100 * (1 - self.meant.value / self.written.value)
         turned = (self.written.rotation, self.meant.rotation) if self.written.rotation is not None else (None, None)
-        return CrossValidationGain(
+        return Gain(
             self.written.position, self.meant.position, percent, ends, min(1.0, p_value * self.n_tried), *turned
         )
 
@@ -129,6 +133,26 @@ class _Search:
                 self.known[key] = UNREACHED
         return self.known[key]
 
+    def fit(self, reading: Reading) -> ReadingFit | None:
+        """Return the misfit of a reading as `evidence` compares it; None where the robot cannot be placed."""
+        found = self.measure(reading)
+        if not np.isfinite(found.position):
+            return None
+        size = self.poses.spread if found.rotation is None else np.sqrt(self.poses.spread * _ALIKE_RAD)
+        log_p = found.n_numbers * float(np.log(size / max(found.value, 1e-300)))
+        power = np.square([found.position / found.spread, found.rotation or 0.0])
+        return ReadingFit(log_p, log_p, power, 0.0, found.distances[:, None])
+
+    def compute_log_p(self, reading: Reading) -> float:
+        """Return the log-likelihood of a reading [nats]; a robot that explains nothing has 0."""
+        fit = self.fit(reading)
+        return 0.0 if fit is None else fit.log_p
+
+    def is_plausible(self, reading: Reading, share: float = _TEST.max_good_share) -> bool:
+        """Return whether the robot file's dimensions explain the misfit of a reading."""
+        fit = self.fit(reading)
+        return fit is not None and bool(np.all(fit.power <= (share * _TEST.size) ** 2))
+
     def _measure(self, poses: PoseSet) -> Misfit:
         """Return the misfit of poses as they are meant."""
         first = self._place(poses.q[:_FIRST_POSES])
@@ -157,20 +181,25 @@ def find_reading(
         fit: Returns the error level that the robot's dimensions leave of poses; asked where dimensions may explain the misfit.
     """
     search = _Search(geometry, poses)
-    written = search.measure(())
-    if _is_below(written, _BUILT_POSITION, _BUILT_ROTATION):
+    if search.is_plausible((), _TEST.model_error):
         return None
-    single = list_readings(poses, geometry.actuated, geometry.position_units, turns=geometry.orients)
-    best, last = [((), written)], [((), written)]
-    for _ in range(_MAX_CAUSES):
-        grown = {frozenset(map(id, r)): r for base, _ in last for more in single if (r := _join(base, more))}
-        single = [reading for reading in single if len(reading) == 1]
-        ranked = sorted(((r, search.measure(r)) for r in grown.values()), key=lambda one: one[1].value)
-        best, last = [*best, *ranked], ranked[:_BRANCHES]
-        enough = last and _is_below(last[0][1], _PLAUSIBLE_POSITION, _PLAUSIBLE_ROTATION)
-        if not last or enough or _is_below(written, _PLAUSIBLE_POSITION, _PLAUSIBLE_ROTATION):
-            break
-    return _decide(search, best, limits, fit)
+    every = list_readings(poses, geometry.actuated, geometry.position_units, turns=geometry.orients)
+    single = [reading for reading in every if len(reading) == 1]
+
+    def grow(last: Sequence[Reading]) -> list[Reading]:
+        changes = single if any(last) else every
+        grown = {frozenset(map(id, r)): r for base in last for more in changes if (r := _join(base, more))}
+        return sorted(grown.values(), key=lambda r: -search.compute_log_p(r))
+
+    depth = 1 if search.is_plausible(()) else _MAX_CAUSES
+    tried = search_readings((), grow, depth, _BRANCHES, search.is_plausible)
+    likely = [tried[k] for k in list_aliases([search.compute_log_p(reading) for reading in tried])]
+    alike = [r for r in likely if _accept(search, r, limits, fit)]
+    if not alike:
+        return None
+    best = min(alike, key=lambda r: (len(r), _count_beyond(search.poses, r, limits)))
+    others = [r for r in alike if r is not best and len(r) <= max(len(best), 2)]
+    return FoundReading(best, tuple(others), search.measure(()), search.measure(best), len(tried) + 1)
 
 
 def _join(base: Reading, more: Reading) -> Reading | None:
@@ -179,35 +208,22 @@ def _join(base: Reading, more: Reading) -> Reading | None:
     return None if any(change.place in places for change in more) else (*base, *more)
 
 
-def _is_below(misfit: Misfit, position: float, rotation: float) -> bool:
-    """Tell whether a misfit is within a share of the spread and an angle [rad]."""
-    return misfit.position <= position * misfit.spread and (misfit.rotation is None or misfit.rotation <= rotation)
+def _accept(
+    search: _Search, reading: Reading, limits: tuple[np.ndarray, np.ndarray], fit: Callable[[PoseSet], float]
+) -> bool:
+    """Return whether a reading replaces the one as written."""
+    before, after = search.fit(()), search.fit(reading)
+    if after is None or not search.is_plausible(reading) or not _TEST.accepts(before, after):
+        return False
+    if _count_beyond(search.poses, reading, limits) > _count_beyond(search.poses, (), limits):
+        return False
+    if not search.is_plausible((), _MAX_DIMENSIONS_SHARE):
+        return True
+    left, left_so = fit(search.poses), fit(apply_reading(reading, search.poses))
+    return is_preferred(search.measure(reading).n_numbers * np.log(left / left_so), (left_so / left) ** 2)
 
 
-def _decide(
-    search: _Search,
-    tried: list[tuple[Reading, Misfit]],
-    limits: tuple[np.ndarray, np.ndarray],
-    fit: Callable[[PoseSet], float],
-) -> FoundReading | None:
-    """Return the preferred one of the readings that were tried, the one as written first; None where that stays."""
-    written = tried[0][1]
-    errors = [misfit.value for _, misfit in tried]
-    equal = [tried[k] for k in find_equivalent(errors)]
-    reading, meant = min(equal, key=lambda one: _rank(search.poses, one[0], limits))
-    n = meant.n_numbers
-    if not reading or not prefer_reading(errors, n) or not _is_below(meant, _PLAUSIBLE_POSITION, _PLAUSIBLE_ROTATION):
-        return None
-    if _is_below(written, _PLAUSIBLE_POSITION, _PLAUSIBLE_ROTATION):
-        refitted = [fit(search.poses), fit(apply_reading(reading, search.poses))]
-        if not prefer_reading(refitted, n):
-            return None
-    alike = [r for r, _ in equal if r is not reading and len(r) <= max(len(reading), 2)]
-    return FoundReading(reading, tuple(alike), written, meant, len(tried))
-
-
-def _rank(poses: PoseSet, reading: Reading, limits: tuple[np.ndarray, np.ndarray]) -> tuple[int, int]:
-    """Return how far-fetched a reading is: positions beyond the joints' limits, then its number of changes."""
+def _count_beyond(poses: PoseSet, reading: Reading, limits: tuple[np.ndarray, np.ndarray]) -> int:
+    """Return the number of positions beyond the joints' limits."""
     q = apply_reading(reading, poses).q
-    beyond = int(np.sum((q < limits[0] - _LIMIT_MARGIN) | (q > limits[1] + _LIMIT_MARGIN)))
-    return len(reading), beyond
+    return int(np.sum((q < limits[0] - _LIMIT_MARGIN) | (q > limits[1] + _LIMIT_MARGIN)))

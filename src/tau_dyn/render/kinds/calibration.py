@@ -18,6 +18,7 @@ from tau_dyn.calibrate import (
     list_correlated_pairs,
 )
 from tau_dyn.calibrate.poses import CalibrationCampaign
+from tau_dyn.evidence import Finding
 from tau_dyn.render.kinds import calibration_words as words
 from tau_dyn.render.kinds.calibration_words import format_angle, format_length
 from tau_dyn.render.kinds.waterfall import WaterfallSeries, WaterfallStep
@@ -109,8 +110,8 @@ def _build_gain(found: Calibration) -> Iterator[r.Element]:
             found.steps,
             r.Column("model", cell=lambda s: s.name),
             r.Column("compared with", style="quiet", cell=lambda s: s.over),
-            r.Column("rms before", "number", cell=lambda s: format_length(s.gain.before)),
-            r.Column("after", "number", cell=lambda s: format_length(s.gain.after)),
+            r.Column("rms before", "number", cell=lambda s: format_length(s.gain.rms_before)),
+            r.Column("after", "number", cell=lambda s: format_length(s.gain.rms_after)),
             r.Column("p-value", "number", cell=lambda s: words.format_p_value(s.gain.p_value)),
             r.Column(style="quiet", cell=lambda s: "taken" if s.taken else "not better"),
         )
@@ -176,12 +177,17 @@ def _list_findings(found: Calibration) -> Iterator[r.Element]:
         found.findings,
         r.Column(cell=lambda f: r.Verdict("good" if f.status == "confirmed" else "care", "", f.status)),
         r.Column(on=r.On.PAGE, cell=lambda f: f.cause),
-        r.Column(cell=words.describe_finding),
+        r.Column(cell=_describe_finding),
         r.Column(on=r.On.PAGE, cell=lambda f: f.equation),
         style="findings",
         on=r.On.PRINTED,
     )
     yield r.explain("Each cause is removed from the model alone, and the rest is refitted.")
+
+
+def _describe_finding(finding: Finding) -> str:
+    why = finding.why_not_confirmed
+    return f"{finding.sentence} Not confirmed: {why}." if why else finding.sentence
 
 
 def _build_space(found: Calibration) -> Iterator[r.Element]:

@@ -6,9 +6,9 @@ from math import isnan
 
 import numpy as np
 
-from tau_dyn.calibrate import Calibration, CalibrationFinding, CandidateModel
+from tau_dyn.calibrate import Calibration, CandidateModel
 from tau_dyn.calibrate.poses import CalibrationCampaign, compute_doubling_gain, compute_min_poses
-from tau_dyn.results import Level, Verdict, count, format_list, format_number, format_percent, format_quantity
+from tau_dyn.results import Level, Verdict, count, format_list, format_number, format_quantity
 
 BADGES = {"good": "Ready to use", "care": "Use with care", "poor": "Not usable"}
 """Verdicts in a word or three."""
@@ -35,35 +35,6 @@ ADDED = {
     "base_frame": "the base moved between campaigns",
 }
 """Additions in words."""
-
-CAUSES = {
-    "rod_length": "Rod lengths differ from the robot file",
-    "joint_placement": "Joint positions differ from the robot file",
-    "guideway_nonparallel": "Guideways are not parallel",
-    "pinion_scale": "The drive's scale is wrong",
-    "cart_tilt": "Carts turn as they travel",
-    "transmission_error": "The drive has a periodic error",
-    "guideway_not_straight": "The guideway has a straightness error",
-    "guideway_compliance": "Cart and drive are compliant",
-    "backlash": "The drive has backlash",
-    "joint_coupling": "The second joint moves the first along",
-    "gravity_deflection": "The joint yields to gravity",
-    "joint_eccentricity": "The joint's angle has an error once a turn",
-    "tool_frame": "The target moved between campaigns",
-    "base_frame": "The base moved between campaigns",
-    "device_moved": "The device moved before the held-out poses",
-    "target_moved": "The target moved before the held-out poses",
-    "joint_sign": "The file counts the joint the other way (sign)",
-    "joint_zero": "The joint's zero is a quarter turn or a half turn away",
-    "columns_exchanged": "Columns of the pose file are exchanged",
-    "joint_unit": "Joint positions are in another unit",
-    "axis_sign": "An axis of the positions has the opposite sign",
-    "position_unit": "Positions are in another unit than m",
-    "quaternion_order": "The quaternion's order is w x y z",
-    "inverse_poses": "The poses or orientations are inverse",
-    "row_shift": "Joints and poses are shifted by rows",
-}
-"""Causes as sentences."""
 
 _EXPLAINED = 1.5
 """Times the predicted error above which the model lacks an effect."""
@@ -105,14 +76,12 @@ def describe_verdict(found: Calibration) -> Verdict:
     reached, turned = errors.position_size.rms, errors.orientation_size
     if not found.fit.converged:
         return _judge("poor", "The fit did not converge; do not use it.")
-    place = found.poses.position
-    spread = float(np.sqrt(np.mean(np.sum((place - place.mean(axis=0)) ** 2, axis=1))))
     if found.misses_poses:
         also = "" if turned is None else f" and {format_angle(turned.rms)}"
         return _judge(
             "poor",
             f"Do not use it: the held-out RMS error is {format_length(reached)}{also}, while the poses spread over "
-            f"{format_length(spread)}. Check units, joint columns, and whether frames were moved.",
+            f"{format_length(found.poses.spread)}. Check units, joint columns, and whether frames were moved.",
         )
     if found.chosen is found.models[0]:
         return _judge("care", "No larger model has a smaller held-out error than the robot file.")
@@ -172,24 +141,6 @@ def describe_model(model: CandidateModel, before: CandidateModel | None) -> tupl
     ]
     said = [f"{ADDED[a]}" + (f" {format_list(j)}" if j and j != ["all"] else "") for a, j in added if j]
     return f"+ {format_list(said)}", f"{count(model.fit.n_estimated, 'parameter')}"
-
-
-def describe_finding(finding: CalibrationFinding) -> str:
-    """Return a finding as a sentence."""
-    where = f" ({format_list(finding.joints)})" if finding.joints else ""
-    others = [cause for cause in finding.indistinguishable_from if cause != finding.cause]
-    alike = [f"{CAUSES[cause][0].lower()}{CAUSES[cause][1:]}" for cause in others]
-    alike += ["the same elsewhere"] if len(others) < len(finding.indistinguishable_from) else []
-    where += f", or {format_list(alike)}" if alike else ""
-    gain = finding.gain
-    with_it, without = format_length(gain.after), format_length(gain.before)
-    if gain.orientation_after is not None and gain.orientation_before is not None:
-        with_it += f" and {format_angle(gain.orientation_after)}"
-        without += f" and {format_angle(gain.orientation_before)}"
-    return (
-        f"{CAUSES[finding.cause]}{where}: {with_it} rms with it, {without} without ({format_percent(gain.percent)} "
-        f"less, 95 % interval [{format_percent(gain.ci95[0])}, {format_percent(gain.ci95[1])}])."
-    )
 
 
 def _n(found: Calibration) -> int:
