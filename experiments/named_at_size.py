@@ -25,7 +25,6 @@ import pandas as pd
 from hidden_effects_parts.forms import either, log_uniform, one
 from hidden_effects_parts.recording import Recording, draw_motion, draw_sensing
 from hidden_effects_parts.robots import DRAWS, TURNING, Rig, draw_rig
-from hidden_effects_parts.sensing_forms import TorqueSaturation
 from hidden_effects_parts.sets import hidden_force
 from hidden_effects_parts.strength import Ruler, base_columns
 
@@ -60,8 +59,12 @@ def spoil_zero(rig: Rig, runs: list[Recording], rng: np.random.Generator) -> tup
 def spoil_saturation(rig: Rig, runs: list[Recording], rng: np.random.Generator) -> tuple[list[Recording], str, str]:
     """Return the runs with one joint's logged force too large at its peaks, the cause and the joint."""
     joint = one(rig, rng)
-    form = TorqueSaturation((joint,), {"power": 3.0}, 1.0)
-    return [form.act(run, SATURATION_SHARE) for run in runs], "torque_saturation", rig.joints[joint]
+    largest = max(np.abs(run.tau[:, joint]).max() for run in runs)  # one law for both logs
+
+    def excess(run: Recording) -> np.ndarray:
+        return run.column(joint, SATURATION_SHARE * largest * (run.tau[:, joint] / largest) ** 3)
+
+    return [run.plus(excess(run)) for run in runs], "torque_saturation", rig.joints[joint]
 
 
 def spoil_gravity(rig: Rig, runs: list[Recording], rng: np.random.Generator) -> tuple[list[Recording], str, str]:

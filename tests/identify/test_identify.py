@@ -410,9 +410,9 @@ def test_with_everything_fixed_nothing_is_left_to_estimate(axis, axis_log):
         identify(axis, axis_log, choices=Choices(fix=("*",)))
 
 
-def test_a_path_is_not_a_log(axis):
-    """The sentence names the function that reads one."""
-    with raises_code("invalid_value", "read_log"):
+def test_a_path_is_read(axis):
+    """A path of a file that is not there is named."""
+    with raises_code("file_not_found", "monday.csv"):
         identify(axis, "monday.csv")
 
 

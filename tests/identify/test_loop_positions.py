@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import FOUR_BAR
 from numpy.testing import assert_allclose
 from raising import raises_code
 
@@ -14,11 +13,12 @@ from tau_dyn.mechanism import build_mechanism
 from tau_dyn.message_codes import get_code
 
 CRANK_HOME = np.pi / 3
+BASE, CRANK, COUPLER, ROCKER = 0.8, 0.3, 0.9, 0.6  # [m], those of the fixture `four_bar`
 
 
 def rocker_angle(crank: np.ndarray) -> np.ndarray:
     """Return the rocker's angle to the ground (N,) by the cosine rule, crank and ground in the same plane."""
-    d, a, b, c = FOUR_BAR.base, FOUR_BAR.crank, FOUR_BAR.coupler, FOUR_BAR.rocker
+    d, a, b, c = BASE, CRANK, COUPLER, ROCKER
     x, y = a * np.cos(crank) - d, a * np.sin(crank)
     diagonal = np.hypot(x, y)
     return np.arctan2(y, x) - np.arccos((c**2 + diagonal**2 - b**2) / (2 * c * diagonal))
@@ -66,7 +66,7 @@ def test_a_log_with_too_few_joints_stays_as_it_is(four_bar) -> None:
 
 def test_a_joint_at_the_end_of_its_swing_does_not_place_the_robot(four_bar, crank) -> None:
     """With crank and coupler in line the rocker turns back: its speed is zero while the crank goes on."""
-    d, reach, c = FOUR_BAR.base, FOUR_BAR.crank + FOUR_BAR.coupler, FOUR_BAR.rocker
+    d, reach, c = BASE, CRANK + COUPLER, ROCKER
     in_line = np.arccos((d**2 + reach**2 - c**2) / (2 * d * reach))
     at_end = replace(four_bar, home=np.array([in_line - CRANK_HOME]))
     with raises_code("poor_excitation", "rocker"):

@@ -160,7 +160,10 @@ def find_contained(W: np.ndarray, kept: Sequence[int], fixed: Sequence[int]) -> 
             continue
         factors = np.linalg.lstsq(basis, unit[:, column], rcond=None)[0]
         if np.linalg.norm(unit[:, column] - basis @ factors) < _CLEAR * RANK_TOLERANCE:
-            found[:, k] = np.where(np.abs(factors) > _CLEAR * RANK_TOLERANCE, factors * norm[column] / norm[kept], 0.0)
+            scale = np.divide(
+                norm[column], norm[kept], out=np.zeros(len(kept)), where=norm[kept] > 0
+            )  # weighed ones have none
+            found[:, k] = np.where(np.abs(factors) > _CLEAR * RANK_TOLERANCE, factors * scale, 0.0)
     return found
 
 

@@ -259,15 +259,15 @@ def _conditioning(estimate: Estimate, prior: Mapping[str, float]) -> list[str]:
         found.append(
             f"the regression is ill-conditioned (condition number {estimate.cond:.3g}); estimates are sensitive to noise"
         )
+    correlation = np.abs(np.triu(estimate.correlation, 1))
     determined = find_determined_combinations(estimate, prior)
-    if determined is not None:
+    if determined is not None and np.any(correlation > _CORRELATED):
         lost = estimate.base.rank - determined.base.rank
         found.append(
             f"{lost} of {estimate.base.rank} base parameters are known no better than from the robot file; the other "
             f"{determined.base.rank} combinations are determined and are listed with their values"
         )
         return found
-    correlation = np.abs(np.triu(estimate.correlation, 1))
     for i, j in np.argwhere(correlation > _CORRELATED)[:5]:
         a, b = estimate.expression(int(i)), estimate.expression(int(j))
         found.append(f"{a} and {b} are correlated by {estimate.correlation[i, j]:+.3f}; use only their combination")

@@ -40,7 +40,7 @@ from tau_dyn.log import (
     FORCE_BAND_FACTOR,
     MIN_SEGMENT_SAMPLES,
     ROOM_TEMPERATURE,
-    SURE_SPEED_FACTOR,
+    SPEED_NOISE_FACTOR,
     EvenSegment,
     InMemorySegment,
     Log,
@@ -60,7 +60,7 @@ from tau_dyn.robot import Robot
 BAND_FACTOR = FORCE_BAND_FACTOR  # low-pass of forces over the motion's band edge
 POSITION_FACTOR = 8.0  # low-pass of positions over that of forces
 RATE_FACTOR = 2.5  # rate kept after decimation over the low-pass; 2 is the sampling theorem
-NOISE_FACTOR = SURE_SPEED_FACTOR  # speed in standard deviations of its noise, from which its sign is known
+NOISE_FACTOR = SPEED_NOISE_FACTOR  # speed in standard deviations of its noise, from which its sign is known
 MIN_RATE_HZ = 5.0
 """A log sampled more slowly shows no dynamics; mostly its clock is not in seconds."""
 

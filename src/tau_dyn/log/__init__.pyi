@@ -18,7 +18,7 @@ from .even_segments import (
 )
 from .filtering import (
     FORCE_BAND_FACTOR as FORCE_BAND_FACTOR,
-    SURE_SPEED_FACTOR as SURE_SPEED_FACTOR,
+    SPEED_NOISE_FACTOR as SPEED_NOISE_FACTOR,
     MotionBand as MotionBand,
     choose_force_cutoff as choose_force_cutoff,
     compute_attenuation as compute_attenuation,

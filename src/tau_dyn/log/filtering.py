@@ -292,7 +292,7 @@ def find_motion_band(q: ArrayLike, rate_hz: float) -> MotionBand:
 
 FORCE_BAND_FACTOR = 5.0
 """Low-pass of forces over the motion's band edge."""
-SURE_SPEED_FACTOR = 10.0
+SPEED_NOISE_FACTOR = 10.0
 """Speed in standard deviations of its noise from which its sign is known."""
 
 
@@ -323,7 +323,7 @@ FAST_QUANTILE = 0.95
 
 
 def compute_rest_speed(
-    q: np.ndarray, rate_hz: float, cutoff_hz: float, factor: float = SURE_SPEED_FACTOR
+    q: np.ndarray, rate_hz: float, cutoff_hz: float, factor: float = SPEED_NOISE_FACTOR
 ) -> np.ndarray:
     """Return the speed (n,) below which a joint's direction is unsure: it rests, or its noise decides.
 

@@ -43,9 +43,8 @@ MAX_FREQUENCY_STDERR = 0.02  # relative standard error above which a frequency i
 MAX_DAMPING_STDERR = 0.3  # relative standard error above which a damping ratio is hardly known
 MAX_SETUP_DIFFERENCE = 0.05  # relative difference of frequencies up to which two set-ups may show the same mode
 MAX_SETUP_STDERRS = 4.0  # standard errors up to which the frequencies of two set-ups agree
-MIN_REFERENCE = (
-    0.05  # size of a shape at the references, relative to its largest output, below which they are at a node
-)
+MIN_REFERENCE = 0.05
+"""Size of a shape at the references, relative to its largest output, below which they are at a node."""
 
 
 def find_operational_modes(

@@ -134,9 +134,9 @@ class _Search:
         return self.known[key]
 
     def fit(self, reading: Reading) -> ReadingFit | None:
-        """Return the misfit of a reading as `evidence` compares it; None where the robot cannot be placed."""
+        """Return the misfit of a reading as `evidence` compares it; None where the robot is not placed or stands still."""
         found = self.measure(reading)
-        if not np.isfinite(found.position):
+        if not (np.isfinite(found.position) and found.spread > 0):  # a robot that stands still explains no pose
             return None
         size = self.poses.spread if found.rotation is None else np.sqrt(self.poses.spread * _ALIKE_RAD)
         log_p = found.n_numbers * float(np.log(size / max(found.value, 1e-300)))

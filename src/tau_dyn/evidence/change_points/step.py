@@ -14,7 +14,7 @@ from scipy import stats
 
 from tau_dyn.estimate import Autoregression, solve_scaled
 from tau_dyn.evidence.change_points.log_data import Hypothesis, LogData, list_drifts
-from tau_dyn.evidence.change_points.white_rows import WhiteRows, estimate_noise, make_rows
+from tau_dyn.evidence.change_points.white_rows import OrderedRows, estimate_noise, make_rows
 from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, compute_overdispersion, compute_score_statistics
 
 MAX_ORDER = 8
@@ -37,7 +37,7 @@ cause: ten blocks of a residual with structure have heavier tails than their F d
 by orders of magnitude."""
 
 
-def _list_times(white: WhiteRows, output: int, near: float | None = None) -> np.ndarray:
+def _list_times(white: OrderedRows, output: int, near: float | None = None) -> np.ndarray:
     """Return the first rows after the times tried, all with `MIN_SIDE_BLOCKS` on both sides.
 
     Args:
@@ -66,7 +66,7 @@ def _sum_after(starts: np.ndarray, A: np.ndarray, B: np.ndarray) -> np.ndarray:
     return np.cumsum(parts[::-1], axis=0)[::-1]
 
 
-def _scan_steps(white: WhiteRows, C: np.ndarray, starts: np.ndarray) -> np.ndarray:
+def _scan_steps(white: OrderedRows, C: np.ndarray, starts: np.ndarray) -> np.ndarray:
     """Return the score statistics (g,) of steps of columns (R, d) at each start (g,)."""
     e = white.y - white.fit
     s, A, D = (_sum_after(starts, C, x) for x in (e[:, None], white.Q, C))
@@ -75,7 +75,7 @@ def _scan_steps(white: WhiteRows, C: np.ndarray, starts: np.ndarray) -> np.ndarr
     return compute_score_statistics(s, G, raw, np.zeros(C.shape[1], bool), MIN_UNABSORBED_SHARE)[:, 0]
 
 
-def _scan_sign(white: WhiteRows, output: int, starts: np.ndarray) -> np.ndarray:
+def _scan_sign(white: OrderedRows, output: int, starts: np.ndarray) -> np.ndarray:
     """Return by how much the squared residual (g,) falls where one output's forces are turned from each start (g,) on."""
     mine = np.where(white.output == output, white.y, 0.0)[:, None]
     before = white.Q.T @ white.y
@@ -84,7 +84,7 @@ def _scan_sign(white: WhiteRows, output: int, starts: np.ndarray) -> np.ndarray:
 
 
 def select_hypothesis(
-    white: WhiteRows, hypotheses: Sequence[Hypothesis], n_hypotheses: int
+    white: OrderedRows, hypotheses: Sequence[Hypothesis], n_hypotheses: int
 ) -> tuple[Hypothesis, float] | None:
     """Return the hypothesis of the largest statistic, each column at the price of Schwarz' criterion, and its time [s].
 
@@ -109,7 +109,7 @@ def select_hypothesis(
     return None if best is None else best[1:]
 
 
-def _find_gap(white: WhiteRows, output: int, start: int) -> tuple[float, float]:
+def _find_gap(white: OrderedRows, output: int, start: int) -> tuple[float, float]:
     """Return the times of the last row before a start and of the start [s], of the output that changes."""
     before = white.t[:start][(white.output[:start] == output) | (output < 0)]
     return float(before[before < white.t[start]].max()), float(white.t[start])
@@ -169,7 +169,7 @@ def _estimate_noise_with(
     return estimate_noise(taken, order)
 
 
-def _make_step(white: WhiteRows, hypothesis: Hypothesis, time_s: float, factor: float) -> tuple[float, np.ndarray]:
+def _make_step(white: OrderedRows, hypothesis: Hypothesis, time_s: float, factor: float) -> tuple[float, np.ndarray]:
     """Return the factor of a change, 1 for a step of columns, and the rows (R, d) whose step it is."""
     if hypothesis.columns:
         return 1.0, white.whiten_columns(hypothesis.columns)
@@ -177,7 +177,7 @@ def _make_step(white: WhiteRows, hypothesis: Hypothesis, time_s: float, factor: 
     return _estimate_factor(white, changed, factor, hypothesis.output)
 
 
-def _estimate_factor(white: WhiteRows, changed: np.ndarray, factor: float, output: int) -> tuple[float, np.ndarray]:
+def _estimate_factor(white: OrderedRows, changed: np.ndarray, factor: float, output: int) -> tuple[float, np.ndarray]:
     """Return the factor of one output's forces where they changed (R,), and their prediction without it (R, 1)."""
     f = white.y
     for _ in range(20):
@@ -189,7 +189,7 @@ def _estimate_factor(white: WhiteRows, changed: np.ndarray, factor: float, outpu
     return factor, np.where(white.output == output, f, 0.0)[:, None]
 
 
-def _find_time(white: WhiteRows, C: np.ndarray, output: int, near: float) -> tuple[float, float]:
+def _find_time(white: OrderedRows, C: np.ndarray, output: int, near: float) -> tuple[float, float]:
     """Return the best time of a step of columns C (R, d), and its standard error [s]: of equally likely times."""
     starts = np.unique(np.concatenate([_list_times(white, output), _list_times(white, output, near)]))
     T = _scan_steps(white, C, starts)
@@ -198,7 +198,7 @@ def _find_time(white: WhiteRows, C: np.ndarray, output: int, near: float) -> tup
     return float(np.mean(_find_gap(white, output, starts[int(np.argmax(T))]))), (late - early) / np.sqrt(12)
 
 
-def _measure_step(white: WhiteRows, C: np.ndarray, time_s: float, stderr: float, factor: float) -> Step:
+def _measure_step(white: OrderedRows, C: np.ndarray, time_s: float, stderr: float, factor: float) -> Step:
     """Return a step of columns C (R, d) at a time with its statistics."""
     step = C * (white.t > time_s)[:, None]
     clean = step - white.Q @ (white.Q.T @ step)
@@ -226,7 +226,7 @@ def _measure_scatter(block: np.ndarray, scores: np.ndarray, square: float) -> fl
     return max(found)
 
 
-def _measure_drifts(white: WhiteRows, e: np.ndarray, C: np.ndarray) -> list[float]:
+def _measure_drifts(white: OrderedRows, e: np.ndarray, C: np.ndarray) -> list[float]:
     """Return the statistic of each drift of columns C (R, d) in the residual (R,)."""
     found = []
     for shape in list_drifts(white.t):

@@ -17,7 +17,7 @@ polynomials of the speed do not follow it."""
 
 
 @dataclass(frozen=True, eq=False)
-class WhiteRows:
+class OrderedRows:
     """White rows of one log in time order, no change accounted for that is not in the columns.
 
     Attributes:
@@ -54,7 +54,7 @@ class WhiteRows:
         return np.where(self.output == hypothesis.output, self.fit, 0.0)[:, None]
 
 
-def make_rows(data: LogData, noise: Sequence[Autoregression]) -> WhiteRows | None:
+def make_rows(data: LogData, noise: Sequence[Autoregression]) -> OrderedRows | None:
     """Return white rows; None where the log is too short for its columns."""
     runs, rich = data.runs, _build_smooth_columns(data.regression)
     known = data.columns
@@ -69,7 +69,7 @@ def make_rows(data: LogData, noise: Sequence[Autoregression]) -> WhiteRows | Non
         own.append(placed)
     Q = orthonormalise(np.concatenate([whiten(known), *own], axis=1)[order])
     y = whiten([run.y for run in runs])[order]
-    return WhiteRows(whiten, order, y, Q, whiten.t[order], whiten.index[order], whiten.block[order])
+    return OrderedRows(whiten, order, y, Q, whiten.t[order], whiten.index[order], whiten.block[order])
 
 
 def _build_smooth_columns(regression: Regression) -> list[list[np.ndarray]]:
