@@ -249,11 +249,13 @@ def add_reported_channel(
     """
     prepared = prepare_segments(model, pieces, preparation, [None] * len(pieces))
     runs = build_force_regression(model, prepared, preparation).runs
-    refitted = RefittedModel(model, channel.parameters.values, prepared, runs, tuple(not out for out in held))
+    nominal, trained = channel.parameters.values, tuple(not out for out in held)
+    searched = RefittedModel(model, nominal, channel.prepared, channel.runs, trained)  # effects get their values there
+    refitted = RefittedModel(model, nominal, prepared, runs, trained, searched)
     prepared = tuple(_with_signals(piece, refitted, k, clear_hz, None) for k, piece in enumerate(prepared))
     parts = []
-    for run, searched, part in zip(runs, channel.runs, channel.parts, strict=True):
-        middles = (searched.t[1:] + searched.t[:-1]) / 2
+    for run, other, part in zip(runs, channel.runs, channel.parts, strict=True):
+        middles = (other.t[1:] + other.t[:-1]) / 2
         parts.append(part[np.searchsorted(middles, run.t)])
     found = replace(
         channel,

@@ -60,6 +60,7 @@ class RefittedModel:
         prepared: All pieces.
         runs: Their regressions.
         trained: Whether a piece belongs to a training log.
+        source: The refits whose values are taken, where an effect was fitted to other pieces; None to refit to these.
     """
 
     model: Model
@@ -67,15 +68,22 @@ class RefittedModel:
     prepared: tuple[PreparedSegment, ...]
     runs: tuple[RegressionRun, ...]
     trained: tuple[bool, ...]
+    source: RefittedModel | None = None
 
     @cached_property
     def gravity_turns(self) -> list[np.ndarray]:
         """Forces at rest (N, na, 2) of each piece per turn of gravity."""
+        near = self.model.with_parameters(self.model.parameters.with_values(self.turned_values))
+        return [interpolate_smooth(p, lambda q, v, a: near.mechanism.gravity_turn(q)) for p in self.prepared]
+
+    @cached_property
+    def turned_values(self) -> np.ndarray:
+        """Values (p,) refitted beside a turn of gravity."""
+        if self.source is not None:
+            return self.source.turned_values
         turns = [interpolate_smooth(p, lambda q, v, a: self.model.mechanism.gravity_turn(q)) for p in self.prepared]
         columns = [p.columns(turn, gated=False) for p, turn in zip(self.prepared, turns, strict=True)]
-        values = self._refit_beside(columns)
-        near = self.model.with_parameters(self.model.parameters.with_values(values))
-        return [interpolate_smooth(p, lambda q, v, a: near.mechanism.gravity_turn(q)) for p in self.prepared]
+        return self._refit_beside(columns)
 
     def _refit_beside(self, columns: Sequence[np.ndarray]) -> np.ndarray:
         """Return the values (p,) nearest the nominal ones beside columns (n, na, k) of each piece."""
@@ -102,6 +110,8 @@ class RefittedModel:
     @cached_property
     def delivered(self) -> np.ndarray:
         """Change of the fitted values (p,) by a refit beside a saturation of every drive."""
+        if self.source is not None:
+            return self.source.delivered
         values = fitted = self.model.parameters.values
         for _ in range(_SATURATION_PASSES):
             forces = [run.W_all @ values for run in self.runs]
@@ -118,6 +128,8 @@ class RefittedModel:
     @cached_property
     def largest(self) -> np.ndarray:
         """The largest force (na,) that the drives give in the training logs."""
+        if self.source is not None:
+            return self.source.largest
         values = self.model.parameters.values + self.delivered
         return self.find_largest([run.W_all @ values for run in self.runs])
 
@@ -134,11 +146,18 @@ class RefittedModel:
     @cached_property
     def shifted_forces(self) -> list[np.ndarray]:
         """Change (N, na, na, 4) of each piece's forces at displaced positions, each joint's by values refitted at its zero."""
-        values = [
+        values = self.shifted_values
+        return [interpolate_smooth(p, lambda q, v, a: self._shift_all(q, v, a, values)) for p in self.prepared]
+
+    @cached_property
+    def shifted_values(self) -> list[np.ndarray]:
+        """Values (p,) refitted at the zero of each joint."""
+        if self.source is not None:
+            return self.source.shifted_values
+        return [
             self.nominal + self._solve_near(*search.residual_rows(zero, self.nominal))
             for search, zero in zip(self._searches, self.zeros, strict=True)
         ]
-        return [interpolate_smooth(p, lambda q, v, a: self._shift_all(q, v, a, values)) for p in self.prepared]
 
     def _shift_all(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, values: Sequence[np.ndarray]) -> np.ndarray:
         """Return the change (N, na, na, 4) of the forces at positions displaced joint by joint, at values (p,) for each joint."""
