@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.diagnose.force_baseline import FittedBaseline, fit_baseline
-from tau_dyn.effects import JointZero, TorqueSaturation
+from tau_dyn.effects import SHIFTED_FORCE, JointZero, TorqueSaturation
 from tau_dyn.evidence.channel import ColumnCache
 from tau_dyn.evidence.measurements import TRAIN
 from tau_dyn.evidence.null_model import NullModel, fit_noise_models
@@ -19,11 +19,11 @@ from tau_dyn.robot import load_robot_from_urdf
 NOISE_NM = 0.02
 
 
-def record(robot, rng, *, zero: float = 0.0, saturation: float = 0.0) -> Log:
-    """Return 20 s of a vertical arm whose shoulder's encoder reads a zero, or whose shoulder's drive saturates."""
+def record(robot, rng, *, zero: float = 0.0, saturation: float = 0.0, joint: int = 0, noise: float = NOISE_NM) -> Log:
+    """Return 20 s of an arm, one encoder of which reads a zero, or the first drive of which saturates."""
     t = np.arange(0, 20, 0.005)
-    q, v, a = np.zeros((3, len(t), 2))
-    for k in range(2):
+    q, v, a = np.zeros((3, len(t), robot.na))
+    for k in range(robot.na):
         for f in (0.11, 0.29, 0.53, 0.83):
             w, phase = 2 * np.pi * f * rng.uniform(0.95, 1.05), rng.uniform(0, 6)
             q[:, k] += 0.4 * np.sin(w * t + phase)
@@ -32,8 +32,8 @@ def record(robot, rng, *, zero: float = 0.0, saturation: float = 0.0) -> Log:
     force = build_mechanism(robot).inverse_dynamics(q, v, a) + 1.5 * np.sign(v) + 0.8 * v
     largest = np.abs(force[:, 0]).max()
     force[:, 0] += saturation * force[:, 0] * (force[:, 0] / largest) ** 2
-    force += NOISE_NM * rng.standard_normal(force.shape)
-    channels = {f"q_{j}": q[:, k] + zero * (k == 0) for k, j in enumerate(robot.actuated)}
+    force += noise * rng.standard_normal(force.shape)
+    channels = {f"q_{j}": q[:, k] + zero * (k == joint) for k, j in enumerate(robot.actuated)}
     return Log(t, channels | {f"tau_{j}": force[:, k] for k, j in enumerate(robot.actuated)}, "log")
 
 
@@ -83,3 +83,23 @@ def test_a_yaw_that_no_force_feels_proposes_no_zero(write, rng) -> None:
     assert case.channel.scene.zeros["shoulder"] == 0.0
     columns = case.channel.columns(JointZero(["shoulder"], ["N m"]))
     assert not any(c.any() for c in columns)
+
+
+def test_errors_are_reported_with_the_values_that_an_effect_was_fitted_with(write, rng) -> None:
+    """A refit in another band has other weakly determined masses; the forces at displaced positions are those of the search."""
+    parts = [write.rod("column_link", 4, 0.1) + write.joint("pan", "revolute", "base_link", "column_link", "0 0 1")]
+    parts.append(
+        write.rod("upper_link", 5, 0.45)
+        + write.joint("lift", "revolute", "column_link", "upper_link", "0 1 0", "0 0 0.2")
+    )
+    parts.append(
+        write.rod("fore_link", 3, 0.3)
+        + write.joint("elbow", "revolute", "upper_link", "fore_link", "0 1 0", "0.45 0 0")
+    )
+    text = write.text("arm", *parts, write.drive("pan"), write.drive("lift"), write.drive("elbow"))
+    robot = load_robot_from_urdf(text, "arm")
+    case = fit(robot, record(robot, rng, zero=0.3, joint=1, noise=0.5))
+    channel, shown = case.channel, case.channel.report()
+    assert shown is not channel
+    searched, reported = (c.prepared[0].motion.signals[SHIFTED_FORCE][400:-400] for c in (channel, shown))
+    assert np.linalg.norm(searched - reported) < 0.003 * np.linalg.norm(searched)
