@@ -8,7 +8,7 @@ forces that hold the robot still are subtracted. All three on the robots, motion
 `guideway`: one guideway of the L1 Gantry-Tau is 1 mrad out of parallel; 300 positions of the tool with 40 um of noise, closed by
 Newton's method on three spheres. A fault is named if the first confirmed finding has its name, or has it as a twin, at its
 joint; gravity if its warning is there. Faults of forces are drawn until they are stronger than lambda = 120 (`strength.py`).
-Other confirmed causes are counted beside the named ones. Out: `named_at_size.csv`, a row a set; the counts on the screen.
+Other confirmed causes are counted, too. Out: `named_at_size.csv`, a row a set; the counts on the screen.
 """
 
 from __future__ import annotations

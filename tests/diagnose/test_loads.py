@@ -206,7 +206,7 @@ def make_load(status: str) -> Load:
 
 
 def test_the_step_of_a_load_is_between_the_refit_without_it_and_the_causes() -> None:
-    """A confirmed load has a step of its own; the refit that carries it is no longer called `refitted`."""
+    """A confirmed load has a step of its own; the refit that carries it is the step before the causes."""
     without, carried, extended = (OutputErrors(("lever",), np.array([x]), np.zeros((1, 2)), x) for x in (3.0, 2.0, 1.0))
     steps = [Step("nominal", without), Step("refitted", carried), Step("stribeck lever", extended)]
     found = LoadReport.of([make_load("confirmed"), make_load("suspected")], without)

@@ -78,7 +78,7 @@ class RefittedModel:
 
     @cached_property
     def turned_values(self) -> np.ndarray:
-        """Values (p,) refitted beside a turn of gravity."""
+        """Values (p,) of a refit that includes a turn of gravity."""
         if self.source is not None:
             return self.source.turned_values
         turns = [interpolate_smooth(p, lambda q, v, a: self.model.mechanism.gravity_turn(q)) for p in self.prepared]

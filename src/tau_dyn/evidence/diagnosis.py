@@ -21,7 +21,7 @@ from tau_dyn.evidence.result import (
 )
 from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
-from tau_dyn.results import Shown, Stretch, plot_outputs, to_plain
+from tau_dyn.results import PlottedSegment, Shown, plot_outputs, to_plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -103,7 +103,7 @@ class Diagnosis(Shown):
             InputError: Matplotlib is not installed.
         """
         curves = [
-            Stretch(one.log, one.t, one.measured, {"baseline": one.before, "extended": one.after}, one.usable)
+            PlottedSegment(one.log, one.t, one.measured, {"baseline": one.before, "extended": one.after}, one.usable)
             for one in self.traces
         ]
         return plot_outputs(curves, self.outputs, self.units)

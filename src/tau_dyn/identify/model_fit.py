@@ -1,4 +1,4 @@
-"""A model beside measured logs: measured and predicted forces, and the error of each joint."""
+"""Comparison of a model with logs: measured and predicted forces, and the error of each joint."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.identify.data import Logs, get_log_list, require_forces
 from tau_dyn.identify.loop_positions import complete_positions
 from tau_dyn.identify.regression import build_regression
-from tau_dyn.identify.result import ForceErrors, build_force_errors, list_stretches
+from tau_dyn.identify.result import ForceErrors, build_force_errors, list_plotted_segments
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.results import Brief, plot_outputs, to_plain
@@ -72,7 +72,7 @@ class ModelFit(Brief):
             InputError: Matplotlib is not installed.
         """
         return plot_outputs(
-            list_stretches(self.regression, self.model.parameters.values),
+            list_plotted_segments(self.regression, self.model.parameters.values),
             self.regression.outputs,
             self.regression.units,
         )

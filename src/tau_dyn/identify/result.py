@@ -28,7 +28,7 @@ from tau_dyn.log import Log, Recording
 from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.results import Z95, Shown, Stretch, plot_outputs
+from tau_dyn.results import Z95, PlottedSegment, Shown, plot_outputs
 from tau_dyn.robot import BodyPrior, compute_nominal_stderr
 
 if TYPE_CHECKING:
@@ -240,7 +240,7 @@ class Identification(Shown):
             InputError: Matplotlib is not installed, or the logs are not kept in memory.
         """
         regression = self.estimate.regression
-        runs = () if regression.everything is not None else list_stretches(regression, self.estimate.theta)
+        runs = () if regression.everything is not None else list_plotted_segments(regression, self.estimate.theta)
         return plot_outputs(runs, regression.outputs, regression.units)
 
     @property
@@ -306,10 +306,11 @@ class Identification(Shown):
         return name.partition("@")[0] in self.model.effect_parameters
 
 
-def list_stretches(regression: Regression, theta: np.ndarray) -> list[Stretch]:
+def list_plotted_segments(regression: Regression, theta: np.ndarray) -> list[PlottedSegment]:
     """Return measured forces and those of a full parameter vector (p,) over time."""
     return [
-        Stretch(run.name, run.t, run.y_all, {"predicted": run.W_all @ theta}, run.usable) for run in regression.runs
+        PlottedSegment(run.name, run.t, run.y_all, {"predicted": run.W_all @ theta}, run.usable)
+        for run in regression.runs
     ]
 
 

@@ -60,7 +60,7 @@ from .formatting import (
     round_to_stderr as round_to_stderr,
 )
 from .plain import to_plain as to_plain
-from .plots import Stretch as Stretch, plot_outputs as plot_outputs
+from .plots import PlottedSegment as PlottedSegment, plot_outputs as plot_outputs
 from .presentation import (
     Bar as Bar,
     Beside as Beside,

@@ -16,7 +16,7 @@ _INCHES = (10.0, 2.2)
 """Width of a figure and height of each of its axes."""
 
 
-class Stretch(NamedTuple):
+class PlottedSegment(NamedTuple):
     """Curves over one stretch of time.
 
     Attributes:
@@ -34,7 +34,7 @@ class Stretch(NamedTuple):
     used: np.ndarray
 
 
-def plot_outputs(stretches: Sequence[Stretch], outputs: Sequence[str], units: Sequence[str]) -> Figure:
+def plot_outputs(stretches: Sequence[PlottedSegment], outputs: Sequence[str], units: Sequence[str]) -> Figure:
     """Return a figure with one row an output: measured, predicted, and the residual of the last prediction.
 
     Samples that do not count are left out of the residual. Stretches follow each other with a gap.
