@@ -9,6 +9,7 @@ from tau_dyn.evidence import (
     ReadingFit,
     ReadingTest,
     compute_zero_mean_nats,
+    is_hopeless,
     is_part_missing,
     is_preferred,
     is_preferred_in_each_half,
@@ -52,6 +53,15 @@ def test_a_poor_fit_of_the_joints_concerned_is_no_mend() -> None:
     test = ReadingTest(SIZE, 0.05)
     assert test.is_mended(fit(0.0, 0.1, 0.5), (0,), (0, 1)) and not test.is_mended(fit(0.0, 0.1, 0.5), (1,), (0, 1))
     assert not test.is_good(fit(0.0, 0.1, 0.2), (0, 1), (0, 1))  # each joint counts, also the weak one
+
+
+def test_only_noise_makes_the_finer_measure_hopeless() -> None:
+    """Another reading explains what is correlated between samples, and none explains noise."""
+    fine = ReadingTest(SIZE, 0.005, is_fine=True)
+    poor = fit(0.0, 0.01, 0.04)
+    assert is_hopeless(fine, poor, poor.power) and not is_hopeless(fine, poor, 0.1 * poor.power)
+    assert is_hopeless(fine, fit(0.0, 0.01, 0.2), np.zeros(2))  # the coarser measure has judged such a joint
+    assert not is_hopeless(ReadingTest(SIZE, 0.05), poor, poor.power)
 
 
 def test_both_halves_of_a_log_agree_on_a_true_reading() -> None:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tau_dyn.identify import build_model, check_against_robot
+from tau_dyn.identify.excerpt import make_excerpt
+from tau_dyn.identify.reading_fit import LogModel
+from tau_dyn.identify.wiring_alternatives import Rewiring
 from tau_dyn.log import Log
 from tau_dyn.mechanism import build_mechanism
 from tau_dyn.message_codes import get_code
@@ -46,6 +50,19 @@ def read_map(warnings) -> dict[str, float]:
     lines = re.findall(r"`(\w+): \{column: \w+, scale: ([-\d.e]+)\}`", " ".join(warnings))
     assert len({name for name, _ in lines}) == len(lines)  # one line a column
     return {name: float(scale) for name, scale in lines}
+
+
+def test_noise_of_a_residual_differs_between_adjacent_samples(two_link, arm_log) -> None:
+    """White noise counts whole, a slow error hardly, and samples beside a gap not at all."""
+    excerpt = make_excerpt(two_link, [arm_log])
+    assert excerpt is not None
+    model = LogModel.of(two_link, excerpt, np.zeros(2))
+    n = len(model.q)
+    white, slow = np.random.default_rng(0).normal(size=n), np.sin(2 * np.pi * np.arange(n) / 40)
+    fit = model.fit(Rewiring.none(2))
+    assert fit is not None
+    noise = model.estimate_noise(replace(fit, residual=np.stack([white, slow], axis=1)))
+    assert noise[0] == pytest.approx(1.0, rel=0.15) and noise[1] < 0.02
 
 
 def test_forces_without_gravity_are_named(two_link, arm_log) -> None:

@@ -207,20 +207,19 @@ def list_aliases(log_p: Sequence[float]) -> list[int]:
     return [int(k) for k in np.argsort(-np.asarray(log_p), kind="stable") if best - log_p[k] < ALIAS_NATS]
 
 
-def is_hopeless(test: ReadingTest, fit: ReadingFit, counts: np.ndarray, used: np.ndarray) -> bool:
-    """Return whether no reading can meet the finer measure: white noise of a joint is too large, or its model too poor.
+def is_hopeless(test: ReadingTest, fit: ReadingFit, noise: np.ndarray) -> bool:
+    """Return whether no reading can meet the finer measure: noise of a joint is too large, or its model too poor.
 
     Args:
         test: The measure.
         fit: The fit of the log as read.
-        counts: Effective number of samples of each joint (na,).
-        used: Which samples are used (n, na).
+        noise: Power of each joint's residual that differs between adjacent samples (na,); no reading explains it.
     """
     if not test.is_fine:
         return False
-    share = np.sqrt(fit.power) / test.size
-    white = counts > 0.5 * used.sum(axis=0)
-    return bool(np.any((share > EXPLAINED) & white & (counts > 0)) or np.any(share > MAX_FINE_SHARE))
+    noisy = np.sqrt(noise) > EXPLAINED * test.size
+    poor = np.sqrt(fit.power) > MAX_FINE_SHARE * test.size
+    return bool(np.any(noisy | poor))
 
 
 def is_part_missing(left: float, *, is_single: bool) -> bool:

@@ -121,6 +121,18 @@ class LogModel:
         counts = [count_independent(fit.residual[self.used[:, k], k]) for k in range(self.robot.na)]
         return replace(self, counts=np.array(counts))
 
+    def estimate_noise(self, fit: ReadingFit) -> np.ndarray:
+        """Return the power of each joint's residual (na,) that differs between adjacent samples, by half their differences.
+
+        Of white noise it is the whole power; of a residual that is correlated between samples, a part (von Neumann 1941).
+        """
+        noise = np.zeros(self.robot.na)
+        for j, used in enumerate(self.used.T):
+            both = used[1:] & used[:-1]
+            if np.count_nonzero(both) >= MIN_ROWS:
+                noise[j] = compute_clipped_power(np.diff(fit.residual[:, j])[both], 3.0) / 2
+        return noise
+
     def thinned(self) -> LogModel:
         """Return the model with fewer samples that count as much."""
         return self._taking(slice(None, None, SCREENING_STEP), 1.0)

@@ -166,7 +166,7 @@ class Search:
         if fit is not None:
             search = replace(self, model=self.model.counted(fit))
             fit = search.model.fit(current)
-            if fit is not None and is_hopeless(search.model.test, fit, search.model.counts, search.model.used):
+            if fit is not None and is_hopeless(search.model.test, fit, search.model.estimate_noise(fit)):
                 return []
 
         def grow(last: Sequence[Fault | None]) -> list[Fault | None]:
