@@ -192,9 +192,13 @@ class Search:
         return self._list_equivalent(found)
 
     def _list_equivalent(self, found: list[Fault]) -> list[Fault]:
-        """Return the best of accepted readings and those of another code that the noise of the best does not exclude."""
-        best = max(found, key=lambda fault: fault.after.log_p)
-        sharp = replace(self.model, test=self.model.test.sharpened(best.after, best.reading.tau_from))
+        """Return the best of accepted readings and those of another code that the data do not exclude.
+
+        They are compared with the least residual that one of them leaves as the model error. Below the usual model error all of
+        them fit, and the prior alone would decide.
+        """
+        tests = [self.model.test.sharpened(fault.after, fault.reading.tau_from) for fault in found]
+        sharp = replace(self.model, test=min(tests, key=lambda test: test.model_error))
         values = [fit.log_p if (fit := sharp.fit(fault.reading)) else -np.inf for fault in found]
         codes: dict[str, Fault] = {}
         for k in list_aliases(values):
