@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from tau_dyn.evidence import ReadingFit, ReadingTest
 from tau_dyn.identify import build_model, check_against_robot
 from tau_dyn.identify.excerpt import make_excerpt
 from tau_dyn.identify.reading_fit import LogModel
+from tau_dyn.identify.wiring import Fault, Search
 from tau_dyn.identify.wiring_alternatives import Rewiring
 from tau_dyn.log import Log
 from tau_dyn.mechanism import build_mechanism
@@ -127,6 +129,30 @@ def test_an_estimate_consistent_with_degrees_is_rounded_to_them(two_link, arm_lo
     log = Log(arm_log.t, turned | {f"tau_{j}": arm_log.channels[f"tau_{j}"] for j in JOINTS}, "degrees.csv")
     found = read_map(check_against_robot(two_link, [log]))
     assert all(found[f"q_{j}"] == pytest.approx(np.pi / 180, rel=1e-4) for j in JOINTS)
+
+
+@dataclass(frozen=True)
+class KnownPowers:
+    """Fits of a robot with forces of 10 N m whose residual power is known for each reading's words."""
+
+    test: ReadingTest
+    power: dict[str, float]
+
+    def fit(self, reading: Rewiring) -> ReadingFit:
+        """Return the fit with the likelihood of 200 samples."""
+        power = np.full(2, self.power[reading.words])
+        log_p = -200.0 * np.log(np.maximum(power, self.test.floor)).sum() / 2 - (reading.words == "true") * 10.0
+        return ReadingFit(log_p, log_p, power, 0.0, np.zeros((1, 2)))
+
+
+def test_the_least_residual_decides_between_readings_below_the_usual_model_error() -> None:
+    """Two readings fit to 4 and to 0.5 % of a force; the second is true although its number costs some likelihood."""
+    model = KnownPowers(ReadingTest(np.full(2, 10.0), 0.05), {"wrong": 0.16, "true": 0.0025})
+    readings = [replace(Rewiring.none(2), code=words, words=words) for words in model.power]
+    faults = [Fault(reading, None, model.fit(reading)) for reading in readings]
+    assert faults[0].after.log_p > faults[1].after.log_p
+    search = Search(model, None)  # type: ignore[arg-type]
+    assert [fault.reading.words for fault in search._list_equivalent(faults)] == ["true"]
 
 
 def test_a_recorded_velocity_decides_about_the_clock(two_link, arm_log) -> None:
