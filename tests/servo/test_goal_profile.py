@@ -1,6 +1,7 @@
 """A servo that limits its goal's acceleration: the limit is estimated, named, and acts on streams alone if asked to."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,13 +10,15 @@ from numpy.testing import assert_allclose
 import tau_dyn as td
 from tau_dyn.robot import Robot
 from tau_dyn.servo import diagnose_loop, identify_loop, simulate_loop_log
+from tau_dyn.servo.unknowns import measure_change
 from tau_dyn.servo.waves import find_command_steps
-from tau_dyn.simulate import ServoLaw, Trajectory, build_servo_law
+from tau_dyn.simulate import ServoLaw, Trajectory, build_servo_law, read_servo_law
 
 from .arms import build_arm, build_law, build_truth
 
 ARM = build_arm(1)
 TRUTH = build_truth(ARM)
+CONTROLLERS = Path(__file__).resolve().parents[2] / "identification" / "controllers"
 KNOWN = {"load_friction": 0.0, "stiction": 0.0}
 NOISE = 5e-4  # rad
 LIMIT = 25.0  # rad/s^2
@@ -107,6 +110,23 @@ def test_a_step_is_told_from_a_stream_whatever_the_rate(rate):
     command = np.repeat(told, held)[:, None, None]
     found = np.flatnonzero(find_command_steps(command, np.array([1 / rate]))[:, 0, 0]) / held
     assert_allclose(found, [20, 59, 79, 99])
+
+
+def test_the_shipped_law_has_the_limit_of_the_register():
+    """254 units of 100 steps/s^2, 4096 steps a turn; everything else is as in the law without a profile."""
+    plain, streamed = (read_servo_law(CONTROLLERS / name, ARM) for name in ("sts3215.yaml", "sts3215_streamed.yaml"))
+    differ = {key for key, x in streamed.values.items() if not np.array_equal(x, plain.values[key])}
+    assert differ == {"acceleration_limit", "steps_pass"}
+    assert_allclose(streamed.values["acceleration_limit"], 254 * 100 * 2 * np.pi / 4096, rtol=1e-3)
+
+
+def test_limits_are_compared_by_their_inverse():
+    """No limit is an infinite one: 25 +- 0.5 is 0.04 +- 0.0008 from it, and a gain of 2 +- 0.1 is 0.5 from 1.5."""
+    value, stderr = np.array([25.0]), np.array([0.5])
+    away, error = measure_change("acceleration_limit", value, np.array([np.inf]), stderr)
+    assert_allclose([away[0], error[0]], [0.04, 1 / 24.5 - 1 / 25], rtol=0.03)
+    away, error = measure_change("position_gain", np.array([2.0]), np.array([1.5]), np.array([0.1]))
+    assert_allclose([away[0], error[0]], [0.5, 0.1])
 
 
 def test_a_profile_law_is_written_and_read():
