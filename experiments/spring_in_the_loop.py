@@ -104,7 +104,7 @@ def judge_set(seed: int, hidden: str) -> dict[str, object]:
         {{"command_delay": "command_delay", "torque_delay": "delay"}[late]} if hidden in ("spring", "delay") else set()
     )
     law = dict(found.extended_model.controller)
-    twins = {name for f in told.values() for name in f.twins}
+    twins = {name for f in told.values() for name in f.indistinguishable_from}
     row: dict[str, object] = {
         "set": seed, "hidden": hidden, "encoder": true.encoder, "told": " ".join(told), "unexplained": len(found.unexplained),
         "named": all(w in told or w in twins for w in wanted), "false": bool(set(told) - wanted),

@@ -154,7 +154,7 @@ def judge_causes(seed: int, hidden: str) -> dict[str, object]:
         found = diagnose_loop(arm, logs, law=plain)
     except CannotAnswer as fault:
         return {"confirmed": fault.missing, "right": False, "false": False}
-    told = [(f.cause, f.twins) for f in found.findings if f.status == "confirmed"]
+    told = [(f.cause, f.indistinguishable_from) for f in found.findings if f.status == "confirmed"]
     motion = build_commands(arm, 50_000 + seed, 20.0)
     measured = record(arm, model, true, 50_000 + seed, 20.0)
     law = build_servo_law(dict(found.extended_model.controller), arm, "the extended model")

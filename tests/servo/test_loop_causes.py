@@ -79,6 +79,18 @@ def test_a_play_is_named_with_its_width():
     assert best.parameters[0].value == pytest.approx(0.03, rel=0.05)
 
 
+@pytest.mark.parametrize("cause", ["carried_friction", "load_friction"])
+def test_friction_by_the_load_is_told_from_friction_by_the_torque(cause):
+    """A gear that rubs by what it carries, and one that rubs by the motor's torque, are named apart, each with its share."""
+    arm = build_arm(1, mass=0.6)
+    laws = [build_law(arm, **(NOTHING | more)) for more in ({cause: 0.4}, {})]
+    answer = diagnose_loop(arm, [record(arm, build_truth(arm), laws[0], s, 30.0) for s in (1, 2)], law=laws[1])
+    (finding,) = answer.findings
+    assert (finding.cause, finding.status, finding.indistinguishable_from) == (cause, "confirmed", ())
+    (share,) = finding.parameters
+    assert abs(share.value - 0.4) < 3 * share.stderr < 0.08
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_droop_is_no_backlash(seed):
     """A proportional servo that yields to gravity and sticks, told 80 mrad and moved half of it, has no play."""

@@ -141,6 +141,8 @@ def test_a_sampled_spring_keeps_both_poles():
         {"backlash": 0.02, "torque_delay": np.array([0.0, 0.004]), "integral_gain": 2.0, "derivative_gain": 0.02},
         {"drive_exponent": 0.8, "braking": 0.3, "supply_sag": 0.2, "dead_band": 0.004, "command_step": 0.002},
         {"speed_limit": 3.0, "acceleration_limit": 20.0},
+        {"speed_limit": 3.0, "acceleration_limit": np.array([20.0, np.inf]), "steps_pass": 1.0},
+        {"acceleration_limit": 20.0, "steps_pass": np.array([0.0, 1.0]), "command_step": 0.002},
         {"position_gain": 9.0, "speed_gain": 0.3, "speed_integral_gain": 2.0, "supply_sag": 0.2},
         {"command": "speed", "speed_gain": np.array([0.3, 0.6]), "speed_integral_gain": 2.0, "speed_limit": 0.5},
         {"command": "pwm", "torque_delay": 0.013},

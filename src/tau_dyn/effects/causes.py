@@ -80,12 +80,16 @@ GEOMETRY_SENTENCES = {
 
 
 class LoopCause(NamedTuple):
-    """A cause in a servo's loop: the law's entries that it frees, its own number first; its equation; what reveals it."""
+    """A cause in a servo's loop: the law's entries that it frees, its own number first; its equation; what reveals it.
+
+    `forms` are entries that are 0 or 1, of which the search takes the better.
+    """
 
     entries: tuple[str, ...]
     equation: str
     reveals: str
     mistaken_for: tuple[str, ...] = ()
+    forms: tuple[str, ...] = ()
 
 
 LOOP_CAUSES = {
@@ -112,7 +116,17 @@ LOOP_CAUSES = {
     "stiction": LoopCause(
         ("stiction",), "friction + stiction exp(-|v| / stiction_speed)", "slow sweeps through rest", ("dead_band",)
     ),
-    "load_friction": LoopCause(("load_friction",), "friction + load_friction |tau|", "slow motion at several loads"),
+    "goal_profile": LoopCause(
+        ("acceleration_limit",), "|goal''| <= acceleration_limit, braked to rest at the command; steps_pass 1: steps pass",
+        "fast streamed sweeps, and steps", ("command_delay", "delay"), ("steps_pass",),
+    ),
+    "load_friction": LoopCause(
+        ("load_friction",), "friction + load_friction |tau|", "slow motion at several loads", ("carried_friction",)
+    ),
+    "carried_friction": LoopCause(
+        ("carried_friction",), "friction + carried_friction |load|", "slow motion at several loads, and fast motion without load",
+        ("load_friction",),
+    ),
     "joint_compliance": LoopCause(
         ("joint_compliance", "joint_damping"), "motor - link = joint_compliance tau_link, joint_damping beside it",
         "a chirp through the resonance", ("delay", "backlash"),

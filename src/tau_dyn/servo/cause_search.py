@@ -18,7 +18,7 @@ from tau_dyn.servo.by_gain import read_kind
 from tau_dyn.servo.data import LoopData, fit_precisely, refit_again
 from tau_dyn.servo.fit import LoopFit, count_worth, fit_loop
 from tau_dyn.servo.starts import DELAYS, SPRING, TRY_ITERATIONS, free_causes, list_starts, start_best
-from tau_dyn.servo.unknowns import LoopUnknowns
+from tau_dyn.servo.unknowns import LIMITS, LoopUnknowns, measure_change
 
 MIN_SCORE = 5.0
 """Score from which a cause is taken in: one false one in 1,000 candidates where some 60 blocks count."""
@@ -223,8 +223,10 @@ def _hold_null(
     """Return unknowns and vector of a solution, causes at some joints held at their null."""
     values, free = {key: np.array(x) for key, x in u.with_values(fit.x).items()}, np.array(u.free)
     for cause, j in places:
-        for entry in LOOP_CAUSES[cause].entries:
+        row = LOOP_CAUSES[cause]
+        for entry in (*row.entries, *row.forms):
             values[entry][j] = data.law.values[entry][j]
+        for entry in row.entries:
             free[u.kinds.index(entry), j] = False
     left = replace(u, values=values, free=free)
     x = left.pack()
@@ -327,8 +329,8 @@ def _try(
     score, share = np.zeros((2, na))
     for k, (wide, one, _) in enumerate(found):
         value, sigma = read_kind(wide, one, entry)
-        away = np.abs(value - data.law.values[entry])
-        away = np.where(away < MIN_CHANGE * np.abs(data.law.values[entry]), 0.0, away)
+        away, sigma = measure_change(entry, value, data.law.values[entry], sigma)
+        away = np.where(away < _get_least_change(entry, data.law.values[entry]), 0.0, away)
         mine = (best == k) & ~there
         score[mine] = np.divide(away, sigma, out=np.zeros(na), where=sigma > 0)[mine]
         share[mine] = (1 - (one.sigma / fit.sigma) ** 2)[mine]
@@ -350,10 +352,11 @@ def _drop_superfluous(
         for (cause, j), (_, twins) in taken.items():
             entry = LOOP_CAUSES[cause].entries[0]
             value, sigma = read_kind(u, fit, entry)
-            away = abs(value[j] - data.law.values[entry][j])
-            score = float(away / sigma[j]) if sigma[j] > 0 else 0.0
+            away, error = (float(x[j]) for x in measure_change(entry, value, data.law.values[entry], sigma))
+            score = away / error if error > 0 else 0.0
             taken[cause, j] = (score, twins)
-            if (cause, j) not in needed and (score < MIN_SCORE or away < MIN_CHANGE * abs(data.law.values[entry][j])):
+            least = _get_least_change(entry, data.law.values[entry])[j]
+            if (cause, j) not in needed and (score < MIN_SCORE or away < least):
                 weak.append((score, cause, j))
         if not weak:
             return u, fit, dropped
@@ -367,11 +370,17 @@ def _drop_superfluous(
             dropped.add((cause, j))
 
 
+def _get_least_change(entry: str, null: np.ndarray) -> np.ndarray:
+    """Return the change of a number that the law gives (na,) from which it is a cause; of limits, that of their inverses."""
+    return MIN_CHANGE * np.abs(1 / null if entry in LIMITS else null)
+
+
 def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:
     """Return the number (na,) that a cause must have at each joint to be found; infinite where these logs never show it.
 
     Its standard error beside the baseline's unknowns, of the sensitivities at its smallest start, with residuals as coloured
-    as the baseline's; times the threshold and what a power of 95 % asks for, and enough to colour the residual.
+    as the baseline's; times the threshold and what a power of 95 % asks for, and enough to colour the residual. A profile's
+    limit is found up to this number, zero where it never shows.
     """
     na = len(data.law.joints)
     start = list_starts(data, data.unknowns, base, cause)[-1 if cause == SPRING else 0]
@@ -397,6 +406,8 @@ def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:
             spread = base.sigma[j] * np.sqrt(worth) / size
             share = compute_share_wanted(problem.count)
             seen = base.sigma[j] * np.sqrt(share / (1 - share) * problem.count) / size
-            least = MIN_CHANGE * abs(float(data.law.values[entry][j]))
+            if entry in LIMITS:  # by the inverse, as they act
+                seen, spread = (x / float(x0) ** 2 for x, x0 in ((seen, start[entry][j]), (spread, start[entry][j])))
+            least = float(_get_least_change(entry, data.law.values[entry])[j])
             limits[j] = max(least, max(seen, MIN_SCORE * spread) + POWER_Z * spread)
-    return limits
+    return 1 / limits if entry in LIMITS else limits

@@ -33,14 +33,28 @@ static inline double least_of(double a, double b) {return a < b ? a : b;}
 static inline double most_of(double a, double b) {return a > b ? a : b;}
 static inline double clip(double x, double low, double high) {return least_of(most_of(x, low), high);}
 
-static double follow(goal_t *g, double target, double limit, double speed, double h) {
-  double distance = target - g->position, most = limit * h;
-  double braking = sqrt(most_of(2.0 * limit * fabs(distance), 0.0));
-  double wanted = least_of(least_of(braking, speed), fabs(distance) / h);
-  wanted = distance > 0 ? wanted : distance < 0 ? -wanted : 0.0;
-  g->speed += clip(wanted - g->speed, -most, most);
-  g->position += h * g->speed;
-  return g->position;
+/* Mean goal over a step: the delayed command is `before` for a part of it, then `first` */
+static double follow(goal_t *g, double first, double before, double part, double limit, double speed, double h,
+    int64_t finer, int passes) {
+  if (passes) {g->speed = 0.0; g->position = first; return first + part * (before - first);}
+  h /= (double)finer;
+  int bounded = isfinite(limit);
+  double half = bounded ? 0.5 * limit * h : 0.0, total = 0.0;  /* change of speed in half a step */
+  for (int64_t n = 0; n < finer; n++) {
+    double target = first + clip(part * (double)finer - (double)n, 0.0, 1.0) * (before - first);
+    double distance = target - g->position, apart = fabs(distance), way = distance > 0 ? 1.0 : distance < 0 ? -1.0 : 0.0;
+    if (bounded && apart <= 2.0 * half * h && fabs(g->speed) <= 4.0 * half) {
+      g->speed = 0.0; g->position = target; total += target;
+      continue;
+    }
+    double room = most_of(apart - 0.5 * h * way * g->speed, 0.0);  /* left after the step if it ends at rest */
+    double wanted = way * least_of(bounded ? sqrt(half * half + 2.0 * limit * room) - half : apart / h, speed);
+    double after = bounded ? g->speed + clip(wanted - g->speed, -2.0 * half, 2.0 * half) : wanted;
+    double step = h * (bounded ? 0.5 * (g->speed + after) : after);
+    total += g->position + 0.5 * step;
+    g->position += step; g->speed = after;
+  }
+  return total / (double)finer;
 }
 
 /* Exact step of the twist between two masses: a and S of  S D+ = a S D - K d + force  (see loop.py) */
@@ -60,9 +74,9 @@ typedef int64_t (*settle_t)(int64_t log, int64_t begin, int64_t stop, int64_t tu
 /* One joint of one log under one trial: numbers, waves, state, and what holds over a sample and over a step */
 typedef struct {
   double p[COUNT], h, part, old_part, *past;
-  int64_t behind, here, here_step, there, there_step, length, moved;
+  int64_t behind, here, here_step, there, there_step, length, moved, finer;
   int elastic, profiled;
-  const double *cmd, *way, *stiff, *ld, *in, *ldb, *inb, *changes;
+  const double *cmd, *makes_step, *way, *stiff, *ld, *in, *ldb, *inb, *changes;
   const int64_t *which;
   double *shown;
   goal_t g;
@@ -79,8 +93,8 @@ static void drive(joint_t *x, int64_t N, int64_t often, int64_t k, int64_t i, in
   const double *p = x->p;
   double h = x->h, half = 0.5 * h;
   int64_t at = k * often + i, one = at - x->behind;
-  double first = x->cmd[one < 0 ? 0 : x->here < N ? x->here : N - 1];
-  double before = x->cmd[one < 1 ? 0 : x->there < N ? x->there : N - 1];
+  int64_t now = one < 0 ? 0 : x->here < N ? x->here : N - 1, then = one < 1 ? 0 : x->there < N ? x->there : N - 1;
+  double first = x->cmd[now], before = x->cmd[then];
   if (one >= 0 && ++x->here_step == often) {x->here_step = 0; x->here++;}
   if (one >= 1 && ++x->there_step == often) {x->there_step = 0; x->there++;}
   if (p[command_step] > 0) {
@@ -88,7 +102,10 @@ static void drive(joint_t *x, int64_t N, int64_t often, int64_t k, int64_t i, in
     before = p[command_step] * nearbyint(before / p[command_step]);
   }
   double goal = first + x->part * (before - first);
-  if (x->profiled && told == POSITION) goal = follow(&x->g, goal, p[acceleration_limit], p[speed_limit], h);
+  if (x->profiled && told == POSITION) {
+    int passes = x->makes_step[now] > 0 || (x->makes_step[then] > 0 && first == before);
+    goal = follow(&x->g, first, before, x->part, p[acceleration_limit], p[speed_limit], h, x->finer, passes && p[steps_pass] > 0);
+  }
   int motor = on_motor && x->elastic;
   double seen = motor ? x->m : x->q, seen_speed = motor ? x->w : x->v, turning = x->elastic ? x->w : x->v;
   double middle = x->q + half * x->v, e = goal, u = goal, slow = 0.0, gain = p[integral_gain];
@@ -244,7 +261,8 @@ enum {LANES = 8};
 
 __attribute__((visibility("default")))
 int64_t loop_run(const int64_t *size, const double *dt, const double *start, const double *speed, const double *command,
-    const double *along, const double *load, const double *load_by, const double *inertia, const double *inertia_by,
+    const double *makes_step, const double *along, const double *load,
+    const double *load_by, const double *inertia, const double *inertia_by,
     const double *stiffness, const double *supply, const double *enabled, const double *entries, const double *inertial,
     const double *limits, const double *masses, const double *slopes, double *out, settle_t settle) {
   int64_t N = size[0], J = size[1], C = size[2], L = size[3], K = size[4], often = size[5], every = size[10], R = size[11];
@@ -277,7 +295,8 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
       x->changes = changes + lane * K; x->which = which + lane * K; x->moved = moved[lane];
       double *p = x->p;
       for (int i = 0; i < COUNT; i++) p[i] = entries[((i * J + j) * C + c) * L + s];
-      x->h = h; x->cmd = command + row; x->way = along + row; x->stiff = stiffness + row;
+      x->h = h; x->finer = size[15]; x->cmd = command + row; x->makes_step = makes_step + row;
+      x->way = along + row; x->stiff = stiffness + row;
       x->ld = load + row; x->in = inertia + row; x->ldb = load_by + row * K; x->inb = inertia_by + row * K;
       x->shown = out + ((j * C + c) * L + s) * N;
       double late = p[command_delay] / h, whole = floor(late);
@@ -436,10 +455,13 @@ def run_compiled(
             window,
             sweeps,
             min(COMMANDS.index(waves.told), 2),
+            max(1, -(-waves.profile_steps // often)),
         ],
         dtype=np.int64,
     )
-    inputs = [waves.dt, waves.start, waves.speed, np.moveaxis(waves.command, 0, -1), along, load]
+    passing = np.any(entries[NAMES.index("steps_pass")]) and waves.told == COMMANDS[0]
+    steps = waves.steps if passing else np.zeros(waves.command.shape)
+    inputs = [waves.dt, waves.start, waves.speed, *(np.moveaxis(x, 0, -1) for x in (waves.command, steps)), along, load]
     inputs += [by[0], inertia, by[1], stiffness]
     inputs += [waves.supply.T, waves.enabled.T, entries, trials.inertial - near[:, None], np.array(limits), *matrices]
     inputs = [np.ascontiguousarray(x, dtype=float) for x in inputs]

@@ -44,7 +44,7 @@ from tau_dyn.servo.identification import fill_model
 from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
 from tau_dyn.servo.records import LoopRecord
 from tau_dyn.servo.residual_structure import LoopResidual, compute_noise_floor, find_residual_structure
-from tau_dyn.servo.unknowns import HIGHEST, LoopUnknowns, get_unit
+from tau_dyn.servo.unknowns import HIGHEST, LIMITS, LOWEST, LoopUnknowns, get_unit
 from tau_dyn.simulate import SERVO_ENTRIES
 
 CONFIRMED = 2.6
@@ -295,10 +295,14 @@ def _confirm(data: LoopData, search: LoopSearch, parts: _Parts, seed: int) -> li
         number = Parameter(
             f"{joint}.{kind}", float(u.with_values(fit.x)[kind][j]), get_unit(kind), stderr=float(sigma[at])
         )
+        values, row = u.with_values(fit.x), LOOP_CAUSES[cause]
+        numbers = (
+            number,
+            *(Parameter(f"{joint}.{form}", float(values[form][j]), get_unit(form)) for form in row.forms),
+        )
         gain = Gain(float(g0.rms[j]), float(g1.rms[j]), 100 * (1 - float(g1.rms[j] / max(g0.rms[j], 1e-12))), interval)
         shown = (share, share / t if t else np.inf)
         status: Status = "confirmed" if ok else "suspected"
-        row = LOOP_CAUSES[cause]
         findings.append(
             Finding(
                 cause,
@@ -306,7 +310,7 @@ def _confirm(data: LoopData, search: LoopSearch, parts: _Parts, seed: int) -> li
                 status,
                 score,
                 float(norm.sf(t)),
-                (number,),
+                numbers,
                 gain,
                 twins,
                 row.equation,
@@ -383,10 +387,17 @@ def _list_limits(
             continue  # found, or a number that the baseline estimates
         known = data.law.values[entry]
         most = np.where(known > 0, known, HIGHEST.get(entry, np.inf))
-        amplitudes = zip(data.law.joints, compute_limits(data, base, cause), most, strict=True)
-        shown = {joint: float(x) for joint, x, high in amplitudes if np.isfinite(x) and x < high}
+        found = dict(zip(data.law.joints, compute_limits(data, base, cause).tolist(), strict=True))
+        if entry in LIMITS:  # found up to this number: the smallest is the worst
+            shown = {joint: min(x, HIGHEST[entry]) for joint, x in found.items() if x > LOWEST[entry]}
+            order = sorted(shown, key=lambda j: shown[j])
+        else:
+            shown = {
+                joint: x for (joint, x), high in zip(found.items(), most, strict=True) if np.isfinite(x) and x < high
+            }
+            order = sorted(shown, key=lambda j: -shown[j])
         if shown:
-            joint, unit = max(shown, key=lambda j: shown[j]), get_unit(entry)
+            joint, unit = order[0], get_unit(entry)
             amount = f"{shown[joint]:.2g} {unit}".removesuffix(" 1")
             phrase = f"{cause.replace('_', ' ')} of {amount} at {joint}"
             limits.append(Limit(cause, shown[joint], unit, phrase, tuple(shown.items())))

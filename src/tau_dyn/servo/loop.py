@@ -418,6 +418,10 @@ class _Goal:
         self._limit, self._speed = p["acceleration_limit"], p["speed_limit"]
         bounded = bool(np.any(np.isfinite(self._limit)) or np.any(np.isfinite(self._speed)))
         self._has_profile = bounded and waves.told == "position"
+        self._finer = max(1, -(-waves.profile_steps // often))
+        self._passes: np.ndarray | None = None
+        if self._has_profile and np.any(p["steps_pass"]):
+            self._passes = (waves.steps[:, :, None, :] & (p["steps_pass"] > 0)) & np.ones(shape, bool)
         self._x, self._w = np.broadcast_to(self._command[0], shape).copy(), np.zeros(shape)
         grid = np.ogrid[: shape[0], : shape[1], : shape[2]]
         self._rows = [grid[0], grid[1] if command.shape[2] > 1 else np.zeros_like(grid[1]), grid[2]]
@@ -433,13 +437,39 @@ class _Goal:
             j, c, s = self._rows
             one, before = (self._command[np.clip(i // self._often, 0, self._last), j, c, s] for i in (first, first - 1))
         target = one + self._part * (before - one)
-        return self._follow(target) if self._has_profile else target
+        if not self._has_profile:
+            return target
+        passes = None
+        if self._passes is not None:
+            j, c, s = np.ogrid[: target.shape[0], : target.shape[1], : target.shape[2]]
+            now, then = (self._passes[np.clip(i // self._often, 0, self._last), j, c, s] for i in (first, first - 1))
+            passes = now | (then & (one == before))  # a delay by parts of a step ends a step late
+        return self._follow(one, before, passes)
 
-    def _follow(self, target: np.ndarray) -> np.ndarray:
-        """Return the next point of a profile whose speed can always be braked to rest at the target."""
-        distance, most = target - self._x, self._limit * self._h
-        braking = np.sqrt(np.maximum(2.0 * self._limit * np.abs(distance), 0.0))
-        wanted = np.minimum(np.minimum(braking, self._speed), np.abs(distance) / self._h)
-        self._w = self._w + np.minimum(np.maximum(np.sign(distance) * wanted - self._w, -most), most)
-        self._x = self._x + self._h * self._w
-        return self._x
+    def _follow(self, one: np.ndarray, before: np.ndarray, passes: np.ndarray | None) -> np.ndarray:
+        """Return the mean of a profile over a step; its speed can always be braked to rest at the target. Steps may pass it."""
+        h, total = self._h / self._finer, np.zeros(self._x.shape)
+        x, w, bounded = self._x, self._w, np.isfinite(self._limit)
+        limit = np.where(bounded, self._limit, 0.0)
+        half = 0.5 * limit * h  # change of speed in half a step
+        for n in range(self._finer):
+            target = one + np.clip(self._part * self._finer - n, 0.0, 1.0) * (before - one)
+            distance = target - x
+            apart, way = np.abs(distance), np.sign(distance)
+            room = np.maximum(apart - 0.5 * h * way * w, 0.0)  # left after the step if it ends at rest
+            wanted = np.minimum(np.where(bounded, np.sqrt(half**2 + 2.0 * limit * room) - half, apart / h), self._speed)
+            after = np.where(
+                bounded, w + np.minimum(np.maximum(way * wanted - w, -2.0 * half), 2.0 * half), way * wanted
+            )
+            step = h * np.where(bounded, 0.5 * (w + after), after)
+            there = bounded & (apart <= 2.0 * half * h) & (np.abs(w) <= 4.0 * half)
+            total += np.where(there, target, x + 0.5 * step)
+            x, w = np.where(there, target, x + step), np.where(there, 0.0, after)
+        goal = total / self._finer
+        if passes is not None:
+            x, w, goal = (
+                np.where(passes, free, held)
+                for free, held in ((one, x), (0.0, w), (one + self._part * (before - one), goal))
+            )
+        self._x, self._w = x, w
+        return goal

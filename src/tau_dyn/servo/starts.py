@@ -23,10 +23,12 @@ _FIRST = {
     "command_delay": 0.01,
     "torque_delay": 0.005,
     "load_friction": 0.15,
+    "carried_friction": 0.15,
     "supply_sag": 0.15,
     "drive_exponent": -0.1,
 }
 """First changes of entries off their null."""
+_PROFILE = 20.0  # rad/s^2; half of the highest that Feetech's servos can be set to
 _FIRST_STICTION = 3e-3  # as a share of the loop's stiffness
 _PLAYS = (0.005, 0.03)  # rad; of gears, and of worn hobby servos
 DELAYS = (0.002, 0.008)  # s; a step of a servo's bus, and several
@@ -55,6 +57,11 @@ def list_starts(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> li
         return [spring | rest for rest in (heavy, light) for spring in springs]
     if cause in ("backlash", "dead_band"):
         return [{entry: np.full(na, width)} for width in (_PLAYS if cause == "backlash" else _DEAD_BANDS)]
+    if cause == "goal_profile":
+        known, passes = data.law.values[entry], data.law.values["steps_pass"]
+        first = np.where(np.isfinite(known), known, _PROFILE)
+        forms = [passes] if np.any(passes) or np.any(np.isfinite(known)) else [np.ones(na), np.zeros(na)]
+        return [{entry: first, "steps_pass": np.array(form)} for form in forms]
     if cause == "stiction":
         return [{entry: values[entry] + _FIRST_STICTION * compute_stiffness(values)}]
     return [{entry: np.array(data.law.values[entry]) + _FIRST.get(entry, 0.0)}]

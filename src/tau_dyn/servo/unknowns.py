@@ -16,7 +16,7 @@ JOINT_UNITS = {"armature": "kg m^2", "coulomb": "N m", "viscous": "N m s/rad", "
 FRICTION = ("coulomb", "viscous", "offset", "load_friction", "stiction")
 """What is estimated of a joint's friction unless the model is rigid."""
 
-_LOWEST = {
+LOWEST = {
     "offset": -np.inf,
     "position_gain": 1e-3,
     "speed_gain": 1e-4,
@@ -25,6 +25,8 @@ _LOWEST = {
     "armature": 1e-7,
     "command_delay": -0.02,
     "drive_exponent": 0.2,
+    "acceleration_limit": 1.0,
+    "speed_limit": 0.05,
 }
 """Lower bounds of kinds; zero for the others. A delay below zero is a position that is read after its time stamp."""
 
@@ -38,8 +40,14 @@ HIGHEST = {
     "braking": 1.0,
     "torque_delay": 0.1,
     "backlash": 0.2,
+    "acceleration_limit": 1000.0,
+    "speed_limit": 50.0,
 }
-"""Upper bounds of kinds [1, s, rad]: a friction that grows as the torque would hold every motion."""
+"""Upper bounds of kinds [1, s, rad]: a friction that grows as the torque would hold every motion; limits of goal profiles that
+hardly change a goal between two commands."""
+
+LIMITS = ("acceleration_limit", "speed_limit")
+"""Kinds that act by their inverse: without a limit they are infinite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +133,7 @@ def build_unknowns(
     values = {**law.values, **{key: np.zeros(na) for key in JOINT_UNITS}, **start}
     values = {key: np.array(value, float) for key, value in values.items()}
     shape = (len(kinds), na)
-    lower = np.array([np.full(na, _LOWEST.get(k, 0.0)) for k in kinds]).reshape(shape)
+    lower = np.array([np.full(na, LOWEST.get(k, 0.0)) for k in kinds]).reshape(shape)
     upper = np.array([np.full(na, HIGHEST.get(k, np.inf)) for k in kinds]).reshape(shape)
     free = np.array([~np.asarray((held or {}).get(k, np.zeros(na, bool)), bool) for k in kinds]).reshape(shape)
     return LoopUnknowns(values, tuple(kinds), free, lower, upper, np.full(shape, np.inf), space)
@@ -135,6 +143,13 @@ def compute_stiffness(values: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return each loop's torque per unit of position error (na,) [N m/rad], the measure of small changes of torque."""
     inner = np.where(values["speed_gain"] > 0, values["speed_gain"], 1.0)
     return values["position_gain"] * inner * values["force_per_unit"]
+
+
+def measure_change(kind: str, value: np.ndarray, null: np.ndarray, stderr: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far values are from their null, and their standard errors; of limits, their inverses are compared."""
+    if kind not in LIMITS:
+        return np.abs(value - null), stderr
+    return np.abs(1 / value - 1 / null), stderr / np.square(value)
 
 
 def get_unit(kind: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,15 @@ MAX_STEP_S = 0.0105
 
 SPRING_STEP_S = 2e-3
 """Longest step where a spring may be [s]: resonances to 80 Hz are exact. A diagnosis tells what half of it confirms."""
+
+MAX_STREAM_S = 0.1
+"""Longest time between two commands of a stream [s]: policies and leader arms send 15 to 200 a second."""
+
+MAX_STREAM_SPEED = 5.0
+"""Largest speed of a streamed goal [rad/s], about the speed of a hobby servo without load: a faster change is a step."""
+
+PROFILE_STEP_S = 2e-3
+"""Longest step of a goal profile [s]: halving it moves positions by 0.01 mrad. The loop itself takes longer steps."""
 
 
 class LoadRows(NamedTuple):
@@ -97,6 +107,16 @@ class Waves:
     coupling: JointCoupling | None = None
     told: str = "position"
 
+    @property
+    def profile_steps(self) -> int:
+        """Steps of the goal profile between two samples, at most as long as `PROFILE_STEP_S`."""
+        return max(1, int(np.ceil(self.dt.max() / PROFILE_STEP_S - 1e-9)))
+
+    @cached_property
+    def steps(self) -> np.ndarray:
+        """Where the command (N, na, S) makes a step rather than streams: see `find_command_steps`."""
+        return find_command_steps(self.command, self.dt)
+
 
 @dataclass(frozen=True, eq=False)
 class Trials:
@@ -109,3 +129,18 @@ class Trials:
 
     values: Mapping[str, np.ndarray]
     inertial: np.ndarray
+
+
+def find_command_steps(command: np.ndarray, dt: np.ndarray) -> np.ndarray:
+    """Return where commands make a step (N, na, S): they changed after a rest, or faster than a stream does.
+
+    Args:
+        command: Commands (N, na, S) [rad], each holding until the next.
+        dt: Time between samples of each log (S,) [s].
+    """
+    change = np.abs(np.diff(command, axis=0, prepend=command[:1]))
+    sample = np.arange(len(command))[:, None, None]
+    latest = np.maximum.accumulate(np.where(change > 0, sample, -len(command)), axis=0)  # sample of the last change
+    before = np.concatenate([np.full_like(latest[:1], -len(command)), latest[:-1]])
+    since = (sample - before) * dt
+    return (change > 0) & ((before < 0) | (since > MAX_STREAM_S * (1 + 1e-9)) | (change > MAX_STREAM_SPEED * since))

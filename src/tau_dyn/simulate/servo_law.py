@@ -5,6 +5,10 @@
     x = u supply (1 - supply_sag |u|) - back_emf v,    tau = force_per_unit sign(x) |x|^drive_exponent
     friction = coulomb + load_friction |tau| + carried_friction |load| + stiction exp(-|v| / stiction_speed), and viscous v
 
+The profile moves the goal with at most `speed_limit` and `acceleration_limit`, and brakes it to rest at the command. With
+`steps_pass: 1` it acts on streamed goals only: commands that change within a tenth of a second of their last change, no faster
+than 5 rad/s. A step then is the goal at once.
+
 A cascade has a loop of speed inside: with a `speed_gain`, the first line of u is a wanted speed w, at most `speed_limit`, and
 u = speed_gain (w - v) + speed_integral_gain int (w - v) dt. `command` says what commands are: `position` (the default), `speed`
 (commands are w), `current` (commands are u [A], force_per_unit is the torque of one ampere) or `pwm` (commands are u).
@@ -79,6 +83,7 @@ SERVO_ENTRIES = {
     "command_delay": ServoEntry("s", 0.0, "time from a command to the answer"),
     "speed_limit": ServoEntry("rad/s", np.inf, "largest speed of the goal profile"),
     "acceleration_limit": ServoEntry("rad/s^2", np.inf, "largest acceleration of the goal profile"),
+    "steps_pass": ServoEntry("1", 0.0, "1 where the goal profile lets steps pass and acts on streamed goals only"),
     "load_friction": ServoEntry("1", 0.0, "friction for a motor torque of one"),
     "carried_friction": ServoEntry("1", 0.0, "friction for a load of one that the gear carries, the motor on or off"),
     "stiction": ServoEntry("N m", 0.0, "friction at rest beyond that of motion"),
@@ -95,8 +100,8 @@ COMMANDS = ("position", "speed", "current", "pwm")
 """What commands may be; the first is the default."""
 _NEEDED = {"position": REQUIRED, "speed": ("speed_gain", "force_per_unit")}
 _OUTER = ("position_gain", "integral_gain", "derivative_gain", "dead_band")
-_UNUSED = {"position": (), "speed": (*_OUTER, "acceleration_limit"), "current": (*_OUTER, "speed_gain", "speed_integral_gain",
-           "speed_limit", "acceleration_limit", "back_emf", "supply_sag")}  # fmt: skip
+_UNUSED = {"position": (), "speed": (*_OUTER, "acceleration_limit", "steps_pass"), "current": (*_OUTER, "speed_gain",
+           "speed_integral_gain", "speed_limit", "acceleration_limit", "steps_pass", "back_emf", "supply_sag")}  # fmt: skip
 _UNUSED["pwm"] = tuple(x for x in _UNUSED["current"] if x not in ("back_emf", "supply_sag"))
 SIDES = ("link", "motor")
 """Where an encoder sits; the first is the default, as of hobby servos, whose potentiometer or magnet is on the output."""
@@ -177,6 +182,12 @@ class ServoLaw:
             for key, values in entries.items():
                 if not np.all(values == SERVO_ENTRIES[key].default):
                     rows = {j: float(x) for j, x in zip(self.joints, values, strict=True)}
+                    if len(set(rows.values())) > 1 and np.isinf(SERVO_ENTRIES[key].default):
+                        rows = {
+                            j: x for j, x in rows.items() if np.isfinite(x)
+                        }  # joints that are left out have no limit
+                        out[key] = rows
+                        continue
                     out[key] = next(iter(rows.values())) if len(set(rows.values())) == 1 else rows
             return out
 
@@ -341,6 +352,8 @@ def _read_numbers(key: str, value: object, joints: tuple[str, ...], where: str) 
         if not fits:
             hint = "; YAML reads a number such as 1.0e-3 only with a point and a sign" if isinstance(x, str) else ""
             raise InputError("file_format", f"{where}: {key} must be a number {least}, not {str(x)[:60]!r}{hint}")
+        if key == "steps_pass" and x not in (0, 1):
+            raise InputError("file_format", f"{where}: steps_pass is 0 or 1, not {x:g}")
         if key in _DELAYS and _is_number(x) and abs(x) > MAX_DELAY_S:
             raise InputError("file_format", f"{where}: {key} is in seconds, {MAX_DELAY_S:g} at most, not {x:g}")
     return np.array(row, dtype=float)
