@@ -232,6 +232,10 @@ class Catalogue(NamedTuple):
     elasticity: str
     length: float | None
 
+    def __repr__(self) -> str:
+        """Return the names of the quantities and the number of places, without their arrays."""
+        return f"Catalogue({', '.join(self.rows)}; {len(self.places)} places, {int(self.evaluated.sum())} with springs)"
+
     def to_dict(self) -> dict[str, Any]:
         """Return a plain mapping."""
         home = self.stiffness_at_home
