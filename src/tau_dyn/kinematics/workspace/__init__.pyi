@@ -1,6 +1,6 @@
 """Where a robot's tool can be, why not elsewhere, and how well it works there."""
 
-from .elasticity import (
+from .elastic_maps import (
     ELASTIC as ELASTIC,
     ELASTIC_MAPS as ELASTIC_MAPS,
     Elasticity as Elasticity,

@@ -16,7 +16,7 @@ from tau_dyn.kinematics.dexterity import (
     compute_worst_speed,
     find_softest,
 )
-from tau_dyn.kinematics.workspace.elasticity import ELASTIC, ELASTIC_MAPS, STDERR, Elasticity
+from tau_dyn.kinematics.workspace.elastic_maps import ELASTIC, ELASTIC_MAPS, STDERR, Elasticity
 from tau_dyn.kinematics.workspace.lattice import INSIDE
 from tau_dyn.kinematics.workspace.machine import WorkspaceModel
 from tau_dyn.kinematics.workspace.result import Workspace

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.workspace.elasticity import ELASTIC_MAPS, STDERR, build_elasticity
+from tau_dyn.kinematics.workspace.elastic_maps import ELASTIC_MAPS, STDERR, build_elasticity
 from tau_dyn.kinematics.workspace.find import find_workspace, leave_singular_home
 from tau_dyn.kinematics.workspace.lattice import INSIDE
 from tau_dyn.kinematics.workspace.machine import build_machine
