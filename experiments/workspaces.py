@@ -117,8 +117,7 @@ def row_of(name: str, out: Path, quick: bool) -> dict[str, object]:
         "per_installation": round(space.size.value / space.footprint.area / space.footprint.height, 3)
         if space.footprint.area * space.footprint.height
         else None,
-        "condition_median": round(rows["condition"][0].median, 2),
-        "stiffness_least_N_per_um": round(1e-6 * rows["stiffness"][0].least, 2) if "stiffness" in rows else None,
+        "condition_median": round(rows["condition"].spread.median, 2),
         "tilt_every_way_deg": round(float(np.rad2deg(found.tilt.angle.min())), 0) if found.tilt else None,
         "step_m": space.lattice.step,
         "cpu_s": round(spent, 1),

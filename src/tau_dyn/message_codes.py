@@ -202,6 +202,10 @@ WARNING_CODES: dict[str, MessageCode] = {
     "force_at_limit": MessageCode(
         "forces are too often at the drives' limits", "a gentler motion; other limits in the file"
     ),
+    "drives_held": MessageCode(
+        "no drive has a stated stiffness: stiffness and resonances are upper bounds",
+        "`<tau_dyn:drive_spring>` or `--actuator-stiffness`",
+    ),
     "force_lowpassed": MessageCode(
         "a first-order lag explains the force better than a delay", "log the force before the filter"
     ),
@@ -265,6 +269,10 @@ WARNING_CODES: dict[str, MessageCode] = {
     ),
     "sign_reversed": MessageCode(
         "q, tau or both have the wrong sign, or friction is negative", "`scale: -1` in the column map"
+    ),
+    "stiffness_unknown": MessageCode(
+        "nobody states the stiffness of a rod or drive, so that of the tool is unknown",
+        "springs in the robot file, `--rod-stiffness`, `--actuator-stiffness`",
     ),
     "stderr_rounded": MessageCode("standard errors were zero", "write them with more digits"),
     "updated_less_often": MessageCode(

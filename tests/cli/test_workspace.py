@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from tau_dyn.cli import main
+from tau_dyn.robot import load_robot
 
 COARSE = ["workspace", "gantry_tau", "--resolution", "0.1"]
 
@@ -39,9 +40,12 @@ def test_json_holds_volume_reasons_and_maps(written: Path) -> None:
     assert {row["map"] for row in result["maps"]} == {
         "condition", "manipulability", "singularity", "stiffness", "speed", "force",
     }  # fmt: skip
-    assert all(row["min"] <= row["median"] <= row["max"] for row in result["maps"])
+    known = [row for row in result["maps"] if row["map"] != "stiffness"]
+    assert all(row["min"] <= row["median"] <= row["max"] for row in known)
     assert result["sections"][0]["across"] == "x = 1.75 m"
-    assert any("115 kN/mm" in text for text in result["warnings"])
+    stiffness = next(row for row in result["maps"] if row["map"] == "stiffness")
+    assert [stiffness[key] for key in ("min", "median", "max", "home")] == [None] * 4
+    assert "stiffness_unknown" in result["warning_codes"]
 
 
 def test_points_say_why_not(written: Path) -> None:
@@ -61,6 +65,63 @@ def test_page_is_whole_and_escapes_names(written: Path) -> None:
     assert "http-equiv" in page and 'src="http' not in page
     assert page.count("<svg") > 8 and "data:image/png;base64" in page
     assert not re.search(r"\bnan\b", page.split("</style>")[-1].split("<script")[0])
+
+
+def test_words_ask_for_maps_of_the_springs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`--what` takes several words: softest and per axis, sag by weight and load, two resonances, in every output."""
+    outputs = [
+        "--json",
+        str(tmp_path / "w.json"),
+        "--report",
+        str(tmp_path / "w.html"),
+        "--out",
+        str(tmp_path / "w.csv"),
+    ]
+    stated = [
+        "--rod-stiffness",
+        "1e7",
+        "--actuator-stiffness",
+        "5e6",
+        "--actuator-stiffness",
+        "cart3=rigid",
+        "--load",
+        "50",
+    ]
+    coarse = ["workspace", "gantry_tau", "--resolution", "0.2"]
+    assert main([*coarse, *stated, "--what", "stiffness", "sag", "resonance", *outputs]) == 0
+    said = capsys.readouterr().out
+    result = json.loads((tmp_path / "w.json").read_text())
+    rows = {row["map"]: row for row in result["maps"]}
+    names = ["stiffness", "stiffness_x", "stiffness_y", "stiffness_z", "sag", "sag_load", "resonance", "resonance_2"]
+    for name in names:
+        assert 0 < rows[name]["min"] <= rows[name]["median"] <= rows[name]["max"], name
+        assert len(rows[name]["min_at"]) == 3
+    assert "first resonance" in said and "largest at [m]" in said
+    assert rows["resonance"]["max"] < rows["resonance_2"]["max"]
+    table = pd.read_csv(tmp_path / "w.csv")
+    assert table.loc[table["inside"] == 1, names].notna().any().all() and table.loc[
+        table["inside"] == 0, names
+    ].isna().all(None)
+    assert table["stiffness"].min() == pytest.approx(rows["stiffness"]["min"], rel=1e-6)
+    assert "First resonance" in (tmp_path / "w.html").read_text()
+    assert not {"stiffness_unknown", "drives_held"} & set(result["warning_codes"])
+
+
+def test_standard_errors_of_springs_become_intervals(tmp_path: Path) -> None:
+    """A robot file whose drive springs have standard errors gets 95 % intervals, and columns of standard errors."""
+    text = load_robot("delta").urdf
+    springs = "".join(
+        f'<tau_dyn:drive_spring xmlns:tau_dyn="urn:tau_dyn" joint="arm{k}" stiffness="2000" stiffness_stderr="40"/>'
+        for k in (1, 2, 3)
+    )
+    (tmp_path / "delta.urdf").write_text(text.replace("</robot>", f"{springs}</robot>"))
+    arguments = ["workspace", str(tmp_path / "delta.urdf"), "--resolution", "0.05", "--what", "stiffness", "sag"]
+    files = ["--json", str(tmp_path / "w.json"), "--out", str(tmp_path / "w.csv"), "--quiet"]
+    assert main([*arguments, "--rod-stiffness", "rigid", *files]) == 0
+    row = next(r for r in json.loads((tmp_path / "w.json").read_text())["maps"] if r["map"] == "stiffness")
+    low, high = row["home_ci95"]
+    assert low < row["home"] < high and high - low < 4 * 0.02 * row["home"]
+    assert pd.read_csv(tmp_path / "w.csv")["sag_stderr"].gt(0).any()
 
 
 def test_same_seed_same_answer(written: Path, tmp_path: Path) -> None:
@@ -87,6 +148,9 @@ def test_same_seed_same_answer(written: Path, tmp_path: Path) -> None:
         (["--orientation", "nan", "0", "0"], "write a finite number"),
         (["--actuator-stiffness", "cart9=1e6"], "cart9"),
         (["--actuator-stiffness", "soft"], "JOINT=number"),
+        (["--rod-stiffness", "soft"], "a number above zero or 'rigid'"),
+        (["--load", "-1"], "--load"),
+        (["--what", "sag_load"], "sag_load"),
         (["--obstacles", "nowhere.yaml"], "no such file"),
         (["--tilt", "0", "0", "0"], "does not turn freely"),
     ],

@@ -9,9 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.kinematics import Rates
 from tau_dyn.kinematics.dexterity import (
-    Springs,
-    combine_in_series,
-    compute_compliance,
     compute_dexterity,
     compute_tool_jacobian,
     compute_worst_force,
@@ -20,7 +17,7 @@ from tau_dyn.kinematics.dexterity import (
     homogenise_jacobians,
 )
 from tau_dyn.kinematics.workspace import Quality, build_elasticity, build_machine
-from tau_dyn.mechanism import Poses, forward_kinematics
+from tau_dyn.mechanism import FlexibleModel, Poses, forward_kinematics, state_springs
 from tau_dyn.robot import load_robot
 
 ROBOTS = [("gantry_tau", {}), ("stewart", {}), ("gantry_tau_f1", {})]
@@ -55,50 +52,50 @@ def test_jacobian_is_the_slope_of_forward_kinematics(machine) -> None:
 
 
 def test_stiffness_is_that_of_loaded_springs(machine) -> None:
-    """Second differences of the springs' energy over tool and actuators, the actuators left to balance, give K."""
+    """Second differences of the springs' energy over tool and actuators, the actuators left to balance, give K.
+
+    The springs are so stiff that the weight's share of the linearised robot's stiffness is below 1e-6.
+    """
     rods, (q, poses) = machine.rods, beside_home(machine)
     n, na, d = rods.n, rods.na, 3 if rods.translates else 6
-    springs = Springs(np.linspace(1.0, 2.0, n) * 1e6, np.linspace(0.5, 1.5, na) * 1e6)
+    k_rod, k_drives = 1e11, np.linspace(0.5, 1.5, na) * 1e11
     h = 1e-4
     steps = np.array([si * h * np.eye(na + d)[i] + sj * h * np.eye(na + d)[j]
                       for i in range(na + d) for j in range(na + d) for si in (1, -1) for sj in (1, -1)])  # fmt: skip
     turn = Rotation.from_rotvec(steps[:, na + 3 :]) if d == 6 else Rotation.identity(len(steps))
     moved = Poses(poses.position + steps[:, na : na + 3], turn.as_matrix() @ poses.rotation[0])
     stretch = rods.gap(q + steps[:, :na], rods.plate_poses(moved))
-    energy = 0.5 * (stretch**2 @ springs.rods + steps[:, :na] ** 2 @ springs.actuators)
+    energy = 0.5 * (k_rod * stretch**2 @ np.ones(n) + steps[:, :na] ** 2 @ k_drives)
     same, other, against, both = energy.reshape(na + d, na + d, 4).transpose(2, 0, 1)
     H = (same - other - against + both) / (4 * h**2)
     K = H[na:, na:] - H[na:, :na] @ np.linalg.solve(H[:na, :na], H[:na, na:])
-    expected = np.linalg.inv(compute_compliance(machine.rates(q, poses), springs)[0])
-    np.testing.assert_allclose(K, expected, atol=2e-5 * np.abs(expected).max())
+    drives = dict(zip(machine.robot.actuated, k_drives, strict=True))
+    found = FlexibleModel(state_springs(machine.robot, rods=k_rod, drives=drives)).at(q[0]).compliance()
+    expected = np.linalg.inv(K)[:3, :3]
+    np.testing.assert_allclose(found, expected, atol=2e-5 * np.abs(expected).max())
 
 
 def test_rigid_rods_leave_the_formula_of_the_textbook() -> None:
-    """K = J^-T diag(k) J^-1 for rigid rods and one spring an actuator; diag(k) among the rods alone for rigid actuators."""
+    """C = J diag(1/k) J' for rigid rods and one spring an actuator; K = J_x' diag(k) J_x for rigid actuators."""
     machine = build_machine(load_robot("stewart"))
     q, poses = beside_home(machine)
-    rates, k = machine.rates(q, poses), np.linspace(1, 2, 6) * 1e7
+    rates, k = machine.rates(q, poses), np.linspace(1, 2, 6) * 1e11
     J = compute_tool_jacobian(rates)[0]
-    expected = np.linalg.inv(J).T @ np.diag(k) @ np.linalg.inv(J)
-    np.testing.assert_allclose(
-        np.linalg.inv(compute_compliance(rates, Springs(np.full(6, np.inf), k))[0]), expected, rtol=1e-9, atol=1e-3
-    )
+    drives = dict(zip(machine.robot.actuated, k, strict=True))
+    found = FlexibleModel(state_springs(machine.robot, rods=np.inf, drives=drives)).at(q[0]).compliance()
+    expected = (J @ np.diag(1 / k) @ J.T)[:3, :3]
+    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
     rows = rates.tool[0]
-    np.testing.assert_allclose(
-        np.linalg.inv(compute_compliance(rates, Springs(k, np.full(6, np.inf)))[0]),
-        rows.T @ np.diag(k) @ rows,
-        rtol=1e-9,
-        atol=1e-3,
-    )
+    found = FlexibleModel(state_springs(machine.robot, rods=1e11)).at(q[0]).compliance()
+    expected = np.linalg.inv(rows.T @ rows)[:3, :3] / 1e11
+    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
 
 
-def test_rods_along_the_axes_have_their_own_stiffness() -> None:
-    """Three rods along x, y and z: each direction is as stiff as its rod, the softest is named."""
-    rates = Rates(np.eye(3)[None], np.eye(3)[None], np.zeros(3, bool), 1.0)
-    found = find_softest(compute_compliance(rates, Springs(np.array([3e6, 1e6, 2e6]), np.full(3, np.inf))))
+def test_the_softest_direction_is_named() -> None:
+    """Compliances along x, y and z: each direction is as stiff as its spring, the softest comes first."""
+    found = find_softest(np.diag([1 / 3e6, 1 / 1e6, 1 / 2e6])[None])
     np.testing.assert_allclose(found.stiffness[0], [1e6, 2e6, 3e6])
     np.testing.assert_allclose(np.abs(found.directions[0][:, 0]), [0, 1, 0], atol=1e-12)
-    assert combine_in_series(115e6, 115e6) == pytest.approx(57.5e6)
 
 
 def test_distance_is_zero_where_three_rods_lie_in_a_plane() -> None:
@@ -164,28 +161,15 @@ def test_nan_stays_nan() -> None:
     rates = Rates(rods, np.tile(np.eye(3), (2, 1, 1)), np.zeros(3, bool), 1.0)
     found = compute_dexterity(rates)
     assert np.isnan(found.condition[0]) and found.condition[1] == pytest.approx(1.0)
-    K = compute_compliance(rates, Springs(np.ones(3), np.ones(3)))
-    assert np.isnan(K[0]).all() and np.isfinite(K[1]).all()
 
 
 def test_springs_at_fault_are_refused() -> None:
-    """A stiffness of zero, an unknown joint, a rod's where there is none, all rigid: one sentence each."""
+    """A stiffness of zero, an unknown joint, a map that does not exist: one sentence each."""
     machine = build_machine(load_robot("gantry_tau"))
     with raises_code("invalid_value"):
         build_elasticity(machine, 0.0)
     with raises_code("unknown_name", "cart9"):
         build_elasticity(machine, None, {"cart9": 1e6})
     q, poses = beside_home(machine)
-    with raises_code("unsupported", "rigid"):
-        compute_compliance(machine.rates(q, poses), Springs(np.full(3, np.inf), np.full(3, np.inf)))
     with raises_code("unknown_name", "map"):
         Quality(machine, build_elasticity(machine)).values(["beauty"], q, poses)
-
-
-def test_rod_springs_of_the_file_are_used() -> None:
-    """The flexible L1 says how stiff its rods are; that is what the map takes, and what it leaves out is said."""
-    robot = load_robot("gantry_tau", arms="complete", flexible="true", rod_stiffness="5e7")
-    found = build_elasticity(build_machine(robot))
-    assert found.springs is not None and not found.assumed
-    np.testing.assert_allclose(found.springs.rods, 5e7)
-    assert "left out" in found.origin

@@ -90,6 +90,22 @@ def test_a_workspace_is_its_box_or_coarse_points_where_asked(tmp_path, robot):
     assert_allclose(own.values["stiffness [N/m]"], [5])
 
 
+def test_maps_of_springs_are_a_cloud_of_their_own(tmp_path, robot):
+    """Stiffness and resonance stand at the places where springs were linearised, with their units; none where unknown."""
+    words = ["workspace", "gantry_tau", "--resolution", "0.2", "--what", "stiffness", "resonance", "--quiet"]
+    stated = ["--rod-stiffness", "1e7", "--actuator-stiffness", "rigid"]
+    assert main([*words, *stated, "--json", str(tmp_path / "w.json")]) == 0
+    rows = {row["map"]: row for row in json.loads((tmp_path / "w.json").read_text())["maps"]}
+    _, springs = read_result(tmp_path / "w.json", robot)
+    assert isinstance(springs, Cloud) and "as given" in springs.note
+    value = springs.values["stiffness [N/m]"]
+    assert len(value) == len(springs.points) and "resonance_2 [Hz]" in springs.values
+    assert_allclose([value.min(), value.max()], [rows["stiffness"]["min"], rows["stiffness"]["max"]])
+    assert_allclose(springs.points[np.argmin(value)], rows["stiffness"]["min_at"])
+    assert main([*words, "--json", str(tmp_path / "u.json")]) == 0
+    assert len(read_result(tmp_path / "u.json", robot)) == 1
+
+
 def test_accuracy_lies_on_its_section(tmp_path, robot):
     """Each answered pose of the map becomes a point of the plane x = 1.7 m, its value the map's in mm."""
     words = ["--actuator-error", "50e-6", "--section", "x=1.7", "--grid", "7", "--method", "linear", "--quiet"]

@@ -26,7 +26,7 @@ def workspace(
         tuple[float, float, float] | None, Parameter(group=_PLACES, validator=args.FINITE, metavar="ROLL PITCH YAW")
     ] = None,
     section: Annotated[tuple[str, ...], Parameter(group=_PLACES, metavar="AXIS=M")] = (),
-    map: Annotated[args.Strings, Parameter(group=_PLACES, metavar="NAME")] = (),
+    what: Annotated[args.Strings, Parameter(name=["--what", "--map"], group=_PLACES, metavar="NAME")] = (),
     tilt: Annotated[args.Place | None, Parameter(group=_PLACES)] = None,
     obstacles: Annotated[Path | None, Parameter(group=_DEMANDS, metavar="FILE.yaml")] = None,
     tool_limit: Annotated[tuple[str, ...], Parameter(group=_DEMANDS, metavar="AXIS=LO:HI")] = (),
@@ -35,10 +35,9 @@ def workspace(
     no_collisions: Annotated[bool, Parameter(group=_DEMANDS)] = False,
     condition: Annotated[args.Positive, Parameter(group=_DEMANDS, metavar="N")] = 1000.0,
     border: Annotated[args.NotNegative, Parameter(group=_DEMANDS, metavar="M")] = 0.0,
-    rod_stiffness: Annotated[
-        float | None, Parameter(group=_SPRINGS, validator=args.POSITIVE_LARGE, metavar="N/M")
-    ] = None,
+    rod_stiffness: Annotated[str | None, Parameter(group=_SPRINGS, metavar="N/M")] = None,
     actuator_stiffness: Annotated[args.Strings, Parameter(group=_SPRINGS, metavar="[JOINT=]VALUE")] = (),
+    load: Annotated[args.NotNegative | None, Parameter(group=_SPRINGS, metavar="N")] = None,
     out: Annotated[
         Path | None, args.build_destination("POINTS.csv", "Write the judged points with their reasons here", csv=True)
     ] = None,
@@ -51,7 +50,7 @@ def workspace(
         resolution: Finest grid [m]; default a 60th of the workspace
         orientation: Turn of the tool from home [deg]
         section: Plane to judge and draw; default: through home
-        map: condition, manipulability, singularity, stiffness, speed, force: what sections and --out hold (default: all)
+        what: condition, manipulability, singularity, speed, force, stiffness, sag, resonance: what sections and --out hold
         tilt: Place [m] whose tilt is asked; default home
         obstacles: obstacles, safety zones, limits of the tool
         tool_limit: Limits of the tool [m]
@@ -60,8 +59,9 @@ def workspace(
         no_collisions: Let the robot pass through itself
         condition: Largest condition number
         border: Distance to keep from the border
-        rod_stiffness: Of each rod with its joints
-        actuator_stiffness: N/m or N m/rad; default rigid
+        rod_stiffness: Of each rod with its joints; 'rigid' for none that yields (default: the file's)
+        actuator_stiffness: N/m or N m/rad between drive and link, or 'rigid' (default: the file's)
+        load: Weight of a load at the tool, whose sag is asked
     """
     with show_progress(output.quiet) as step:
         step("loading")
@@ -86,10 +86,11 @@ def workspace(
             resolution=resolution,
             turn_deg=orientation,
             sections=list(section),
-            maps=list(map),
+            maps=list(what),
             tilt_at=tilt,
-            rod_stiffness=rod_stiffness,
+            rod_stiffness=None if rod_stiffness is None else _read_stiffness(rod_stiffness, "--rod-stiffness"),
             actuator_stiffness=_read_stiffnesses(actuator_stiffness),
+            load=load,
             seed=output.seed,
             progress=step,
         )
@@ -111,11 +112,21 @@ def _read_stiffnesses(given: tuple[str, ...]) -> dict[str, float]:
     found = {}
     for text in given:
         name, _, number = text.rpartition("=")
-        try:
-            found[name] = float(number)
-            args.POSITIVE_LARGE(None, found[name])
-        except ValueError as fault:
-            raise InputError(
-                "bad_option", f"--actuator-stiffness {text}: write a number above zero, or JOINT=number"
-            ) from fault
+        found[name] = _read_stiffness(number, f"--actuator-stiffness {text}", ", or JOINT=number")
     return found
+
+
+def _read_stiffness(text: str, option: str, more: str = "") -> float:
+    """Return a stiffness, infinity for `rigid`.
+
+    Raises:
+        InputError: It is no number above zero.
+    """
+    if text == "rigid":
+        return float("inf")
+    try:
+        value = float(text)
+        args.POSITIVE_LARGE(None, value)
+    except ValueError as fault:
+        raise InputError("bad_option", f"{option}: write a number above zero or 'rigid'{more}") from fault
+    return value

@@ -9,6 +9,8 @@ from .flexible import (
     NaturalMode as NaturalMode,
     PositionDrives as PositionDrives,
     SampledModel as SampledModel,
+    name_rod_spring as name_rod_spring,
+    state_springs as state_springs,
 )
 from .frames import (
     Carried as Carried,

@@ -64,7 +64,7 @@ class MechanismFigure:
         """Prepare a robot at home, its springs free to move."""
         from tau_dyn.mechanism import FlexibleModel, LoopSolver
 
-        flexible = FlexibleModel(robot) if robot.springs else None
+        flexible = FlexibleModel(robot) if robot.springs or robot.drive_springs else None
         drawn = robot if flexible is None else flexible.freed
         home = dict(zip(robot.actuated, map(float, robot.home), strict=True)) | {s.joint: 0.0 for s in robot.springs}
         bare = cls(drawn, LoopSolver(drawn), home, flexible, ())
@@ -284,7 +284,7 @@ def _own(figure: MechanismFigure, places: dict[str, dict[int, int]], rest: list[
         parts = []
         for s in (mode.springs.real, mode.springs.imag):
             size = max(float(np.abs(s).max()), 1e-12)
-            moved = dict(zip([x.joint for x in figure.flexible.robot.springs], _STEP * s / size, strict=True))
+            moved = dict(zip([x.joint for x in figure.flexible.springs], _STEP * s / size, strict=True))
             q = np.array([figure.home[j] + moved.get(j, 0.0) for j in figure.robot.actuated])
             links = [(x - y) * size / _STEP for x, y in zip(figure.points(q), rest, strict=True)]
             parts.append((links, {p: figure.at(("frame", figure.frame(p) or 0)) for p in places}, size))

@@ -65,17 +65,19 @@ class ArmNames:
 
 @dataclass(frozen=True)
 class Spring:
-    """A joint that yields: `force = -stiffness * position - damping * velocity`, position zero when unloaded.
+    """A spring on a joint: `force = -stiffness * deflection - damping * velocity`, deflection zero when unloaded.
 
     Attributes:
-        joint: A joint of one degree of freedom without a transmission.
+        joint: A joint of one degree of freedom. A passive joint yields itself; an actuated one between its drive and its link.
         stiffness: [N/m or N m/rad].
         damping: [N s/m or N m s/rad].
+        stiffness_stderr: Standard error of the stiffness [N/m or N m/rad], None where the file gives none.
     """
 
     joint: str
     stiffness: float
     damping: float
+    stiffness_stderr: float | None = None
 
 
 @dataclass(frozen=True)
@@ -116,6 +118,7 @@ class Annotations:
     gantry_tau_plate: str
     gravity_masses: dict[str, float]
     springs: tuple[Spring, ...]
+    drive_springs: tuple[Spring, ...]
     assumed: tuple[str, ...]
     mimics: dict[str, Mimic]
     friction: dict[str, JointFriction]
@@ -158,6 +161,7 @@ def read_annotations(urdf: str, where: str) -> Annotations:
         gantry_tau_plate=mechanism[0].get("plate", "") if mechanism else "",
         gravity_masses={reader.link_of(e, "link"): reader.number(e, "value") for e in reader.ours("gravity_mass")},
         springs=reader.springs(),
+        drive_springs=reader.drive_springs(),
         assumed=tuple(e.get("what", "") for e in reader.ours("assumed")),
         mimics=reader.mimics(),
         friction=reader.friction(),
@@ -378,20 +382,40 @@ class _Reader:
         driven, found = {t.joint for t in self.transmissions()}, {}
         for element in self.ours("spring"):
             name = self.joint_of(element, "joint")
-            damping = self.number(element, "damping") if element.get("damping") is not None else 0.0
-            spring = Spring(name, self.number(element, "stiffness"), damping)
             if name in found or name in driven:
                 why = "has a <transmission>" if name in driven else "has two springs"
                 raise InputError(
-                    "robot_structure", f"{self.where}: joint '{name}' {why}; a spring stands alone on a passive joint"
-                )
-            if spring.stiffness <= 0 or spring.damping < 0:
-                raise InputError(
                     "robot_structure",
-                    f"{self.where}: the spring on '{name}' needs a stiffness above and a damping from zero up",
+                    f"{self.where}: joint '{name}' {why}; a <tau_dyn:spring> stands alone on a passive joint, the spring "
+                    "between a drive and its link is a <tau_dyn:drive_spring>",
                 )
-            found[name] = spring
+            found[name] = self._spring(element, name)
         return tuple(found.values())
+
+    def drive_springs(self) -> tuple[Spring, ...]:
+        """Return the springs between drives and links, one a joint at most."""
+        found: dict[str, Spring] = {}
+        for element in self.ours("drive_spring"):
+            name = self.joint_of(element, "joint")
+            if name in found:
+                raise InputError("robot_structure", f"{self.where}: the drive of joint '{name}' has two springs")
+            found[name] = self._spring(element, name)
+        return tuple(found.values())
+
+    def _spring(self, element: Element, joint: str) -> Spring:
+        damping = self.number(element, "damping") if element.get("damping") is not None else 0.0
+        stderr = self.number(element, "stiffness_stderr") if element.get("stiffness_stderr") is not None else None
+        spring = Spring(joint, self.number(element, "stiffness"), damping, stderr)
+        if spring.stiffness <= 0 or spring.damping < 0:
+            raise InputError(
+                "robot_structure",
+                f"{self.where}: the spring on '{joint}' needs a stiffness above and a damping from zero up",
+            )
+        if stderr is not None and stderr < 0:
+            raise InputError(
+                "robot_structure", f"{self.where}: the spring on '{joint}' has a standard error below zero"
+            )
+        return spring
 
     def _reflected_inertia(self, actuator: Element, joint: Element) -> float | None:
         """Return a rotor's inertia seen through its gear."""

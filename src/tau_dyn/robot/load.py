@@ -20,7 +20,14 @@ import pinocchio as pin
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import compute_sha256
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.robot.annotations import Annotations, BallConstraint, JointFriction, Mimic, read_annotations
+from tau_dyn.robot.annotations import (
+    Annotations,
+    BallConstraint,
+    JointFriction,
+    Mimic,
+    Spring,
+    read_annotations,
+)
 from tau_dyn.robot.expand import expand, find_robot
 from tau_dyn.robot.held_joints import hold_joints
 from tau_dyn.robot.numbers import MAX_NUMBER, check_inertia
@@ -192,6 +199,7 @@ def load_robot_from_urdf(
         assumed=notes.assumed,
         warnings=tuple(warnings),
         springs=notes.springs,
+        drive_springs=_require_actuated_springs(names, notes, source),
         shared_drives=notes.shared_drives,
         tool=_find_tool(model, notes, tool, source),
         passive_home={joint: value for joint, value in notes.home.items() if joint in passive},
@@ -201,6 +209,17 @@ def load_robot_from_urdf(
         gear_ratios={t.joint: t.ratio for t in notes.transmissions if t.ratio != 1 and t.joint in names},
         packages=dict(packages or {}),
     )
+
+
+def _require_actuated_springs(actuated: tuple[str, ...], notes: Annotations, where: str) -> tuple[Spring, ...]:
+    passive = next((s.joint for s in notes.drive_springs if s.joint not in actuated), None)
+    if passive is not None:
+        raise InputError(
+            "robot_structure",
+            f"{where}: <drive_spring> of '{passive}': the joint is not actuated; a passive joint that yields has a "
+            "<tau_dyn:spring>",
+        )
+    return notes.drive_springs
 
 
 def _drive_scales(actuated: tuple[str, ...], notes: Annotations, where: str) -> dict[str, float]:

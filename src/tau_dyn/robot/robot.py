@@ -86,7 +86,8 @@ class Robot(Shown):
         plate: For a simplified Gantry-Tau its plate link, else ''.
         assumed: What the file says is assumed.
         warnings: Sentences about doubtful input.
-        springs: Joints that yield; `model` holds them locked at zero, `dynamics.FlexibleModel` frees them.
+        springs: Joints that yield; `model` holds them locked at zero, `FlexibleModel` frees them.
+        drive_springs: Springs between the drives and the links of actuated joints; rigid in `model`, free in `FlexibleModel`.
         shared_drives: Pairs of joints that the file gives one transmission.
         tool: Name of the tool frame; empty where the file has none.
         drive_scales: Travel [m] of actuated slides per metre that their drives read, 1 for those not named; see `drive_scale`.
@@ -114,6 +115,7 @@ class Robot(Shown):
     assumed: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     springs: tuple[Spring, ...] = ()
+    drive_springs: tuple[Spring, ...] = ()
     shared_drives: tuple[tuple[str, str], ...] = ()
     tool: str = ""
     passive_home: Mapping[str, float] = field(default_factory=dict)

@@ -243,6 +243,20 @@ def _parts(name: str, robot: Robot) -> list[str]:
     return [j for j in robot.actuated if j.endswith(number)] + list(dict.fromkeys(rods))
 
 
+def _list_elastic_clouds(content: dict[str, Any]) -> list[Cloud]:
+    """Return the places at which a workspace's springs were linearised, with stiffness, sag and resonances; none if unknown."""
+    found = content.get("elastic_map") or {}
+    points = np.array(found.get("points", []), float).reshape(-1, 3)
+    if not len(points) or "coordinates" in content:  # coordinates that are no places of the tool cannot be drawn
+        return []
+    units = {str(row["map"]): str(row["unit"]) for row in content.get("maps", [])}
+    values = {
+        f"{name} [{units[name]}]": np.array(value, float) for name, value in found["values"].items() if name in units
+    }
+    note = str(content.get("stiffness_from", ""))
+    return [Cloud("stiffness, sag and resonances", points, values, note)]
+
+
 def _workspace(content: dict[str, Any], robot: Robot, path: Path, compute: bool) -> list[Content]:
     size, box = content["size"], content["bounding_box"]
     low, high = float(size["low"]), float(size["high"])
@@ -254,7 +268,7 @@ def _workspace(content: dict[str, Any], robot: Robot, path: Path, compute: bool)
     if content.get("cloud"):
         points = np.array(content["cloud"]["points"], float).reshape(-1, 3)
         values = {str(k): np.array(v, float) for k, v in content["cloud"].get("values", {}).items()}
-        return [Cloud("workspace", points, values, note, corners)]
+        return [Cloud("workspace", points, values, note, corners), *_list_elastic_clouds(content)]
     if compute:
         points, values = recompute_workspace(robot, float(content["resolution_m"]), corners)
         return [Cloud("workspace", points, values, note + "; points computed now, coarsely", corners)]

@@ -1,5 +1,12 @@
 """Where a robot's tool can be, why not elsewhere, and how well it works there."""
 
+from .elastic_maps import (
+    ELASTIC as ELASTIC,
+    ELASTIC_MAPS as ELASTIC_MAPS,
+    Elasticity as Elasticity,
+    build_elasticity as build_elasticity,
+    compute_elastic_values as compute_elastic_values,
+)
 from .find import find_workspace as find_workspace
 from .lattice import INSIDE as INSIDE
 from .machine import (
@@ -12,10 +19,9 @@ from .machine import (
 from .maps import (
     QUANTITIES as QUANTITIES,
     Catalogue as Catalogue,
-    Elasticity as Elasticity,
+    CatalogueRow as CatalogueRow,
     Quality as Quality,
     build_catalogue as build_catalogue,
-    build_elasticity as build_elasticity,
 )
 from .pose_check import KINDS as KINDS, PoseChecker as PoseChecker, PoseRequirements as PoseRequirements
 from .result import Workspace as Workspace

@@ -1,33 +1,26 @@
-"""What a map shows and what a catalogue says: condition, distance to singularity, stiffness, worst speed and force."""
+"""What a map shows and what a catalogue says: condition, distance to singularity, worst speed and force, springs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.exceptions import UnknownName
 from tau_dyn.kinematics.dexterity import (
     Rates,
-    Softest,
-    Springs,
-    combine_in_series,
-    compute_compliance,
     compute_dexterity,
     compute_worst_force,
     compute_worst_speed,
     find_softest,
 )
+from tau_dyn.kinematics.workspace.elastic_maps import ELASTIC, ELASTIC_MAPS, STDERR, Elasticity
 from tau_dyn.kinematics.workspace.lattice import INSIDE
 from tau_dyn.kinematics.workspace.machine import WorkspaceModel
 from tau_dyn.kinematics.workspace.result import Workspace
 from tau_dyn.mechanism import Poses
-from tau_dyn.robot import Robot
-
-JOINT_STIFFNESS = 115e6
-"""Stiffness of one ball joint [N/m]: the full-size Gantry-Tau prototypes' (thesis 2.3, 115 kN/mm)."""
 
 
 class Quantity(NamedTuple):
@@ -42,78 +35,16 @@ QUANTITIES: dict[str, Quantity] = {
     "manipulability": Quantity("manipulability", "1"),
     "singularity": Quantity("distance to singularity", "1"),
     "stiffness": Quantity("stiffness, softest direction", "N/m"),
+    "stiffness_x": Quantity("stiffness along x", "N/m"),
+    "stiffness_y": Quantity("stiffness along y", "N/m"),
+    "stiffness_z": Quantity("stiffness along z", "N/m"),
+    "sag": Quantity("sag under the robot's weight", "m"),
+    "sag_load": Quantity("sag under the load", "m"),
+    "resonance": Quantity("first resonance", "Hz"),
+    "resonance_2": Quantity("second resonance", "Hz"),
     "speed": Quantity("speed in every direction", "m/s"),
     "force": Quantity("force in every direction", "N"),
 }
-
-
-@dataclass(frozen=True, eq=False)
-class Elasticity:
-    """The springs of a robot and where their numbers come from.
-
-    Attributes:
-        springs: Stiffnesses, or None where nothing is known.
-        origin: A sentence on where they come from.
-        assumed: Whether something was assumed.
-    """
-
-    springs: Springs | None
-    origin: str
-    assumed: bool
-
-
-def build_elasticity(
-    machine: WorkspaceModel, rod: float | None = None, actuators: Mapping[str, float] | None = None
-) -> Elasticity:
-    """Return a robot's springs.
-
-    Args:
-        machine: The robot.
-        rod: Stiffness of each rod with its joints [N/m]; by default the file's `<rod>_stretch` springs, else two ball joints.
-        actuators: Stiffness by joint name, or '' for all [N/m or N m/rad]; by default rigid.
-
-    Raises:
-        UnknownName: A joint that is not actuated.
-        InputError: A stiffness that is not above zero, or a rod's where there are no rods.
-    """
-    robot, rods = machine.robot, machine.rods
-    drives = _drives(robot, actuators or {})
-    if rod is not None and not rod > 0:
-        raise InputError("invalid_value", f"a rod's stiffness must be above zero, not {rod}")
-    if rods is None:
-        if rod is not None:
-            raise InputError("unsupported", f"{robot.source} has no rods; give --actuator-stiffness")
-        known = bool(np.isfinite(drives).any())
-        origin = "actuators as given, links rigid" if known else "no stiffness is known: give the actuators'"
-        return Elasticity(Springs(np.full(6, np.inf), drives) if known else None, origin, False)
-    given = {s.joint: s.stiffness for s in robot.springs}
-    values = np.array([given.get(f"{name}_stretch", np.nan) for name in rods.names])
-    rest = "actuators rigid" if np.isinf(drives).all() else "actuators as given"
-    if rod is not None:
-        return Elasticity(Springs(np.full(rods.n, float(rod)), drives), f"rods as given, {rest}", False)
-    if np.isfinite(values).all():
-        others = [s.joint for s in robot.springs if not s.joint.endswith("_stretch")]
-        rest += f"; the file's springs on {', '.join(others[:6])} left out" if others else ""
-        return Elasticity(Springs(values, drives), f"rods as the robot file, {rest}", False)
-    two = combine_in_series(JOINT_STIFFNESS, JOINT_STIFFNESS)
-    return Elasticity(
-        Springs(np.full(rods.n, two), drives),
-        f"each rod assumed as two ball joints of 115 kN/mm in series, its tube and the frame rigid, {rest}",
-        True,
-    )
-
-
-def _drives(robot: Robot, given: Mapping[str, float]) -> np.ndarray:
-    drives = np.full(robot.na, np.inf)
-    for name, value in given.items():
-        if not value > 0:
-            raise InputError(
-                "invalid_value", f"the stiffness of actuator '{name or 'all'}' must be above zero, not {value}"
-            )
-        if name and name not in robot.actuated:
-            raise UnknownName("actuated joint", name, robot.actuated)
-        drives[[robot.actuated.index(name)] if name else slice(None)] = value
-    return drives
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,53 +60,68 @@ class Quality:
     elasticity: Elasticity
 
     def available(self) -> list[str]:
-        """Return the names of the quantities that this robot has."""
+        """Return the names of the quantities that are known of this robot."""
+        there = set(self.list_names())
+        elastic = set(ELASTIC_MAPS) if not self.elasticity.known else set()
+        return [name for name in QUANTITIES if name in there - elastic]
+
+    def choose_usual(self) -> list[str]:
+        """Return the names of the maps where none is asked for: all that are known, and a robot with rods its stiffness."""
+        known = self.available()
+        asked = ["stiffness"] if self.machine.rods is not None and "stiffness" not in known else []
+        return [*known, *asked]
+
+    def list_names(self) -> list[str]:
+        """Return the names of the quantities that can be asked, those that are unknown included."""
         robot = self.machine.robot
         missing = {
-            "stiffness": self.elasticity.springs is None,
+            "sag_load": self.elasticity.load is None,
             "speed": not np.isfinite(robot.velocity_limit).all(),
             "force": not np.isfinite(robot.effort_limit).all(),
         }
         return [name for name in QUANTITIES if not missing.get(name, False)]
 
-    def values(self, names: list[str], q: np.ndarray, poses: Poses) -> dict[str, np.ndarray]:
-        """Return quantities by name, each (N,) in SI.
+    def expand(self, words: Iterable[str]) -> list[str]:
+        """Return the names of the maps that words ask for: `stiffness`, `sag` and `resonance` ask for several.
 
         Raises:
             UnknownName: A quantity that does not exist, or that this robot lacks.
         """
-        there = self.available()
+        there, found = self.list_names(), []
+        for word in words:
+            named = [name for name in ELASTIC.get(word, (word,)) if name in there]
+            if not named:
+                raise UnknownName("map of this robot", word, there)
+            found += named
+        return list(dict.fromkeys(found))
+
+    def values(self, names: Sequence[str], q: np.ndarray, poses: Poses) -> dict[str, np.ndarray]:
+        """Return quantities by name, each (N,) in SI; those of the springs with `<name>_stderr` where the springs have some.
+
+        Raises:
+            UnknownName: A quantity that does not exist, or that this robot lacks.
+        """
+        there = self.list_names()
         for name in names:
             if name not in there:
                 raise UnknownName("map of this robot", name, there)
-        if not len(q):
-            return {name: np.zeros(0) for name in names}
-        rates = self.machine.rates(q, poses)
-        return {name: value for name, value in self._all(rates, names)}
+        rigid = [name for name in names if name not in ELASTIC_MAPS]
+        found = {name: np.zeros(len(q)) for name in rigid}
+        if len(q) and rigid:
+            found = dict(self._all(self.machine.rates(q, poses), rigid))
+        elastic = self.elasticity.evaluate(q) if len(rigid) < len(names) else {}
+        kept = {*names, *(name + STDERR for name in names)}
+        return found | {name: value for name, value in elastic.items() if name in kept}
 
     def _all(self, rates: Rates, names: list[str]):
         robot, found = self.machine.robot, compute_dexterity(rates)
         for name in names:
-            if name == "stiffness":
-                yield name, self.softest(rates).stiffness[:, 0]
-            elif name == "speed":
+            if name == "speed":
                 yield name, compute_worst_speed(rates, robot.velocity_limit)
             elif name == "force":
                 yield name, compute_worst_force(rates, robot.effort_limit)
             else:
                 yield name, getattr(found, name)
-
-    def softest(self, rates: Rates) -> Softest:
-        """Return main stiffnesses and directions at the poses of these rates."""
-        if self.elasticity.springs is None:
-            raise InputError("unsupported", f"{self.machine.robot.source}: {self.elasticity.origin}")
-        C = compute_compliance(rates, self.elasticity.springs)
-        linear = min(rates.linear, C.shape[1])
-        if linear < 3:  # a planar arm: what does not move is rigid
-            wide = np.zeros((len(C), 3, 3))
-            wide[:, :linear, :linear] = C[:, :linear, :linear]
-            C = wide
-        return find_softest(C)
 
 
 class Statistics(NamedTuple):
@@ -194,44 +140,109 @@ def compute_statistics(values: np.ndarray) -> Statistics:
     return Statistics(float(values.min()), float(np.median(values)), float(values.max()))
 
 
-def build_catalogue_row(name: str, found: Statistics) -> dict[str, Any]:
-    """Return a line of the catalogue."""
-    quantity = QUANTITIES[name]
-    return {
-        "map": name,
-        "what": quantity.words,
-        "unit": quantity.unit,
-        "min": found.least,
-        "median": found.median,
-        "max": found.largest,
-    }
+_Z95 = 1.959964  # standard normal quantile of a 95 % interval
+_MAX_ELASTIC_PLACES = 400
+"""Places of a catalogue at which springs are linearised; a pose of the flexible L1 takes 20 ms."""
+
+
+class Extreme(NamedTuple):
+    """Where a quantity is least or largest.
+
+    Attributes:
+        place: Of the tool (3,) [m], or its commanded coordinates.
+        ci95: 95 % interval of the value there from the springs' standard errors; None where they have none.
+    """
+
+    place: np.ndarray
+    ci95: tuple[float, float] | None
+
+
+class CatalogueRow(NamedTuple):
+    """One quantity over the workspace, in SI; nan where it is unknown.
+
+    Attributes:
+        spread: Least, median and largest value.
+        home: Value at home.
+        least: Where it is least, or None.
+        largest: Where it is largest, or None.
+        home_ci95: 95 % interval of the value at home, or None.
+    """
+
+    spread: Statistics
+    home: float
+    least: Extreme | None = None
+    largest: Extreme | None = None
+    home_ci95: tuple[float, float] | None = None
+
+    def to_dict(self, name: str) -> dict[str, Any]:
+        """Return a line of the catalogue; `name` is the quantity's."""
+        quantity = QUANTITIES[name]
+        found = {
+            "map": name,
+            "what": quantity.words,
+            "unit": quantity.unit,
+            "min": self.spread.least,
+            "median": self.spread.median,
+            "max": self.spread.largest,
+            "home": self.home,
+            "min_at": None if self.least is None else self.least.place,
+            "max_at": None if self.largest is None else self.largest.place,
+        }
+        if name not in ELASTIC_MAPS:
+            return found
+        return found | {
+            "min_ci95": None if self.least is None else self.least.ci95,
+            "max_ci95": None if self.largest is None else self.largest.ci95,
+            "home_ci95": self.home_ci95,
+        }
+
+
+def compute_interval(value: float, stderr: float | None) -> tuple[float, float] | None:
+    """Return the 95 % interval of a value; None without a standard error."""
+    if stderr is None or not np.isfinite([value, stderr]).all():
+        return None
+    return float(value - _Z95 * stderr), float(value + _Z95 * stderr)
+
+
+def _find_extreme(values: np.ndarray, stderr: np.ndarray | None, places: np.ndarray, pick: Any) -> Extreme | None:
+    if not np.isfinite(values).any():
+        return None
+    k = int(pick(np.where(np.isinf(values), np.nan, values)))
+    return Extreme(places[k], compute_interval(float(values[k]), None if stderr is None else float(stderr[k])))
 
 
 class Catalogue(NamedTuple):
     """Figures of a robot.
 
     Attributes:
-        rows: By quantity: statistics over the workspace and the value at home.
+        rows: By quantity: statistics over the workspace, where they are met, and the value at home.
         places: Evenly spaced places of the workspace (M, 3) [m] that the statistics are taken over.
-        values: Quantities there (M,) by name.
+        values: Quantities there (M,) by name, standard errors included; those of the springs nan where not evaluated.
+        evaluated: Where the springs were linearised (M,).
         stiffness_at_home: Main stiffnesses (3,) [N/m] and directions (3, 3) at home, or None.
         elasticity: Where the stiffness comes from.
         length: Characteristic length [m].
     """
 
-    rows: dict[str, tuple[Statistics, float]]
+    rows: dict[str, CatalogueRow]
     places: np.ndarray
     values: dict[str, np.ndarray]
+    evaluated: np.ndarray
     stiffness_at_home: tuple[np.ndarray, np.ndarray] | None
     elasticity: str
     length: float | None
+
+    def __repr__(self) -> str:
+        """Return the names of the quantities and the number of places, without their arrays."""
+        return f"Catalogue({', '.join(self.rows)}; {len(self.places)} places, {int(self.evaluated.sum())} with springs)"
 
     def to_dict(self) -> dict[str, Any]:
         """Return a plain mapping."""
         home = self.stiffness_at_home
         return {
-            "maps": [build_catalogue_row(name, s) | {"home": at_home} for name, (s, at_home) in self.rows.items()],
+            "maps": [row.to_dict(name) for name, row in self.rows.items()],
             "map_points": len(self.places),
+            "elastic_points": int(self.evaluated.sum()),
             "characteristic_length_m": self.length,
             "stiffness_from": self.elasticity,
             "stiffness_ellipsoid_at_home": None
@@ -240,25 +251,60 @@ class Catalogue(NamedTuple):
         }
 
 
-def build_catalogue(found: Workspace, quality: Quality) -> Catalogue:
-    """Return the figures of a robot over its workspace."""
-    names, machine = quality.available(), found.machine
+def build_catalogue(found: Workspace, quality: Quality, asked: Sequence[str] = ()) -> Catalogue:
+    """Return the figures of a robot over its workspace.
+
+    Args:
+        found: The workspace.
+        quality: Evaluates maps.
+        asked: Names of maps; those that follow from springs are evaluated if named here, all others always.
+    """
+    machine = found.machine
+    rigid = [name for name in quality.available() if name not in ELASTIC_MAPS]
+    elastic = [name for name in asked if name in ELASTIC_MAPS]
     places, q = _evenly(found)
-    values = quality.values(names, q, found.poses(places))
+    values = quality.values(rigid, q, found.poses(places))
+    evaluated = np.zeros(len(places), bool)
+    if elastic:
+        evaluated[:: max(1, -(-len(places) // _MAX_ELASTIC_PLACES))] = True
+        for name, value in quality.values(elastic, q[evaluated], found.poses(places[evaluated])).items():
+            values[name] = np.full(len(places), np.nan)
+            values[name][evaluated] = value
+        evaluated &= quality.elasticity.known
     home = found.poses(machine.home_place[None])
     q_home = found.judge.judge(home).q
-    at_home = quality.values(names, q_home, home)
+    at_home = quality.values([*rigid, *elastic], q_home, home)
     rates = machine.rates(q_home, home)
-    main = quality.softest(rates) if "stiffness" in names else None
     turning = rates.tool.shape[2] > rates.linear or bool(rates.turns.any())
+    rows = {}
+    for name in (name for name in QUANTITIES if name in values):
+        stderr, home_stderr = values.get(name + STDERR), at_home.get(name + STDERR)
+        rows[name] = CatalogueRow(
+            compute_statistics(values[name]),
+            float(at_home[name][0]),
+            _find_extreme(values[name], stderr, places / machine.scale, np.nanargmin),
+            _find_extreme(values[name], stderr, places / machine.scale, np.nanargmax),
+            compute_interval(float(at_home[name][0]), None if home_stderr is None else float(home_stderr[0])),
+        )
     return Catalogue(
-        {name: (compute_statistics(values[name]), float(at_home[name][0])) for name in names if name in QUANTITIES},
+        rows,
         places,
         values,
-        None if main is None else (main.stiffness[0], main.directions[0]),
+        evaluated,
+        _find_main_stiffness(quality.elasticity, q_home[0]) if elastic else None,
         quality.elasticity.origin,
         rates.length if turning else None,
     )
+
+
+def _find_main_stiffness(elasticity: Elasticity, q: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return main stiffnesses (3,) [N/m] and directions (3, 3) at a pose (na,); None where they are unknown."""
+    near = elasticity.linearise(q)
+    if near is None:
+        return None
+    C = near.compliance()
+    main = find_softest((C + C.T)[None] / 2)
+    return main.stiffness[0], main.directions[0]
 
 
 def _evenly(found: Workspace) -> tuple[np.ndarray, np.ndarray]:

@@ -13,13 +13,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 import pinocchio as pin
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics.workspace.elastic_maps import ELASTIC_MAPS, STDERR, build_elasticity
 from tau_dyn.kinematics.workspace.find import find_workspace, leave_singular_home
 from tau_dyn.kinematics.workspace.lattice import INSIDE
 from tau_dyn.kinematics.workspace.machine import build_machine
-from tau_dyn.kinematics.workspace.maps import Catalogue, Quality, build_catalogue, build_elasticity
+from tau_dyn.kinematics.workspace.maps import Catalogue, Quality, build_catalogue
 from tau_dyn.kinematics.workspace.pose_check import PoseRequirements
 from tau_dyn.kinematics.workspace.result import Workspace
 from tau_dyn.mechanism import Poses
@@ -28,6 +30,8 @@ from tau_dyn.robot import Robot
 
 _MAX_SECTION_POINTS = 220
 """Points along the longer side of a section."""
+_MAX_ELASTIC_POINTS = 200
+"""Points of a section at which springs are linearised; the others take the nearest. A pose of the flexible L1 takes 20 ms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,15 +124,43 @@ def judge_section(found: Workspace, axis: int, at: float, quality: Quality, name
     judged = found.judge.judge(found.poses(places))
     code = _also_of_lattice(found, places, judged.code)
     inside = code == INSIDE
-    maps = {}
-    for name, value in quality.values(list(names), judged.q[inside], found.poses(places[inside])).items():
-        maps[name] = np.full(len(code), np.nan)
-        maps[name][inside] = value
+    rigid = [name for name in names if name not in ELASTIC_MAPS]
+    maps = _spread(quality.values(rigid, judged.q[inside], found.poses(places[inside])), inside)
+    if len(rigid) < len(names):
+        elastic = [name for name in names if name in ELASTIC_MAPS]
+        chosen, nearest = _thin_out(inside.reshape(len(u), len(v)))
+        values = quality.values(elastic, judged.q[chosen], found.poses(places[chosen]))
+        maps |= _spread({name: value[nearest] for name, value in values.items()}, inside)
     shape = (len(u), len(v))
     return Section(
         axis, at, across, up, u / scale[0], v / scale[1], code.reshape(shape), float(inside.sum() * step**2 / scale.prod()),
         {name: value.reshape(shape) for name, value in maps.items()}, machine.axes, machine.units,
     )  # fmt: skip
+
+
+def _spread(values: Mapping[str, np.ndarray], inside: np.ndarray) -> dict[str, np.ndarray]:
+    """Return values of the places inside over all places (n,), nan elsewhere."""
+    out = {name: np.full(len(inside), np.nan) for name in values}
+    for name, value in values.items():
+        out[name][inside] = value
+    return out
+
+
+def _thin_out(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points of a section (nu, nv) at which springs are linearised, and which of them is nearest to each inside.
+
+    Args:
+        inside: Which points belong (nu, nv).
+
+    Returns:
+        Flat indices of the chosen points (m,), and for each point inside the position of the nearest in that list.
+    """
+    index = np.argwhere(inside)
+    stride = max(1, int(np.ceil(np.sqrt(len(index) / _MAX_ELASTIC_POINTS))))
+    kept = index[(index % stride == stride // 2).all(axis=1)]
+    kept = kept if len(kept) else index[:1]
+    nearest = cKDTree(kept).query(index)[1] if len(index) else np.zeros(0, int)
+    return kept[:, 0] * inside.shape[1] + kept[:, 1], nearest
 
 
 def _along(low: float, high: float, step: float) -> np.ndarray:
@@ -262,14 +294,24 @@ class Study(Shown):
             "sections": [self._section(s) for s in self.sections],
             "tilt": self.tilt,
             "cloud": self._cloud(),
+            **({"elastic_map": self._list_elastic()} if any(name in ELASTIC_MAPS for name in self.maps) else {}),
         }
+
+    def _list_elastic(self) -> dict[str, Any]:
+        """Return the places [m] at which springs were linearised, with the maps there and their standard errors."""
+        figures = self.catalogue
+        kept = {name for name in self.maps if name in ELASTIC_MAPS}
+        kept |= {name + STDERR for name in kept}
+        values = {name: value[figures.evaluated] for name, value in figures.values.items() if name in kept}
+        return {"points": figures.places[figures.evaluated] / self.workspace.machine.scale, "values": values}
 
     def _cloud(self) -> dict[str, Any]:
         """Return places inside [m], thinned, with the maps there: what a viewer draws."""
         space = self.workspace
         inside = np.flatnonzero(space.place_codes == INSIDE)
         chosen = inside[:: max(1, -(-len(inside) // _MAX_PLACES))]
-        values = self.quality.values(self.maps, space.q[chosen], space.poses(space.places[chosen]))
+        rigid = [name for name in self.maps if name not in ELASTIC_MAPS]
+        values = self.quality.values(rigid, space.q[chosen], space.poses(space.places[chosen]))
         points = space.places[chosen]
         if not space.machine.by_position:
             points = space.machine.kinematics.forward(space.q[chosen]).poses.position
@@ -301,6 +343,7 @@ def study_workspace(
     tilt_at: Sequence[float] | np.ndarray | None = None,
     rod_stiffness: float | None = None,
     actuator_stiffness: Mapping[str, float] | None = None,
+    load: float | None = None,
     seed: int = 0,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Study:
@@ -312,10 +355,12 @@ def study_workspace(
         resolution: Finest distance of points [m].
         turn_deg: Roll, pitch and yaw of the tool from home, about the world's axes [deg].
         sections: Planes such as `x=1.75`; by default those through home.
-        maps: Names of quantities; by default all that the robot has.
+        maps: Names of quantities, or `stiffness`, `sag`, `resonance` for all maps of that kind; by default all that are known
+            and the stiffness of a robot with rods.
         tilt_at: Place at which the range of tilt is asked (3,) [m]; by default home.
-        rod_stiffness: [N/m] of each rod with its joints.
-        actuator_stiffness: By joint, '' for all [N/m or N m/rad].
+        rod_stiffness: [N/m] of each rod with its joints, inf for rigid.
+        actuator_stiffness: By joint, '' for all [N/m or N m/rad], inf for rigid.
+        load: Weight of a load at the tool [N].
         seed: Of the random points of the refinement.
         progress: Told what is being done.
 
@@ -324,11 +369,8 @@ def study_workspace(
     """
     machine = leave_singular_home(build_machine(robot), demands)
     planes = [parse_section(text, machine.axes) for text in sections]
-    quality = Quality(machine, build_elasticity(machine, rod_stiffness, actuator_stiffness))
-    names = list(dict.fromkeys(maps)) or quality.available()
-    unknown = next((n for n in names if n not in quality.available()), None)
-    if unknown is not None:
-        raise UnknownName("map of this robot", unknown, quality.available())
+    quality = Quality(machine, build_elasticity(machine, rod_stiffness, actuator_stiffness, load))
+    names = quality.expand(maps) or quality.choose_usual()
     rotation = None if turn_deg is None else _turned(turn_deg) @ np.asarray(machine.home.rotation)[0]
     found = find_workspace(
         machine, demands=demands, resolution=resolution, rotation=rotation, seed=seed, progress=progress
@@ -338,7 +380,7 @@ def study_workspace(
         progress(f"judging section {k} of {len(planes)}")
         cuts.append(judge_section(found, axis, at, quality, names))
     progress("maps over the workspace")
-    figures = build_catalogue(found, quality)
+    figures = build_catalogue(found, quality, names)
     if tilt_at is not None and not np.isfinite(tilt_at).all():
         raise InputError("invalid_value", "the place of --tilt must hold three finite numbers")
     lean = (
@@ -350,9 +392,24 @@ def study_workspace(
     if not np.array_equal(machine.robot.home, robot.home):
         posture = ", ".join(f"{joint} {x:.4g}" for joint, x in zip(robot.actuated, machine.robot.home, strict=True))
         warnings.append(f"{robot.source}: home is singular; the workspace is that around {posture}")
-    if quality.elasticity.assumed:
-        warnings.append(f"stiffness: {quality.elasticity.origin}")
+    if any(name in ELASTIC_MAPS for name in names):
+        warnings += quality.elasticity.warnings()
+        warnings += _list_lost_poses(figures, names)
+    elif load is not None:
+        warnings.append(f"the load of {load:g} N has no effect: sag is {quality.elasticity.origin}")
     return Study(found, quality, names, cuts, figures, lean, tuple(warnings))
+
+
+def _list_lost_poses(figures: Catalogue, names: Sequence[str]) -> list[str]:
+    """Return a sentence where the springs do not hold the robot at some poses."""
+    name = next(name for name in names if name in ELASTIC_MAPS)
+    lost = int(np.isnan(figures.values[name][figures.evaluated]).sum())
+    if not 0 < lost < figures.evaluated.sum():
+        return []
+    return [
+        f"at {lost} of {int(figures.evaluated.sum())} places the springs do not hold the robot's weight, or a loop does not "
+        "close; no stiffness, sag or resonance is given there"
+    ]
 
 
 def _turned(degrees: Sequence[float]) -> np.ndarray:
@@ -375,7 +432,22 @@ def build_points_table(found: Study) -> pd.DataFrame:
     columns["inside"] = inside.astype(int)
     words = {int(code): space.reasons.words(int(code)) for code in np.unique(codes)}
     columns["reason"] = np.array([words[int(code)] for code in codes], dtype=object)
-    for name, value in found.quality.values(found.maps, q[inside], space.poses(places[inside])).items():
-        columns[name] = np.full(len(codes), np.nan)
-        columns[name][inside] = value
-    return pd.DataFrame(columns)
+    rigid = [name for name in found.maps if name not in ELASTIC_MAPS]
+    columns |= _spread(found.quality.values(rigid, q[inside], space.poses(places[inside])), inside)
+    return pd.DataFrame(columns | _list_elastic_columns(found, places))
+
+
+def _list_elastic_columns(found: Study, places: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the maps of the springs and their standard errors at places (N, 3), nan where none was linearised."""
+    figures, wanted = found.catalogue, [name for name in found.maps if name in ELASTIC_MAPS]
+    if not wanted:
+        return {}
+    at = figures.places[figures.evaluated]
+    if not len(at):
+        return {name: np.full(len(places), np.nan) for name in wanted}
+    away, nearest = cKDTree(at).query(places)
+    same = away < 1e-6 * found.workspace.lattice.step
+    out = {}
+    for name in (n for base in wanted for n in (base, base + STDERR) if n in figures.values):
+        out[name] = np.where(same, figures.values[name][figures.evaluated][nearest], np.nan)
+    return out

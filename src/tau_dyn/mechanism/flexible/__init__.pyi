@@ -7,3 +7,4 @@ from .linear_system import (
     SampledModel as SampledModel,
 )
 from .model import FlexibleModel as FlexibleModel, Linearised as Linearised, NaturalMode as NaturalMode
+from .stated_springs import name_rod_spring as name_rod_spring, state_springs as state_springs

@@ -1,7 +1,8 @@
 """A robot whose springs may yield: linearised about a pose, its natural modes, static compliance and state space.
 
 With `z = [a; s]`, the actuated positions and the springs' deflections, the mechanism is an ordinary rigid one whose loops
-close as ever, and virtual work gives
+close as ever. A drive's spring yields between the drive, where `a` is measured, and the link: the joint is at `a + s`, and
+the drive's inertia moves with `a` alone. Virtual work gives
 
     M(z) z'' + h(z, z') + [0; k s + d s'] = [tau; 0] + J_f' f.
 
@@ -18,7 +19,8 @@ Accelerations of the input are no input one wants to log, so they are absorbed: 
     x2' = -M_ss^-1 (D_ss x1' + K_ss x1) + M_ss^-1 (J_fs' f - (K_sa + K_ss F) a),
 
 which is exact. An accelerometer is a second-order low-pass on the true acceleration, which makes its signal finite even where
-a drive's speed jumps. Springs are `<tau_dyn:spring>` elements on passive joints; for every other purpose the robot is rigid.
+a drive's speed jumps. Springs are `<tau_dyn:spring>` elements on passive joints and `<tau_dyn:drive_spring>` elements on
+actuated ones; for every other purpose the robot is rigid.
 Reference: Khalil & Dombre 2002, ch. 7; Wittbrodt, Adamiec-Wojcik & Wojciech 2006 (rigid finite elements), ch. 3.
 """
 
@@ -60,7 +62,7 @@ class Linearised:
 
     Attributes:
         robot: The rigid robot.
-        springs: Names of the spring joints; all matrices have the actuated joints first, then these.
+        springs: Names of the spring joints, of drives last; all matrices have the actuated joints first, then these.
         q: Actuated positions (na,).
         deflection: The springs' deflection at rest (ns,).
         M: Mass matrix (n, n).
@@ -69,6 +71,7 @@ class Linearised:
         tool: The tool's velocity per coordinate's (3, n), in base axes.
         pushed: The same of the point that outside forces act on (3, n).
         tool_position: At rest (3,) [m].
+        unloaded_position: Of the tool where no spring is deflected, the drives at the same positions (3,) [m].
     """
 
     robot: Robot
@@ -81,6 +84,7 @@ class Linearised:
     tool: np.ndarray
     pushed: np.ndarray
     tool_position: np.ndarray
+    unloaded_position: np.ndarray
 
     @property
     def na(self) -> int:
@@ -204,11 +208,26 @@ class _Rest:
     tree: np.ndarray
 
 
+def require_file_masses(robot: Robot) -> None:
+    """Refuse a robot whose parameters are not those of its file.
+
+    Raises:
+        InputError: They are not.
+    """
+    as_filed = load_robot_from_urdf(robot.urdf, robot.source, actuated=robot.actuated).parameters
+    if as_filed.names != robot.parameters.names or np.any(as_filed.values != robot.parameters.values):
+        raise InputError(
+            "unsupported",
+            f"{robot.source}: a flexible model takes its masses from the robot file; change them there",
+        )
+
+
 class FlexibleModel:
     """A robot file's springs set free.
 
     Attributes:
         robot: The rigid robot, springs locked.
+        springs: Its springs, those of its drives last; the order of all deflections.
         freed: The same robot with its springs as coordinates beside the actuated joints.
         mechanism: Rigid-body dynamics in all those coordinates.
     """
@@ -219,25 +238,27 @@ class FlexibleModel:
         Raises:
             InputError: The robot has no springs, or its parameters are not those of its file any more.
         """
-        if not robot.springs:
+        self.springs = (*robot.springs, *robot.drive_springs)
+        if not self.springs:
             raise InputError(
                 "unsupported",
                 f"{robot.source} has no <tau_dyn:spring>; name the joints that yield in the file, or, for gantry_tau, "
                 "load it with arms=complete flexible=true",
             )
-        as_filed = load_robot_from_urdf(robot.urdf, robot.source, actuated=robot.actuated).parameters
-        if as_filed.names != robot.parameters.names or np.any(as_filed.values != robot.parameters.values):
-            raise InputError(
-                "unsupported",
-                f"{robot.source}: a flexible model takes its masses from the robot file; change them there",
-            )
+        require_file_masses(robot)
         joints = [*robot.actuated, *(s.joint for s in robot.springs)]
         self.robot = robot
         self.freed = load_robot_from_urdf(robot.urdf, robot.source, actuated=joints, lock_springs=False)
         self.mechanism = TreeMechanism(self.freed)
         self._order = [self.freed.actuated.index(j) for j in joints]  # ours -> the tree's
-        self._stiffness = np.array([0.0] * robot.na + [s.stiffness for s in robot.springs])
-        self._damping = np.array([0.0] * robot.na + [s.damping for s in robot.springs])
+        self._stiffness = np.array([0.0] * robot.na + [s.stiffness for s in self.springs])
+        self._damping = np.array([0.0] * robot.na + [s.damping for s in self.springs])
+        driven = [robot.actuated.index(s.joint) for s in robot.drive_springs]
+        behind = np.zeros((len(joints), len(driven)))
+        behind[driven, range(len(driven))] = 1.0
+        self._joints_by_z = np.hstack([np.eye(len(joints)), behind])
+        self._drive_inertia = np.zeros(len(joints))
+        self._drive_inertia[driven] = [self.freed.parameters[f"{s.joint}.armature"].value for s in robot.drive_springs]
 
     def at(
         self,
@@ -266,7 +287,7 @@ class FlexibleModel:
         self._refuse(M[na:, na:], K[na:, na:])
         return Linearised(
             robot=self.robot,
-            springs=tuple(s.joint for s in self.robot.springs),
+            springs=tuple(s.joint for s in self.springs),
             q=rest.z[:na],
             deflection=rest.z[na:],
             M=M,
@@ -274,7 +295,10 @@ class FlexibleModel:
             K=K,
             tool=self._jacobian(rest, tool),
             pushed=self._jacobian(rest, pushed or tool),
-            tool_position=self._position(rest, tool),
+            tool_position=self._position(rest.tree, tool),
+            unloaded_position=self._position(
+                self._tree(np.concatenate([rest.z[:na], np.zeros(len(self.springs))])), tool
+            ),
         )
 
     def _checked(self, q: Sequence[float] | np.ndarray | None) -> np.ndarray:
@@ -287,7 +311,7 @@ class FlexibleModel:
     def _rest(self, q: np.ndarray, sag: bool) -> _Rest:
         """Return where the robot rests with its actuators at `q`: Newton with the springs' own stiffness as slope."""
         na = self.robot.na
-        z = np.concatenate([q, np.zeros(len(self.robot.springs))])
+        z = np.concatenate([q, np.zeros(len(self.springs))])
         k = self._stiffness[na:]
         for _ in range(100 if sag else 0):
             slack = (self._bias(z)[na:] + k * z[na:]) / k
@@ -297,7 +321,7 @@ class FlexibleModel:
             if np.abs(slack).max() < 1e-11:
                 return _Rest(z, self._tree(z))
         if sag:
-            worst = self.robot.springs[int(np.argmax(np.abs(self._bias(z)[na:] / k + z[na:])))].joint
+            worst = self.springs[int(np.argmax(np.abs(self._bias(z)[na:] / k + z[na:])))].joint
             raise InputError(
                 "robot_structure",
                 f"{self.robot.source}: spring '{worst}' is too soft to carry the robot's weight at this pose",
@@ -308,24 +332,32 @@ class FlexibleModel:
         return self.mechanism.solver.close(self._theirs(z))
 
     def _theirs(self, z: np.ndarray) -> np.ndarray:
-        out = np.empty(len(z))
-        out[self._order] = z
+        """Return the joints' positions in the tree's order."""
+        out = np.empty(len(self._order))
+        out[self._order] = self._joints_by_z @ z
         return out
 
     def _mass(self, z: np.ndarray) -> np.ndarray:
-        M, _ = self.mechanism.mass_and_bias(self._theirs(z), np.zeros(len(z)))
-        return M[np.ix_(self._order, self._order)]
+        joints = self._theirs(z)
+        M, _ = self.mechanism.mass_and_bias(joints, np.zeros(len(joints)))
+        of_links = M[np.ix_(self._order, self._order)] - np.diag(self._drive_inertia)
+        out = self._joints_by_z.T @ of_links @ self._joints_by_z
+        n = len(joints)
+        out[:n, :n] += np.diag(self._drive_inertia)
+        return out
 
     def _bias(self, z: np.ndarray) -> np.ndarray:
         """Return the forces that hold the robot without springs (n,)."""
-        _, h = self.mechanism.mass_and_bias(self._theirs(z), np.zeros(len(z)))
-        return h[self._order]
+        joints = self._theirs(z)
+        _, h = self.mechanism.mass_and_bias(joints, np.zeros(len(joints)))
+        return self._joints_by_z.T @ h[self._order]
 
     def _weight_stiffness(self, z: np.ndarray) -> np.ndarray:
         """Return `dh/dz` (n, n), symmetric because weight has a potential."""
-        steps = _STEP * np.eye(len(z))
-        slope = np.column_stack([(self._bias(z + e) - self._bias(z - e)) / (2 * _STEP) for e in steps])
-        return (slope + slope.T) / 2
+        T = self._joints_by_z
+        steps = _STEP * np.eye(len(z))[: len(T)]  # a drive's spring moves its joint as the drive does
+        slope = np.column_stack([(self._bias(z + e) - self._bias(z - e)) / (2 * _STEP) for e in steps])[: len(T)]
+        return T.T @ ((slope + slope.T) / 2) @ T
 
     def _frame(self, name: str) -> int:
         model = self.mechanism.model
@@ -336,18 +368,18 @@ class FlexibleModel:
     def _jacobian(self, rest: _Rest, name: str) -> np.ndarray:
         """Return a frame's velocity per coordinate's (3, n), in base axes."""
         frame, mechanism = self._frame(name), self.mechanism
-        nothing = np.zeros(len(rest.z))
+        nothing = np.zeros(len(self._order))
         G = mechanism.solver.state(self._theirs(rest.z), nothing, nothing).G
         tree = pin.computeFrameJacobian(mechanism.model, mechanism.data, rest.tree, frame, _WORLD)
-        return (tree.reshape(6, -1)[:3] @ G)[:, self._order]
+        return (tree.reshape(6, -1)[:3] @ G)[:, self._order] @ self._joints_by_z
 
-    def _position(self, rest: _Rest, name: str) -> np.ndarray:
-        pin.framesForwardKinematics(self.mechanism.model, self.mechanism.data, rest.tree)
+    def _position(self, tree: np.ndarray, name: str) -> np.ndarray:
+        pin.framesForwardKinematics(self.mechanism.model, self.mechanism.data, tree)
         return self.mechanism.data.oMf[self._frame(name)].translation.copy()
 
     def _refuse(self, M: np.ndarray, K: np.ndarray) -> None:
         """Refuse springs without mass behind them, whose motion is undefined, and weight that springs cannot hold."""
-        names = [s.joint for s in self.robot.springs]
+        names = [s.joint for s in self.springs]
         scale = 1 / np.sqrt(np.abs(np.diag(K)))
         values, vectors = np.linalg.eigh(scale[:, None] * M * scale)
         if values[0] < 1e-10 * values[-1]:  # a mode 1e5 times faster than the slowest

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from tau_dyn import results as r
-from tau_dyn.kinematics.workspace import QUANTITIES, Study, build_points_table
+from tau_dyn.kinematics.workspace import ELASTIC_MAPS, QUANTITIES, Study, build_points_table
 from tau_dyn.render.kinds import workspace_figures as figures
 from tau_dyn.render.kinds.workspace_figures import SHOWN_UNITS
 from tau_dyn.render.presentation import present_kind, warn
@@ -19,6 +19,13 @@ MAP_WORDS = {
     "manipulability": "Product of the Jacobian's singular values: how much the tool moves for a move of the actuators.",
     "singularity": "Least singular value of the homogenised closure: how far it is from a matrix that is singular; 0 is there.",
     "stiffness": "Force per displacement along the direction that gives way most, the tool free to turn.",
+    "stiffness_x": "Force along x per displacement along x, the tool free to move otherwise.",
+    "stiffness_y": "Force along y per displacement along y, the tool free to move otherwise.",
+    "stiffness_z": "Force along z per displacement along z, the tool free to move otherwise.",
+    "sag": "How far the springs let the tool move under the robot's own weight.",
+    "sag_load": "How far the stated load moves the tool beyond that.",
+    "resonance": "Lowest natural frequency on the springs, the drives held.",
+    "resonance_2": "Second natural frequency on the springs, the drives held.",
     "speed": "Speed that the actuators' limits allow in every direction, without turning.",
     "force": "Force that the actuators' limits hold in every direction; gravity not counted.",
 }
@@ -57,9 +64,16 @@ def _list_facts(found: Study) -> list[tuple[str, str, str]]:
             rows.append(
                 ("workspace per installation", r.format_number(space.size.value / frame.area / frame.height, 2), "")
             )
-    for quantity, which, words in (("stiffness", 0, "least"), ("speed", 0, "least"), ("condition", 1, "median")):
-        if quantity in found.catalogue.rows:
-            value, _, shown_unit = format_shown_value(quantity, found.catalogue.rows[quantity][0][which]).partition(" ")
+    for quantity, which, words in (
+        ("stiffness", 0, "least"),
+        ("resonance", 0, "least"),
+        ("speed", 0, "least"),
+        ("condition", 1, "median"),
+    ):
+        if quantity in found.catalogue.rows and np.isfinite(found.catalogue.rows[quantity].spread.median):
+            value, _, shown_unit = format_shown_value(quantity, found.catalogue.rows[quantity].spread[which]).partition(
+                " "
+            )
             rows.append((f"{quantity}, {words}", value, shown_unit))
     return rows[:6]
 
@@ -105,13 +119,14 @@ def _build_catalogue(found: Study) -> Iterator[r.Element]:
     titles = (("least", ""), ("median", "strong"), ("largest", ""), ("at home", ""))
     columns = [r.Column("over the workspace"), *(r.Column(title, "number", style) for title, style in titles)]
     rows = [
-        r.Row([QUANTITIES[name].words, *(format_shown_value(name, v) for v in (*spread, home))])
-        for name, (spread, home) in catalogue.rows.items()
+        r.Row([QUANTITIES[name].words, *(format_shown_value(name, v) for v in (*row.spread, row.home))])
+        for name, row in catalogue.rows.items()
     ]
     length = f" Turns count as lengths at {catalogue.length:.3g} m." if catalogue.length else ""
     left: list[r.Element] = [
         r.ResultTable(columns, rows, on=r.On.PRINTED),
         r.explain(f"Stiffness: {catalogue.elasticity}.{length}", on=r.On.PRINTED),
+        *_build_extremes(found),
     ]
     if catalogue.stiffness_at_home is not None:
         values, axes = catalogue.stiffness_at_home
@@ -135,12 +150,45 @@ def _build_catalogue(found: Study) -> Iterator[r.Element]:
     yield r.Beside(left, [*right, r.Text("What a pose must satisfy", "heading"), demands], "two")
 
 
+def _build_extremes(found: Study) -> Iterator[r.Element]:
+    """Yield where the maps of the springs are least and largest, and their intervals at home."""
+    rows, figures = [], found.catalogue
+    for name, row in figures.rows.items():
+        if name in ELASTIC_MAPS and row.least is not None and row.largest is not None:
+            interval = "–"
+            if row.home_ci95 is not None:
+                low, high = (format_shown_value(name, x) for x in row.home_ci95)
+                interval = f"{low.partition(' ')[0]} … {high}"
+            rows.append(
+                r.Row(
+                    [QUANTITIES[name].words, _format_place(row.least.place), _format_place(row.largest.place), interval]
+                )
+            )
+    if rows:
+        titles = ("least at [m]", "largest at [m]", "95 % interval at home")
+        yield r.ResultTable(
+            [r.Column("springs"), *(r.Column(title, "number") for title in titles)], rows, on=r.On.PRINTED
+        )
+        where = f"Springs are linearised at {r.count(int(figures.evaluated.sum()), 'place')} of the workspace."
+        errors = found.quality.elasticity.stiffness_stderr
+        stated = "" if errors is None else f" {int((errors > 0).sum())} of {len(errors)} springs have a standard error."
+        yield r.explain(where + stated, on=r.On.PRINTED)
+
+
+def _format_place(place: np.ndarray) -> str:
+    return ", ".join(r.replace_minus_signs(f"{x:.3g}") for x in place)
+
+
 def _format_axis(axis: np.ndarray) -> str:
     return ", ".join(r.replace_minus_signs(f"{c:+.2f}") for c in axis)
 
 
 def _build_maps(found: Study) -> Iterator[r.Element]:
     for name in found.maps:
+        if not any(np.isfinite(s.maps[name]).any() for s in found.sections):
+            yield r.Text(r.capitalise(QUANTITIES[name].words), "heading")
+            yield r.explain(f"{r.capitalise(found.catalogue.elasticity) if name in ELASTIC_MAPS else 'Unknown'}.")
+            continue
         quantity = QUANTITIES[name]
         unit = SHOWN_UNITS[quantity.unit][1]
         yield r.Text(r.capitalise(quantity.words) + (f" [{unit}]" if unit else ""), "heading")
@@ -197,7 +245,7 @@ def _list_demands(found: Study) -> list[tuple[str, str]]:
 def format_shown_value(name: str, value: float, digits: int = 3) -> str:
     """Return a quantity's value with its unit as a person would read it."""
     if not np.isfinite(value):
-        return "–" if np.isnan(value) else "∞"
+        return "unknown" if np.isnan(value) else "∞"
     factor, unit = SHOWN_UNITS[QUANTITIES[name].unit]
     return f"{r.format_number(factor * value, digits)} {unit}".strip()
 

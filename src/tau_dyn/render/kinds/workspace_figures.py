@@ -11,7 +11,14 @@ TALLEST = 420
 """Height of a section's plot at most [px]."""
 LEVELS = 16
 """Colours of a map."""
-SHOWN_UNITS = {"N/m": (1e-6, "N/µm"), "m/s": (1.0, "m/s"), "N": (1.0, "N"), "1": (1.0, "")}
+SHOWN_UNITS = {
+    "N/m": (1e-6, "N/µm"),
+    "m/s": (1.0, "m/s"),
+    "m": (1e6, "µm"),
+    "Hz": (1.0, "Hz"),
+    "N": (1.0, "N"),
+    "1": (1.0, ""),
+}
 """Factor and unit in which quantities are shown; files stay in SI."""
 _AXES = "xyz"
 _MIN_LOG_RATIO = 12.0  # largest over least from which a map is drawn in logarithms
