@@ -162,7 +162,7 @@ def data(
 
 def _show_sets(console, rows: list[dict[str, Any]]) -> None:
     """Print the sets as a table: name, size, question, licence."""
-    shown = [{**row, "size": _format_size(row["bytes"]) + ("" if row["fetched"] else " *")} for row in rows]
+    shown = [{**row, "size": _format_size(row["bytes"]) + ("" if row["downloadable"] else " *")} for row in rows]
     _show_table(console, shown, name="name", size="size", question="what it answers", licence="licence")
     console.print("\n* only from $TAU_DYN_DATA: published in a form that is not read", markup=False)
     console.print("`tau-dyn data NAME` writes logs, robot file and column map into a folder", markup=False)

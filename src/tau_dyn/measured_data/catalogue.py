@@ -78,7 +78,7 @@ class DataSet:
             "licence": self.licence,
             "source": self.source,
             "bytes": self.n_bytes,
-            "fetched": self.is_published,
+            "downloadable": self.is_published,
             "files": [
                 {"name": f.name, "bytes": f.n_bytes, "address": f.address or None, "sha256": f.sha256 or None}
                 for f in self.files
