@@ -128,7 +128,7 @@ def data(
 ) -> Outcome:
     """Public measured logs of robots; with NAME, its logs, robot file and column map in a folder.
 
-    Files come from $TAU_DYN_DATA/NAME where they lie there, else from the address where they are published (extra `data`).
+    Files come from $TAU_DYN_DATA/NAME if they are there, else from their published address (extra `data`).
 
     Args:
         name: One of the listed names, such as emps

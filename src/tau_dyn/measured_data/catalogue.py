@@ -21,7 +21,7 @@ class DataFile:
         n_bytes: Size [bytes]; without an address that of the converted file.
         address: Where it is published; empty where its published form is not read.
         sha256: Checksum of the published file; empty without an address.
-        converted: Name of a copy in another format, as it may lie in the data folder; empty for none.
+        converted: Name of a copy in another format, as the data folder may hold it; empty if there is none.
     """
 
     name: str
@@ -44,8 +44,8 @@ class DataSet:
         files: The files.
         robots: Robot files that are written next to the logs: file names, or short names of built-in robots.
         columns: File name of the column map.
-        controller: File name of the servo law; empty for none.
-        next: Commands to run on the folder, in which @ stands for the folder.
+        controller: File name of the servo law; empty if there is none.
+        next: Commands to run on the folder; @ is replaced by the folder.
     """
 
     name: str

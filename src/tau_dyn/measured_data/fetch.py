@@ -1,4 +1,4 @@
-"""One set of measured logs in a folder: from `$TAU_DYN_DATA` where it lies there, else from its published address.
+"""One set of measured logs in a folder: from `$TAU_DYN_DATA` if it is there, else from its published address.
 
 Every published file is compared with its sha256 before anything is written. The folder gets the logs, the robot files, the
 column map `columns.yaml`, the servo law `controller.yaml` where there is one, and `SOURCE.txt`.
@@ -60,7 +60,7 @@ def fetch_data(
     Args:
         name: Name of the set; `list_sets` has them.
         folder: Where to; by default a folder of the set's name.
-        progress: Is told each file that is downloaded.
+        progress: Called with a line about each file that is downloaded.
 
     Raises:
         InputError: No set has this name; a file is neither in `$TAU_DYN_DATA` nor can be downloaded; a checksum differs; the
