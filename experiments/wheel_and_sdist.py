@@ -90,7 +90,11 @@ def sources(root: Path) -> list[str]:
     """Return the package's files in a checkout, as they should be called in the wheel."""
     kept = [
         p
-        for folder in ("src/tau_dyn", "urdf")
+        for folder in (
+            "src/tau_dyn",
+            "urdf",
+            *(f"identification/{kind}" for kind in ("columns", "controllers", "robots")),
+        )
         for p in (root / folder).rglob("*")
         if p.is_file() and "__pycache__" not in p.parts
     ]

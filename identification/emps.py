@@ -33,7 +33,7 @@ def main(log_path: Path, out_dir: Path) -> pd.DataFrame:
 
     if not log_path.is_file():
         sys.exit(
-            f"{log_path} is absent; set TAU_DYN_DATA to the folder that holds emps/DATA_EMPS.csv, or name the file"
+            f"{log_path} is absent; `tau-dyn data emps` fetches the log: then name emps/DATA_EMPS.mat (or set TAU_DYN_DATA)"
         )
     out_dir.mkdir(parents=True, exist_ok=True)
     log = read_log(log_path, HERE / "columns" / "emps.yaml")

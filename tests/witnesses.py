@@ -17,7 +17,7 @@ import pytest
 
 PACKAGES = (
     "drake", "mujoco", "yourdfpy", "example-robot-data", "casadi", "fmpy", "opencv-python-headless", "rosbags", "mcap",
-    "mcap-ros2-support", "viser", "distributed", "hypothesis", "jsonschema", "hatchling",
+    "mcap-ros2-support", "viser", "distributed", "hypothesis", "jsonschema", "hatchling", "pooch",
 )  # fmt: skip
 """Python packages, all of the extra `test`."""
 PROGRAMS = {

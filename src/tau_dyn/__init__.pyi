@@ -4,6 +4,7 @@ from .effects import list_causes as list_causes
 from .exceptions import CannotAnswer as CannotAnswer, InputError as InputError, TauDynError as TauDynError
 from .identify import Choices as Choices, build_regression as build_regression, compare_fit as compare_fit
 from .log import Log as Log, check_log as check_log, read_log as read_log
+from .measured_data import fetch_data as fetch_data
 from .mechanism import (
     build_mechanism as build_mechanism,
     forward_kinematics as forward_kinematics,

@@ -80,6 +80,9 @@ INPUT_CODES: dict[str, MessageCode] = {
     "cannot_read": MessageCode("a file exists and cannot be read", "check its permissions and that it is a file"),
     "cannot_write": MessageCode("an output cannot be written, or would replace an input", "name another file"),
     "damaged_file": MessageCode("a file is empty, cut off or damaged inside", "copy or record it again"),
+    "download_failed": MessageCode(
+        "a published file could not be downloaded", "connect to the network, or set `TAU_DYN_DATA`"
+    ),
     "duplicate_name": MessageCode("a name stands twice where it must be unique", "rename one"),
     "file_format": MessageCode(
         "a file is not of the kind expected, or an entry of it is not as the format has it",
@@ -113,6 +116,9 @@ INPUT_CODES: dict[str, MessageCode] = {
     ),
     "unstable": MessageCode("a filter, loop or simulation is unstable", "lower its gains or cutoff"),
     "unsupported": MessageCode("this robot, effect or model cannot do what was asked", "the sentence says which can"),
+    "wrong_checksum": MessageCode(
+        "a file is not the published one: its sha256 differs", "fetch it again, or replace the copy in `TAU_DYN_DATA`"
+    ),
     "wrong_shape": MessageCode("an array has another shape than needed", "the shape is in the sentence"),
     "wrong_unit": MessageCode(
         "numbers are so large or small that their unit must be another", "SI units, or a column map"

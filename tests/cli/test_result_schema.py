@@ -37,6 +37,7 @@ CALLS = {
     "robots": ["robots"],
     "robot": ["robots", "linear_axis"],
     "causes": ["causes"],
+    "data": ["data"],
     "check": ["check", "empty.csv", "linear_axis"],
     "columns": ["columns", "empty.csv", "linear_axis"],
     "fk": ["fk", "linear_axis", "--q", "0.1"],

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
-from page_blocks import Step, commands, steps
+from page_blocks import ROOT, Step, commands, steps
 from page_shown import differences
 
 _REFUSALS = ("error:", "cannot answer:")
@@ -58,7 +58,10 @@ def replay(page: Path) -> list[Played]:
         asked.write_text(json.dumps(given), encoding="utf-8")
         play = Path(__file__).with_name("page_play.py")
         one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-        subprocess.run([sys.executable, play, asked, said], cwd=folder, env=os.environ | one_thread, check=True)
+        measured = {"TAU_DYN_DATA": os.environ.get("TAU_DYN_DATA", str(ROOT.parent / "shared" / "data"))}
+        subprocess.run(
+            [sys.executable, play, asked, said], cwd=folder, env=os.environ | one_thread | measured, check=True
+        )
         answers = json.loads(said.read_text(encoding="utf-8"))
     return [Played(s, a["status"], a["text"], a["seconds"]) for s, a in zip(found, answers, strict=True)]
 

@@ -19,14 +19,18 @@ QUICK = (
     "docs/tutorials/controller.md",
     "docs/tutorials/add_a_robot.md",
 )
+MEASURED = {"docs/tutorials/first_real_machine.md": "emps/DATA_EMPS.csv"}
+"""Pages of measured logs, and the file of the data folder that each needs."""
 SLOW = ("docs/tutorials/identify.md", "docs/tutorials/diagnose.md", "docs/tutorials/add_a_cause.md")
 OUTSIDE = ROOT / "tests" / "outside"
 
 
 @pytest.mark.timeout(900)  # a page is a sequence of commands, one of them a whole diagnosis of a six-axis arm
-@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])
-def test_what_a_page_shows_is_what_appears(name):
+@pytest.mark.parametrize("name", [*QUICK, *MEASURED, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])
+def test_what_a_page_shows_is_what_appears(name, measured):
     """Every step ends well, or is refused as shown, and what appears agrees to the digits shown."""
+    if name in MEASURED:
+        measured(MEASURED[name])
     played = replay(ROOT / name)
     faults = [f"{name}, line {p.step.block.line}:\n{p.fault}" for p in played if p.fault]
     assert played and not faults, "\n\n".join(faults)
@@ -35,7 +39,7 @@ def test_what_a_page_shows_is_what_appears(name):
 def test_every_tutorial_is_played():
     """No tutorial is left out, and each holds steps."""
     there = {str(p.relative_to(ROOT)) for p in (ROOT / "docs" / "tutorials").glob("*.md")} - {"docs/tutorials/index.md"}
-    assert there | {"experiments/first_hour.md"} == {*QUICK, *SLOW}
+    assert there | {"experiments/first_hour.md"} == {*QUICK, *MEASURED, *SLOW}
 
 
 @pytest.mark.parametrize("page, name", [("add_a_robot", "toggle.urdf.xacro"), ("add_a_cause", "bellows.py")])

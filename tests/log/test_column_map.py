@@ -61,6 +61,13 @@ couplings: {q: [[1, 10], [0, 2]], q_offset: [100, 200], tau: [[1, 0], [3, 1]]}
     assert_allclose(log.joint("tau", ["b", "a"]), np.column_stack([0.2 * k, 0.6 * k + 0.1 * k]))
 
 
+def test_a_rate_alone_leaves_all_columns_their_names(csv_file, map_file):
+    """A log whose columns are known but has no clock takes a rate; nothing else of it changes."""
+    log = read_log(csv_file(["q_a,push", *(f"{k},{-k}" for k in range(20))]), map_file("t: {rate_hz: 50}\n"))
+    assert_allclose(log.t, np.arange(20) / 50)
+    assert_allclose(log.channels["push"], -np.arange(20.0))
+
+
 @pytest.fixture
 def two_files(csv_file, tmp_path) -> Path:
     """Positions and currents in two files with the same column names."""
@@ -136,7 +143,7 @@ def test_a_foreign_column_that_is_missing_is_named(foreign, map_file):
         ("q_a: !!python/object/apply:os.getcwd []\n", "not valid YAML"),
         ("- q_a\n", "not a list"),
         ("", "not nothing"),
-        ("t: {rate_hz: 5}\n", "maps no column"),
+        ("episode: 3\n", "maps no column"),
         ("angle_a: m1\n", "key angle_a is none of our column names"),
         ("1: m1\n", "key 1 is none"),
         ("q_a: 0\n", "q_a has to be a column's name"),

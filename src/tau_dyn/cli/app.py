@@ -81,6 +81,7 @@ COMMANDS: dict[str, Callable[..., Outcome]] = {
     "workspace": workspace.workspace,
     "robots": listings.robots,
     "causes": listings.causes,
+    "data": listings.data,
 }
 """Words that call a command -> its function."""
 

@@ -1,14 +1,14 @@
-"""`tau-dyn robots`, `causes` and `compare`: what there is, and what changed."""
+"""`tau-dyn robots`, `causes`, `data` and `compare`: what there is, and what changed."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from tau_dyn.cli.arguments import FolderOutput, RobotOptions, read_arguments
+from tau_dyn.cli.arguments import FolderOutput, Output, RobotOptions, read_arguments
 from tau_dyn.cli.execute import Outcome
 from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError, TauDynError, UnknownName
@@ -117,6 +117,59 @@ def _show_causes(console, rows: list[dict[str, str]], *, whole: bool) -> None:
         return
     for key, value in ((key, value) for row in rows for key, value in row.items() if value):
         console.print(f"{key.replace('_', ' ') + ':':<13} {value}", markup=False)
+
+
+def data(
+    name: str | None = None,
+    /,
+    *,
+    folder: Annotated[Path | None, Parameter(name="--out", metavar="DIR")] = None,
+    output: Output = Output(),
+) -> Outcome:
+    """Public measured logs of robots; with NAME, its logs, robot file and column map in a folder.
+
+    Files come from $TAU_DYN_DATA/NAME if they are there, else from their published address (extra `data`).
+
+    Args:
+        name: One of the listed names, such as emps
+        folder: Write the files here (default: a folder of that name)
+    """
+    from tau_dyn.measured_data import fetch_data, list_sets
+
+    if name is None:
+        if folder is not None:
+            raise InputError("bad_option", "--out goes with a NAME; `tau-dyn data` alone lists the names")
+        rows = [one.to_dict() for one in list_sets()]
+        return Outcome(result={"data": rows}, show=lambda console, written: _show_sets(console, rows))
+    with show_progress(output.quiet) as step:
+        step("collecting the files")
+        found = fetch_data(name, folder, step)
+    lines = [
+        f"{found.set.about}; {len(found.files)} files -> {found.folder}",
+        f"Licence: {found.set.licence}. Source: {found.set.source}",
+        f"Question: {found.set.question}",
+        "",
+        "Next:",
+        *(f"  {command}" for command in found.next),
+    ]
+
+    def show(console, written) -> None:
+        for line in lines:
+            console.print(line, markup=False, soft_wrap=True)
+
+    return Outcome(result=found.to_dict(), warnings=found.warnings, show=show)
+
+
+def _show_sets(console, rows: list[dict[str, Any]]) -> None:
+    """Print the sets as a table: name, size, question, licence."""
+    shown = [{**row, "size": _format_size(row["bytes"]) + ("" if row["downloadable"] else " *")} for row in rows]
+    _show_table(console, shown, name="name", size="size", question="what it answers", licence="licence")
+    console.print("\n* only from $TAU_DYN_DATA: published in a form that is not read", markup=False)
+    console.print("`tau-dyn data NAME` writes logs, robot file and column map into a folder", markup=False)
+
+
+def _format_size(n_bytes: int) -> str:
+    return f"{n_bytes / 1e6:.1f} MB" if n_bytes >= 1e5 else f"{n_bytes / 1e3:.0f} kB"
 
 
 Side = Annotated[

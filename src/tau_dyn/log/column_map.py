@@ -103,7 +103,7 @@ class ColumnMap:
             raise _build_error(name, f"episode is {episode!r}, and has to be a whole number from 0 up.")
         rate_hz = _rate(name, entries)
         sources = {_our_name(name, key, value): _source(name, key, value, files) for key, value in entries.items()}
-        if not sources:
+        if not sources and rate_hz is None:
             raise InputError(
                 "file_format", f"{name} maps no column; give at least one line such as 'q_axis: position'."
             )

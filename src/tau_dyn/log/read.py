@@ -369,7 +369,7 @@ def _tables(path: Path, map_: ColumnMap) -> dict[str | None, Table]:
     if has_topics(path) and not map_.files:
         return {None: read_any(path, {ours: source.column for ours, source in map_.sources.items()})}
     folder = path if path.is_dir() else path.parent
-    wanted = dict.fromkeys(source.file for source in map_.sources.values())
+    wanted = dict.fromkeys(source.file for source in map_.sources.values()) or {None: None}
     if path.is_dir() and None in wanted:
         raise InputError(
             "file_format",
