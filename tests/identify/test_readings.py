@@ -54,13 +54,13 @@ def read_map(warnings) -> dict[str, float]:
     return {name: float(scale) for name, scale in lines}
 
 
-def test_noise_of_a_residual_differs_between_adjacent_samples(two_link, arm_log) -> None:
-    """White noise counts whole, a slow error hardly, and samples beside a gap not at all."""
+def test_noise_of_a_residual_is_its_white_part(two_link, arm_log) -> None:
+    """White noise counts whole, an error with eight samples a period hardly, and samples at a gap not at all."""
     excerpt = make_excerpt(two_link, [arm_log])
     assert excerpt is not None
     model = LogModel.of(two_link, excerpt, np.zeros(2))
     n = len(model.q)
-    white, slow = np.random.default_rng(0).normal(size=n), np.sin(2 * np.pi * np.arange(n) / 40)
+    white, slow = np.random.default_rng(0).normal(size=n), np.sin(2 * np.pi * np.arange(n) / 8)
     fit = model.fit(Rewiring.none(2))
     assert fit is not None
     noise = model.estimate_noise(replace(fit, residual=np.stack([white, slow], axis=1)))

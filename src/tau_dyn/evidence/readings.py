@@ -213,7 +213,7 @@ def is_hopeless(test: ReadingTest, fit: ReadingFit, noise: np.ndarray) -> bool:
     Args:
         test: The measure.
         fit: The fit of the log as read.
-        noise: Power of each joint's residual that differs between adjacent samples (na,); no reading explains it.
+        noise: Power of white noise in each joint's residual (na,); no reading explains it.
     """
     if not test.is_fine:
         return False
