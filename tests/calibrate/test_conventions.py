@@ -11,11 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate import PoseSet, calibrate, read_poses
 from tau_dyn.calibrate.conventions import FoundReading, find_reading
-from tau_dyn.calibrate.models import TreeFamily, get_family
+from tau_dyn.calibrate.conventions.search import is_far_beyond
+from tau_dyn.calibrate.models import RodFamily, Spec, TreeFamily, get_family
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
+from tau_dyn.mechanism import build_rods
 from tau_dyn.message_codes import get_code
-from tau_dyn.robot import Robot, load_robot_from_urdf
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 NOISE = (1e-4, 3e-4)
 LIMITS = (np.full(4, -3.0), np.full(4, 3.0))
@@ -90,6 +92,20 @@ def test_a_wrong_convention_is_named(robot, cause: str):
     assert found is not None
     assert [(change.cause, change.joints) for change in found.reading] == [(cause, joints)]
     assert found.meant.position < 0.02 and found.meant.value < 0.1 * found.written.value
+
+
+def test_loops_are_not_closed_far_beyond_the_limits():
+    """A Delta's arms turn by half a radian; taken for radians, their degrees are turns that no way leads to."""
+    robot = load_robot("delta")
+    rods = build_rods(robot)
+    family = RodFamily(rods, PoseSet(np.tile(robot.home, (2, 1)), np.zeros((2, 3))))
+    rng, geometry = np.random.default_rng(4), family.build(Spec("frames"))
+    q = robot.home + rng.uniform(-0.3, 0.3, (20, 3))
+    poses = simulate_poses(geometry, geometry.parameters.values, q, rng, noise=NOISE, frames=TRACKER, turned=False)
+    degrees, limits = np.rad2deg(poses.q), (robot.lower, robot.upper)
+    assert is_far_beyond(degrees, limits) and not is_far_beyond(poses.q + np.pi / 2, limits)
+    found = find_reading(geometry, replace(poses, q=degrees), limits, lambda _: 1.0)
+    assert found is not None and [change.cause for change in found.reading] == ["joint_unit"]
 
 
 def test_two_wrong_conventions_are_named_together(robot):

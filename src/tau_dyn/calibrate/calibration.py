@@ -16,7 +16,7 @@ from tau_dyn.calibrate.causes import (
     suspect_all,
     suspect_laws,
 )
-from tau_dyn.calibrate.conventions import FoundReading, find_reading, measure_misfit
+from tau_dyn.calibrate.conventions import FoundReading, find_reading, measure_as_written
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.model_selection import Options, check_patterns, describe_implausible, fit_models
 from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Spec, get_family
@@ -164,14 +164,12 @@ def _reread(
     if holdout is not None and poses.rotation is None and holdout.rotation is not None:
         said.append(_describe_unused_orientation(poses, holdout))
         holdout = holdout.without_rotation()
-    geometry = get_family(robot, poses).build(Spec("frames"))
-    found = find_reading(geometry, poses, (robot.lower, robot.upper), lambda some: _measure_left(robot, some, options))
+    geometry, limits = get_family(robot, poses).build(Spec("frames")), (robot.lower, robot.upper)
+    found = find_reading(geometry, poses, limits, lambda some: _measure_left(robot, some, options))
     said += [found.describe(poses.source)] if found else []
     if found and holdout is not None:
         meant = found.apply(holdout)
-        at = [geometry.forward(geometry.parameters.values, some.q) for some in (holdout, meant)]
-        pairs = zip((holdout, meant), at, strict=True)
-        written, read = (measure_misfit(p, x.poses, x.ok, turns=geometry.orients).value for p, x in pairs)
+        written, read = (measure_as_written(geometry, some, limits).value for some in (holdout, meant))
         if written < read:
             said.append(
                 f"{holdout.source} follows the documented convention, unlike {poses.source}, and is read as written"

@@ -2,4 +2,8 @@
 
 from .readings import ANGLE_KINDS as ANGLE_KINDS, Reading as Reading, apply_reading as apply_reading
 from .rigid_fit import Misfit as Misfit, measure_misfit as measure_misfit
-from .search import FoundReading as FoundReading, find_reading as find_reading
+from .search import (
+    FoundReading as FoundReading,
+    find_reading as find_reading,
+    measure_as_written as measure_as_written,
+)

@@ -114,8 +114,8 @@ def _describe(misfit: Misfit) -> str:
 class _Search:
     """Misfits of readings and tool poses of joint positions, each computed once."""
 
-    def __init__(self, geometry: Geometry, poses: PoseSet) -> None:
-        self.geometry, self.poses = geometry, poses
+    def __init__(self, geometry: Geometry, poses: PoseSet, limits: tuple[np.ndarray, np.ndarray]) -> None:
+        self.geometry, self.poses, self.limits = geometry, poses, limits
         self.known: dict[frozenset[int], Misfit] = {}
         self.placed: dict[bytes, Predicted] = {}
 
@@ -155,6 +155,8 @@ class _Search:
 
     def _measure(self, poses: PoseSet) -> Misfit:
         """Return the misfit of poses as they are meant."""
+        if is_far_beyond(poses.q, self.limits):
+            return UNREACHED
         first = self._place(poses.q[:_FIRST_POSES])
         if 2 * first.ok.sum() < len(first.ok):
             return UNREACHED
@@ -169,6 +171,21 @@ class _Search:
         return self.placed[key]
 
 
+def measure_as_written(geometry: Geometry, poses: PoseSet, limits: tuple[np.ndarray, np.ndarray]) -> Misfit:
+    """Return the misfit of poses as their file writes them."""
+    return _Search(geometry, poses, limits).measure(())
+
+
+def is_far_beyond(q: np.ndarray, limits: tuple[np.ndarray, np.ndarray]) -> bool:
+    """Return whether most positions (N, na) of a joint are beyond its limits by more than their width.
+
+    The limits of a robot file may be wrong by less. Loops are not closed at such positions, and the attempt takes minutes.
+    """
+    low, high = limits
+    width = high - low
+    return bool(np.any(np.mean((q < low - width) | (q > high + width), axis=0) > 0.5))
+
+
 def find_reading(
     geometry: Geometry, poses: PoseSet, limits: tuple[np.ndarray, np.ndarray], fit: Callable[[PoseSet], float]
 ) -> FoundReading | None:
@@ -180,7 +197,7 @@ def find_reading(
         limits: Lower and upper limits of the joints (na,).
         fit: Returns the error level that the robot's dimensions leave of poses; asked where dimensions may explain the misfit.
     """
-    search = _Search(geometry, poses)
+    search = _Search(geometry, poses, limits)
     if search.is_plausible((), _TEST.model_error):
         return None
     every = list_readings(poses, geometry.actuated, geometry.position_units, turns=geometry.orients)
