@@ -23,7 +23,7 @@ from tau_dyn.cli import main
         ("simulate linear_axis --rate 0 --out x.csv", "--rate '0': write a number above zero"),
         ("simulate linear_axis --rate abc --out x.csv", "--rate 'abc': write a number above zero"),
         ("fk linear_axis --q abc", "--q 'abc': write a finite number"),
-        ("workspace linear_axis --rod-stiffness -1", "--rod-stiffness '-1': write a number above zero"),
+        ("workspace linear_axis --rod-stiffness -1", "--rod-stiffness '-1': write a number above zero or 'rigid'"),
         ("accuracy delta --grid x", "--grid 'x': write a whole number from 2 to 201"),
         ("accuracy delta --samples 0", "--samples '0': write a whole number from 1 to 100000"),
         ("view delta --port 0", "--port '0': write a port between 1 and 65535"),

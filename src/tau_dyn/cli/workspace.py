@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from cyclopts import Group, Parameter
+from cyclopts import Group, Parameter, Token
 
 from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome
@@ -15,6 +16,26 @@ from tau_dyn.exceptions import InputError
 _PLACES = Group("What is looked at")
 _DEMANDS = Group("What a pose must satisfy")
 _SPRINGS = Group("What gives way")
+
+
+def _read_stiffness(text: str) -> float:
+    """Return a stiffness, infinity for `rigid`.
+
+    Raises:
+        ValueError: It is no number above zero.
+    """
+    if text == "rigid":
+        return float("inf")
+    try:
+        value = float(text)
+        args.POSITIVE_LARGE(None, value)
+    except ValueError:
+        raise ValueError("write a number above zero or 'rigid'") from None
+    return value
+
+
+def _convert_stiffness(_: Any, tokens: Sequence[Token]) -> float:
+    return _read_stiffness(tokens[0].value)
 
 
 def workspace(
@@ -35,7 +56,9 @@ def workspace(
     no_collisions: Annotated[bool, Parameter(group=_DEMANDS)] = False,
     condition: Annotated[args.Positive, Parameter(group=_DEMANDS, metavar="N")] = 1000.0,
     border: Annotated[args.NotNegative, Parameter(group=_DEMANDS, metavar="M")] = 0.0,
-    rod_stiffness: Annotated[str | None, Parameter(group=_SPRINGS, metavar="N/M")] = None,
+    rod_stiffness: Annotated[
+        float | None, Parameter(group=_SPRINGS, metavar="N/M", converter=_convert_stiffness)
+    ] = None,
     actuator_stiffness: Annotated[args.Strings, Parameter(group=_SPRINGS, metavar="[JOINT=]VALUE")] = (),
     load: Annotated[args.NotNegative | None, Parameter(group=_SPRINGS, metavar="N")] = None,
     out: Annotated[
@@ -88,7 +111,7 @@ def workspace(
             sections=list(section),
             maps=list(what),
             tilt_at=tilt,
-            rod_stiffness=None if rod_stiffness is None else _read_stiffness(rod_stiffness, "--rod-stiffness"),
+            rod_stiffness=rod_stiffness,
             actuator_stiffness=_read_stiffnesses(actuator_stiffness),
             load=load,
             seed=output.seed,
@@ -112,21 +135,8 @@ def _read_stiffnesses(given: tuple[str, ...]) -> dict[str, float]:
     found = {}
     for text in given:
         name, _, number = text.rpartition("=")
-        found[name] = _read_stiffness(number, f"--actuator-stiffness {text}", ", or JOINT=number")
+        try:
+            found[name] = _read_stiffness(number)
+        except ValueError as fault:
+            raise InputError("bad_option", f"--actuator-stiffness {text!r}: {fault}, or JOINT=number") from None
     return found
-
-
-def _read_stiffness(text: str, option: str, more: str = "") -> float:
-    """Return a stiffness, infinity for `rigid`.
-
-    Raises:
-        InputError: It is no number above zero.
-    """
-    if text == "rigid":
-        return float("inf")
-    try:
-        value = float(text)
-        args.POSITIVE_LARGE(None, value)
-    except ValueError as fault:
-        raise InputError("bad_option", f"{option}: write a number above zero or 'rigid'{more}") from fault
-    return value
