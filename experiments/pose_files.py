@@ -45,7 +45,7 @@ DIMENSIONS = ("rod_length", "joint_placement", "guideway_nonparallel", "pinion_s
 MOVES = ("device_moved", "target_moved")
 
 
-class Machine(NamedTuple):
+class StudiedRobot(NamedTuple):
     """A robot, its geometry, how far its joints move about home, and whether its tool turns."""
 
     robot: Robot
@@ -54,15 +54,15 @@ class Machine(NamedTuple):
     turns: bool
 
 
-def build_machine(name: str) -> Machine:
+def build_machine(name: str) -> StudiedRobot:
     """Return a robot of the study."""
     if name in ("six", "ur5"):
         robot = own_arm() if name == "six" else load_robot("ur5")
-        return Machine(robot, build_tree_geometry(robot), 1.2, True)
+        return StudiedRobot(robot, build_tree_geometry(robot), 1.2, True)
     robot = load_robot("gantry_tau") if name == "l1" else load_robot("delta")
     rods = build_rods(robot)
     family = RodFamily(rods, PoseSet(np.tile(robot.home, (2, 1)), np.zeros((2, 3))))
-    return Machine(robot, family.build(Spec("nonparallel" if name == "l1" else "complete")), 0.3, False)
+    return StudiedRobot(robot, family.build(Spec("nonparallel" if name == "l1" else "complete")), 0.3, False)
 
 
 ROBOTS = ("six", "ur5", "l1", "delta")
@@ -71,7 +71,7 @@ ROBOTS = ("six", "ur5", "l1", "delta")
 class Drawn(NamedTuple):
     """One machine's truth: parameters (p,), device and target, and a source of noise."""
 
-    machine: Machine
+    machine: StudiedRobot
     theta: np.ndarray
     frames: DeviceFrames
     rng: np.random.Generator
@@ -92,7 +92,7 @@ def draw_frame(rng: np.random.Generator, reach: float) -> Frame:
     return Frame(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-reach, reach, 3))
 
 
-def draw(machine: Machine, rng: np.random.Generator) -> Drawn:
+def draw(machine: StudiedRobot, rng: np.random.Generator) -> Drawn:
     """Return a machine with dimensions off the file that poses determine."""
     geometry = machine.geometry
     tool = Frame(Rotation.from_rotvec(rng.normal(size=3)).as_matrix(), rng.uniform(-0.1, 0.1, 3))
@@ -179,7 +179,7 @@ CONVENTIONS = {
 }
 
 
-def draw_convention(machine: Machine, rng: np.random.Generator) -> tuple[str, int]:
+def draw_convention(machine: StudiedRobot, rng: np.random.Generator) -> tuple[str, int]:
     """Return a convention that applies to a robot, and a joint; zero and sign of an arm's outer joints are those of frames."""
     robot = machine.robot
     names = [
@@ -260,16 +260,17 @@ def study_rows(name: str, number: int, seed: int) -> list[dict[str, object]]:
     turned = np.roll(np.arange(n_campaigns), 1)
     orders = [np.arange(poses.n), np.arange(poses.n)[::-1], *(rng.permutation(poses.n) for _ in range(2))]
     orders += [np.argsort(x, kind="stable") for x in (-poses.campaign, turned[poses.campaign])]
-    errors, said = [], set()
+    errors, answers = [], set()
     for order in orders:
         found = calibrate(machine.robot, poses.take(order), held)
         errors.append(float(found.errors(found.chosen).position_size.rms))
-        said.add((found.chosen.name, *sorted(list_confirmed(found))))
+        answers.add((found.chosen.name, *sorted(list_confirmed(found))))
     spread = max(errors) / min(errors) - 1
     return [
         {
             "robot": name, "number": number, "campaigns": n_campaigns, "poor": poor, "moving": len(moving), "spread": spread,
-            "answers": len(said), "error_over_noise": max(errors) / (np.sqrt(3) * NOISE[0]), "said": " | ".join(map(str, said)),
+            "answers": len(answers), "error_over_noise": max(errors) / (np.sqrt(3) * NOISE[0]),
+            "listed": " | ".join(map(str, answers)),
         }
     ]  # fmt: skip
 
@@ -291,10 +292,10 @@ def study_frames(name: str, number: int, seed: int) -> list[dict[str, object]]:
             frames = replace(drawn.frames, device=(shifted if moved else device,))
             found = calibrate(machine.robot, train, drawn.poses(drawn.positions(N_HELD), frames))
             confirmed = list_confirmed(found)
-            said = [x for x in confirmed if x.split("@")[0] in MOVES]
+            moves = [x for x in confirmed if x.split("@")[0] in MOVES]
             rows.append(
                 {
-                    "robot": name, "number": number, "motion": motion, "moved": moved, "said": "; ".join(said),
+                    "robot": name, "number": number, "motion": motion, "moved": moved, "reported": "; ".join(moves),
                     "silent": any("cannot be compared" in w for w in found.warnings), "confirmed": "; ".join(confirmed),
                 }
             )  # fmt: skip
@@ -324,8 +325,8 @@ def summarise(what: str, table: pd.DataFrame) -> str:
         )
     if what == "rows":
         return f"rows: {int((whole.spread < 1e-6).sum())} of {len(table)} equal to 1e-6 in six orders, {failed} failed"
-    false = whole[~whole.moved.astype(bool) & (whole.said != "")]
-    right = whole[whole.moved.astype(bool) & ((whole.said != "") | whole.silent.astype(bool))]
+    false = whole[~whole.moved.astype(bool) & (whole.reported != "")]
+    right = whole[whole.moved.astype(bool) & ((whole.reported != "") | whole.silent.astype(bool))]
     return (
         f"frames: {len(right)} of {int(whole.moved.sum())} named or not comparable, {len(false)} false, {failed} failed"
     )
@@ -347,7 +348,7 @@ def main(kinds: list[str], sets: int, seed: int, robots: list[str], out: Path) -
                 rows.append({"fault": ""} | row | {"seconds": round(time.perf_counter() - start, 1)})
                 print(what, *rows[-1].values(), flush=True)
             write_whole(out / f"pose_files_{what}.csv", pd.DataFrame(rows).to_csv(index=False))
-        print(summarise(what, pd.DataFrame(rows).fillna({"fault": "", "others": "", "said": ""})), flush=True)
+        print(summarise(what, pd.DataFrame(rows).fillna({"fault": "", "others": "", "reported": ""})), flush=True)
 
 
 if __name__ == "__main__":

@@ -172,4 +172,4 @@ def test_springs_at_fault_are_refused() -> None:
         build_elasticity(machine, None, {"cart9": 1e6})
     q, poses = beside_home(machine)
     with raises_code("unknown_name", "map"):
-        Quality(machine, build_elasticity(machine)).values(["beauty"], q, poses)
+        Quality(machine, build_elasticity(machine)).compute_maps(["beauty"], q, poses)

@@ -98,7 +98,7 @@ class Elasticity:
             )
         ]
 
-    def evaluate(self, q: np.ndarray) -> dict[str, np.ndarray]:
+    def compute_maps(self, q: np.ndarray) -> dict[str, np.ndarray]:
         """Return all maps, and their standard errors where springs have some, at positions (N, na); each (N,) in SI.
 
         A pose at which the springs do not carry the weight has nan; so has every pose where the stiffness is unknown.

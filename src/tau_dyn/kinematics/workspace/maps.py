@@ -95,7 +95,7 @@ class Quality:
             found += named
         return list(dict.fromkeys(found))
 
-    def values(self, names: Sequence[str], q: np.ndarray, poses: Poses) -> dict[str, np.ndarray]:
+    def compute_maps(self, names: Sequence[str], q: np.ndarray, poses: Poses) -> dict[str, np.ndarray]:
         """Return quantities by name, each (N,) in SI; those of the springs with `<name>_stderr` where the springs have some.
 
         Raises:
@@ -109,7 +109,7 @@ class Quality:
         found = {name: np.zeros(len(q)) for name in rigid}
         if len(q) and rigid:
             found = dict(self._all(self.machine.rates(q, poses), rigid))
-        elastic = self.elasticity.evaluate(q) if len(rigid) < len(names) else {}
+        elastic = self.elasticity.compute_maps(q) if len(rigid) < len(names) else {}
         kept = {*names, *(name + STDERR for name in names)}
         return found | {name: value for name, value in elastic.items() if name in kept}
 
@@ -263,17 +263,17 @@ def build_catalogue(found: Workspace, quality: Quality, asked: Sequence[str] = (
     rigid = [name for name in quality.available() if name not in ELASTIC_MAPS]
     elastic = [name for name in asked if name in ELASTIC_MAPS]
     places, q = _evenly(found)
-    values = quality.values(rigid, q, found.poses(places))
+    values = quality.compute_maps(rigid, q, found.poses(places))
     evaluated = np.zeros(len(places), bool)
     if elastic:
         evaluated[:: max(1, -(-len(places) // _MAX_ELASTIC_PLACES))] = True
-        for name, value in quality.values(elastic, q[evaluated], found.poses(places[evaluated])).items():
+        for name, value in quality.compute_maps(elastic, q[evaluated], found.poses(places[evaluated])).items():
             values[name] = np.full(len(places), np.nan)
             values[name][evaluated] = value
         evaluated &= quality.elasticity.known
     home = found.poses(machine.home_place[None])
     q_home = found.judge.judge(home).q
-    at_home = quality.values([*rigid, *elastic], q_home, home)
+    at_home = quality.compute_maps([*rigid, *elastic], q_home, home)
     rates = machine.rates(q_home, home)
     turning = rates.tool.shape[2] > rates.linear or bool(rates.turns.any())
     rows = {}

@@ -125,11 +125,11 @@ def judge_section(found: Workspace, axis: int, at: float, quality: Quality, name
     code = _also_of_lattice(found, places, judged.code)
     inside = code == INSIDE
     rigid = [name for name in names if name not in ELASTIC_MAPS]
-    maps = _spread(quality.values(rigid, judged.q[inside], found.poses(places[inside])), inside)
+    maps = _spread(quality.compute_maps(rigid, judged.q[inside], found.poses(places[inside])), inside)
     if len(rigid) < len(names):
         elastic = [name for name in names if name in ELASTIC_MAPS]
         chosen, nearest = _thin_out(inside.reshape(len(u), len(v)))
-        values = quality.values(elastic, judged.q[chosen], found.poses(places[chosen]))
+        values = quality.compute_maps(elastic, judged.q[chosen], found.poses(places[chosen]))
         maps |= _spread({name: value[nearest] for name, value in values.items()}, inside)
     shape = (len(u), len(v))
     return Section(
@@ -311,7 +311,7 @@ class Study(Shown):
         inside = np.flatnonzero(space.place_codes == INSIDE)
         chosen = inside[:: max(1, -(-len(inside) // _MAX_PLACES))]
         rigid = [name for name in self.maps if name not in ELASTIC_MAPS]
-        values = self.quality.values(rigid, space.q[chosen], space.poses(space.places[chosen]))
+        values = self.quality.compute_maps(rigid, space.q[chosen], space.poses(space.places[chosen]))
         points = space.places[chosen]
         if not space.machine.by_position:
             points = space.machine.kinematics.forward(space.q[chosen]).poses.position
@@ -433,7 +433,7 @@ def build_points_table(found: Study) -> pd.DataFrame:
     words = {int(code): space.reasons.words(int(code)) for code in np.unique(codes)}
     columns["reason"] = np.array([words[int(code)] for code in codes], dtype=object)
     rigid = [name for name in found.maps if name not in ELASTIC_MAPS]
-    columns |= _spread(found.quality.values(rigid, q[inside], space.poses(places[inside])), inside)
+    columns |= _spread(found.quality.compute_maps(rigid, q[inside], space.poses(places[inside])), inside)
     return pd.DataFrame(columns | _list_elastic_columns(found, places))
 
 
