@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.effects import JointMotion, QuadraticDrag
+from tau_dyn.effects import JointMotion, JointwiseEffect, QuadraticDrag
 from tau_dyn.effects.effect import PlausibleRange
 from tau_dyn.evidence import ExaminationOptions, Finding, Gain, claims as claims_module, decide_verdict, examine_channel
 from tau_dyn.evidence.candidate_scan import GroupTest, combine_group_tests, compute_null_moments
 from tau_dyn.evidence.claims import MAX_OUTPUT_LOSS_PERCENT, is_worse
+from tau_dyn.evidence.judge import BesideRejected, explain_dependence
 from tau_dyn.evidence.measurements import HELD_OUT, TRAIN
 from tau_dyn.evidence.null_model import NullModel
 from tau_dyn.evidence.stepwise_selection import select_causes
@@ -117,6 +118,42 @@ def test_after_a_rejection_the_next_candidate_is_tried(make, rng, second, status
     if status == "confirmed":
         (limit,) = [f.detection_limit for f in found.findings if f.status == "confirmed"]
         assert limit is not None and 0 < limit.amplitude < 150
+
+
+class Spring(JointwiseEffect):
+    """A spring about zero, which no drag resembles."""
+
+    name = "spring_about_zero"
+    cause = True
+    equation = "tau += k q"
+    reference = reveals = sentence = ""
+    quantities = (("spring_about_zero", "F/L"),)
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return the position."""
+        return [joint.q]
+
+
+def test_a_rejected_law_does_not_take_another_cause_along(make, rng):
+    """Next to a rejected drag, which stays in the residual, a spring is confirmed with its stiffness of 40 N/m."""
+    channel = make.bench(rng, lambda motion: drag(motion) + 40 * motion.q, n=8000, causes=(WideDrag, Spring))
+    found = examine_channel(channel, ExaminationOptions(rng))
+    assert {f.cause: f.status for f in found.findings} == {"wide_drag": "suspected", "spring_about_zero": "confirmed"}
+    (spring,) = [f for f in found.findings if f.status == "confirmed"]
+    (stiffness,) = spring.parameters
+    assert stiffness.stderr and abs(stiffness.value - 40) < 3 * stiffness.stderr
+
+
+@pytest.mark.parametrize(("moved", "why"), [(1.0, ""), (3.0, "3.0 standard errors with the rejected wide_drag")])
+def test_an_amplitude_that_a_rejected_law_changes_is_not_confirmed(moved, why):
+    """An amplitude that moves by three standard errors with the rejected law in the model may hold a part of its force."""
+    effect = Spring(("x",), ("m",))
+    (name,) = effect.parameters.names
+    one = SimpleNamespace(candidate=SimpleNamespace(effects=(effect,)))
+    values = effect.parameters.update({name: {"value": 40.0, "stderr": 0.5}})
+    beside = BesideRejected("wide_drag", {("spring_about_zero", ("x",)): np.array([40.0 - 0.5 * moved])})
+    found = explain_dependence(cast(Any, one), values, [beside])
+    assert (why in found) and bool(found) is bool(why)
 
 
 def finding(status: str, cause: str = "stribeck", *, shown: bool = False, twins: tuple[str, ...] = ()) -> Finding:

@@ -4,7 +4,8 @@
 
 A selected cause that the validation data show, but whose amplitude or setting no machine has, is listed as rejected, and the
 selection is repeated without it: another cause may explain the same residual. That other cause has to leave a residual that is
-consistent with the noise, since the better fit was turned down.
+consistent with the noise, since the better fit was turned down. A cause that is confirmed with the rejected one in the model and
+without it, with the same amplitude, explains another part of the residual, and needs no such residual.
 
 `nothing_found` is a test result. The residual of every output is consistent with its noise (`unexplained.py`), and no
 rejected candidate is shown by the validation data; else the verdict is `unexplained`.
@@ -14,29 +15,37 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
+from tau_dyn.effects import Effect
 from tau_dyn.estimate import PhysicalConstraints
 from tau_dyn.evidence.candidate_scan import FAMILY_LEVEL, N_NULL_DRAWS
 from tau_dyn.evidence.channel import Channel
 from tau_dyn.evidence.claims import Claims, Waterfall, select_confirmed, select_supported
 from tau_dyn.evidence.confirmation import Confirmation, confirm
 from tau_dyn.evidence.detection_limits import compute_finding_limit, find_alias_periods, leave_period_open
+from tau_dyn.evidence.extended_fit import fit_extended_model
 from tau_dyn.evidence.findings import build_findings, build_rejected_finding
 from tau_dyn.evidence.measurements import HELD_OUT, TRAIN, divide_training
 from tau_dyn.evidence.noise_only_bootstrap import NoiseOnlyBootstrap
 from tau_dyn.evidence.null_model import NullModel
-from tau_dyn.evidence.plausibility import Implausible
+from tau_dyn.evidence.plausibility import Implausible, find_companion
 from tau_dyn.evidence.result import Finding, Progress, Unexplained, Verdict
 from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection, build_effects, select_causes
 from tau_dyn.evidence.unexplained import NoiseConsistency, add_inconsistent, assess_noise_consistency, build_unexplained
 from tau_dyn.evidence.unknown_structure import Structure, compute_structure_p_value, find_structure
 from tau_dyn.evidence.validation import ConfirmationResults, confirm_all, confirm_within_training
+from tau_dyn.parameters import Parameters
 
 MAX_SEARCHES = 3
 """Selections of one channel: each one after the first leaves out the causes that no machine has."""
 _LEAVES_STRUCTURE = "a cause outside of its plausible range fits better, and this one leaves a residual above the noise"
+MAX_CHANGE_STDERR = 2.0
+"""Standard errors, rms over the amplitudes of a cause, by which they may change with a rejected cause in the model: half the
+width of their 95 % intervals."""
+_DEPENDS = "its amplitude changes by {:.1f} standard errors with the rejected {} in the model"
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,16 +114,19 @@ def examine_channel(channel: Channel, options: ExaminationOptions, first: Select
     """
     excluded: set[tuple[str, tuple[str, ...]]] = set()
     rejected: list[Finding] = []
+    earlier: list[BesideRejected] = []
     for search in range(MAX_SEARCHES):
         found = _examine_once(channel, options, excluded, None if search else first)
         if search:
-            found = _require_consistency(found, options)
+            found = _require_consistency(found, options, earlier)
         implausible = _list_implausible(found)
         if not implausible or options.doubt or search + 1 == MAX_SEARCHES:
             break
         findings = build_findings(found.selection, found.claims, found.waterfall, options.rng)
         rejected += [findings[k] for k in implausible]
-        excluded |= {(e.name, e.joints) for k in implausible for e in found.claims.found[k].candidate.effects}
+        turned_down = [found.claims.found[k] for k in implausible]
+        excluded |= {_identify(effect) for effect in build_effects(turned_down)}
+        earlier.append(_measure_beside(found, turned_down, options))
     return _with_findings(found, options, rejected)
 
 
@@ -186,8 +198,64 @@ def _list_implausible(found: Examination) -> list[int]:
     return [k for k, (why, test) in enumerate(claims) if isinstance(why, Implausible) and test.is_confirmed]
 
 
-def _require_consistency(found: Examination, options: ExaminationOptions) -> Examination:
-    """Reject confirmed causes of a repeated selection at whose joints the residual is not consistent with the noise."""
+class BesideRejected(NamedTuple):
+    """Confirmed effects beside rejected ones: names of the rejected causes, amplitudes by cause and joints."""
+
+    rejected: str
+    amplitudes: dict[tuple[str, tuple[str, ...]], np.ndarray]
+
+
+def _identify(effect: Effect) -> tuple[str, tuple[str, ...]]:
+    """Return an effect's cause and joints."""
+    return effect.name, effect.joints
+
+
+def _measure_beside(
+    found: Examination, turned_down: Sequence[SelectedCause], options: ExaminationOptions
+) -> BesideRejected:
+    """Return the amplitudes of the confirmed causes beside rejected ones, those left out that may be their companions."""
+    selection, kept = found.selection, found.claims.kept
+    effects = build_effects([*kept, *turned_down])
+    values = fit_extended_model(selection.channel, effects, options.physics, options.rng).parameters
+    alone = [one for one in kept if not _is_companion(selection, one, turned_down, values)]
+    return BesideRejected(
+        " and ".join(one.candidate.cause for one in turned_down),
+        {_identify(effect): values.select(effect.parameters.names).values for effect in build_effects(alone)},
+    )
+
+
+def _is_companion(
+    selection: StepwiseSelection, one: SelectedCause, others: Sequence[SelectedCause], values: Parameters
+) -> bool:
+    """Return whether a cause is no larger than the inexactness of other causes' laws."""
+    companion = find_companion(selection.library, [one, *others], values)
+    return companion is not None and companion[0] == 0
+
+
+def explain_dependence(one: SelectedCause, values: Parameters, earlier: Sequence[BesideRejected]) -> str:
+    """Return why a cause of a repeated selection may stand in for a rejected one; empty where it does not."""
+    for beside in earlier:
+        changes = []
+        for effect in one.candidate.effects:
+            before = beside.amplitudes.get(_identify(effect))
+            own = values.select(effect.parameters.names)
+            if before is None or len(before) != len(own):
+                return _LEAVES_STRUCTURE
+            changes += [(p.value - x) / p.stderr for p, x in zip(own, before, strict=True) if p.stderr]
+        change = float(np.sqrt(np.mean(np.square(changes)))) if changes else 0.0
+        if change > MAX_CHANGE_STDERR:
+            return _DEPENDS.format(change, beside.rejected)
+    return ""
+
+
+def _require_consistency(
+    found: Examination, options: ExaminationOptions, earlier: Sequence[BesideRejected]
+) -> Examination:
+    """Reject confirmed causes of a repeated selection that may stand in for a rejected one.
+
+    Such a cause is confirmed for the first time, or with another amplitude, and its joints' residual is not consistent with the
+    noise.
+    """
     claims = found.claims
     if not claims.kept:
         return found
@@ -196,8 +264,8 @@ def _require_consistency(found: Examination, options: ExaminationOptions) -> Exa
     for k, one in enumerate(claims.found):
         joints = {joint for effect in one.candidate.effects for joint in effect.joints}
         if not claims.why_not[k] and joints & inconsistent:
-            claims = claims.judge(k, _LEAVES_STRUCTURE)
-    if claims is found.claims:
+            claims = claims.judge(k, explain_dependence(one, found.waterfall.fits[-1].parameters, earlier))
+    if claims.why_not == found.claims.why_not:
         return found
     claims, waterfall = select_supported(found.selection, claims, options.rng, options.nominal, options.physics)
     return replace(found, claims=claims, waterfall=waterfall)
