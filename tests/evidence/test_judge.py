@@ -217,7 +217,7 @@ def recommend_with(
     monkeypatch, before: float, after: float, losses: dict[str, float], reported: tuple[float, float] | None = None
 ) -> Any:
     """Return the recommendation for two errors [%], others that are reported, and the loss of each output [%]."""
-    channel = SimpleNamespace(outputs=tuple(losses), parts=(np.array([0, 1, 2]),))
+    channel = SimpleNamespace(name="force", outputs=tuple(losses), parts=(np.array([0, 1, 2]),))
     total = Gain(before, after, 100 * (1 - after / before), (1.0, 40.0))
     gains = {output: Gain(1.0, 1 + x / 100, -x, (-x - 0.5, -x + 0.5)) for output, x in losses.items()}
     monkeypatch.setattr(claims_module, "compute_gain", lambda c, b, a, joints, rng: gains[joints[0]])

@@ -383,7 +383,8 @@ def recommend(
         return Recommendation(
             "refitted", f"the held-out error does not fall significantly (95 % interval [{low:.2g}, {high:.2g}] %)"
         )
-    why = f"the held-out error of all outputs falls by {gain.reduction_percent:.2g} %"
+    what = "all outputs" if channel.name == "force" else f"the {channel.name}"
+    why = f"the held-out error of {what} falls by {gain.reduction_percent:.2g} %"
     tolerance = f"no output loses more than {MAX_OUTPUT_LOSS_PERCENT:g} %"
     return Recommendation("extended", f"{why} (95 % interval [{low:.2g}, {high:.2g}] %), and {tolerance}")
 

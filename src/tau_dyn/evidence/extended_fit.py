@@ -227,27 +227,35 @@ def _resample(squares: np.ndarray, counts: np.ndarray, rng: np.random.Generator)
 
 
 def estimate_noise_floor(channel: Channel, extended: EvaluatedFit, rng: np.random.Generator) -> OutputErrors:
-    """Return the floor on the test data; over all samples, the same functions are taken beyond the masks.
+    """Return the floor on the test data, and over all samples: what smooth functions of the motion leave of the residual.
 
     Args:
         channel: The measurements of which errors are reported.
         extended: The extended model on them.
         rng: For intervals.
     """
-    masks, variables = channel.masks(*EVERY), channel.variables()
-    left = [e.copy() for e in extended.residuals]
-    whole = [e.copy() for e in extended.regression.residuals_all(extended.theta)]
+    runs = extended.regression.runs
+    every = [np.ones(run.usable.shape, dtype=bool) for run in runs]
+    whole = extended.regression.residuals_all(extended.theta)
+    left = _subtract_smooth(channel, extended.residuals, [run.W for run in runs], channel.masks(*EVERY))
+    return compute_errors(
+        channel, left, rng, whole=_subtract_smooth(channel, whole, [run.W_all for run in runs], every)
+    )
+
+
+def _subtract_smooth(
+    channel: Channel, residuals: Sequence[np.ndarray], columns: Sequence[np.ndarray], masks: Sequence[np.ndarray]
+) -> list[np.ndarray]:
+    """Return residuals (n, m) less their fit of baseline and smooth functions to the masked samples, scaled by the freedom."""
+    found, variables = [e.copy() for e in residuals], channel.variables()
     for k, output in enumerate(channel.outputs):
-        runs, smooth = extended.regression.runs, build_smooth_columns(variables, output)
-        basis = [np.concatenate([run.W[:, k], rich], axis=1) for run, rich in zip(runs, smooth, strict=True)]
+        smooth = build_smooth_columns(variables, output)
+        basis = [np.concatenate([W[:, k], rich], axis=1) for W, rich in zip(columns, smooth, strict=True)]
         rows = np.concatenate([b[m[:, k]] for b, m in zip(basis, masks, strict=True)])
-        y = np.concatenate([e[m[:, k], k] for e, m in zip(left, masks, strict=True)])
+        y = np.concatenate([e[m[:, k], k] for e, m in zip(residuals, masks, strict=True)])
         unit, norm = scale_columns(rows)
         theta, _, rank, _ = np.linalg.lstsq(unit, y, rcond=1e-7)
-        given_back = np.sqrt(len(y) / max(1, len(y) - rank))
-        for e, b in zip(left, basis, strict=True):
-            e[:, k] = (e[:, k] - b @ (theta / norm)) * given_back
-        for e, run, rich in zip(whole, runs, smooth, strict=True):
-            b = np.concatenate([run.W_all[:, k], rich], axis=1)
-            e[:, k] = (e[:, k] - b @ (theta / norm)) * given_back
-    return compute_errors(channel, left, rng, whole=whole)
+        scale = np.sqrt(len(y) / max(1, len(y) - rank))
+        for e, b in zip(found, basis, strict=True):
+            e[:, k] = (e[:, k] - b @ (theta / norm)) * scale
+    return found

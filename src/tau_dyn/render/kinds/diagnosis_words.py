@@ -67,6 +67,8 @@ def recommend_model(diagnosis: Diagnosis) -> r.Verdict:
                 f"{what} up to {band.cutoff_hz:.2g} Hz",
                 r.format_percent(band.noise_floor.relative_error_percent),
             )
+        if before == after:
+            return r.Verdict(level, f"Use the extended model: {diagnosis.recommendation_why}.")
         text = f"Use the extended model: its error on held-out data is {after} of the {what} instead of {before}"
         limit = "" if diagnosis.channel == "position" else f" No output loses more than {MAX_OUTPUT_LOSS_PERCENT:g} %."
         return r.Verdict(level, f"{text}; noise floor: {floor_}.{limit}")
