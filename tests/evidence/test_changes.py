@@ -147,3 +147,12 @@ def test_a_change_is_told_with_code_joint_and_time():
     fields = list_changes(found)
     assert fields["time_s"] == [fields["changes"][0]["time_s"]]
     assert list_changes(()) == {}
+
+
+def test_a_step_in_exact_forces_has_a_time():
+    """Statistics of exact data are so large that a chi-square is lost in their digits; a time is returned all the same."""
+    clean = make_regression()
+    run = clean.runs[0]
+    exact = replace(clean, runs=(replace(run, y=run.W @ TRUE, y_all=run.W @ TRUE),))
+    for change in find_changes(add_force(exact, np.where(is_late(clean) & [False, True], 500.0, 0.0))):
+        assert change.time_s == pytest.approx(LATE_S, abs=1.0)

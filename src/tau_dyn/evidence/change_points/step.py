@@ -193,7 +193,7 @@ def _find_time(white: OrderedRows, C: np.ndarray, output: int, near: float) -> t
     """Return the best time of a step of columns C (R, d), and its standard error [s]: of equally likely times."""
     starts = np.unique(np.concatenate([_list_times(white, output), _list_times(white, output, near)]))
     T = _scan_steps(white, C, starts)
-    within = starts[T > T.max() - stats.chi2.ppf(0.95, 1)]
+    within = starts[T >= T.max() - stats.chi2.ppf(0.95, 1)]
     early, late = _find_gap(white, output, within[0])[0], float(white.t[within[-1]])
     return float(np.mean(_find_gap(white, output, starts[int(np.argmax(T))]))), (late - early) / np.sqrt(12)
 
