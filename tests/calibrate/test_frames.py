@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.frames import DeviceFrames, Frame, compute_rotation_between
+from tau_dyn.calibrate.frames import DeviceFrames, Frame, compute_rotation_between, estimate_campaign_frames
+from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.mechanism import Poses
 
 
@@ -54,3 +56,23 @@ def test_twists_are_carried_to_the_target_and_back(rng) -> None:
     assert_allclose(carried[:, :3, 0], (ends[0].position - ends[1].position) / 2e-6, atol=1e-7)
     assert_allclose(carried[:, 3:, 0], compute_rotation_between(ends[0].rotation, ends[1].rotation) / 2e-6, atol=1e-7)
     assert_allclose(frames.brought(base, carried, setup), twist, atol=1e-10)
+
+
+@pytest.mark.parametrize("turned", [True, False])
+def test_frames_of_campaigns_come_from_their_own_poses(rng, turned) -> None:
+    """Exact poses of two campaigns, one of them a turn about one axis where orientations count, give both frames exactly."""
+    truth = DeviceFrames((placed(rng), placed(rng)), (Frame(placed(rng).rotation, np.array([0.1, -0.05, 0.2])),))
+    base, campaign = posed(rng, 40), np.repeat([0, 1], 20)
+    if turned:
+        turn = Rotation.from_rotvec(np.outer(np.linspace(-1, 1, 20), [0, 0, 1])).as_matrix()
+        base = Poses(
+            np.concatenate([turn @ [0.5, 0.0, 0.3], base.position[20:]]), np.concatenate([turn, base.rotation[20:]])
+        )
+    seen = truth.measured(base, campaign)
+    poses = PoseSet(np.zeros((40, 1)), seen.position, seen.rotation, campaign=campaign, campaigns=("1", "2"))
+    start = DeviceFrames().apart(2, 1)
+    found = estimate_campaign_frames(poses, base, np.ones(40, bool), start, turned=turned, tool=True)
+    made = found.measured(base, campaign)
+    assert_allclose(made.position, seen.position, atol=1e-9 if turned else 1e-3)
+    if turned:
+        assert_allclose(made.rotation, seen.rotation, atol=1e-9)

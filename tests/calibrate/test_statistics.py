@@ -162,7 +162,9 @@ def test_a_move_is_judged_as_six_numbers(fits, monkeypatch, size, moved):
     held.position[:] += [0.02, 0, 0]
 
     def fit(*arguments: Any) -> Any:
-        return _fit_move(*arguments)._replace(move=np.full(6, np.sqrt(size / 6)), cov=np.eye(6), determined=np.eye(6))
+        return _fit_move(*arguments)._replace(
+            move=np.full(6, 1e-3 * np.sqrt(size / 6)), cov=1e-6 * np.eye(6), determined=1e-6 * np.eye(6)
+        )
 
     monkeypatch.setattr(outliers, "_fit_move", fit)
     assert bool(find_moved_frames(fits[0].fit, held)[0]) is moved

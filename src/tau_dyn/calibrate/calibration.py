@@ -18,8 +18,15 @@ from tau_dyn.calibrate.causes import (
 )
 from tau_dyn.calibrate.conventions import FoundReading, find_reading, measure_as_written
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.model_selection import Options, check_patterns, describe_implausible, fit_models
-from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Spec, get_family
+from tau_dyn.calibrate.model_selection import (
+    CandidateModel,
+    Options,
+    check_patterns,
+    describe_implausible,
+    fit_models,
+    fit_widest,
+)
+from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Family, Spec, get_family
 from tau_dyn.calibrate.outliers import (
     MovedFrame,
     check_spread,
@@ -123,7 +130,7 @@ def calibrate(
     plain = next((one for one in reversed(models) if set(one.spec.additions) <= set(BETWEEN_CAMPAIGNS)), chosen)
     within = find_move_within(plain.fit, family, plain.spec)
     odd = describe_implausible(steps)
-    holdout, still, moved, held = _settle_holdout(chosen.fit, holdout, split)
+    holdout, still, moved, held = _settle_holdout(family, chosen, options, holdout, split)
     found = Calibration(
         robot=robot,
         poses=poses,
@@ -199,7 +206,7 @@ def _measure_left(robot: Robot, poses: PoseSet, options: Options) -> float:
 
 
 def _settle_holdout(
-    fitted: GeometryFit, holdout: PoseSet | None, split: str
+    family: Family, chosen: CandidateModel, options: Options, holdout: PoseSet | None, split: str
 ) -> tuple[PoseSet | None, PoseSet | None, list[MovedFrame], tuple[str, ...]]:
     """Return held-out poses without outliers, the same without moves before them, these moves, and sentences of outliers.
 
@@ -207,10 +214,11 @@ def _settle_holdout(
     """
     if holdout is None:
         return None, None, [], ()
-    moved, said = find_moved_frames(fitted, holdout) if split == "given" else ([], ())
-    kept, more = leave_out_held_outliers(fitted, holdout, undo_moves(moved, holdout))
+    widest = fit_widest(family, chosen, options) if split == "given" else chosen.fit
+    moved, said = find_moved_frames(widest, holdout) if split == "given" else ([], ())
+    kept, more = leave_out_held_outliers(chosen.fit, holdout, undo_moves(moved, holdout))
     if kept is not holdout and split == "given":
-        moved, said = find_moved_frames(fitted, kept)
+        moved, said = find_moved_frames(widest, kept)
     return kept, undo_moves(moved, kept), moved, (*more, *said)
 
 

@@ -55,13 +55,13 @@ class DeviceFrames:
 
     def measured(self, base: Poses, setup: np.ndarray) -> Poses:
         """Return what the device sees (N) of tool poses in the robot's base frame."""
-        rd, td, rt, tt = self._each(setup)
+        rd, td, rt, tt = self.of_each(setup)
         position = base.position + np.einsum("nij,nj->ni", base.rotation, tt)
         return Poses(td + np.einsum("nij,nj->ni", rd, position), rd @ base.rotation @ rt)
 
     def in_base(self, measured: Poses, setup: np.ndarray) -> Poses:
         """Return tool poses in the robot's base frame (N) from what the device saw; needs orientation."""
-        rd, td, rt, tt = self._each(setup)
+        rd, td, rt, tt = self.of_each(setup)
         back = np.swapaxes(rd, 1, 2)
         rotation = back @ measured.rotation @ np.swapaxes(rt, 1, 2)
         position = np.einsum("nij,nj->ni", back, measured.position - td)
@@ -69,7 +69,7 @@ class DeviceFrames:
 
     def carried(self, base: Poses, twist: np.ndarray, setup: np.ndarray) -> np.ndarray:
         """Return twists of the target in the device's axes (N, 6, p) from twists of the tool (N, 6, p) in the base's."""
-        rd, _, _, tt = self._each(setup)
+        rd, _, _, tt = self.of_each(setup)
         arm = np.einsum("nij,nj->ni", base.rotation, tt)
         linear, angular = twist[:, :3], twist[:, 3:]
         if np.any(tt):
@@ -78,7 +78,7 @@ class DeviceFrames:
 
     def brought(self, base: Poses, twist: np.ndarray, setup: np.ndarray) -> np.ndarray:
         """Return twists of the tool in the base's axes (N, 6, p) from twists of the target in the device's: `carried` undone."""
-        rd, _, _, tt = self._each(setup)
+        rd, _, _, tt = self.of_each(setup)
         back = np.swapaxes(rd, 1, 2)
         arm = np.einsum("nij,nj->ni", base.rotation, tt)
         linear, angular = back @ twist[:, :3], back @ twist[:, 3:]
@@ -87,7 +87,7 @@ class DeviceFrames:
     def columns(self, base: Poses, measured: Poses, setup: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the target's twist (N, 6, 6 nd) per device parameter and (N, 6, 6 nt) per tool parameter."""
         n = len(setup)
-        rd, td, _, _ = self._each(setup)
+        rd, td, _, _ = self.of_each(setup)
         one = np.zeros((n, 6, 6))
         one[:, :3, :3] = one[:, 3:, 3:] = np.eye(3)
         one[:, :3, 3:] = -_skew(measured.position - td)
@@ -126,7 +126,9 @@ class DeviceFrames:
                 rows += [Parameter(f"{label}.{a}", float(v), u) for a, v, u in zip(AXES, values, units, strict=True)]
         return rows
 
-    def _each(self, setup: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def of_each(self, setup: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return rotation (N, 3, 3) and translation (N, 3) of each pose's device, then of its target."""
+
         def pick(frames: tuple[Frame, ...], index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             index = np.minimum(index, len(frames) - 1)
             return np.array([f.rotation for f in frames])[index], np.array([f.translation for f in frames])[index]
@@ -224,25 +226,118 @@ _NEAREST = 1e-3
 """Weight of the common orientation in a campaign's own, relative to its poses: it decides what poses in a line leave open."""
 
 
-def estimate_campaign_frames(poses: PoseSet, base: Poses, ok: np.ndarray, frames: DeviceFrames) -> DeviceFrames:
-    """Return frames with the device of each campaign at its own poses, where they fit better so than at the common place.
+def estimate_campaign_frames(
+    poses: PoseSet, base: Poses, ok: np.ndarray, frames: DeviceFrames, *, turned: bool, tool: bool
+) -> DeviceFrames:
+    """Return frames with the device of each campaign at its own poses, where they fit better so than the given ones.
+
+    Orientations give the rotations by themselves, so that a campaign that turns one joint is placed by the target of the others.
 
     Args:
         poses: Measured poses (N), several campaigns.
         base: Tool poses (N) in the robot's base frame.
         ok: Whether they are known (N,).
         frames: A device for every campaign, and targets.
+        turned: Whether measured orientations count.
+        tool: Whether the targets are unknown.
     """
-    seen = frames.measured(base, poses.setup)
-    device = list(frames.device)
+    some, known = poses.take(ok), base.take(ok)
+    found = _turn_frames(some, known, frames, tool=tool) if turned else frames
+    for _ in range(1 if turned else _ALTERNATIONS):
+        found = _shift_frames(some, known, found, tool=tool)
+        if not turned:
+            found = _align_devices(some, known, found)
+
+    def miss(one: DeviceFrames) -> float:
+        return float(np.sum((some.position - one.measured(known, some.setup).position) ** 2))
+
+    return found if miss(found) < miss(frames) else frames
+
+
+def _turn_frames(poses: PoseSet, base: Poses, frames: DeviceFrames, *, tool: bool) -> DeviceFrames:
+    """Return frames with the rotations that measured orientations `R_m = R_D R R_T` ask for: the better of two starts.
+
+    One start keeps the given targets. The other solves `R_D' R_m = R R_T` as linear equations of all entries (Shah 2013).
+    """
+    assert poses.rotation is not None
+    starts = [frames, _solve_rotations(poses, base, frames)] if tool else [frames]
+    found = [_alternate_rotations(poses, base, start, tool=tool) for start in starts]
+
+    def miss(one: DeviceFrames) -> float:
+        return float(np.sum((poses.rotation - one.measured(base, poses.setup).rotation) ** 2))
+
+    return min(found, key=miss)
+
+
+def _solve_rotations(poses: PoseSet, base: Poses, frames: DeviceFrames) -> DeviceFrames:
+    """Return frames with the rotations of the smallest singular vector of the linear equations, each nearest to its block."""
+    assert poses.rotation is not None
+    n_device, n_frames = len(frames.device), len(frames.device) + len(frames.tool)
+    rows = np.zeros((poses.n, 9, n_frames, 9))
+    device, tool = (
+        np.minimum(x, n - 1) for x, n in zip(split_setup(poses.setup), (n_device, len(frames.tool)), strict=True)
+    )
+    number, eye = np.arange(poses.n), np.eye(3)
+    # row-major entries: (X R)_ij = sum_k X_ik R_kj and (R Y)_ij = sum_k R_ik Y_kj
+    rows[number, :, device] = np.einsum("ia,nbj->nijab", eye, poses.rotation).reshape(-1, 9, 9)
+    rows[number, :, n_device + tool] = -np.einsum("nia,jb->nijab", base.rotation, eye).reshape(-1, 9, 9)
+    flat = rows.reshape(-1, 9 * n_frames)
+    blocks = np.linalg.eigh(flat.T @ flat)[1][:, 0].reshape(n_frames, 3, 3)
+    turns = [compute_mean_rotation(x[None] * np.sign(np.linalg.det(blocks[0]))) for x in blocks]
+    return DeviceFrames(
+        tuple(f._replace(rotation=x.T) for f, x in zip(frames.device, turns[:n_device], strict=True)),
+        tuple(f._replace(rotation=x) for f, x in zip(frames.tool, turns[n_device:], strict=True)),
+    )
+
+
+def _alternate_rotations(poses: PoseSet, base: Poses, frames: DeviceFrames, *, tool: bool) -> DeviceFrames:
+    """Return frames with rotations of devices and targets fitted in turn."""
+    assert poses.rotation is not None
+    for _ in range(_ALTERNATIONS):
+        rd, _, rt, _ = frames.of_each(poses.setup)
+        rd = poses.rotation @ np.swapaxes(base.rotation @ rt, 1, 2)
+        frames = replace(frames, device=_average(rd, split_setup(poses.setup)[0], frames.device))
+        if tool:
+            rd = frames.of_each(poses.setup)[0]
+            rt = np.swapaxes(rd @ base.rotation, 1, 2) @ poses.rotation
+            frames = replace(frames, tool=_average(rt, split_setup(poses.setup)[1], frames.tool))
+    return frames
+
+
+def _average(rotations: np.ndarray, number: np.ndarray, frames: tuple[Frame, ...]) -> tuple[Frame, ...]:
+    """Return frames with the mean of their own rotations (N, 3, 3); those without any stay."""
+    number = np.minimum(number, len(frames) - 1)
+    return tuple(
+        f._replace(rotation=compute_mean_rotation(rotations[number == k])) if np.any(number == k) else f
+        for k, f in enumerate(frames)
+    )
+
+
+def _shift_frames(poses: PoseSet, base: Poses, frames: DeviceFrames, *, tool: bool) -> DeviceFrames:
+    """Return frames with the translations of least squares, the shortest where the poses leave them open."""
+    rd, _, _, tt = frames.of_each(poses.setup)
+    n_device, n_tool = len(frames.device), len(frames.tool)
+    device, target = split_setup(poses.setup)
+    columns = np.zeros((poses.n, 3, n_device + n_tool, 3))
+    columns[np.arange(poses.n), :, np.minimum(device, n_device - 1)] = np.eye(3)
+    left = poses.position - np.einsum("nij,nj->ni", rd, base.position)
+    if tool:
+        columns[np.arange(poses.n), :, n_device + np.minimum(target, n_tool - 1)] = rd @ base.rotation
+    else:
+        left = left - np.einsum("nij,nj->ni", rd @ base.rotation, tt)
+    places = np.linalg.lstsq(columns.reshape(3 * poses.n, -1), left.ravel(), rcond=1e-9)[0].reshape(-1, 3)
+    found = tuple(f._replace(translation=x) for f, x in zip((*frames.device, *frames.tool), places, strict=True))
+    return DeviceFrames(found[:n_device], found[n_device:] if tool else frames.tool)
+
+
+def _align_devices(poses: PoseSet, base: Poses, frames: DeviceFrames) -> DeviceFrames:
+    """Return frames with each device aligned with its own positions, those with fewer than three left."""
+    seen, device = frames.measured(base, poses.setup), list(frames.device)
     for k, old in enumerate(device):
-        own = ok & (poses.campaign == k)
-        if own.sum() < 3:
-            continue
-        known = (seen.position[own] - old.translation) @ old.rotation
-        new = _align_near(poses.position[own], known, old.rotation)
-        sizes = [np.sum((poses.position[own] - f.translation - known @ f.rotation.T) ** 2) for f in (old, new)]
-        device[k] = new if sizes[1] < sizes[0] else old
+        own = poses.campaign == k
+        if own.sum() >= 3:
+            known = (seen.position[own] - old.translation) @ old.rotation
+            device[k] = _align_near(poses.position[own], known, old.rotation)
     return replace(frames, device=tuple(device))
 
 

@@ -301,7 +301,7 @@ def fit_geometry_to_poses(
     fresh = devices > len(state.frames.device) and frames is None and device
     state = state._replace(frames=state.frames.apart(devices, tools))
     if fresh:
-        own_frames = estimate_campaign_frames(poses, state.base, state.ok, state.frames)
+        own_frames = estimate_campaign_frames(poses, state.base, state.ok, state.frames, turned=turned, tool=tool)
         state = state._replace(frames=own_frames)
     own = {"fix": fix, "free": free, "device": device, "tool": tool, "backlash": backlash, "prior": prior}
     problem = Problem(geometry, poses, collect(geometry, state.frames, turned=turned, **own), residual, turned)

@@ -152,6 +152,24 @@ def fit_geometry(
     )
 
 
+def fit_widest(family: Family, chosen: CandidateModel, options: Options) -> GeometryFit:
+    """Return the fit of the largest structure that the poses bear, with the additions of a model.
+
+    Dimensions that a smaller structure keeps are as uncertain as the robot file: a frame is known beside them only as far as the
+    poses tell the two apart.
+    """
+    for structure in reversed(family.structures):
+        if structure == chosen.spec.structure:
+            break
+        if structure == "paths":
+            continue
+        try:
+            return fit_spec(family, Spec(structure, chosen.spec.additions), chosen.fit.poses, options, chosen.fit)
+        except (InputError, CannotAnswer):
+            continue
+    return chosen.fit
+
+
 def fit_and_cross_validate(
     family: Family,
     spec: Spec,
@@ -239,32 +257,34 @@ def _structures(
             steps.append(SelectionStep(candidate.name, taken[-1].name, gain, earns_parameters(gain)))
             if not earns_parameters(gain):
                 continue
-        between = {a: own for a, own in candidate.spec.additions.items() if a in BETWEEN_CAMPAIGNS}
-        if moved and set(between) > set(moved) and candidate.spec.structure == family.structures[0]:
-            both = candidate
-            candidate, step = _drop_earlier_frame(family, poses, options, both, moved)
-            steps.append(step)
-            if candidate is not both:
-                taken.pop()
-            between = {a: own for a, own in candidate.spec.additions.items() if a in BETWEEN_CAMPAIGNS}
-        moved = between
+        moved = {a: own for a, own in candidate.spec.additions.items() if a in BETWEEN_CAMPAIGNS}
         taken.append(candidate)
-    return taken, steps, tuple(warnings)
+    kept, dropped = _drop_frames(family, poses, options, taken, [a for a in moved if a not in options.additions])
+    return kept, [*steps, *dropped], tuple(warnings)
 
 
-def _drop_earlier_frame(
-    family: Family,
-    poses: PoseSet,
-    options: Options,
-    both: CandidateModel,
-    earlier: Mapping[str, tuple[str, ...]],
-) -> tuple[CandidateModel, SelectionStep]:
-    """Return the model with the later frame alone where the earlier one adds nothing beside it, else both; and the step."""
-    alone = Spec(both.spec.structure, {a: own for a, own in both.spec.additions.items() if a not in earlier})
-    candidate = fit_and_cross_validate(family, alone, poses, options)
-    gain = compare_paired(candidate.unseen, both.unseen, options.seed)
-    step = SelectionStep(both.name, candidate.name, gain, earns_parameters(gain))
-    return (both if step.taken else candidate), step
+def _drop_frames(
+    family: Family, poses: PoseSet, options: Options, taken: list[CandidateModel], moved: Sequence[str]
+) -> tuple[list[CandidateModel], list[SelectionStep]]:
+    """Return the models without the frames between campaigns that add nothing in the largest one, and the steps.
+
+    A frame of its own may take up what dimensions of a later model explain, or what another frame does.
+    """
+    steps: list[SelectionStep] = []
+    for addition in moved:
+        last = taken[-1]
+        alone = Spec(last.spec.structure, {a: own for a, own in last.spec.additions.items() if a != addition})
+        if alone == taken[0].spec:
+            continue
+        try:
+            candidate = fit_and_cross_validate(family, alone, poses, options)
+        except (InputError, CannotAnswer):
+            continue
+        gain = compare_paired(candidate.unseen, last.unseen, options.seed)
+        steps.append(SelectionStep(last.name, candidate.name, gain, earns_parameters(gain)))
+        if not earns_parameters(gain):
+            taken = [*(one for one in taken if addition not in one.spec.additions), candidate]
+    return taken, steps
 
 
 def _list_structures(family: Family, always: Mapping[str, tuple[str, ...]]) -> list[Spec]:

@@ -245,6 +245,10 @@ _RULES = DescentRules(20, small_step=1e-6, small_gain=0.0)
 _UNDETERMINED_RATIO = 4.0
 """Ratio of variances from which the directions that the training poses leave open count:
 the standard error of an axis doubles."""
+_MAX_TURN_STDERR = 0.1
+"""Standard error of a turn [rad] from which a move is no longer linear in the frame, and cannot be tested."""
+_WEAK_RATIO = 100.0
+"""Ratio of variances from which a frame counts as weakly determined: ten standard errors of the held-out poses' own."""
 _ALIKE = 10.0  # difference of twice the log-likelihoods below which device and target are not told apart
 
 
@@ -312,12 +316,13 @@ class _Fit(NamedTuple):
     move: np.ndarray
     cov: np.ndarray  # with what the training poses do not determine
     determined: np.ndarray  # covariance without it
+    own: np.ndarray  # covariance by the noise of the held-out poses alone
 
 
 def find_moved_frames(fitted: GeometryFit, holdout: PoseSet) -> tuple[list[MovedFrame], tuple[str, ...]]:
     """Return for each campaign and target of the held-out poses the move that they ask for, and sentences.
 
-    A sentence names the directions along which the training poses do not determine a frame that seems to have moved.
+    A sentence names the directions along which the training poses do not determine a frame, where held-out poses are off.
     """
     found, said, state = [], [], fitted.predict(holdout)
     for campaign, target in np.unique(holdout.setup, axis=0):
@@ -354,13 +359,15 @@ def _find_move(
     owner = min(sizes, key=lambda o: sizes[o])
     fit = fits[owner]
     p_value, p_determined = (_test_move(fit.move, cov) for cov in (fit.cov, fit.determined))
+    p_value = p_value if np.sqrt(fit.cov.diagonal()[3:].max(initial=0.0)) < _MAX_TURN_STDERR else 1.0
     level = _SIGNIFICANCE_LEVEL / len(owners)
     after = _leave_out_each(fit)
     gain = compare_paired(_as_errors(before * sigma, poses), _as_errors(after * sigma, poses))
-    if explain_gain(gain) or not gain.reduction_percent > _MIN_GAIN_PERCENT or not p_determined < level:
-        return None
-    if not p_value < level:
-        return _describe_undetermined(owner, fit, where)
+    moved = not explain_gain(gain) and gain.reduction_percent > _MIN_GAIN_PERCENT and p_determined < level
+    if not (moved and p_value < level):
+        axes = _list_undetermined(fit)
+        off = moved or (bool(axes) and stats.chi2.sf(np.sum(before**2), before.size) < level)
+        return _describe_undetermined(owner, axes or AXES[: len(fit.move)], where) if off else None
     near = [o for o in owners if o != owner and before.size * np.log(sizes[o] / max(sizes[owner], 1e-300)) < _ALIKE]
     error = np.sqrt(np.maximum(np.diag(fit.cov), 0.0))
     move = tuple(
@@ -378,10 +385,15 @@ def _test_move(move: np.ndarray, cov: np.ndarray) -> float:
     return float(stats.chi2.sf((move / size) @ np.linalg.pinv(scaled, hermitian=True) @ (move / size), len(move)))
 
 
-def _describe_undetermined(owner: str, fit: _Fit, where: str) -> str:
-    """Return the sentence of a frame that cannot be compared, with the axes along which it is undetermined."""
-    ratio = np.diag(fit.cov) / np.maximum(np.diag(fit.determined), 1e-300)
-    axes = [axis for axis, r in zip(AXES, ratio, strict=False) if r > _UNDETERMINED_RATIO] or list(AXES[: len(ratio)])
+def _list_undetermined(fit: _Fit) -> list[str]:
+    """Return the axes along which the training poses do not determine the frame, or far worse than the held-out ones do."""
+    whole, known, own = (np.diag(cov) for cov in (fit.cov, fit.determined, fit.own))
+    open_ = (whole > _UNDETERMINED_RATIO * known) | (whole > _WEAK_RATIO * own)
+    return [axis for axis, is_open in zip(AXES, open_, strict=False) if is_open]
+
+
+def _describe_undetermined(owner: str, axes: Sequence[str], where: str) -> str:
+    """Return the sentence of a frame that cannot be compared along axes."""
     return (
         f"{where}: the {owner} cannot be compared with where it was along {', '.join(axes)}: the training poses do not determine "
         "it there, so a move and wrong dimensions look alike; train on poses that turn every joint"
@@ -443,11 +455,9 @@ def _fit_move(
     inverse = np.linalg.pinv(columns.reshape(-1, free))
     by_parameters = inverse @ _compute_prediction_columns(fitted, poses, base, sigma)
     scale = max(1.0, float(np.sum(residuals**2)) / max(residuals.size - free, 1))
-    determined, cov = (
-        scale * inverse @ inverse.T + by_parameters @ known @ by_parameters.T
-        for known in (fitted.cov, fitted.prediction_cov)
-    )
-    return _Fit(frames, columns, residuals, move[:free], cov, determined)
+    own = scale * inverse @ inverse.T
+    determined, cov = (own + by_parameters @ known @ by_parameters.T for known in (fitted.cov, fitted.prediction_cov))
+    return _Fit(frames, columns, residuals, move[:free], cov, determined, own)
 
 
 def _compute_residuals(frames: DeviceFrames, poses: PoseSet, base: Poses, sigma: np.ndarray) -> np.ndarray:
