@@ -393,3 +393,14 @@ def test_a_robot_all_of_whose_frames_are_known_has_nothing_to_fit_but_its_dimens
     plain, fitted = (calibrate(robot, poses, model=m, device=False, tool=False) for m in ("frames", "ideal"))
     assert plain.fit.n_estimated == 0 and plain.parameter_rows() == []
     assert plain.errors(plain.chosen).position_size.rms > 2e-3 > 100 * fitted.errors(fitted.chosen).position_size.rms
+
+
+def test_a_figure_compares_the_robot_file_with_the_chosen_model():
+    """Position errors at unseen poses [mm]: one point a pose and model, with the rms that the result reports."""
+    rods = rods_of()
+    poses, _ = measured(rods, "nonparallel", 60, 0)
+    found = calibrate(load_robot("gantry_tau"), poses, model="nonparallel")
+    (axis,) = found.plot().axes
+    before, after = axis.lines[0].get_ydata(), axis.lines[2].get_ydata()
+    assert len(after) == found.at().n and np.median(before) > 3 * np.median(after)
+    assert axis.lines[3].get_ydata()[0] == pytest.approx(1e3 * found.errors(found.chosen).position_size.rms, rel=1e-6)

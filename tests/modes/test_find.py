@@ -47,6 +47,16 @@ def test_order_delay_and_modes_are_found(found):
     assert all(t.passed for t in found.independence)
 
 
+def test_a_figure_has_the_responses_and_the_modes(found):
+    """A row an output: measured and modelled magnitude from each input, and a line at each of two modes near its peak."""
+    axes = found.plot().axes
+    assert [axis.get_ylabel() for axis in axes] == list(OUT)
+    lines = axes[0].lines
+    assert len(lines) == 2 * len(IN) + 2
+    peak = lines[len(IN)].get_xdata()[np.argmax(lines[len(IN)].get_ydata())]
+    assert min(abs(line.get_xdata()[0] - peak) for line in lines[-2:]) < 0.05 * peak
+
+
 def test_mass_damping_and_stiffness_follow(found):
     """Unit modal masses in mm per N are a mass matrix of 1e-3, and static compliance is that of the truth."""
     assert found.mechanical is not None and found.mechanical.status == "identified"

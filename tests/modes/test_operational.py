@@ -158,3 +158,10 @@ def test_set_ups_without_a_sensor_that_stays_are_refused(set_ups):
     alone = [Log(log.t, {key: log.channels[key]}, key) for log, key in zip(set_ups, ("y2", "y3"), strict=True)]
     with raises_code("mismatch", "stays in its place"):
         find_operational_modes(alone, ["y2", "y3"])
+
+
+def test_a_figure_is_the_stabilisation_diagram(found):
+    """Each stable mode of each order is a point; a line is at each mode that was chosen."""
+    (axis,) = found.plot().axes
+    stable = [x.frequency_hz for x in found.stabilisation if x.kind == "stable"]
+    assert list(axis.lines[0].get_xdata()) == stable and len(axis.lines) == 2 + len(found.modes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,8 +15,11 @@ from tau_dyn.calibrate.model_selection import CandidateModel, SelectionStep
 from tau_dyn.calibrate.pose_errors import MeasurementNoise, PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.evidence import Finding
-from tau_dyn.results import Shown, to_plain
+from tau_dyn.results import Shown, plot_pose_errors, to_plain
 from tau_dyn.robot import Robot
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _MAX_RELATIVE_ERROR = 0.01
 """Held-out rms error over the poses' rms distance from their middle above which units, joints or frames are wrong; an arm out of
@@ -95,6 +99,15 @@ class Calibration(Shown):
     def parameter_rows(self) -> list[dict[str, object]]:
         """Return the chosen model's free unknowns with uncertainty, as the contract spells parameters."""
         return build_parameter_rows(self.fit)
+
+    def plot(self) -> Figure:
+        """Return a Matplotlib figure of the position errors at unseen poses, of the robot file and of the chosen model.
+
+        Raises:
+            InputError: Matplotlib is not installed.
+        """
+        shown = {m.name: m for m in (self.models[0], self.chosen)}
+        return plot_pose_errors({name: np.linalg.norm(self.errors(m).position, axis=1) for name, m in shown.items()})
 
     def to_dict(self) -> dict[str, object]:
         """Return the contract's result."""

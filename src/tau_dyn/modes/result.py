@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,8 +16,11 @@ from tau_dyn.modes.order import OrderChoice
 from tau_dyn.modes.residuals import CorrelationTest, FitQuality
 from tau_dyn.modes.responses import EmpiricalResponse, ImpulseResponses, Response
 from tau_dyn.modes.state_space import ModelFile, StateSpace
-from tau_dyn.results import Brief, Shown, to_plain
+from tau_dyn.results import Brief, PlottedResponse, Shown, plot_responses, plot_stability, to_plain
 from tau_dyn.version import __version__
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 NOT_IDENTIFIED: dict[str, Any] = {"status": "not_identifiable", **dict.fromkeys(("M", "D", "K", "stderr", "valid_hz"))}
 
@@ -137,6 +140,19 @@ class Modes(Shown):
         """The fit that counts: held out where there is one."""
         return self.holdout or self.train
 
+    def plot(self) -> Figure:
+        """Return a Matplotlib figure of the measured and the model's frequency responses with the modes.
+
+        Raises:
+            InputError: Matplotlib is not installed.
+        """
+        measured, model = self.empirical, self.response
+        responses = [
+            PlottedResponse("measured", measured.frequency, measured.response),
+            PlottedResponse("model", model.frequency, model.value),
+        ]
+        return plot_responses(responses, self.outputs, self.inputs, [mode.frequency_hz for mode in self.modes])
+
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON result."""
         mdk: dict[str, Any] = {"why": self.mechanical_why}
@@ -239,6 +255,17 @@ class OperationalModes(Shown):
     n_samples: int
     warnings: tuple[str, ...] = ()
     seed: int = 0
+
+    def plot(self) -> Figure:
+        """Return a Matplotlib figure of the modes of all orders, the stabilisation diagram.
+
+        Raises:
+            InputError: Matplotlib is not installed.
+        """
+        points = self.stabilisation
+        hz, order = np.array([x.frequency_hz for x in points]), np.array([x.order for x in points])
+        is_stable = np.array([x.kind == "stable" for x in points], bool)
+        return plot_stability(hz, order, is_stable, [mode.frequency_hz for mode in self.modes])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON result; what responses alone cannot give is null, with the reason."""

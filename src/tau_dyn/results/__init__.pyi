@@ -60,7 +60,14 @@ from .formatting import (
     round_to_stderr as round_to_stderr,
 )
 from .plain import to_plain as to_plain
-from .plots import PlottedSegment as PlottedSegment, plot_outputs as plot_outputs
+from .plots import (
+    PlottedResponse as PlottedResponse,
+    PlottedSegment as PlottedSegment,
+    plot_outputs as plot_outputs,
+    plot_pose_errors as plot_pose_errors,
+    plot_responses as plot_responses,
+    plot_stability as plot_stability,
+)
 from .presentation import (
     Bar as Bar,
     Beside as Beside,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -34,6 +34,20 @@ class PlottedSegment(NamedTuple):
     used: np.ndarray
 
 
+def _make_axes(rows: int) -> tuple[Figure, Any]:
+    """Return a figure with axes (rows,) above each other.
+
+    Raises:
+        InputError: Matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise InputError("missing_package", "plots need Matplotlib: pip install 'tau_dyn[plot]'") from None
+    figure = Figure(figsize=(_INCHES[0], _INCHES[1] * rows + 0.6), layout="constrained")
+    return figure, figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+
+
 def plot_outputs(stretches: Sequence[PlottedSegment], outputs: Sequence[str], units: Sequence[str]) -> Figure:
     """Return a figure with one row an output: measured, predicted, and the residual of the last prediction.
 
@@ -47,14 +61,9 @@ def plot_outputs(stretches: Sequence[PlottedSegment], outputs: Sequence[str], un
     Raises:
         InputError: Matplotlib is not installed, or there is nothing to draw.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise InputError("missing_package", "plots need Matplotlib: pip install 'tau_dyn[plot]'") from None
     if not stretches:
         raise InputError("unsupported", "no samples are kept in memory, so that nothing can be drawn")
-    figure = Figure(figsize=(_INCHES[0], _INCHES[1] * len(outputs) + 0.6), layout="constrained")
-    axes = figure.subplots(len(outputs), 1, sharex=True, squeeze=False)[:, 0]
+    figure, axes = _make_axes(len(outputs))
     start = 0.0
     for number, one in enumerate(stretches):
         t = one.t - one.t[0] + start
@@ -72,4 +81,89 @@ def plot_outputs(stretches: Sequence[PlottedSegment], outputs: Sequence[str], un
         axis.grid(alpha=0.3)
     axes[0].legend(loc="upper right", ncols=4, fontsize="small")
     axes[-1].set_xlabel("t [s]")
+    return figure
+
+
+class PlottedResponse(NamedTuple):
+    """A frequency response.
+
+    Attributes:
+        name: What it is.
+        frequency: (F,) [Hz].
+        value: From inputs to outputs (F, p, m), complex; nan where unknown.
+    """
+
+    name: str
+    frequency: np.ndarray
+    value: np.ndarray
+
+
+def plot_responses(
+    responses: Sequence[PlottedResponse], outputs: Sequence[str], inputs: Sequence[str], modes_hz: Sequence[float]
+) -> Figure:
+    """Return a figure with one row an output: magnitudes of responses from each input, and the frequencies of modes.
+
+    Args:
+        responses: What is drawn; the first one as points.
+        outputs: Names of the outputs (p).
+        inputs: Names of the inputs (m).
+        modes_hz: Frequencies of modes [Hz].
+
+    Raises:
+        InputError: Matplotlib is not installed.
+    """
+    figure, axes = _make_axes(len(outputs))
+    for k, axis in enumerate(axes):
+        for number, one in enumerate(responses):
+            for i, name in enumerate(inputs):
+                style: dict[str, Any] = {"ls": "", "marker": ".", "ms": 2, "alpha": 0.5} if number == 0 else {"lw": 1.0}
+                axis.plot(
+                    one.frequency, np.abs(one.value[:, k, i]), color=f"C{i}", label=f"{one.name}, {name}", **style
+                )
+        for hz in modes_hz:
+            axis.axvline(hz, color="0.6", lw=0.8)
+        axis.set(yscale="log", ylabel=outputs[k])
+        axis.grid(alpha=0.3)
+    if responses:
+        axes[0].legend(loc="upper right", ncols=2, fontsize="small")
+    axes[-1].set_xlabel("f [Hz]")
+    return figure
+
+
+def plot_stability(hz: np.ndarray, order: np.ndarray, is_stable: np.ndarray, modes_hz: Sequence[float]) -> Figure:
+    """Return the stabilisation diagram: modes of models of all orders, and those that were chosen.
+
+    Args:
+        hz: Frequencies (P,) [Hz].
+        order: Order of the model of each (P,).
+        is_stable: Whether the next lower order has the same mode (P,).
+        modes_hz: Frequencies of the chosen modes [Hz].
+
+    Raises:
+        InputError: Matplotlib is not installed.
+    """
+    figure, (axis,) = _make_axes(1)
+    for name, which, colour in (("stable", is_stable, "C0"), ("other", ~is_stable, "0.7")):
+        axis.plot(hz[which], order[which], ls="", marker=".", color=colour, label=name)
+    for x in modes_hz:
+        axis.axvline(x, color="C1", lw=0.8)
+    axis.set(xlabel="f [Hz]", ylabel="order")
+    axis.legend(loc="upper right", fontsize="small")
+    return figure
+
+
+def plot_pose_errors(errors: Mapping[str, np.ndarray]) -> Figure:
+    """Return a figure of position errors (N,) [m] at poses by model, with their root mean squares.
+
+    Raises:
+        InputError: Matplotlib is not installed.
+    """
+    figure, (axis,) = _make_axes(1)
+    for k, (name, size) in enumerate(errors.items()):
+        rms = float(np.sqrt(np.nanmean(size**2)))
+        axis.plot(1e3 * size, ls="", marker=".", color=f"C{k}", label=f"{name}: {1e3 * rms:.3g} mm rms")
+        axis.axhline(1e3 * rms, color=f"C{k}", lw=0.8)
+    axis.set(yscale="log", xlabel="pose", ylabel="position error [mm]")
+    axis.grid(alpha=0.3)
+    axis.legend(loc="upper right", fontsize="small")
     return figure
