@@ -200,8 +200,8 @@ _UNIDENTIFIABLE_PRIOR_WEIGHT = 1e5  # prior of parameters that poses cannot tell
 _FULL_STEPS = 4  # undamped Gauss-Newton steps along a curved valley
 _MIN_NOISE = 1e-9  # [m or rad], of poses without noise
 _RANK_TOLERANCE = 1e-14  # rounding: the prior tells every unknown something
-_RULES = DescentRules(_MAX_STEPS, small_step=1e-3, small_gain=0.02, first_damping=0.1, growth=5.0, max_trials=10)
-"""A step is the last that moves predictions by a thousandth of the noise (rms) or gains a seventh of a standard error."""
+_RULES = DescentRules(_MAX_STEPS, small_step=1e-3, small_gain=1e-3, first_damping=0.1, growth=5.0, max_trials=10)
+"""A step is the last that moves predictions by a thousandth of the noise (rms) or gains a thirtieth of a standard error."""
 
 
 @dataclass(frozen=True, eq=False)
