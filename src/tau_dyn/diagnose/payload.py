@@ -313,7 +313,7 @@ def compute_payload_parameters(explanation: Explanation, joint: str) -> tuple[Pa
         values = compute_body_properties(explanation.amplitudes)
         slopes = differentiate_body_properties(explanation.amplitudes)[:, :4]
         for k, axis in enumerate("xyz", start=1):
-            error = _error(float(slopes[k] @ cov[:4, :4] @ slopes[k])) if np.isfinite(cov[k, k]) else None
+            error = _error(float(slopes[k] @ cov[:4, :4] @ slopes[k])) if np.isfinite(cov[:4, :4]).all() else None
             name = f"payload.centre_{axis}"
             rows.append(Parameter(name, float(values[k]), "m", stderr=error, origin=f"in the frame of {joint}"))
     return tuple(rows)

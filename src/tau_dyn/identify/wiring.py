@@ -384,6 +384,10 @@ class Search:
         ]
 
 
+_UNREACHED = 1e12
+"""Loss of a number with which the robot does not reach its positions [nats]; finite, since a parabola is put through losses."""
+
+
 def refine_numbers(model: LogModel, reading: Rewiring, numbers: tuple[Number, ...], reach: float = REACH) -> Rewiring:
     """Return the reading with some numbers at the maximum of the posterior density, one after another, twice."""
     for width in (reach, reach / 4) if len(numbers) > 1 else (reach,):
@@ -394,10 +398,10 @@ def refine_numbers(model: LogModel, reading: Rewiring, numbers: tuple[Number, ..
                 x: float, number: Number = number, design: Design | None = design, at: Rewiring = reading
             ) -> float:
                 fit = model.fit(at.times(number, float(np.exp(x))), design)
-                return np.inf if fit is None else -fit.log_posterior
+                return _UNREACHED if fit is None else -fit.log_posterior
 
             found = minimize_scalar(loss, bounds=(-width, width), method="bounded", options={"xatol": 2e-3})
-            if np.isfinite(found.fun):
+            if found.fun < _UNREACHED:
                 reading = reading.times(number, float(np.exp(found.x)))
     return reading
 
