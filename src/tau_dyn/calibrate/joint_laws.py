@@ -14,6 +14,7 @@ by parts in a thousand. References: thesis 4.2, 5.3, figures 4.3, 5.2; Whitney, 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
@@ -149,12 +150,12 @@ class PeriodicDriveLaw(_JointLaw):
         return Shift(a * s + b * c, _by_joint(q, self.actuator, slope), np.stack([s, c, -slope * x / period], axis=2))
 
 
-class _LinearLaw:
+class _LinearLaw(ABC):
     """A law `columns(q) @ values`."""
 
+    @abstractmethod
     def columns(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
         """Return displacements per parameter (N, d, p), their slopes by one joint (N, d, p), and which joint that is."""
-        raise NotImplementedError
 
     def shift(self, values: np.ndarray, q: np.ndarray) -> Shift:
         """Return the displacement."""

@@ -6,6 +6,7 @@ for a target that tells its orientation too (Leica Geosystems 2009). The tracker
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -121,7 +122,7 @@ def add_noise(poses: Poses, covariance: np.ndarray, rng: np.random.Generator) ->
     return Poses(poses.position + error[:, :3], Rotation.from_rotvec(error[:, 3:]).as_matrix() @ poses.rotation)
 
 
-class StandingDevice:
+class StandingDevice(ABC):
     """What devices share that stand at a place and see a target on the tool.
 
     Attributes:
@@ -149,9 +150,9 @@ class StandingDevice:
             out[broken & (out == SEEN)] = words
         return out
 
+    @abstractmethod
     def _rules(self, at: Poses) -> Sequence[tuple[str, np.ndarray]]:
         """Return what may be wrong with target poses in the device's frame, in words, and where it is (N,)."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False)
