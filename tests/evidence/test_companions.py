@@ -56,12 +56,15 @@ def test_two_curves_of_friction_are_two_causes(monkeypatch, knee: float, peak: f
     curved, stribeck = ViscousCurvature("x", "N", knee=knee), Stribeck("x", "N", speed=0.05)
     fitted = {"coulomb": 0.5, "viscous": 0.3, "viscous_curvature": 1.0, "stribeck": peak}
     values = Parameters(Parameter(f"x.{name}", value, "N") for name, value in fitted.items())
-    kept = [SimpleNamespace(candidate=SimpleNamespace(cause=e.name, effects=(e,))) for e in (curved, stribeck)]
+    laws = ((curved, 80.0), (stribeck, 20.0))
+    kept = [SimpleNamespace(candidate=SimpleNamespace(cause=e.name, effects=(e,), statistic=T)) for e, T in laws]
     scene = SimpleNamespace(joints=("x",), index=lambda joint: 0, slow=np.array([0.02]), fast=np.array([1.0]))
     monkeypatch.setattr(plausibility, "measure_net_forces", lambda *_: np.ones((2, 1)))
     library = SimpleNamespace(channel=SimpleNamespace(scene=scene))
     found = find_companion(cast(Any, library), cast(Any, kept), values)
     assert (found is not None) is companion
+    if found:  # of two laws that meet the curve, the one with the weaker evidence goes
+        assert found[0] == 1
 
 
 @pytest.mark.parametrize(("largest", "status"), [(1.0, "confirmed"), (30.0, "suspected")])

@@ -11,7 +11,15 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.effects import JointMotion, JointwiseEffect, QuadraticDrag
 from tau_dyn.effects.effect import PlausibleRange
-from tau_dyn.evidence import ExaminationOptions, Finding, Gain, claims as claims_module, decide_verdict, examine_channel
+from tau_dyn.evidence import (
+    ExaminationOptions,
+    Finding,
+    Gain,
+    claims as claims_module,
+    decide_verdict,
+    examine_channel,
+    judge,
+)
 from tau_dyn.evidence.candidate_scan import GroupTest, combine_group_tests, compute_null_moments
 from tau_dyn.evidence.claims import MAX_OUTPUT_LOSS_PERCENT, is_worse
 from tau_dyn.evidence.judge import BesideRejected, explain_dependence
@@ -134,6 +142,22 @@ class Spring(JointwiseEffect):
         return [joint.q]
 
 
+class CubicDrag(SlowerDrag):
+    """A law that explains a part of the drag."""
+
+    name = "cubic_drag"
+    quantities = (("cubic_drag", "F s^2/L^2"),)
+    power = 3.0
+
+
+def test_a_law_that_leaves_the_rejected_one_in_the_residual_is_not_confirmed(make, rng, monkeypatch):
+    """A residual that smooth functions do not tell from noise, but the rejected drag does, is no noise."""
+    monkeypatch.setattr(judge, "_assess_noise_consistency", lambda *_: ())
+    channel = make.bench(rng, drag, n=8000, causes=(WideDrag, CubicDrag))
+    found = examine_channel(channel, ExaminationOptions(rng))
+    assert {f.cause: f.status for f in found.findings} == {"wide_drag": "suspected", "cubic_drag": "suspected"}
+
+
 def test_a_rejected_law_does_not_take_another_cause_along(make, rng):
     """Next to a rejected drag, which stays in the residual, a spring is confirmed with its stiffness of 40 N/m."""
     channel = make.bench(rng, lambda motion: drag(motion) + 40 * motion.q, n=8000, causes=(WideDrag, Spring))
@@ -151,7 +175,8 @@ def test_an_amplitude_that_a_rejected_law_changes_is_not_confirmed(moved, why):
     (name,) = effect.parameters.names
     one = SimpleNamespace(candidate=SimpleNamespace(effects=(effect,)))
     values = effect.parameters.update({name: {"value": 40.0, "stderr": 0.5}})
-    beside = BesideRejected("wide_drag", {("spring_about_zero", ("x",)): np.array([40.0 - 0.5 * moved])})
+    rejected = SimpleNamespace(candidate=SimpleNamespace(cause="wide_drag"))
+    beside = BesideRejected((cast(Any, rejected),), {("spring_about_zero", ("x",)): np.array([40.0 - 0.5 * moved])})
     found = explain_dependence(cast(Any, one), values, [beside])
     assert (why in found) and bool(found) is bool(why)
 

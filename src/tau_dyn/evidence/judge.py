@@ -199,10 +199,15 @@ def _list_implausible(found: Examination) -> list[int]:
 
 
 class BesideRejected(NamedTuple):
-    """Confirmed effects beside rejected ones: names of the rejected causes, amplitudes by cause and joints."""
+    """Rejected causes, and the amplitudes of the effects that were confirmed beside them, by cause and joints."""
 
-    rejected: str
+    rejected: tuple[SelectedCause, ...]
     amplitudes: dict[tuple[str, tuple[str, ...]], np.ndarray]
+
+    @property
+    def words(self) -> str:
+        """The names of the rejected causes."""
+        return " and ".join(one.candidate.cause for one in self.rejected)
 
 
 def _identify(effect: Effect) -> tuple[str, tuple[str, ...]]:
@@ -218,10 +223,8 @@ def _measure_beside(
     effects = build_effects([*kept, *turned_down])
     values = fit_extended_model(selection.channel, effects, options.physics, options.rng).parameters
     alone = [one for one in kept if not _is_companion(selection, one, turned_down, values)]
-    return BesideRejected(
-        " and ".join(one.candidate.cause for one in turned_down),
-        {_identify(effect): values.select(effect.parameters.names).values for effect in build_effects(alone)},
-    )
+    amplitudes = {_identify(e): values.select(e.parameters.names).values for e in build_effects(alone)}
+    return BesideRejected(tuple(turned_down), amplitudes)
 
 
 def _is_companion(
@@ -244,7 +247,7 @@ def explain_dependence(one: SelectedCause, values: Parameters, earlier: Sequence
             changes += [(p.value - x) / p.stderr for p, x in zip(own, before, strict=True) if p.stderr]
         change = float(np.sqrt(np.mean(np.square(changes)))) if changes else 0.0
         if change > MAX_CHANGE_STDERR:
-            return _DEPENDS.format(change, beside.rejected)
+            return _DEPENDS.format(change, beside.words)
     return ""
 
 
@@ -254,13 +257,16 @@ def _require_consistency(
     """Reject confirmed causes of a repeated selection that may stand in for a rejected one.
 
     Such a cause is confirmed for the first time, or with another amplitude, and its joints' residual is not consistent with the
-    noise.
+    noise, or holds the rejected cause still.
     """
     claims = found.claims
     if not claims.kept:
         return found
     tests = _assess_noise_consistency(found, options)
     inconsistent = {test.output for test in tests if not test.is_consistent}
+    for one in (one for beside in earlier for one in beside.rejected):
+        if _confirm_beside(found.selection, one, claims.kept).is_confirmed:
+            inconsistent |= {joint for effect in one.candidate.effects for joint in effect.joints}
     for k, one in enumerate(claims.found):
         joints = {joint for effect in one.candidate.effects for joint in effect.joints}
         if not claims.why_not[k] and joints & inconsistent:
@@ -284,7 +290,7 @@ def _with_findings(found: Examination, options: ExaminationOptions, rejected: Se
     ]
     aliased = tuple(f for f, fitting in zip(findings, found.periods, strict=True) if len(fitting) > 1)
     for one in selection.rejected:
-        test = _confirm_rejected(selection, one.selected)
+        test = _confirm_beside(selection, one.selected, selection.found)
         findings.append(build_rejected_finding(selection, claims, one.selected, one.why, test, rng))
     known = {(f.cause, f.joints) for f in findings}
     findings += [f for f in rejected if (f.cause, f.joints) not in known]
@@ -319,9 +325,9 @@ def _with_limit(selection: StepwiseSelection, one: SelectedCause, finding: Findi
     return replace(finding, detection_limit=compute_finding_limit(selection, one))
 
 
-def _confirm_rejected(selection: StepwiseSelection, one: SelectedCause) -> Confirmation:
-    """Test a rejected candidate on the validation data, all selected causes in the model."""
-    return confirm(selection.null_model, selection.columns(one.candidate.effects), build_effects(selection.found))
+def _confirm_beside(selection: StepwiseSelection, one: SelectedCause, others: Sequence[SelectedCause]) -> Confirmation:
+    """Test a rejected candidate on the validation data, other causes in the model."""
+    return confirm(selection.null_model, selection.columns(one.candidate.effects), build_effects(others))
 
 
 def _is_gain_or_body(finding: Finding) -> bool:

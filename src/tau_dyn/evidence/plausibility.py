@@ -208,7 +208,8 @@ def _find_second_speed_law(kept: Sequence[SelectedCause], values: Parameters, sc
         errors = {
             n: measure_law_error(effects, sum(here.values(), []), values, scene, joint) for n, effects in here.items()
         }
-        best = min(errors, key=lambda n: errors[n])
+        alone = [n for n in here if errors[n] < MAX_LAW_ERROR] or list(here)
+        best = max(alone, key=lambda n: kept[n].candidate.statistic)
         why = _ONE_CURVE.format(kept[best].candidate.cause, 100 * errors[best])
         for n in here:
             reasons[n].append(why if n != best and errors[best] < MAX_LAW_ERROR else "")
