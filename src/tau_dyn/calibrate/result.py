@@ -106,7 +106,7 @@ class Calibration(Shown):
         Raises:
             InputError: Matplotlib is not installed.
         """
-        shown = {m.name: m for m in (self.models[0], self.chosen)}
+        shown = {"robot file": self.models[0], self.chosen.name: self.chosen}
         return plot_pose_errors({name: np.linalg.norm(self.errors(m).position, axis=1) for name, m in shown.items()})
 
     def to_dict(self) -> dict[str, object]:

@@ -148,7 +148,7 @@ def plot_stability(hz: np.ndarray, order: np.ndarray, is_stable: np.ndarray, mod
     for x in modes_hz:
         axis.axvline(x, color="C1", lw=0.8)
     axis.set(xlabel="f [Hz]", ylabel="order")
-    axis.legend(loc="upper right", fontsize="small")
+    axis.legend(loc="best", fontsize="small")
     return figure
 
 
@@ -165,5 +165,5 @@ def plot_pose_errors(errors: Mapping[str, np.ndarray]) -> Figure:
         axis.axhline(1e3 * rms, color=f"C{k}", lw=0.8)
     axis.set(yscale="log", xlabel="pose", ylabel="position error [mm]")
     axis.grid(alpha=0.3)
-    axis.legend(loc="upper right", fontsize="small")
+    axis.legend(loc="best", fontsize="small")
     return figure
