@@ -22,7 +22,7 @@ from tau_dyn.evidence import (
 )
 from tau_dyn.evidence.candidate_scan import GroupTest, combine_group_tests, compute_null_moments
 from tau_dyn.evidence.claims import MAX_OUTPUT_LOSS_PERCENT, is_worse
-from tau_dyn.evidence.judge import BesideRejected, explain_dependence
+from tau_dyn.evidence.judge import AmplitudesWithRejected, explain_dependence
 from tau_dyn.evidence.measurements import HELD_OUT, TRAIN
 from tau_dyn.evidence.null_model import NullModel
 from tau_dyn.evidence.stepwise_selection import select_causes
@@ -176,8 +176,10 @@ def test_an_amplitude_that_a_rejected_law_changes_is_not_confirmed(moved, why):
     one = SimpleNamespace(candidate=SimpleNamespace(effects=(effect,)))
     values = effect.parameters.update({name: {"value": 40.0, "stderr": 0.5}})
     rejected = SimpleNamespace(candidate=SimpleNamespace(cause="wide_drag"))
-    beside = BesideRejected((cast(Any, rejected),), {("spring_about_zero", ("x",)): np.array([40.0 - 0.5 * moved])})
-    found = explain_dependence(cast(Any, one), values, [beside])
+    earlier = AmplitudesWithRejected(
+        (cast(Any, rejected),), {("spring_about_zero", ("x",)): np.array([40.0 - 0.5 * moved])}
+    )
+    found = explain_dependence(cast(Any, one), values, [earlier])
     assert (why in found) and bool(found) is bool(why)
 
 

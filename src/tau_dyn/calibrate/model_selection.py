@@ -155,8 +155,8 @@ def fit_geometry(
 def fit_widest(family: Family, chosen: CandidateModel, options: Options) -> GeometryFit:
     """Return the fit of the largest structure that the poses bear, with the additions of a model.
 
-    Dimensions that a smaller structure keeps are as uncertain as the robot file: a frame is known beside them only as far as the
-    poses tell the two apart.
+    Dimensions that a smaller structure keeps are as uncertain as the robot file, and so is a frame that the poses do not separate
+    from them.
     """
     for structure in reversed(family.structures):
         if structure == chosen.spec.structure:

@@ -246,7 +246,7 @@ _UNDETERMINED_RATIO = 4.0
 """Ratio of variances from which the directions that the training poses leave open count:
 the standard error of an axis doubles."""
 _MAX_TURN_STDERR = 0.1
-"""Standard error of a turn [rad] from which a move is no longer linear in the frame, and cannot be tested."""
+"""Standard error of a turn [rad] from which a move is not linear in the frame, so that it cannot be tested."""
 _WEAK_RATIO = 100.0
 """Ratio of variances from which a frame counts as weakly determined: ten standard errors of the held-out poses' own."""
 _ALIKE = 10.0  # difference of twice the log-likelihoods below which device and target are not told apart

@@ -114,7 +114,7 @@ def examine_channel(channel: Channel, options: ExaminationOptions, first: Select
     """
     excluded: set[tuple[str, tuple[str, ...]]] = set()
     rejected: list[Finding] = []
-    earlier: list[BesideRejected] = []
+    earlier: list[AmplitudesWithRejected] = []
     for search in range(MAX_SEARCHES):
         found = _examine_once(channel, options, excluded, None if search else first)
         if search:
@@ -126,7 +126,7 @@ def examine_channel(channel: Channel, options: ExaminationOptions, first: Select
         rejected += [findings[k] for k in implausible]
         turned_down = [found.claims.found[k] for k in implausible]
         excluded |= {_identify(effect) for effect in build_effects(turned_down)}
-        earlier.append(_measure_beside(found, turned_down, options))
+        earlier.append(_measure_with_rejected(found, turned_down, options))
     return _with_findings(found, options, rejected)
 
 
@@ -198,8 +198,8 @@ def _list_implausible(found: Examination) -> list[int]:
     return [k for k, (why, test) in enumerate(claims) if isinstance(why, Implausible) and test.is_confirmed]
 
 
-class BesideRejected(NamedTuple):
-    """Rejected causes, and the amplitudes of the effects that were confirmed beside them, by cause and joints."""
+class AmplitudesWithRejected(NamedTuple):
+    """Rejected causes, and the amplitudes of the other confirmed effects in a fit with them, by cause and joints."""
 
     rejected: tuple[SelectedCause, ...]
     amplitudes: dict[tuple[str, tuple[str, ...]], np.ndarray]
@@ -215,16 +215,16 @@ def _identify(effect: Effect) -> tuple[str, tuple[str, ...]]:
     return effect.name, effect.joints
 
 
-def _measure_beside(
+def _measure_with_rejected(
     found: Examination, turned_down: Sequence[SelectedCause], options: ExaminationOptions
-) -> BesideRejected:
-    """Return the amplitudes of the confirmed causes beside rejected ones, those left out that may be their companions."""
+) -> AmplitudesWithRejected:
+    """Return the amplitudes of the confirmed causes in a fit with the rejected ones, without possible companions of these."""
     selection, kept = found.selection, found.claims.kept
     effects = build_effects([*kept, *turned_down])
     values = fit_extended_model(selection.channel, effects, options.physics, options.rng).parameters
     alone = [one for one in kept if not _is_companion(selection, one, turned_down, values)]
     amplitudes = {_identify(e): values.select(e.parameters.names).values for e in build_effects(alone)}
-    return BesideRejected(tuple(turned_down), amplitudes)
+    return AmplitudesWithRejected(tuple(turned_down), amplitudes)
 
 
 def _is_companion(
@@ -235,24 +235,24 @@ def _is_companion(
     return companion is not None and companion[0] == 0
 
 
-def explain_dependence(one: SelectedCause, values: Parameters, earlier: Sequence[BesideRejected]) -> str:
+def explain_dependence(one: SelectedCause, values: Parameters, earlier: Sequence[AmplitudesWithRejected]) -> str:
     """Return why a cause of a repeated selection may stand in for a rejected one; empty where it does not."""
-    for beside in earlier:
+    for fit in earlier:
         changes = []
         for effect in one.candidate.effects:
-            before = beside.amplitudes.get(_identify(effect))
+            before = fit.amplitudes.get(_identify(effect))
             own = values.select(effect.parameters.names)
             if before is None or len(before) != len(own):
                 return _LEAVES_STRUCTURE
             changes += [(p.value - x) / p.stderr for p, x in zip(own, before, strict=True) if p.stderr]
         change = float(np.sqrt(np.mean(np.square(changes)))) if changes else 0.0
         if change > MAX_CHANGE_STDERR:
-            return _DEPENDS.format(change, beside.words)
+            return _DEPENDS.format(change, fit.words)
     return ""
 
 
 def _require_consistency(
-    found: Examination, options: ExaminationOptions, earlier: Sequence[BesideRejected]
+    found: Examination, options: ExaminationOptions, earlier: Sequence[AmplitudesWithRejected]
 ) -> Examination:
     """Reject confirmed causes of a repeated selection that may stand in for a rejected one.
 
@@ -264,8 +264,8 @@ def _require_consistency(
         return found
     tests = _assess_noise_consistency(found, options)
     inconsistent = {test.output for test in tests if not test.is_consistent}
-    for one in (one for beside in earlier for one in beside.rejected):
-        if _confirm_beside(found.selection, one, claims.kept).is_confirmed:
+    for one in (one for fit in earlier for one in fit.rejected):
+        if _confirm_with_others(found.selection, one, claims.kept).is_confirmed:
             inconsistent |= {joint for effect in one.candidate.effects for joint in effect.joints}
     for k, one in enumerate(claims.found):
         joints = {joint for effect in one.candidate.effects for joint in effect.joints}
@@ -290,7 +290,7 @@ def _with_findings(found: Examination, options: ExaminationOptions, rejected: Se
     ]
     aliased = tuple(f for f, fitting in zip(findings, found.periods, strict=True) if len(fitting) > 1)
     for one in selection.rejected:
-        test = _confirm_beside(selection, one.selected, selection.found)
+        test = _confirm_with_others(selection, one.selected, selection.found)
         findings.append(build_rejected_finding(selection, claims, one.selected, one.why, test, rng))
     known = {(f.cause, f.joints) for f in findings}
     findings += [f for f in rejected if (f.cause, f.joints) not in known]
@@ -325,7 +325,9 @@ def _with_limit(selection: StepwiseSelection, one: SelectedCause, finding: Findi
     return replace(finding, detection_limit=compute_finding_limit(selection, one))
 
 
-def _confirm_beside(selection: StepwiseSelection, one: SelectedCause, others: Sequence[SelectedCause]) -> Confirmation:
+def _confirm_with_others(
+    selection: StepwiseSelection, one: SelectedCause, others: Sequence[SelectedCause]
+) -> Confirmation:
     """Test a rejected candidate on the validation data, other causes in the model."""
     return confirm(selection.null_model, selection.columns(one.candidate.effects), build_effects(others))
 
