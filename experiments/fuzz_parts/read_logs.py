@@ -192,7 +192,7 @@ LOGS = (
     Reader("pose_table", ".csv", lambda f: [seeds.csv_of(seeds.poses())], TABLE, _pose_table),
     Reader("path_points", ".csv", of(seed_motions.way()), TABLE, _path_points),
     Reader("calibration_poses", ".csv", lambda f: [seeds.csv_of(seeds.poses())], TABLE,
-           by_name("calibrate.pose_set", "read_poses", ("axis",))),
+           by_name("calibrate.measured", "read_poses", ("axis",))),
     Reader("measured_points", ".csv", lambda f: [seeds.csv_of(seeds.poses())], TABLE,
            by_name("log.read", "read_measured", ("axis",))),
     Reader("guideway", ".csv", of(seed_motions.guideway()), TABLE, _guideway),

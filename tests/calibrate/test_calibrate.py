@@ -25,9 +25,9 @@ from tau_dyn.calibrate import (
     save_calibration,
 )
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
+from tau_dyn.calibrate.measured import MeasurementNoise, estimate_measurement_noise
 from tau_dyn.calibrate.model_selection import Options, fit_and_cross_validate
 from tau_dyn.calibrate.models import get_family
-from tau_dyn.calibrate.pose_errors import MeasurementNoise, estimate_measurement_noise
 from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.unknowns import collect
 from tau_dyn.evidence import Gain

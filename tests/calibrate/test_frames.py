@@ -7,8 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.frames import DeviceFrames, Frame, compute_rotation_between, estimate_campaign_frames
-from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.frames import DeviceFrames, Frame, compute_rotation_between
+from tau_dyn.calibrate.measured import PoseSet
+from tau_dyn.calibrate.starting_frames import estimate_campaign_frames
 from tau_dyn.mechanism import Poses
 
 

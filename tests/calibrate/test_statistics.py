@@ -21,9 +21,9 @@ from tau_dyn.calibrate.addition_tests import _ProjectedResidual
 from tau_dyn.calibrate.crossvalidation import compare_paired, earns_parameters, split_folds
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.gravity import RodLoads
+from tau_dyn.calibrate.measured import PoseErrors, estimate_measurement_noise
 from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_and_cross_validate, fit_geometry
 from tau_dyn.calibrate.outliers import _fit_move, _leave_out_each, find_moved_frames, find_outliers
-from tau_dyn.calibrate.pose_errors import PoseErrors, estimate_measurement_noise
 from tau_dyn.mechanism import forward_kinematics
 
 NOISE = 1e-4
@@ -102,7 +102,7 @@ def test_a_gross_outlier_is_six_times_as_far_as_one_good_pose_in_a_hundred(rng, 
     """That one is 3.4 standard deviations off in three numbers: 30 are gross, 15 may be a model that lacks something."""
     residuals = NOISE * rng.standard_normal((100, 3))
     residuals[7] = [away * NOISE, 0, 0]
-    made = SimpleNamespace(residuals=residuals, sigma=np.full((100, 3), NOISE))
+    made = SimpleNamespace(residuals=residuals, sigma=np.full((100, 3), NOISE), numbers=np.full(100, 3))
     assert find_outliers(cast(GeometryFit, made)).tolist() == found
 
 

@@ -10,9 +10,13 @@ from .geometry_fit import (
     compute_sensitivities as compute_sensitivities,
     fit_geometry_to_poses as fit_geometry_to_poses,
 )
+from .measured import (
+    PoseErrors as PoseErrors,
+    PoseSet as PoseSet,
+    join_pose_sets as join_pose_sets,
+    read_poses as read_poses,
+)
 from .model_selection import CandidateModel as CandidateModel
-from .pose_errors import PoseErrors as PoseErrors
-from .pose_set import PoseSet as PoseSet, join_pose_sets as join_pose_sets, read_poses as read_poses
 from .result import (
     Calibration as Calibration,
     build_frame_rows as build_frame_rows,

@@ -20,8 +20,8 @@ from scipy import stats
 from tau_dyn.calibrate.conventions import measure_misfit
 from tau_dyn.calibrate.fit_problem import compute_actuated_positions
 from tau_dyn.calibrate.geometry_fit import GeometryFit
+from tau_dyn.calibrate.measured import PoseSet
 from tau_dyn.calibrate.models import Family, Spec
-from tau_dyn.calibrate.pose_set import PoseSet
 
 _MIN_RELATIVE_MISFIT = 0.01
 """What the robot file misses, over how far the poses spread, from which a coupling is looked for."""
@@ -58,6 +58,8 @@ class UnitCoupling(NamedTuple):
 
 def find_unit_coupling(family: Family, poses: PoseSet) -> UnitCoupling | None:
     """Return the coupling of all of one joint's motion to another joint that the poses ask for, None where none stands out."""
+    if not poses.measures_poses:
+        return None
     without = _measure_misfit(family, poses, Spec("frames"))
     if not without > _MIN_RELATIVE_MISFIT * poses.spread:
         return None
@@ -183,7 +185,7 @@ class _ProjectedResidual:
         flat = np.where(fitted.state.ok[:, None], fitted.residuals / self.sigma, 0.0).ravel()
         self.r = self.free(flat)
         self.total = float(self.r @ self.r)
-        self.left = len(flat) - fitted.n_estimated
+        self.left = fitted.n_numbers - fitted.n_estimated
 
     def free(self, columns: np.ndarray) -> np.ndarray:
         """Return columns (rows, ...) without their part in the fitted parameters' span."""
@@ -191,7 +193,10 @@ class _ProjectedResidual:
 
     def twists(self, base: np.ndarray) -> np.ndarray:
         """Return whitened rows (N m, k) of tool twists (N, 6, k) in the robot's base frame."""
-        moved = self.fitted.frames.carried(self.fitted.state.base, base, self.fitted.poses.setup)
+        state, poses = self.fitted.state, self.fitted.poses
+        moved = self.fitted.frames.carried(state.base, base, poses.setup)
+        if self.fitted.kind == "forward":
+            moved = poses.project_columns(self.fitted.frames.measured(state.base, poses.setup).position, moved)
         return (moved[:, : self.sigma.shape[1]] / self.sigma[:, :, None]).reshape(len(self.q), -1)
 
     def span(self, columns: np.ndarray) -> np.ndarray:
@@ -323,11 +328,13 @@ def _try_step(
 def find_move_within(fitted: GeometryFit, family: Family, spec: Spec) -> MoveWithin | None:
     """Return the move during the measurement, if it explains the residuals of poses in order better than any addition."""
     poses, m = fitted.poses, fitted.sigma.shape[1]
-    if len(np.unique(poses.setup, axis=0)) > 1 or poses.n <= 2 * _MIN_STEP_POSES:
+    if not poses.measures_poses or len(np.unique(poses.setup, axis=0)) > 1 or poses.n <= 2 * _MIN_STEP_POSES:
         return None
     rest = _ProjectedResidual(fitted)
-    device, tool = fitted.frames.columns(
-        fitted.state.base, fitted.frames.measured(fitted.state.base, poses.setup), poses.setup
+    seen = fitted.frames.measured(fitted.state.base, poses.setup)
+    device, tool = (
+        poses.project_columns(seen.position, columns)
+        for columns in fitted.frames.columns(fitted.state.base, seen, poses.setup)
     )
     both = {"device": device[:, :m], "target": tool[:, :m, : 3 if m == 3 else 6]}
     first, last = _MIN_STEP_POSES, poses.n - _MIN_STEP_POSES

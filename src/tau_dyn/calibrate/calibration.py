@@ -17,7 +17,9 @@ from tau_dyn.calibrate.causes import (
     suspect_laws,
 )
 from tau_dyn.calibrate.conventions import FoundReading, find_reading, measure_as_written
+from tau_dyn.calibrate.device_noise import weigh_devices
 from tau_dyn.calibrate.geometry_fit import GeometryFit
+from tau_dyn.calibrate.measured import PoseSet, check_units, estimate_measurement_noise, number_alike
 from tau_dyn.calibrate.model_selection import (
     CandidateModel,
     Options,
@@ -38,8 +40,6 @@ from tau_dyn.calibrate.outliers import (
     leave_out_outliers,
     undo_moves,
 )
-from tau_dyn.calibrate.pose_errors import estimate_measurement_noise
-from tau_dyn.calibrate.pose_set import PoseSet, check_units, number_alike
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.message_codes import CodedWarning
@@ -117,7 +117,10 @@ def calibrate(
         said = (*said, coupling.describe(poses.source, model))
         options = replace(options, additions={"coupling": (coupling.name,)} if model == "auto" else {})
     progress("looking for outliers")
+    poses = weigh_devices(family, poses, options)
     poses, named = leave_out_outliers(family, poses, options, None if model == "auto" else model)
+    poses = weigh_devices(family, poses, options)
+    holdout = None if holdout is None else replace(holdout, device_errors=poses.device_errors)
     poses, holdout, split = _split(poses, holdout, seed)
     family = get_family(robot, poses)
     models, steps, more = fit_models(family, poses, model, options, progress)
@@ -171,6 +174,8 @@ def _reread(
     if holdout is not None and poses.rotation is None and holdout.rotation is not None:
         said.append(_describe_unused_orientation(poses, holdout))
         holdout = holdout.without_rotation()
+    if not poses.measures_poses:
+        return poses, holdout, None, tuple(said)
     geometry, limits = get_family(robot, poses).build(Spec("frames")), (robot.lower, robot.upper)
     found = find_reading(geometry, poses, limits, lambda some: _measure_left(robot, some, options))
     said += [found.describe(poses.source)] if found else []
@@ -242,7 +247,7 @@ def _doubts(fitted: GeometryFit) -> tuple[str, ...]:
     missed = int((~fitted.state.ok).sum())
     if missed:
         said.append(f"{missed} poses are out of the fitted model's reach and were not used")
-    off, wide = fitted.noise[0], fitted.poses.spread
+    off, wide = fitted.noise[0], fitted.spread
     if fitted.kind == "forward" and off > _MAX_RELATIVE_MISFIT * wide:
         said.append(
             f"the robot misses its own poses by {off:.2g} m, while they spread over {wide:.2g} m; were two joints' or two axes' "

@@ -17,10 +17,10 @@ from tau_dyn.calibrate.conventions import FoundReading
 from tau_dyn.calibrate.crossvalidation import compare_paired, cross_validate, earns_parameters
 from tau_dyn.calibrate.geometry import ConstrainedGeometry, Geometry, constrain_parameters
 from tau_dyn.calibrate.geometry_fit import GeometryFit
+from tau_dyn.calibrate.measured import PoseSet
 from tau_dyn.calibrate.model_selection import CandidateModel, Options, SelectionStep, fit_geometry, transfer_state
 from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Family, Spec
 from tau_dyn.calibrate.outliers import MovedFrame
-from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.effects import CONVENTIONS, GEOMETRY_CAUSES, GEOMETRY_SENTENCES
 from tau_dyn.evidence import Finding, Gain, explain_gain
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -204,7 +204,7 @@ def find_causes(
             continue
         if not earns_parameters(gain):
             continue
-        score, why_not = gain.compute_score(chosen.fit.residuals.size), _NO_HELD_OUT
+        score, why_not = gain.compute_score(chosen.fit.n_numbers), _NO_HELD_OUT
         if holdout is not None:
             gain = compare_paired(smaller.errors(holdout), chosen.fit.errors(holdout), options.seed)
             why_not = explain_gain(gain)
@@ -227,7 +227,7 @@ def build_rejected_findings(steps: Sequence[SelectionStep]) -> tuple[Finding, ..
     for step in steps:
         if (one := step.rejected) is not None:
             cause, joints = _OF_ADDITION[one.addition], _split_place(one.place)
-            numbers, size = _parameters(cause, joints, one.fit), one.fit.residuals.size
+            numbers, size = _parameters(cause, joints, one.fit), one.fit.n_numbers
             found.append(_build_finding(cause, joints, step.gain, size, one.why, numbers, dof=one.fit.dof))
     return tuple(found)
 
@@ -289,7 +289,7 @@ def _fitted(chosen: CandidateModel, geometry: Geometry, spec: Spec, options: Opt
         kept = [geometry.actuated.index(j) for j in spec.additions.get("backlash", ())]
         slack[np.setdiff1d(np.arange(len(slack)), kept)] = 0.0
         if "base_frame" not in spec.additions:
-            frames = replace(frames, device=frames.device[:1])
+            frames = frames.first(len(chosen.fit.poses.frame_kinds))
         if "tool_frame" not in spec.additions:
             frames = replace(frames, tool=frames.tool[: len(chosen.fit.poses.targets)])
         start = start._replace(frames=frames, slack=slack)

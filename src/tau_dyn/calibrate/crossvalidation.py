@@ -10,8 +10,7 @@ from scipy import stats
 
 from tau_dyn.calibrate.fit_problem import FitState, Problem, WeightedProblem, descend_near
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.pose_errors import PoseErrors
-from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.measured import PoseErrors, PoseSet
 from tau_dyn.evidence import Gain
 
 FOLDS = 5  # a common choice between bias and variance (Hastie et al. 2009, section 7.10)
@@ -57,7 +56,8 @@ def cross_validate(fitted: GeometryFit, seed: int = 0, parts: Sequence[np.ndarra
         position[part] = errors.position
         if rotation is not None and errors.rotation is not None:
             rotation[part] = errors.rotation
-    return PoseErrors(position, rotation, poses.relative_errors(6), poses.configuration)
+    relative = poses.relative_errors(6)
+    return PoseErrors(position, rotation, relative, poses.configuration, numbers=poses.numbers)
 
 
 def _without(fitted: GeometryFit, rest: np.ndarray) -> GeometryFit:

@@ -5,6 +5,8 @@ r"""What a fit to poses makes small, its derivatives by all unknowns, and the de
               geometry (thesis (5.1))
     inverse   actuated positions that the measured pose asks for, minus those commanded [m or rad]
 
+The forward residual of a touch is over the robot's size, in units of the nominal one.
+
 A rotation residual is a rotation vector in the device's axes; its derivative leaves out terms of the residual's own size
 (`J_l^-1(r) = I - O(r)`), which are gone at the optimum. Minimised is
 
@@ -26,7 +28,7 @@ import numpy as np
 
 from tau_dyn.calibrate.frames import DeviceFrames, compute_rotation_between
 from tau_dyn.calibrate.geometry import KNOWN_BEFOREHAND, Closure, Geometry
-from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.measured import TOUCHES, PoseSet
 from tau_dyn.calibrate.unknowns import Identifiability, Unknowns, find_identifiable
 from tau_dyn.estimate import (
     DescentRules,
@@ -82,6 +84,8 @@ class Problem:
         """Refuse kinds that this mechanism or these poses do not have."""
         if self.kind not in KINDS:
             raise UnknownName("kind of residual", self.kind, KINDS)
+        if self.kind != "forward" and not self.poses.measures_poses:
+            raise InputError("unsupported", f"{self.poses.source}: distances and touches need the forward residual")
         if self.kind != "forward" and self.geometry.orients and self.poses.rotation is None:
             raise InputError(
                 "missing_column",
@@ -95,6 +99,14 @@ class Problem:
         if self.kind == "forward":
             return (3, 3) if self.turned else (3,)
         return (self._rows,)
+
+    @cached_property
+    def numbers(self) -> np.ndarray:
+        """Independent numbers of each pose in each block (N, blocks)."""
+        numbers = np.tile(self.blocks, (self.poses.n, 1))
+        if self.kind == "forward":
+            numbers[:, 0] = self.poses.numbers
+        return numbers
 
     @cached_property
     def relative(self) -> np.ndarray:
@@ -116,15 +128,18 @@ class Problem:
 
     def moved(self, state: FitState, step: np.ndarray) -> FitState:
         """Return the state after a step (P,) of all unknowns."""
-        geometry, device, tool, slack = self.unknowns.split(step)
+        geometry, frames, slack = self.unknowns.split(step)
         start = state.base if state.ok.all() else None
-        return self.place(state.theta + geometry, state.frames.moved(device, tool), state.slack + slack, start)
+        return self.place(state.theta + geometry, state.frames.moved(*frames), state.slack + slack, start)
 
     def residuals(self, state: FitState) -> np.ndarray:
         """Return residuals (N, m), nan where a pose cannot be predicted."""
         if self.kind == "forward":
             seen = state.frames.measured(state.base, self.poses.setup)
-            position = self.poses.position - seen.position
+            lengths = state.frames.lengths_of(self.poses.setup)
+            position = self.poses.compute_position_residuals(seen.position, lengths)
+            if self._touches.any():
+                position = np.where(self._touches[:, None], position / self._compute_scale(state.theta)[0], position)
             if not self.turned:
                 return position
             assert self.poses.rotation is not None
@@ -137,8 +152,14 @@ class Problem:
             return -found.gap
         return -np.linalg.solve(_require_square(found.by_joint), found.gap[:, :, None])[:, :, 0]
 
-    def columns(self, state: FitState) -> np.ndarray:
-        """Return minus the residuals' derivative by all unknowns (N, m, P)."""
+    def columns(self, state: FitState, *, resized: bool = False) -> np.ndarray:
+        """Return minus the residuals' derivative by all unknowns (N, m, P).
+
+        Args:
+            state: Where.
+            resized: Whether the size that residuals of touches are relative to changes too: by it the fit goes down, but it is
+                nothing that was measured.
+        """
         at = state.base if self.kind == "forward" else self._measured_in_base(state)
         seen = state.frames.measured(at, self.poses.setup)
         device, tool = state.frames.columns(at, seen, self.poses.setup)
@@ -150,13 +171,37 @@ class Problem:
             if self.unknowns.plays:
                 play = self.geometry.tool_by_joint(state.theta, q, at) * slack
             moved, split = state.frames.carried(at, np.concatenate([own, play], axis=2), self.poses.setup), own.shape[2]
-            twist = np.concatenate([moved[:, :, :split], device, tool, moved[:, :, split:]], axis=2)
-            return twist if self.turned else twist[:, :3]
+            length = state.frames.length_columns(self.poses, seen.position)
+            twist = np.concatenate([moved[:, :, :split], device, tool, length, moved[:, :, split:]], axis=2)
+            columns = self.poses.project_columns(seen.position, twist if self.turned else twist[:, :3])
+            return self._rescale(state, columns, resized) if self._touches.any() else columns
         found = self._closure(state, at)
         base = state.frames.brought(at, np.concatenate([device, tool], axis=2), self.poses.setup)
         # the measurement stays, so the base pose moves back
         columns = np.concatenate([found.by_parameter, -found.by_pose @ base, found.by_joint * slack], axis=2)
         return columns if self.kind == "closure" else np.linalg.solve(_require_square(found.by_joint), columns)
+
+    @cached_property
+    def _touches(self) -> np.ndarray:
+        """Which poses touch something (N,)."""
+        return np.array([kind in TOUCHES for kind in self.poses.kinds])[self.poses.device]
+
+    def _compute_scale(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the robot's size over the nominal one, and its derivative by the parameters (p,).
+
+        What only touches shows no absolute length, and a smaller robot misses by less: residuals of touches are relative to it.
+        """
+        nominal = self.geometry.parameters.values * np.array([p.unit == "m" for p in self.geometry.parameters])
+        square = float(nominal @ nominal)
+        return (float(nominal @ theta) / square, nominal / square) if square > 0 else (1.0, nominal)
+
+    def _rescale(self, state: FitState, columns: np.ndarray, resized: bool) -> np.ndarray:
+        """Return derivatives (N, m, P) with touches relative to the robot's size, which changes or not."""
+        scale, slope = self._compute_scale(state.theta)
+        relative = columns / scale
+        if resized:
+            relative[:, :3, : len(slope)] += self.residuals(state)[:, :3, None] * slope / scale
+        return np.where(self._touches[:, None, None], relative, columns)
 
     def _measured_in_base(self, state: FitState) -> Poses:
         if self.geometry.orients:
@@ -226,7 +271,7 @@ class WeightedProblem:
     def of(cls, problem: Problem, robust: str, noise: tuple[float, ...]) -> WeightedProblem:
         """Return the problem with the usual prior: dimensions within their scales, frames anywhere."""
         u, free = problem.unknowns, np.flatnonzero(problem.unknowns.free)
-        frame = (free >= u.n_geometry) & (free < u.n_geometry + u.n_device + u.n_tool)
+        frame = (free >= u.n_geometry) & (free < u.n_geometry + u.n_frames)
         return cls(problem, robust, noise, np.where(frame, 1 / _FREE_FRAMES, 1.0), frame)
 
     @cached_property
@@ -244,7 +289,7 @@ class WeightedProblem:
         """Nominal values of all unknowns (P,); frames at rest, as the target sits where the file's tool is."""
         u = self.problem.unknowns
         values = np.array([p.value for p in u.rows])
-        values[u.n_geometry : u.n_geometry + u.n_device + u.n_tool] = 0.0
+        values[u.n_geometry : u.n_geometry + u.n_frames] = 0.0
         return values
 
     @property
@@ -263,15 +308,20 @@ class WeightedProblem:
         r = np.where(state.ok[:, None], self.problem.residuals(state) / self.sigma, 0.0)
         return r, np.where(state.ok, compute_robust_weights(self.robust, np.linalg.norm(r, axis=1), r.shape[1]), 0.0)
 
-    def columns(self, state: FitState, w: np.ndarray) -> np.ndarray:
-        """Return whitened derivatives by the free unknowns (N, m, f) at weights (N,)."""
-        columns = self.problem.columns(state)[:, :, self.free] / self.sigma[:, :, None] * np.sqrt(w)[:, None, None]
+    def columns(self, state: FitState, w: np.ndarray, *, resized: bool = False) -> np.ndarray:
+        """Return whitened derivatives by the free unknowns (N, m, f) at weights (N,); `resized` as in `Problem.columns`."""
+        columns = (
+            self.problem.columns(state, resized=resized)[:, :, self.free]
+            / self.sigma[:, :, None]
+            * np.sqrt(w)[:, None, None]
+        )
         return np.where(state.ok[:, None, None], columns, 0.0)
 
     def linearise(self, state: FitState) -> LinearSystem:
         """Return the linear system about a state: the poses' rows, then the prior's."""
         r, w = self.whiten(state)
-        rows = np.vstack([self.columns(state, w).reshape(r.size, len(self.free)), np.diag(self.trust / self.scales)])
+        columns = self.columns(state, w, resized=True).reshape(r.size, len(self.free))
+        rows = np.vstack([columns, np.diag(self.trust / self.scales)])
         target = np.concatenate([(r * np.sqrt(w)[:, None]).ravel(), -self._prior(state)])
         return factor_system(rows, target, self.scales, _RANK_TOLERANCE)
 
@@ -303,13 +353,14 @@ class WeightedProblem:
         r, w = self.whiten(state)
         hat = self.linearise(state).leverage[: r.size].reshape(r.shape)
         out, used = [], w > 0
-        for cut, size, s in zip(self.cuts, self.problem.blocks, self.noise, strict=True):
-            n = float(used.sum()) * size
+        for cut, numbers, s in zip(self.cuts, self.problem.numbers.T, self.noise, strict=True):
+            n = float(numbers[used].sum())
             left = max(n - float(hat[used][:, cut].sum()), 1.0)
             if self.robust == "none":
                 ratio = np.sqrt(float(np.sum(r[used][:, cut] ** 2)) / left)
             else:
-                ratio = estimate_distance_scale(np.linalg.norm(r[used][:, cut], axis=1), size) * np.sqrt(n / left)
+                distance = np.linalg.norm(r[used][:, cut], axis=1)
+                ratio = estimate_distance_scale(distance, numbers[used]) * np.sqrt(n / left)
             out.append(max(float(s * ratio), _MIN_NOISE))
         return tuple(out)
 
@@ -381,7 +432,8 @@ def reset_unidentifiable(weighted: WeightedProblem, state: FitState, found: Iden
     """
     u = weighted.problem.unknowns
     tool = u.n_geometry + u.n_device
-    place = (weighted.free >= tool) & ((weighted.free - tool) % 6 < 3)
+    of_tool = (weighted.free >= tool) & (weighted.free < tool + u.n_tool)
+    place = of_tool & ((weighted.free - tool) % 6 < 3)
     own = found.dropped[(~weighted.homeless | place)[found.dropped]]
     trust, homeless = weighted.trust.copy(), weighted.homeless.copy()
     homeless[own], trust[own] = False, _UNIDENTIFIABLE_PRIOR_WEIGHT
@@ -396,9 +448,9 @@ def reset_unidentifiable(weighted: WeightedProblem, state: FitState, found: Iden
     state = descend_near(held, state, 2 * _MAX_STEPS)
     step = np.zeros(len(u.rows))
     step[held.free[own]] = -held.deviation(state)[own]
-    _, device, tool_step, _ = u.split(step)
+    frames = state.frames.moved(*u.split(step)[1])
     theta, exact = state.theta.copy(), held.free[own]
     exact = exact[exact < u.n_geometry]
     theta[exact] = held.nominal[exact]  # to the last bit, not by a step
     start = state.base if state.ok.all() else None
-    return held.problem.place(theta, state.frames.moved(device, tool_step), state.slack, start)
+    return held.problem.place(theta, frames, state.slack, start)

@@ -20,16 +20,10 @@ from tau_dyn.calibrate.fit_problem import (
     descend_in_rounds,
     reset_unidentifiable,
 )
-from tau_dyn.calibrate.frames import (
-    IDENTITY,
-    DeviceFrames,
-    compute_mean_rotation,
-    estimate_campaign_frames,
-    estimate_initial_frames,
-)
+from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames, compute_mean_rotation
 from tau_dyn.calibrate.geometry import Geometry
-from tau_dyn.calibrate.pose_errors import PoseErrors, compute_pose_errors
-from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.measured import PoseErrors, PoseSet, compute_pose_errors, measure_spread
+from tau_dyn.calibrate.starting_frames import estimate_campaign_frames, estimate_initial_frames
 from tau_dyn.calibrate.unknowns import Identifiability, Unknowns, collect, find_identifiable
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.mechanism import Poses
@@ -51,7 +45,7 @@ def check_count(problem: Problem, what: str) -> None:
     Raises:
         InputError: Too few poses; says how many are needed.
     """
-    m, poses = sum(problem.blocks), problem.poses
+    poses, m = problem.poses, int(np.median(problem.numbers.sum(axis=1)))
     if poses.n >= count_required_poses(int(problem.unknowns.free.sum()), m):
         return
     rank = compute_structural_rank(problem)
@@ -61,7 +55,8 @@ def check_count(problem: Problem, what: str) -> None:
     have = "1 pose is" if poses.n == 1 else f"{poses.n} poses are"
     raise InputError(
         "too_little_data",
-        f"{poses.source}: {have} too few for {what}, which has {rank} unknowns that poses can tell, at {m} numbers a pose; "
+        f"{poses.source}: {have} too few for {what}, which has {rank} unknowns that poses can tell, at {m} "
+        f"{'number' if m == 1 else 'numbers'} a pose; "
         f"at least {needed} are needed, {3 * needed} are sensible",
     )
 
@@ -81,12 +76,17 @@ def compute_structural_rank(problem: Problem) -> int:
         np.zeros((len(q), 3)),
         rotation,
         campaign=number % len(poses.campaigns),
-        target=number % len(several),
+        campaigns=poses.campaigns,
+        target=number // len(poses.campaigns) % len(several),
         targets=several,
+        device=number // (len(poses.campaigns) * len(several)) % len(poses.devices),
+        devices=poses.devices,
+        kinds=poses.kinds,
         approach=np.sign(rng.standard_normal(q.shape)),
     )
     wide = replace(problem, poses=many)
-    frames = DeviceFrames((IDENTITY,) * (unknowns.n_device // 6), (IDENTITY,) * (unknowns.n_tool // 6))
+    n = unknowns.n_device // 6
+    frames = DeviceFrames((IDENTITY,) * n, (IDENTITY,) * (unknowns.n_tool // 6), poses.frame_kinds, (0.0,) * n)
     state = wide.place(geometry.parameters.values, frames, np.zeros(poses.na), None)
     seen = state.frames.measured(state.base, many.setup)
     wide = replace(
@@ -178,7 +178,25 @@ class GeometryFit(Brief):
     @property
     def dof(self) -> int:
         """Degrees of freedom of the residuals, at least one."""
-        return max(self.residuals.size - self.n_estimated, 1)
+        return max(self.n_numbers - self.n_estimated, 1)
+
+    @property
+    def spread(self) -> float:
+        """Rms distance from their middle [m] of the measured positions, of the predicted ones where others were measured."""
+        if self.poses.measures_poses:
+            return self.poses.spread
+        return measure_spread(self.state.base.position[self.state.ok])
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """Independent numbers of each pose's residuals (N,)."""
+        n, m = self.residuals.shape
+        return self.poses.count_numbers(m) if self.kind == "forward" else np.full(n, m)
+
+    @property
+    def n_numbers(self) -> int:
+        """Independent numbers that were measured."""
+        return int(self.numbers.sum())
 
     def interval(self, parameter: Parameter, share: float = 0.95) -> tuple[float, float] | None:
         """Return a parameter's interval (Student's t), None where it was not estimated."""
@@ -194,7 +212,7 @@ class GeometryFit(Brief):
         A direction that they do not show is as uncertain as the robot file; along those of the frames nothing is known.
         """
         found, free = self.identifiability, self.unknowns.free
-        n_geometry, ends = self.unknowns.n_geometry, self.unknowns.n_device + self.unknowns.n_tool
+        n_geometry, ends = self.unknowns.n_geometry, self.unknowns.n_frames
         number = np.flatnonzero(free)
         frame = (number >= n_geometry) & (number < n_geometry + ends)
         size = np.where(frame, _UNKNOWN_FRAME, self.unknowns.scales[free])[found.dropped]
@@ -222,7 +240,8 @@ class GeometryFit(Brief):
 
     def errors(self, poses: PoseSet) -> PoseErrors:
         """Return measured minus predicted at other poses."""
-        return compute_pose_errors(poses, self.seen(poses), self._target(), own=self.geometry.orients)
+        lengths = self.frames.lengths_of(poses.setup)
+        return compute_pose_errors(poses, self.seen(poses), self._target(), own=self.geometry.orients, lengths=lengths)
 
     def _target(self) -> np.ndarray | None:
         """Return the target's orientation (3, 3) behind a plate that keeps its own: the mean that was measured."""
@@ -235,22 +254,29 @@ class GeometryFit(Brief):
     def model_error(self, q: np.ndarray) -> np.ndarray:
         """Return the standard deviation (N,) [m] of the predicted position from the parameters' uncertainty alone."""
         at, base = np.zeros((len(q), 2), int), self.geometry.forward(self.theta, q).poses
-        columns = self.compute_prediction_columns(q, base, at)[:, :3]
+        columns = self._compute_columns(q, base, at)[:, :3, self.unknowns.free]
         return np.sqrt(np.maximum(np.einsum("nif,fg,nig->n", columns, self.cov, columns), 0.0))
 
-    def compute_prediction_columns(self, q: np.ndarray, base: Poses, setup: np.ndarray) -> np.ndarray:
-        """Return the derivative (N, 6, f) of what the device should see by the free unknowns, in the middle of the backlash.
+    def compute_prediction_columns(self, poses: PoseSet, base: Poses) -> np.ndarray:
+        """Return the derivative (N, 6, f) of what the device should measure by the free unknowns, in the middle of the backlash.
 
         Args:
-            q: Actuated positions (N, na).
+            poses: What was measured.
             base: Predicted tool poses there (N) in the robot's base frame.
-            setup: Device and target of each pose (N, 2).
         """
+        seen = self.frames.measured(base, poses.setup).position
+        columns, u = self._compute_columns(poses.q, base, poses.setup), self.unknowns
+        first = u.n_geometry + u.n_device + u.n_tool
+        columns[:, :, first : first + u.n_length] = self.frames.length_columns(poses, seen)
+        return poses.project_columns(seen, columns[:, :, u.free])
+
+    def _compute_columns(self, q: np.ndarray, base: Poses, setup: np.ndarray) -> np.ndarray:
+        """Return the derivative (N, 6, P) of the target's pose in the device's frame by all unknowns; none by lengths."""
         twist = self.geometry.tool_by_parameter(self.theta, q, base)
         device, tool = self.frames.columns(base, self.frames.measured(base, setup), setup)
         moved = self.frames.carried(base, twist, setup)
-        play = np.zeros((len(q), 6, len(self.state.slack)))
-        return np.concatenate([moved, device, tool, play], axis=2)[:, :, self.unknowns.free]
+        rest = np.zeros((len(q), 6, self.unknowns.n_length + len(self.state.slack)))
+        return np.concatenate([moved, device, tool, rest], axis=2)
 
 
 def fit_geometry_to_poses(
@@ -298,7 +324,10 @@ def fit_geometry_to_poses(
     state = _starting_state(geometry, poses, start, frames, device)
     devices = len(poses.campaigns) if apart[0] else len(state.frames.device)
     tools = len(poses.campaigns) if apart[1] else max(len(poses.targets), len(state.frames.tool))
-    fresh = devices > len(state.frames.device) and frames is None and device
+    several = len(poses.devices) > 1
+    devices = len(state.frames.device) if several else devices
+    fresh = frames is None and device and poses.measures_poses
+    fresh = fresh and (devices > len(state.frames.device) or (several and start is None))
     state = state._replace(frames=state.frames.apart(devices, tools))
     if fresh:
         own_frames = estimate_campaign_frames(poses, state.base, state.ok, state.frames, turned=turned, tool=tool)
@@ -351,7 +380,9 @@ def _starting_state(
     theta = geometry.parameters.values
     found = geometry.forward(theta, poses.q)
     if frames is None:
-        frames = estimate_initial_frames(poses, found) if device else DeviceFrames()
+        n, kinds = len(poses.frame_kinds), poses.frame_kinds
+        known = DeviceFrames((IDENTITY,) * n, kinds=kinds, lengths=(0.0,) * n)
+        frames = estimate_initial_frames(poses, found) if device else known
     return FitState(theta, frames, found.poses, found.ok, np.zeros(poses.na))
 
 

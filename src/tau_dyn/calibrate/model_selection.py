@@ -21,12 +21,11 @@ from tau_dyn.calibrate.crossvalidation import (
     is_worse_in_order,
 )
 from tau_dyn.calibrate.fit_problem import FitState
-from tau_dyn.calibrate.frames import AXES
+from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import GeometryFit, fit_geometry_to_poses
+from tau_dyn.calibrate.measured import PoseErrors, PoseSet
 from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Family, Spec
-from tau_dyn.calibrate.pose_errors import PoseErrors
-from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.evidence import Gain, find_out_of_range
 from tau_dyn.exceptions import CannotAnswer, InputError, UnknownName
 from tau_dyn.message_codes import CodedWarning
@@ -133,7 +132,7 @@ def fit_geometry(
 ) -> GeometryFit:
     """Fit a geometry that was built for a model; patterns of `options` that mean nothing in it are passed over."""
     play = [f"{joint}.backlash" for joint in spec.additions.get("backlash", ())]
-    known = (*geometry.parameters.names, *_beside(geometry.actuated))
+    known = (*geometry.parameters.names, *_beside(geometry.actuated, poses))
     fix = [p for p in options.fix if _means(p, known)]
     free = [p for p in options.free if _means(p, known)]
     return fit_geometry_to_poses(
@@ -206,15 +205,18 @@ def check_patterns(family: Family, patterns: Sequence[str], model: str) -> None:
     """
     specs = [Spec(structure) for structure in family.structures] + ([] if model == "auto" else [family.spec(model)])
     known = dict.fromkeys(name for spec in specs for name in family.build(spec).parameters.names)
-    names = [*known, *_beside(family.joints)]
+    names = [*known, *_beside(family.joints, family.poses)]
     for pattern in patterns:
         if not _means(pattern, names):
             raise UnknownName("geometry parameter", pattern, names)
 
 
-def _beside(joints: Sequence[str]) -> list[str]:
-    frames = [f"{owner}.{axis}" for owner in ("device", "tool") for axis in AXES]
-    return [*frames, *(f"{joint}.backlash" for joint in joints)]
+def _beside(joints: Sequence[str], poses: PoseSet) -> list[str]:
+    """Return the names of unknowns beside a geometry: frames of devices and targets, offsets and radii, backlash."""
+    frames = DeviceFrames((IDENTITY,), (IDENTITY,), ("pose",), (0.0,)).apart(1, len(poses.targets))
+    devices = replace(frames, device=(IDENTITY,) * len(poses.frame_kinds), kinds=poses.frame_kinds)
+    devices = replace(devices, lengths=(0.0,) * len(poses.frame_kinds))
+    return [*(p.name for p in devices.parameters()), *(f"{joint}.backlash" for joint in joints)]
 
 
 _MAX_ADDITIONS = 12  # steps of the forward selection; bounds its time

@@ -41,7 +41,7 @@ from tau_dyn.calibrate.joint_laws import (
     find_carried_rods,
     find_guideways,
 )
-from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.measured import PoseSet
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.exceptions import InputError, UnknownName
@@ -156,7 +156,8 @@ class Family(ABC):
         """Return the joints that an addition makes sense for; of couplings the pairs `JOINT/OTHER`."""
         if addition in BETWEEN_CAMPAIGNS:  # targets that are told apart have their own frames anyway
             own = addition == "tool_frame" and len(self.poses.targets) > 1
-            return ("all",) if len(self.poses.campaigns) > 1 and not own else ()
+            several = len(self.poses.devices) > 1  # each of which has a frame of its own in every campaign
+            return ("all",) if len(self.poses.campaigns) > 1 and not own and not several else ()
         if addition == "backlash":
             return self.joints if self.poses.approach.any() else ()
         return self.places(addition)

@@ -18,10 +18,9 @@ from scipy import stats
 from tau_dyn.calibrate.crossvalidation import compare_paired
 from tau_dyn.calibrate.frames import AXES, DeviceFrames, Frame, compute_rotation_between, is_flat
 from tau_dyn.calibrate.geometry_fit import GeometryFit
+from tau_dyn.calibrate.measured import PoseErrors, PoseSet
 from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_geometry, fit_spec
 from tau_dyn.calibrate.models import Family, Spec
-from tau_dyn.calibrate.pose_errors import PoseErrors
-from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.estimate import DescentRules, LinearSystem, descend, factor_system
 from tau_dyn.evidence import Gain, explain_gain
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -51,7 +50,7 @@ def check_spread(family: Family, poses: PoseSet) -> None:
             "measure poses all over the workspace",
         )
     geometry = family.build(Spec("frames"))
-    if geometry.orients or not is_flat(poses.position):
+    if geometry.orients or not poses.measures_poses or not is_flat(poses.position):
         return
     own = geometry.forward(geometry.parameters.values, poses.q)
     if own.ok.sum() < 3 or is_flat(own.poses.position[own.ok]):
@@ -89,13 +88,13 @@ def find_outliers(fitted: GeometryFit) -> np.ndarray:
     """
     with np.errstate(invalid="ignore"):
         distance = np.linalg.norm(fitted.residuals / fitted.sigma, axis=1)
-    return _find_far(distance, distance, fitted.residuals.shape[1])
+    return _find_far(distance, distance, fitted.numbers)
 
 
-def _find_far(distance: np.ndarray, crowd: np.ndarray, m: int) -> np.ndarray:
-    """Return the indices of distances in `m` numbers that stand out of those of a crowd; nan does, too."""
-    good = float(np.sqrt(stats.chi2.ppf(0.99, m)))
-    return np.flatnonzero(~(distance < max(_TIMES * good, 5 * float(np.nanpercentile(crowd, 90)))))
+def _find_far(distance: np.ndarray, crowd: np.ndarray, m: int | np.ndarray) -> np.ndarray:
+    """Return the indices of distances in `m` numbers (N,) that stand out of those of a crowd; nan does, too."""
+    good = np.sqrt(stats.chi2.ppf(0.99, m))
+    return np.flatnonzero(~(distance < np.maximum(_TIMES * good, 5 * float(np.nanpercentile(crowd, 90)))))
 
 
 def describe_outliers(poses: PoseSet, fitted: GeometryFit, index: np.ndarray) -> str:
@@ -192,13 +191,13 @@ def _find_held_outliers(fitted: GeometryFit, holdout: PoseSet, held: PoseErrors)
     """Return the indices of poses farther off than noise and the parameters' uncertainty let expect, by the training rule."""
     train, state = fitted.errors(fitted.poses), fitted.predict(holdout)
     m = 6 if held.rotation is not None and held.oriented else 3
-    spare = max(fitted.residuals.size - fitted.n_estimated, 1) / fitted.residuals.size
+    spare = fitted.dof / fitted.n_numbers
     noise = np.repeat(train.noise(), 3)[:m] / np.sqrt(spare)
-    columns = fitted.compute_prediction_columns(holdout.q, state.base, holdout.setup)[:, :m]
+    columns = fitted.compute_prediction_columns(holdout, state.base)[:, :m]
     model = np.einsum("nif,fg,nig->ni", columns, fitted.prediction_cov, columns)
     crowd = _measure_distances(train, fitted.poses, fitted.poses, noise**2)
     distance = _measure_distances(held, holdout, fitted.poses, noise**2, model)
-    return _find_far(distance, crowd, m)
+    return _find_far(distance, crowd, holdout.count_numbers(m))
 
 
 def _measure_distances(
@@ -233,7 +232,8 @@ def fit_robustly(family: Family, poses: PoseSet, options: Options, model: str | 
 
 def _can_place_each(poses: PoseSet) -> bool:
     """Tell whether there are campaigns, each with poses enough for a device frame of its own."""
-    return len(poses.campaigns) > 1 and np.bincount(poses.campaign, minlength=len(poses.campaigns)).min() > _MIN_POSES
+    own = len(poses.campaigns) > 1 and len(poses.devices) == 1
+    return own and np.bincount(poses.campaign, minlength=len(poses.campaigns)).min() > _MIN_POSES
 
 
 _SIGNIFICANCE_LEVEL = 1e-3  # of the Wald test, for each campaign's device and target
@@ -327,12 +327,15 @@ def find_moved_frames(fitted: GeometryFit, holdout: PoseSet) -> tuple[list[Moved
     found, said, state = [], [], fitted.predict(holdout)
     for campaign, target in np.unique(holdout.setup, axis=0):
         own = np.all(holdout.setup == (campaign, target), axis=1) & state.ok
-        if own.sum() >= _MIN_POSES:
+        sees_poses = fitted.poses.frame_kinds[min(campaign, len(fitted.poses.frame_kinds) - 1)] == "pose"
+        if own.sum() >= _MIN_POSES and sees_poses:
             where = (
-                f"{holdout.source}, campaign {holdout.campaigns[campaign]}"
+                f"{holdout.source}, campaign {holdout.campaigns[campaign % len(holdout.campaigns)]}"
                 if len(holdout.campaigns) > 1
                 else holdout.source
             )
+            several = len(holdout.devices) > 1
+            where += f", device {holdout.devices[campaign // len(holdout.campaigns)]}" if several else ""
             where += f", target {holdout.targets[target]}" if len(holdout.targets) > 1 else ""
             moved = _find_move(fitted, holdout, own, state.base.take(own), where)
             found += [moved] if isinstance(moved, MovedFrame) else []
@@ -472,7 +475,7 @@ def _compute_residuals(frames: DeviceFrames, poses: PoseSet, base: Poses, sigma:
 
 def _compute_prediction_columns(fitted: GeometryFit, poses: PoseSet, base: Poses, sigma: np.ndarray) -> np.ndarray:
     """Return the whitened predictions' derivative by the fit's free unknowns (N m, f)."""
-    columns = fitted.compute_prediction_columns(poses.q, base, poses.setup)[:, : sigma.shape[1]]
+    columns = fitted.compute_prediction_columns(poses, base)[:, : sigma.shape[1]]
     return (columns / sigma[:, :, None]).reshape(sigma.size, -1)
 
 

@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.calibrate.crossvalidation import compute_rms_interval
 from tau_dyn.calibrate.geometry import expand_constraints
 from tau_dyn.calibrate.geometry_fit import GeometryFit, compute_sensitivities
+from tau_dyn.calibrate.measured import MeasurementNoise, PoseErrors, PoseSet
 from tau_dyn.calibrate.model_selection import CandidateModel, SelectionStep
-from tau_dyn.calibrate.pose_errors import MeasurementNoise, PoseErrors
-from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.evidence import Finding
 from tau_dyn.results import Shown, plot_pose_errors, to_plain
 from tau_dyn.robot import Robot
@@ -62,7 +61,7 @@ class Calibration(Shown):
         """Whether the held-out error is so large that units, joints or frames are wrong, or the robot is another one."""
         errors = self.errors(self.chosen)
         turned = errors.orientation_size
-        near = errors.position_size.rms < _MAX_RELATIVE_ERROR * self.poses.spread
+        near = errors.position_size.rms < _MAX_RELATIVE_ERROR * self.fit.spread
         return not near or (turned is not None and not turned.rms < _MAX_ORIENTATION_ERROR)
 
     @property
@@ -91,9 +90,10 @@ class Calibration(Shown):
         if self.measured.position is None:
             return None
         stated, model = self.at().position_stderr, self.fit.model_error(self.at().q)
-        noise = 3 * self.measured.position**2
+        share = self.at().numbers / 3
+        noise = 3 * self.measured.position**2 * float(np.mean(share))
         if self.measured.source == "columns" and stated is not None:
-            noise = float(np.mean(np.sum(stated**2, axis=1)))
+            noise = float(np.mean(np.sum(stated**2, axis=1) * share))
         return float(np.sqrt(np.nanmean(model**2) + noise))
 
     def parameter_rows(self) -> list[dict[str, object]]:
@@ -129,6 +129,7 @@ class Calibration(Shown):
             "weak": list_weak_parameters(self.fit),
             "correlated": list_correlated_pairs(self.fit),
             "frames": build_frame_rows(self.fit),
+            "devices": build_device_rows(self.fit),
             "orientations": turn_rows(self.fit),
             "sensitivity": compute_sensitivities(self.fit),
             "errors_at_poses": self._errors_at_poses(),
@@ -137,11 +138,15 @@ class Calibration(Shown):
 
     def _errors_at_poses(self) -> dict[str, object]:
         """Return where unseen errors stand and every model's errors there [m], in the robot's base frame: what a viewer draws."""
-        at, device = self.at(), self.fit.frames.device
-        frames = [device[min(int(c), len(device) - 1)] for c in at.campaign]
-        turn, shift = np.array([f.rotation for f in frames]), np.array([f.translation for f in frames])
+        at = self.at()
+        turn, shift, _, _ = self.fit.frames.of_each(at.setup)
+        seen = self.fit.seen(
+            at
+        ).position  # of a distance or a touch, where the target was is known from the model alone
+        sees = np.array([kind == "pose" for kind in at.kinds])[at.device]
+        position = np.where(sees[:, None], at.position, seen)
         models = {m.name: np.einsum("nji,nj->ni", turn, self.errors(m).position) for m in self.models}
-        return {"points": np.einsum("nji,nj->ni", turn, at.position - shift), "models": models}
+        return {"points": np.einsum("nji,nj->ni", turn, position - shift), "models": models}
 
     def _model(self, model: CandidateModel) -> dict[str, object]:
         return {
@@ -231,6 +236,22 @@ def build_frame_rows(fitted: GeometryFit) -> list[dict[str, object]]:
                 }
             )
     return rows
+
+
+def build_device_rows(fitted: GeometryFit) -> list[dict[str, object]]:
+    """Return name, kind, number of measurements and estimated standard error [m] of each device or fixture."""
+    poses = fitted.poses
+    errors = poses.device_errors or (1.0,) * len(poses.devices)
+    several = fitted.kind == "forward"
+    return [
+        {
+            "name": name,
+            "kind": kind,
+            "n": int(np.sum(poses.device == k)),
+            "noise": error * fitted.noise[0] if several else None,
+        }
+        for k, (name, kind, error) in enumerate(zip(poses.devices, poses.kinds, errors, strict=True))
+    ]
 
 
 def turn_rows(fitted: GeometryFit) -> list[dict[str, object]]:

@@ -14,7 +14,7 @@ Parameters are listed with the nominal and the calibrated value, so that a perso
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +25,8 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.calibrate.compensation import Compensation, build_compensation
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.geometry import Geometry, Predicted, expand_constraints
+from tau_dyn.calibrate.measured import KINDS, PoseSet
 from tau_dyn.calibrate.models import Spec, get_family
-from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
@@ -134,6 +134,8 @@ def save_calibration(path: str | Path, found: Calibration) -> None:
         "frames": {
             "device": [_frame(f) for f in fitted.frames.device],
             "tool": [_frame(f) for f in fitted.frames.tool],
+            "kinds": list(fitted.frames.kinds),
+            "lengths": [float(x) for x in fitted.frames.lengths],
         },
         "noise": [float(x) for x in fitted.noise],
         "poses": {"source": found.poses.source, "sha256": found.poses.sha256, "n": found.poses.n},
@@ -175,6 +177,13 @@ def _built(content: Mapping[str, Any]) -> CalibratedRobot:
     frames = DeviceFrames(*(tuple(_read_frame(f) for f in content["frames"][key]) for key in ("device", "tool")))
     if not frames.device or not frames.tool:
         raise InputError("file_format", "frames needs a device and a tool at least")
+    kinds = tuple(str(kind) for kind in content["frames"].get("kinds", ()))
+    lengths = tuple(float(x) for x in content["frames"].get("lengths", ()))
+    if set(kinds) - set(KINDS) or {len(kinds), len(lengths)} - {0, len(frames.device)}:
+        raise InputError(
+            "file_format", f"frames.kinds and frames.lengths need one of {', '.join(KINDS)} for each device"
+        )
+    frames = replace(frames, kinds=kinds, lengths=lengths)
     slack = np.array(content["backlash"], float)
     if slack.shape != (robot.na,) or not np.isfinite(slack).all():
         raise InputError("file_format", "backlash needs a number for each actuated joint")

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.geometry import Geometry
-from tau_dyn.calibrate.pose_set import POSITION, QUATERNION, PoseSet
+from tau_dyn.calibrate.measured import POSITION, QUATERNION, PoseSet
 from tau_dyn.mechanism import convert_to_quaternions
 
 TRACKER = DeviceFrames(
@@ -31,6 +31,7 @@ def simulate_poses(
     backlash: np.ndarray | None = None,
     campaign: np.ndarray | None = None,
     target: np.ndarray | None = None,
+    device: np.ndarray | None = None,
     source: str = "simulated poses",
 ) -> PoseSet:
     """Return noisy poses of a robot.
@@ -46,6 +47,8 @@ def simulate_poses(
         backlash: Of the actuated joints (na,) [m or rad].
         campaign: Campaign of each pose (N,).
         target: Target of each pose (N,); without it the campaign's.
+        device: Device of each pose (N,), whose kinds and lengths stand in the frames; then there is one campaign. What touches
+            must be reached at `q`.
         source: Name, for messages.
     """
     campaign = np.zeros(len(q), int) if campaign is None else campaign
@@ -53,9 +56,18 @@ def simulate_poses(
     step = np.sign(np.diff(q, axis=0, prepend=q[:1]))
     real = q if backlash is None else q - 0.5 * step * backlash
     found = geometry.forward(theta, real)
-    seen = frames.measured(found.poses, np.column_stack([campaign, campaign if target is None else target]))
-    keep = found.ok
+    first, second = (campaign, campaign) if device is None else (device, np.zeros(len(q), int))
+    setup = np.column_stack([first, second if target is None else target])
+    seen, keep, kinds = frames.measured(found.poses, setup), found.ok, frames.kinds or ("pose",)
     position = seen.position[keep] + noise[0] * rng.standard_normal((int(keep.sum()), 3))
+    which = first[keep] if device is not None else np.zeros(int(keep.sum()), int)
+    for k, kind in enumerate(kinds):
+        own = which == k
+        if kind == "distance":
+            away = np.linalg.norm(seen.position[keep][own], axis=1) + noise[0] * rng.standard_normal(int(own.sum()))
+            position[own] = np.column_stack([away + frames.lengths[k], np.zeros((len(away), 2))])
+        elif kind != "pose":
+            position[own] = 0.0
     turn = Rotation.from_rotvec(noise[1] * rng.standard_normal((int(keep.sum()), 3))).as_matrix()
     return PoseSet(
         q=q[keep],
@@ -65,6 +77,9 @@ def simulate_poses(
         campaigns=tuple(str(k + 1) for k in range(int(campaign.max(initial=0)) + 1)),
         target=of_target[keep],
         targets=tuple(str(k + 1) for k in range(int(of_target.max(initial=0)) + 1)),
+        device=which,
+        devices=tuple(str(k + 1) for k in range(len(kinds))),
+        kinds=kinds,
         approach=step[keep],
         source=source,
     )

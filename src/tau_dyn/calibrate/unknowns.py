@@ -19,6 +19,7 @@ from scipy import linalg
 
 from tau_dyn.calibrate.frames import DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.measured import KINDS
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.parameters import Parameter
 from tau_dyn.results import Brief
@@ -151,6 +152,7 @@ class Unknowns(Brief):
         n_geometry: Number of the geometry's own parameters, which come first.
         n_device: Number of the device frames' parameters, which follow.
         n_tool: Number of the target's, which follow.
+        n_length: Number of devices' offsets and radii, which follow.
     """
 
     rows: tuple[Parameter, ...]
@@ -160,22 +162,28 @@ class Unknowns(Brief):
     n_geometry: int
     n_device: int
     n_tool: int
+    n_length: int = 0
+
+    @property
+    def n_frames(self) -> int:
+        """Number of all unknowns of devices and targets."""
+        return self.n_device + self.n_tool + self.n_length
 
     @property
     def plays(self) -> bool:
         """Whether backlash is free somewhere."""
-        return bool(self.free[self.n_geometry + self.n_device + self.n_tool :].any())
+        return bool(self.free[self.n_geometry + self.n_frames :].any())
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names (P,)."""
         return tuple(p.name for p in self.rows)
 
-    def split(self, step: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the parts of a step (P,): geometry, device frames, tool frames, backlash."""
-        ends = np.cumsum([self.n_geometry, self.n_device, self.n_tool])
-        a, b, c, d = np.split(step, ends)
-        return a, b, c, d
+    def split(self, step: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+        """Return the parts of a step (P,): geometry; device frames, tool frames and lengths; backlash."""
+        ends = np.cumsum([self.n_geometry, self.n_device, self.n_tool, self.n_length])
+        geometry, device, tool, length, play = np.split(step, ends)
+        return geometry, (device, tool, length), play
 
 
 def collect(
@@ -212,9 +220,11 @@ def collect(
     joints = zip(geometry.actuated, geometry.position_units, strict=True)
     play = [Parameter(f"{joint}.backlash", 0.0, unit, free=False) for joint, unit in joints]
     rows = (*geometry.parameters, *own, *play)
-    may = [*geometry.parameters.free, *[device] * nd]
+    kinds = frames.kinds or ("pose",) * len(frames.device)
+    may = [*geometry.parameters.free, *(device and axis in KINDS[kind].axes for kind in kinds for axis in range(6))]
     target = [tool and geometry.orients] * 3 + [tool and geometry.orients and turned] * 3
-    may = np.array([*may, *target * len(frames.tool), *[backlash] * len(play)], bool)
+    n_length = len(frames.with_length)
+    may = np.array([*may, *target * len(frames.tool), *[True] * n_length, *[backlash] * len(play)], bool)
     names = [row.name for row in rows]
     for patterns, value in ((free, True), (fix, False)):
         for pattern in patterns:
@@ -229,4 +239,4 @@ def collect(
     known = SCALES | dict(zip(_PRIOR_UNITS, prior, strict=False))
     scales = np.array([row.prior_stderr or known.get(row.unit, 0.01) for row in rows])
     priority = np.concatenate([geometry.priority, np.full(len(own), _FRAMES_FIRST), np.zeros(len(play), int)])
-    return Unknowns(rows, may, scales, priority, p, nd, nt)
+    return Unknowns(rows, may, scales, priority, p, nd, nt, n_length)

@@ -110,9 +110,14 @@ def compute_loss_covariance_factor(loss: str, distance: np.ndarray, m: int) -> f
     return float(np.mean((distance * w) ** 2) / m * np.mean(w) / max(turned, 1e-3) ** 2)
 
 
-def estimate_distance_scale(distance: np.ndarray, m: int) -> float:
-    """Return by how much measurements scatter more than the noise says, from the median; wild ones do not move it."""
-    return float(np.median(distance) / np.sqrt(stats.chi2.ppf(0.5, m)))
+def estimate_distance_scale(distance: np.ndarray, m: int | np.ndarray) -> float:
+    """Return by how much measurements scatter more than the noise says, from the median; wild ones do not move it.
+
+    Args:
+        distance: Of measurements (N,), in units of the noise.
+        m: Independent residuals of a measurement, or of each (N,).
+    """
+    return float(np.median(distance / np.sqrt(stats.chi2.ppf(0.5, m))))
 
 
 @lru_cache(maxsize=32)

@@ -14,7 +14,7 @@ from itertools import combinations, permutations, product
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.pose_set import POSITION, PoseSet
+from tau_dyn.calibrate.measured import POSITION, PoseSet
 
 _MAX_ROW_SHIFT = 2
 """Rows by which joints and poses may be shifted: a header or a first pose counted in one table only makes one, rarely two."""

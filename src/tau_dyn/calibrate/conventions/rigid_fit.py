@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.frames import align, compute_rotation_between
-from tau_dyn.calibrate.pose_set import PoseSet, measure_spread
+from tau_dyn.calibrate.measured import PoseSet, measure_spread
 from tau_dyn.mechanism import Poses
 
 _TRIMMED_SHARE = 0.2

@@ -15,7 +15,7 @@ import numpy as np
 from tau_dyn.calibrate.conventions.readings import Reading, apply_reading, list_readings
 from tau_dyn.calibrate.conventions.rigid_fit import UNREACHED, Misfit, measure_misfit
 from tau_dyn.calibrate.geometry import Geometry, Predicted
-from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.measured import PoseSet
 from tau_dyn.evidence import (
     Gain,
     ReadingFit,

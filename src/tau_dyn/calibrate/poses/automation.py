@@ -13,8 +13,8 @@ from typing import Any, Literal
 import numpy as np
 
 from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.measured import PoseSet
 from tau_dyn.calibrate.models import get_family
-from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.poses.camera import Camera
 from tau_dyn.calibrate.poses.campaign_files import (
     CampaignProgress,

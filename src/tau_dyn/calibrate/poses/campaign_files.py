@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.measured import PoseSet
 from tau_dyn.control.interface import (
     format_array,
     format_comment,

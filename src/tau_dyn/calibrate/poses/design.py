@@ -20,7 +20,7 @@ from tau_dyn.calibrate.fit_problem import FitState, Problem
 from tau_dyn.calibrate.frames import DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.measured import PoseSet
 from tau_dyn.calibrate.unknowns import STRUCTURAL, Identifiability, Unknowns, collect, find_identifiable
 from tau_dyn.estimate import DescentRules, LinearSystem, descend, factor_system
 from tau_dyn.exceptions import InputError

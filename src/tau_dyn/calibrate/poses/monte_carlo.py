@@ -15,7 +15,7 @@ import numpy as np
 
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
-from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.measured import PoseSet
 from tau_dyn.calibrate.poses.choice import PoseChoice, compute_doubling_gain, predict
 from tau_dyn.calibrate.poses.design import refine
 from tau_dyn.calibrate.poses.devices import MeasuringDevice, transform_to_device

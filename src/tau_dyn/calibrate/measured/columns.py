@@ -24,6 +24,7 @@ _UNIT_FACTORS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "deg": np.pi / 180, "rad": 1.
 _UNIT_END = re.compile(r"(?:[_ ]?[\[(]|[_ ])(mm|cm|m|deg|rad)[\])]?$")
 _PLACE = re.compile(r"^(?:(?:tcp|tool|pos|position|ee|flange|target|p)[_.]?)?([xyz])(?:[_.]?(?:tcp|tool|ee|pos))?$")
 _QUATERNION = re.compile(r"^(?:(?:tcp|tool|ee)[_.]?)?(?:q|quat_?|quaternion_?|o)([xyzw])(?:[_.]?(?:tcp|tool|ee))?$")
+_DISTANCES = ("distance", "distance_tool", "wire_length", "range")
 _ONE_TURN = 2 * np.pi
 """Largest angle [rad] that a controller writes; a larger number is in degrees."""
 
@@ -52,6 +53,7 @@ def name_pose_columns(table: Table, joints: Sequence[str]) -> Table:
         (("x_tool", "y_tool", "z_tool"), _find_by(_PLACE, 0)),
         (("qx_tool", "qy_tool", "qz_tool", "qw_tool"), _find_by(_QUATERNION, 1)),
         (ANGLES, _find_angle),
+        (("distance_tool",), _find_distance),
     )
     for wanted, find in groups:
         missing = [name for name in wanted if name not in cells]
@@ -62,7 +64,7 @@ def name_pose_columns(table: Table, joints: Sequence[str]) -> Table:
         return table
     for name, source in found.items():
         factor = 1.0 if name in ANGLES else _get_factor(source)
-        cells[name] = cells[source] if factor == 1.0 else factor * table.numbers(source)
+        cells[name] = cells[source] if factor == 1.0 else factor * table.numbers(source, gaps=True)
     pairs = ", ".join(f"{source} as {name}" for name, source in found.items())
     said = CodedWarning(
         "columns_read", f"{table.name}: columns are read by their names: {pairs}; a column map settles others"
@@ -84,6 +86,12 @@ def _find_joint(name: str, cells: dict[str, np.ndarray]) -> str:
     """Return the column of a joint's name, with or without `q_` and a unit."""
     wanted = name.lower()
     hits = [c for c in cells if _strip_unit(c) in (wanted, wanted.removeprefix("q_"))]
+    return hits[0] if len(hits) == 1 else ""
+
+
+def _find_distance(name: str, cells: dict[str, np.ndarray]) -> str:
+    """Return the one column of distances with or without a unit."""
+    hits = [c for c in cells if _strip_unit(c) in _DISTANCES]
     return hits[0] if len(hits) == 1 else ""
 
 

@@ -12,7 +12,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from tau_dyn.calibrate.frames import compute_rotation_between
-from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.measured.kinds import TOUCHES
+from tau_dyn.calibrate.measured.pose_set import PoseSet
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Poses
 from tau_dyn.results import Brief
@@ -36,6 +37,7 @@ class PoseErrors(Brief):
         relative: Stated standard errors of the measurements over their median (N, 6), None where none are stated.
         configuration: Which poses have the same joint positions (N,), None where all differ; such poses are no independent ones.
         oriented: Whether the model predicts orientation, so that it counts in comparisons.
+        numbers: Independent numbers of each position (N,); three unless given.
     """
 
     position: np.ndarray
@@ -43,6 +45,7 @@ class PoseErrors(Brief):
     relative: np.ndarray | None = None
     configuration: np.ndarray | None = None
     oriented: bool = True
+    numbers: np.ndarray | None = None
 
     @property
     def distance(self) -> np.ndarray:
@@ -71,8 +74,11 @@ class PoseErrors(Brief):
 
     def noise(self) -> tuple[float, float]:
         """Return the rms of a coordinate [m] and of an angle [rad] (1 where there is none), at the median stated error."""
-        position, angle = (float(np.sqrt(np.nanmean(self._weighted(k) ** 2))) for k in (0, 1))
-        return position or 1.0, angle or 1.0
+        position, angle = (self._weighted(k) for k in (0, 1))
+        known = np.isfinite(position).all(axis=1)
+        numbers = 3 * known.sum() if self.numbers is None else self.numbers[known].sum()
+        place = float(np.sqrt(np.sum(position[known] ** 2) / max(numbers, 1)))
+        return place or 1.0, float(np.sqrt(np.nanmean(angle**2))) or 1.0
 
     def score(self, noise: tuple[float, float]) -> np.ndarray:
         """Return squared errors of each configuration in units of the noise [m, rad]; unpredicted ones as the worst."""
@@ -91,14 +97,17 @@ class PoseErrors(Brief):
         return errors if self.relative is None else errors / self.relative[:, 3 * block : 3 * block + 3]
 
 
-def compute_pose_errors(poses: PoseSet, seen: Poses, target: np.ndarray | None, *, own: bool) -> PoseErrors:
-    """Return measured minus predicted poses.
+def compute_pose_errors(
+    poses: PoseSet, seen: Poses, target: np.ndarray | None, *, own: bool, lengths: np.ndarray
+) -> PoseErrors:
+    """Return measured minus predicted poses; of a distance or a touch along what was measured.
 
     Args:
         poses: What was measured.
         seen: What the device should have seen.
         target: Orientation of the target on a plate that keeps its own (3, 3).
         own: Whether the prediction has an orientation of its own.
+        lengths: Offset or radius of each measurement (N,) [m].
     """
     rotation = None
     if poses.rotation is not None and (own or target is not None):
@@ -106,7 +115,8 @@ def compute_pose_errors(poses: PoseSet, seen: Poses, target: np.ndarray | None, 
         rotation = np.full_like(poses.position, np.nan)
         ok = np.isfinite(predicted).all(axis=(1, 2))
         rotation[ok] = compute_rotation_between(poses.rotation[ok], predicted[ok])
-    return PoseErrors(poses.position - seen.position, rotation, poses.relative_errors(6), poses.configuration, own)
+    position = poses.compute_position_residuals(seen.position, lengths)
+    return PoseErrors(position, rotation, poses.relative_errors(6), poses.configuration, own, poses.numbers)
 
 
 def _with_worst(squares: np.ndarray) -> np.ndarray:
@@ -163,7 +173,11 @@ def estimate_measurement_noise(poses: PoseSet, accuracy: tuple[float, ...] = ())
 
 
 def _from_repeats(poses: PoseSet) -> MeasurementNoise:
-    """Return the pooled standard deviation of poses measured several times with the same joints, in one campaign."""
+    """Return the pooled standard deviation of poses measured several times with the same joints, in one campaign.
+
+    Touches repeat without scatter, whatever their noise.
+    """
+    poses = poses.take(np.isin(np.array(poses.kinds)[poses.device], TOUCHES, invert=True))
     rows = np.column_stack([poses.configuration, poses.setup])
     _, group = np.unique(rows, axis=0, return_inverse=True)
     group = group.ravel()
@@ -172,7 +186,8 @@ def _from_repeats(poses: PoseSet) -> MeasurementNoise:
         return MeasurementNoise("unknown")
     size = np.bincount(group)
     mean = np.stack([np.bincount(group, x) / size for x in poses.position.T], axis=1)
-    position = float(np.sqrt(np.sum((poses.position - mean[group]) ** 2) / (3 * more)))
+    numbers = poses.numbers.mean() * more
+    position = float(np.sqrt(np.sum((poses.position - mean[group]) ** 2) / numbers))
     if poses.rotation is None:
         return MeasurementNoise("repeats", position)
     first = np.full(len(size), -1)

@@ -1,0 +1,101 @@
+r"""What a device or a fixture tells of the target: its place, its distance, or that it touches something.
+
+    pose      the position, perhaps with the orientation, in the frame of a tracker or a camera
+    distance  d = |p| + offset, from a point that stands still: wire, ball bar, laser interferometer
+    hole      p = 0: a pin stands in a hole, at any attitude
+    plane     p_z = 0: a probe touches a plane
+    sphere    |p| = radius: a probe touches a ball
+
+`p` is the target in the frame of the device or fixture. One number is told along one direction `u`: `p / |p|`, or z of a plane.
+Its residual is a vector along `u`, and derivatives are projected onto `u`. So all kinds have three coordinates a pose, and noise
+that is equal along all axes needs no other treatment. Reference: Hollerbach, Khalil & Gautier 2016, 6.2 (partial poses).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+
+class MeasurementKind(NamedTuple):
+    """One kind of measurement.
+
+    Attributes:
+        numbers: Independent numbers of a position.
+        axes: Which numbers of the frame it shows: x, y, z, rx, ry, rz.
+        length: Name of the length that it needs, '' where it needs none.
+        sign: Of that length in the residual.
+    """
+
+    numbers: int
+    axes: tuple[int, ...]
+    length: str = ""
+    sign: float = 0.0
+
+
+KINDS = {
+    "pose": MeasurementKind(3, (0, 1, 2, 3, 4, 5)),
+    "distance": MeasurementKind(1, (0, 1, 2), "offset", -1.0),
+    "hole": MeasurementKind(3, (0, 1, 2)),
+    "plane": MeasurementKind(1, (2, 3, 4)),
+    "sphere": MeasurementKind(1, (0, 1, 2), "radius", 1.0),
+}
+TOUCHES = ("hole", "plane", "sphere")
+"""Kinds whose reading is always zero."""
+
+
+def find_directions(kinds: Sequence[str], device: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Return the direction (N, 3) of each measurement of one number, zero for those of all three coordinates.
+
+    Args:
+        kinds: Kind of each device or fixture.
+        device: Which of them each measurement has (N,).
+        seen: Predicted positions of the target in the frames of devices or fixtures (N, 3).
+    """
+    out = np.zeros_like(seen)
+    for number, name in enumerate(kinds):
+        own = device == number
+        if name == "plane":
+            out[own, 2] = 1.0
+        elif KINDS[name].numbers == 1:
+            out[own] = seen[own] / np.maximum(np.linalg.norm(seen[own], axis=1, keepdims=True), 1e-300)
+    return out
+
+
+def compute_position_residuals(
+    kinds: Sequence[str], device: np.ndarray, measured: np.ndarray, seen: np.ndarray, lengths: np.ndarray
+) -> np.ndarray:
+    """Return measured minus predicted (N, 3) [m], along the direction of the measurement where it has one.
+
+    Args:
+        kinds: Kind of each device or fixture.
+        device: Which of them each measurement has (N,).
+        measured: Positions (N, 3) [m]; a distance stands in the first coordinate.
+        seen: Predicted positions of the target in the frames of devices or fixtures (N, 3) [m].
+        lengths: Offset or radius of each measurement (N,) [m].
+    """
+    u = find_directions(kinds, device, seen)
+    sign = np.array([KINDS[name].sign for name in kinds])[device]
+    along = measured[:, 0] + sign * lengths - np.sum(u * seen, axis=1)
+    one = np.any(u != 0, axis=1)
+    return np.where(one[:, None], along[:, None] * u, measured - seen)
+
+
+def project_columns(kinds: Sequence[str], device: np.ndarray, seen: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return derivatives (N, m, p) of what is measured from those of the whole position; its rows come first.
+
+    Args:
+        kinds: Kind of each device or fixture.
+        device: Which of them each measurement has (N,).
+        seen: Predicted positions of the target in the frames of devices or fixtures (N, 3) [m].
+        columns: Derivatives of position and perhaps orientation (N, m, p).
+    """
+    if all(KINDS[name].numbers > 1 for name in kinds):
+        return columns
+    u = find_directions(kinds, device, seen)
+    along = np.einsum("ni,nip->np", u, columns[:, :3])
+    one = np.any(u != 0, axis=1)[:, None, None]
+    position = np.where(one, u[:, :, None] * along[:, None], columns[:, :3])
+    return np.concatenate([position, columns[:, 3:]], axis=1)

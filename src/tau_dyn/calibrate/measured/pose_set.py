@@ -1,0 +1,298 @@
+"""Measured poses: actuated positions and what a device or a fixture tells of the tool there, in its own frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from tau_dyn.calibrate.measured.kinds import KINDS, compute_position_residuals, project_columns
+from tau_dyn.exceptions import InputError
+from tau_dyn.mechanism import Poses
+from tau_dyn.results import Brief
+
+_MAX_JOINT_DIFFERENCE = 1e-6  # [rad or m]; encoders of a standing robot repeat far better
+
+
+def measure_spread(position: np.ndarray) -> float:
+    """Return the rms distance of positions (N, 3) from their middle [m]."""
+    return float(np.sqrt(np.sum(np.var(position, axis=0))))
+
+
+@dataclass(frozen=True, eq=False)
+class PoseSet(Brief):
+    """Measured poses.
+
+    Attributes:
+        q: Actuated positions (N, na) [m or rad].
+        position: Of the tool or target in the device's frame (N, 3) [m]; a distance stands in the first coordinate, and what
+            touches is at zero.
+        rotation: Rotation matrices (N, 3, 3), None where only positions were measured.
+        names: What each pose is called in messages (N,), such as `poses.csv, line 12`.
+        campaign: Which measuring campaign each pose belongs to (N,), from 0; frames may have moved in between.
+        campaigns: Names of the campaigns.
+        target: Which target on the tool each pose was measured at (N,), from 0.
+        targets: Names of the targets.
+        device: Which device or fixture each pose was measured by (N,), from 0.
+        devices: Names of the devices and fixtures.
+        kinds: What each of them tells, a name of `KINDS`.
+        device_errors: Standard error of each of them over that of all (devices,); ones unless estimated.
+        approach: From which side each actuated joint came (N, na): +1, -1, or 0 where nobody knows.
+        position_stderr: Standard errors of the measured coordinates (N, 3) [m], None where none are stated.
+        rotation_stderr: Of the measured orientation about each axis (N,) [rad], None where none are stated.
+        angles: Three numbers of the orientation as written (N, 3), which `rotation` takes for rotation vectors; None where four
+            numbers or none are given.
+        source: File, for messages.
+        sha256: Hash of the file, '' where there is none.
+        warnings: What was doubtful.
+    """
+
+    q: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray | None = None
+    names: tuple[str, ...] = ()
+    campaign: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    campaigns: tuple[str, ...] = ("1",)
+    target: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    targets: tuple[str, ...] = ("1",)
+    device: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    devices: tuple[str, ...] = ("1",)
+    kinds: tuple[str, ...] = ("pose",)
+    device_errors: tuple[float, ...] = ()
+    approach: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    position_stderr: np.ndarray | None = None
+    rotation_stderr: np.ndarray | None = None
+    angles: np.ndarray | None = None
+    source: str = "poses"
+    sha256: str = ""
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Fill in what was not given and refuse what does not fit together."""
+        n = len(self.q)
+        if np.ndim(self.q) != 2 or np.shape(self.position) != (n, 3):
+            raise InputError(
+                "wrong_shape",
+                f"poses need q (N, na) and positions (N, 3), not {np.shape(self.q)} and {np.shape(self.position)}",
+            )
+        if self.rotation is not None and np.shape(self.rotation) != (n, 3, 3):
+            raise InputError("wrong_shape", f"rotations of poses must be ({n}, 3, 3), not {np.shape(self.rotation)}")
+        if not self.names:
+            object.__setattr__(self, "names", tuple(f"pose {k + 1}" for k in range(n)))
+        if len(self.campaign) != n:
+            object.__setattr__(self, "campaign", np.zeros(n, int))
+        if len(self.target) != n:
+            object.__setattr__(self, "target", np.zeros(n, int))
+        if len(self.device) != n:
+            object.__setattr__(self, "device", np.zeros(n, int))
+        if self.approach.shape != np.shape(self.q):
+            object.__setattr__(self, "approach", np.zeros(np.shape(self.q)))
+
+    @property
+    def n(self) -> int:
+        """Number of poses."""
+        return len(self.q)
+
+    @property
+    def na(self) -> int:
+        """Number of actuated joints."""
+        return self.q.shape[1]
+
+    @property
+    def spread(self) -> float:
+        """Rms distance of the positions from their middle [m]."""
+        return measure_spread(self.position)
+
+    @property
+    def configuration(self) -> np.ndarray:
+        """Which poses have the same joint positions, such as several targets seen from one or repeats (N,), from 0.
+
+        Numbered by the positions, so that parts drawn of them do not depend on the order of rows.
+        """
+        return np.unique(np.round(self.q / _MAX_JOINT_DIFFERENCE), axis=0, return_inverse=True)[1].ravel()
+
+    @property
+    def setup(self) -> np.ndarray:
+        """Which device frame and which target frame each pose has (N, 2).
+
+        One target may move between campaigns. Several devices each have a frame of their own in every campaign.
+        """
+        if len(self.devices) > 1:
+            return np.column_stack([self.device * len(self.campaigns) + self.campaign, self.target])
+        return np.column_stack([self.campaign, self.target if len(self.targets) > 1 else self.campaign])
+
+    @property
+    def frame_kinds(self) -> tuple[str, ...]:
+        """Kind of each device frame: one of every device, or one of several devices in every campaign."""
+        n = len(self.campaigns) if len(self.devices) > 1 else 1
+        return tuple(kind for kind in self.kinds for _ in range(n))
+
+    @property
+    def measures_poses(self) -> bool:
+        """Whether all measurements are poses or positions."""
+        return all(kind == "pose" for kind in self.kinds)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """Independent numbers of each measured position (N,): 3, or 1 of a distance, a plane or a ball."""
+        return np.array([KINDS[kind].numbers for kind in self.kinds])[self.device]
+
+    def count_numbers(self, m: int) -> np.ndarray:
+        """Return the independent numbers of each pose (N,) of `m` coordinates, 3 or 6."""
+        return self.numbers + (m - 3)
+
+    def compute_position_residuals(self, seen: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+        """Return measured minus predicted positions (N, 3) [m], along what was measured.
+
+        Args:
+            seen: Predicted positions in the frames of the devices (N, 3) [m].
+            lengths: Offset or radius of each measurement (N,) [m].
+        """
+        return compute_position_residuals(self.kinds, self.device, self.position, seen, lengths)
+
+    def project_columns(self, seen: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return derivatives (N, m, p) of what was measured from those of the whole pose, predicted at `seen` (N, 3) [m]."""
+        return project_columns(self.kinds, self.device, seen, columns)
+
+    @property
+    def poses(self) -> Poses:
+        """Position and rotation; without measured orientation the rotations are nan."""
+        rotation = np.full((self.n, 3, 3), np.nan) if self.rotation is None else self.rotation
+        return Poses(self.position, rotation)
+
+    def take(self, index: np.ndarray) -> PoseSet:
+        """Return the poses at an index (n,) or a mask (N,)."""
+        index = np.arange(self.n)[index]
+        return replace(
+            self,
+            q=self.q[index],
+            position=self.position[index],
+            rotation=None if self.rotation is None else self.rotation[index],
+            names=tuple(self.names[k] for k in index),
+            campaign=self.campaign[index],
+            target=self.target[index],
+            device=self.device[index],
+            approach=self.approach[index],
+            position_stderr=None if self.position_stderr is None else self.position_stderr[index],
+            rotation_stderr=None if self.rotation_stderr is None else self.rotation_stderr[index],
+            angles=None if self.angles is None else self.angles[index],
+        )
+
+    def relative_errors(self, m: int, over: PoseSet | None = None) -> np.ndarray:
+        """Return standard errors (N, m) over their median, position before orientation, as stated and by device.
+
+        Args:
+            m: Numbers of a pose, 3 or 6.
+            over: Poses whose medians count, such as those that a noise was estimated of; these unless given.
+        """
+        out, known = np.ones((self.n, m)), self if over is None else over
+        if self.position_stderr is not None and known.position_stderr is not None:
+            out[:, :3] = self.position_stderr / np.median(known.position_stderr)
+        if self.rotation_stderr is not None and known.rotation_stderr is not None and m > 3:
+            out[:, 3:] = (self.rotation_stderr / np.median(known.rotation_stderr))[:, None]
+        if self.device_errors:
+            out *= np.array(self.device_errors)[self.device, None]
+        return out
+
+    def without_rotation(self) -> PoseSet:
+        """Return the positions alone."""
+        return replace(self, rotation=None)
+
+
+def number_alike(poses: PoseSet, holdout: PoseSet) -> PoseSet:
+    """Return held-out poses with the training poses' numbering of campaigns and targets."""
+    campaign = _renumber(holdout, "campaign", holdout.campaign, holdout.campaigns, poses.campaigns)
+    target = _renumber(holdout, "target", holdout.target, holdout.targets, poses.targets)
+    device = _renumber(holdout, "device", holdout.device, holdout.devices, poses.devices)
+    kinds = [poses.kinds[k] for k in dict.fromkeys(device.tolist())]
+    if kinds != [holdout.kinds[k] for k in dict.fromkeys(holdout.device.tolist())]:
+        raise InputError(
+            "mismatch",
+            f"{holdout.source}: its devices measure {', '.join(holdout.kinds)}, those of the training poses "
+            f"{', '.join(poses.kinds)}",
+        )
+    return replace(
+        holdout,
+        campaign=campaign,
+        campaigns=poses.campaigns,
+        target=target,
+        targets=poses.targets,
+        device=device,
+        devices=poses.devices,
+        kinds=poses.kinds,
+        device_errors=poses.device_errors,
+    )
+
+
+def _renumber(
+    holdout: PoseSet, kind: str, number: np.ndarray, names: tuple[str, ...], known: tuple[str, ...]
+) -> np.ndarray:
+    """Return numbers (N,) of names as they stand among the known ones; one name alone is the same one under any name."""
+    if len(known) == 1 and len(names) == 1:
+        return number
+    for name in names:
+        if name not in known:
+            raise InputError(
+                "mismatch",
+                f"{holdout.source}: {kind} {name} is not among the training poses' {kind}s ({', '.join(known)}), "
+                "so where it is is unknown",
+            )
+    return np.array([known.index(name) for name in names])[number]
+
+
+def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
+    """Return the poses of several files as one set; campaigns of one name are one campaign, and so are targets and devices.
+
+    Raises:
+        InputError: Some have orientations, others not; or a device measures different things.
+    """
+    if len(sets) == 1:
+        return sets[0]
+    turned = [s.rotation is not None for s in sets]
+    if any(turned) and not all(turned):
+        raise InputError(
+            "mismatch",
+            f"{sets[turned.index(False)].source} has no orientations, {sets[turned.index(True)].source} has; give poses alike",
+        )
+    campaign, campaigns = _join_words([(s.campaign, s.campaigns) for s in sets])
+    target, targets = _join_words([(s.target, s.targets) for s in sets])
+    device, devices = _join_words([(s.device, s.devices) for s in sets])
+    kinds = {name: kind for s in sets for name, kind in zip(s.devices, s.kinds, strict=True)}
+    for s in sets:
+        for name, kind in zip(s.devices, s.kinds, strict=True):
+            if kinds[name] != kind:
+                raise InputError(
+                    "mismatch", f"{s.source}: device {name} measures {kind}, in another file {kinds[name]}"
+                )
+    return PoseSet(
+        q=np.concatenate([s.q for s in sets]),
+        position=np.concatenate([s.position for s in sets]),
+        rotation=np.concatenate([s.rotation for s in sets if s.rotation is not None]) if all(turned) else None,
+        names=tuple(name for s in sets for name in s.names),
+        campaign=campaign,
+        campaigns=campaigns,
+        target=target,
+        targets=targets,
+        device=device,
+        devices=devices,
+        kinds=tuple(kinds[name] for name in devices),
+        approach=np.concatenate([s.approach for s in sets]),
+        position_stderr=_join_stated([s.position_stderr for s in sets]),
+        rotation_stderr=_join_stated([s.rotation_stderr for s in sets]),
+        angles=_join_stated([s.angles for s in sets]),
+        source=", ".join(s.source for s in sets),
+        warnings=tuple(w for s in sets for w in s.warnings),
+    )
+
+
+def _join_words(parts: Sequence[tuple[np.ndarray, tuple[str, ...]]]) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return one numbering of names that several files number each for itself, and the names."""
+    names = tuple(dict.fromkeys(name for _, words in parts for name in words))
+    return np.concatenate([np.array([names.index(name) for name in words])[number] for number, words in parts]), names
+
+
+def _join_stated(parts: Sequence[np.ndarray | None]) -> np.ndarray | None:
+    """Return the standard errors of several files; None unless all state them."""
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if len(known) == len(parts) else None

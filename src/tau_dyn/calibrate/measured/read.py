@@ -1,0 +1,297 @@
+"""Measured poses from CSV or Parquet: their columns, words that tell campaigns, targets and devices apart, standard errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tau_dyn.calibrate.measured.columns import ANGLES, name_pose_columns, read_angles
+from tau_dyn.calibrate.measured.kinds import TOUCHES
+from tau_dyn.calibrate.measured.pose_set import PoseSet
+from tau_dyn.exceptions import InputError
+from tau_dyn.log import ColumnMap, Table, compute_mapped_columns, format_names, is_blank, read_table
+from tau_dyn.message_codes import CodedWarning
+from tau_dyn.robot import Mimic
+
+POSITION = ("x_tool", "y_tool", "z_tool")
+STDERRS = ("x_tool_stderr", "y_tool_stderr", "z_tool_stderr")
+ROTATION_STDERR = "rot_tool_stderr"
+QUATERNION = ("qx_tool", "qy_tool", "qz_tool", "qw_tool")
+DISTANCE = "distance_tool"
+_MAX_COORDINATE_M = 1e3  # [m] from the device; farther is a file in mm
+_MAX_ROOM_M = 50.0  # [m] from the device in most rows; farther, single far rows are no slips but all rows are in mm
+
+
+def read_poses(
+    path: str | Path,
+    actuated: Sequence[str],
+    *,
+    columns: ColumnMap | str | Path | None = None,
+    mimics: Mapping[str, Mimic] | None = None,
+) -> PoseSet:
+    """Read measured poses from CSV or Parquet, with the columns `q_J`, `x_tool y_tool z_tool` and maybe `qx_tool` .. `qw_tool`.
+
+    Without a quaternion `rx_tool ry_tool rz_tool` are a rotation vector or three angles; other usual names are read, with a
+    warning (`columns.py`). `x_tool_stderr` .. `z_tool_stderr` [m] and `rot_tool_stderr` [rad] are standard errors that
+    weigh the poses; a zero counts as the smallest of its column above zero. A column `campaign` tells measuring campaigns apart,
+    a column `target` the targets on the tool, a column `device` the devices; the signs of `v_J` tell from which side a joint
+    came, and without them the order of the file does.
+
+    A row may give something else than a position: `distance_tool` [m] from the point that `device` names, or the name of what
+    the target touches in a column `hole`, `plane` or `sphere`.
+
+    Args:
+        path: File.
+        actuated: Actuated joints of the robot, in its order.
+        columns: Map for foreign columns, or the path of one; its `couplings` undo coupled transmissions.
+        mimics: Joints that follow others in the robot file; a column that they lack is computed.
+
+    Raises:
+        InputError: Columns are missing, cells are no numbers, or quaternions no orientations.
+    """
+    table = read_table(path)
+    if columns is not None:
+        table = _rename_columns(table, columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns))
+    table = _follow_mimics(table, mimics or {})
+    table = name_pose_columns(table, actuated)
+    _check_columns(table, actuated)
+    q = np.column_stack([_numbers(table, f"q_{joint}") for joint in actuated])
+    position, device, devices, kinds = _read_measurements(table)
+    campaign, campaigns = _number_words(table, "campaign")
+    target, targets = _number_words(table, "target")
+    (stated, said), (turned, more) = _read_position_stderr(table, kinds), _read_stated(table, (ROTATION_STDERR,))
+    rotation, angles, how = (None, None, "") if set(kinds) - {"pose"} else _read_orientation(table)
+    poses = PoseSet(
+        q=q,
+        position=position,
+        rotation=rotation,
+        names=tuple(table.where(k) for k in range(table.n_rows)),
+        campaign=campaign,
+        campaigns=campaigns,
+        target=target,
+        targets=targets,
+        device=device,
+        devices=devices,
+        kinds=kinds,
+        approach=_approach(table, actuated, q),
+        position_stderr=stated,
+        rotation_stderr=None if turned is None or rotation is None else turned[:, 0],
+        angles=angles,
+        source=table.name,
+        sha256=table.sha256,
+        warnings=(
+            *table.warnings,
+            *([CodedWarning("columns_read", f"{table.name}: {how}")] if how else []),
+            *said,
+            *more,
+        ),
+    )
+    if np.median(np.abs(position).max(axis=1)) < _MAX_ROOM_M:  # else the whole file has another unit
+        check_units(poses)
+    return poses
+
+
+def _read_measurements(table: Table) -> tuple[np.ndarray, np.ndarray, tuple[str, ...], tuple[str, ...]]:
+    """Return positions (N, 3) as `PoseSet` has them, the device of each row (N,), the devices' names and kinds.
+
+    Raises:
+        InputError: A row gives nothing or several things, or a device measures different things.
+    """
+    given = {"pose": _is_filled(table, POSITION), "distance": _is_filled(table, (DISTANCE,))}
+    given |= {kind: _is_filled(table, (kind,)) for kind in TOUCHES}
+    many = np.sum(list(given.values()), axis=0)
+    if np.any(many != 1):
+        k = int(np.argmax(many != 1))
+        wanted = format_names([name for name in (*POSITION, DISTANCE, *TOUCHES) if name in table.cells])
+        how = "several measurements" if many[k] else "no whole measurement"
+        raise InputError(
+            "bad_sample", f"{table.where(k)}: {how} in {wanted}; a row gives one position, distance or touch"
+        )
+    words = table.cells["device"].astype(str) if "device" in table.cells else None
+    name = np.full(table.n_rows, "", dtype=object)
+    position, kind_of = np.zeros((table.n_rows, 3)), {}
+    for kind, own in given.items():
+        if kind in TOUCHES:
+            name[own] = [f"{kind} {word}" for word in table.cells[kind][own].astype(str)] if own.any() else ""
+        else:
+            name[own] = words[own] if words is not None else "1" if kind == "pose" else kind
+        for each in dict.fromkeys(name[own]):
+            if kind_of.setdefault(each, kind) != kind:
+                raise InputError("mismatch", f"{table.name}: device {each} measures {kind_of[each]} and {kind}")
+    for columns, kind in ((POSITION, "pose"), ((DISTANCE,), "distance")):
+        own = given[kind]
+        if own.any():
+            values = np.column_stack([table.numbers(c, gaps=not own.all()) for c in columns])
+            position[own, : len(columns)] = values[own]
+    devices = tuple(dict.fromkeys(name.tolist()))
+    number = {word: k for k, word in enumerate(devices)}
+    return position, np.array([number[x] for x in name], int), devices, tuple(kind_of[x] for x in devices)
+
+
+def _is_filled(table: Table, names: Sequence[str]) -> np.ndarray:
+    """Tell in which rows (N,) all of these columns have a cell that is not empty; the only measurement counts as filled."""
+    if not all(name in table.cells for name in names):
+        return np.zeros(table.n_rows, bool)
+    others = [name for name in (*POSITION, DISTANCE, *TOUCHES) if name in table.cells and name not in names]
+    if not others:  # an empty cell is then a fault of the cell, not another kind of row
+        return np.ones(table.n_rows, bool)
+    return np.all([[not is_blank(cell) for cell in table.cells[name]] for name in names], axis=0)
+
+
+def _read_position_stderr(table: Table, kinds: Sequence[str]) -> tuple[np.ndarray | None, tuple[str, ...]]:
+    """Return standard errors of positions (N, 3) [m], those of a distance three times; None where not all have one."""
+    if set(kinds) == {"distance"}:
+        stated, said = _read_stated(table, (f"{DISTANCE}_stderr",))
+        return None if stated is None else np.repeat(stated, 3, axis=1), said
+    return _read_stated(table, STDERRS) if set(kinds) == {"pose"} else (None, ())
+
+
+def _read_orientation(table: Table) -> tuple[np.ndarray | None, np.ndarray | None, str]:
+    """Return rotations (N, 3, 3), the three angles as written (N, 3), and how they are read; None where there are none."""
+    return read_angles(table) if _has_angles(table) else (_rotations(table), None, "")
+
+
+def _rename_columns(table: Table, map_: ColumnMap) -> Table:
+    """Return the table with the map's columns in our names and units beside its others.
+
+    Raises:
+        InputError: The map reads further files.
+    """
+    if map_.files:
+        raise InputError("unsupported", f"{map_.name}: poses stand in one file; leave out files")
+    return replace(table, cells={**table.cells, **compute_mapped_columns({None: table}, map_)})
+
+
+def _follow_mimics(table: Table, mimics: Mapping[str, Mimic]) -> Table:
+    """Return the table with the positions of joints that follow others, where it lacks them."""
+    cells = dict(table.cells)
+    for _ in mimics:  # a joint may follow one that follows another
+        for joint, mimic in mimics.items():
+            if f"q_{joint}" not in cells and f"q_{mimic.joint}" in cells:
+                known = replace(table, cells=cells).numbers(f"q_{mimic.joint}")
+                cells[f"q_{joint}"] = mimic.multiplier * known + mimic.offset
+    return replace(table, cells=cells)
+
+
+def _check_columns(table: Table, actuated: Sequence[str]) -> None:
+    other = any(name in table.cells for name in (DISTANCE, *TOUCHES))
+    wanted = [*(f"q_{joint}" for joint in actuated), *(() if other else POSITION)]
+    missing = [name for name in wanted if name not in table.cells]
+    if missing:
+        raise InputError(
+            "missing_column",
+            f"{table.name} has no column {format_names(missing)}; calibration poses need {format_names(wanted)} "
+            f"(or {DISTANCE}, or what the target touches: {format_names(TOUCHES)}) and, where the orientation "
+            f"was measured, {format_names(QUATERNION)}, or a rotation vector or Euler angles {format_names(ANGLES)}; "
+            f"it has {format_names(table.cells)}",
+        )
+    some = [name for name in QUATERNION if name in table.cells]
+    if some and len(some) < 4:
+        lacking = [name for name in QUATERNION if name not in some]
+        raise InputError(
+            "file_format",
+            f"{table.name} has {format_names(some)} but not {format_names(lacking)}; a quaternion needs all four",
+        )
+
+
+def _read_stated(table: Table, names: Sequence[str]) -> tuple[np.ndarray | None, tuple[str, ...]]:
+    """Return standard errors (N, k) from the table, None where it has none, and a warning of zeros.
+
+    A zero is a scatter below the last digit that was written: it counts as the smallest one above zero in its column.
+
+    Raises:
+        InputError: Some columns are missing, a standard error is below zero, or a column has none above zero.
+    """
+    some = [name for name in names if name in table.cells]
+    if not some:
+        return None, ()
+    if len(some) < len(names):
+        lacking = [name for name in names if name not in some]
+        raise InputError("missing_column", f"{table.name} has {format_names(some)} but not {format_names(lacking)}")
+    values = np.column_stack([_numbers(table, name) for name in names])
+    bad = np.flatnonzero(((values < 0) | ~(values > 0).any(axis=0)).any(axis=1))
+    if len(bad):
+        raise InputError(
+            "bad_sample", f"{table.where(int(bad[0]))}: a standard error ({format_names(names)}) must be above zero"
+        )
+    zero = values == 0
+    if not zero.any():
+        return values, ()
+    smallest = np.where(zero, np.inf, values).min(axis=0)
+    row = int(np.flatnonzero(zero.any(axis=1))[0])
+    rounded = [
+        f"{name} {x:.3g}" for name, x, any_zero in zip(names, smallest, zero.any(axis=0), strict=True) if any_zero
+    ]
+    sentence = (
+        f"{table.name}: {int(zero.sum())} standard errors are zero (first {table.where(row)}), below the last digit that was "
+        f"written; they count as the smallest of their column above zero ({', '.join(rounded)})"
+    )
+    return np.where(zero, smallest, values), (CodedWarning("stderr_rounded", sentence),)
+
+
+def _numbers(table: Table, name: str) -> np.ndarray:
+    values = table.numbers(name)
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        raise InputError(
+            "bad_sample",
+            f"{table.where(int(bad[0]))}, column {name}: not a number; take the pose out or measure it again",
+        )
+    return values
+
+
+def check_units(poses: PoseSet) -> None:
+    """Refuse positions that no device measures in m.
+
+    Raises:
+        InputError: Names the farthest pose.
+    """
+    far = np.abs(poses.position).max(axis=1)
+    if np.any(far > _MAX_COORDINATE_M):
+        k = int(np.argmax(far))
+        raise InputError(
+            "wrong_unit", f"{poses.names[k]}: the tool is {far[k]:.0f} m from the device; positions are in m, not in mm"
+        )
+
+
+def _has_angles(table: Table) -> bool:
+    """Tell whether orientations are three numbers; a quaternion goes first."""
+    return QUATERNION[0] not in table.cells and all(name in table.cells for name in ANGLES)
+
+
+def _rotations(table: Table) -> np.ndarray | None:
+    if QUATERNION[0] not in table.cells:
+        return None
+    quaternion = np.column_stack([_numbers(table, name) for name in QUATERNION])
+    length = np.linalg.norm(quaternion, axis=1)
+    wrong = np.flatnonzero(np.abs(length - 1) > 1e-2)
+    if len(wrong):
+        k = int(wrong[0])
+        raise InputError(
+            "bad_sample",
+            f"{table.where(k)}: the quaternion {QUATERNION[0]}.. has length {length[k]:.4g}; one of an orientation has 1",
+        )
+    return Rotation.from_quat(quaternion).as_matrix()
+
+
+def _number_words(table: Table, column: str) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return a column's words as numbers (N,) and the words; without the column all are one."""
+    if column not in table.cells:
+        return np.zeros(table.n_rows, int), ("1",)
+    words = [str(x) for x in table.cells[column]]
+    number = {word: k for k, word in enumerate(dict.fromkeys(words))}
+    return np.array([number[word] for word in words], int), tuple(number)
+
+
+def _approach(table: Table, actuated: Sequence[str], q: np.ndarray) -> np.ndarray:
+    """Return from which side each joint came (N, na), by its speed where it is given, else by the pose before."""
+    if all(f"v_{joint}" in table.cells for joint in actuated):
+        return np.sign(np.column_stack([_numbers(table, f"v_{joint}") for joint in actuated]))
+    step = np.sign(np.diff(q, axis=0, prepend=q[:1]))
+    for k in range(1, len(step)):  # a joint that stands still stays on the side it came from
+        step[k] = np.where(step[k] == 0, step[k - 1], step[k])
+    return step

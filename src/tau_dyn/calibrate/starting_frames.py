@@ -1,0 +1,299 @@
+"""Frames from which a fit starts: those that the nominal robot's poses give in closed form.
+
+Positions and orientations: Umeyama 1991; orientations of several campaigns: Shah 2013. Distances from a point, and a ball: the
+differences of `|p + t|^2 = (d + c)^2` are linear in `t` and `c` (trilateration), and a few Gauss-Newton steps follow. A hole is
+where the tool was on average, a plane the best one through the tool's positions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from tau_dyn.calibrate.frames import (
+    IDENTITY,
+    DeviceFrames,
+    Frame,
+    align,
+    compute_mean_rotation,
+    is_flat,
+    split_setup,
+)
+from tau_dyn.calibrate.geometry import Predicted
+from tau_dyn.calibrate.measured import KINDS, PoseSet
+from tau_dyn.exceptions import InputError
+from tau_dyn.mechanism import Poses
+
+_ALTERNATIONS = 20
+"""Fits of the device's frame and of the targets' places in turn; what is left to go shrinks by half or more each."""
+_MIRROR_GAIN = 5.0
+"""By how much better a mirrored device frame must fit before it is called wrong-handed."""
+
+
+def estimate_initial_frames(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
+    """Return the device's frame in which the nominal robot's tool comes nearest to the measured poses.
+
+    Raises:
+        InputError: The nominal robot reaches too few of the poses, or a mirrored frame fits far better.
+    """
+    ok = nominal.ok
+    if ok.sum() < 3:
+        k = int(np.argmin(ok))
+        raise InputError(
+            "wrong_unit",
+            f"{poses.source}: the nominal robot reaches {int(ok.sum())} of {poses.n} poses "
+            f"({poses.names[k]}: {nominal.reason[k]}); "
+            "are the joints' columns in the right order and in m or rad?",
+        )
+    if poses.measures_poses and len(poses.devices) == 1:
+        return _align_poses(poses, nominal)
+    number = split_setup(poses.setup)[0]
+    found = [_place_device(poses, nominal, ok & (number == k), kind) for k, kind in enumerate(poses.frame_kinds)]
+    targets = [one.tool for one in found if len(one.tool) == len(poses.targets)]
+    tool = targets[0] if targets else (IDENTITY,) * len(poses.targets)
+    lengths = tuple(one.lengths[0] if one.lengths else 0.0 for one in found)
+    return DeviceFrames(tuple(one.device[0] for one in found), tool, poses.frame_kinds, lengths)
+
+
+def _place_device(poses: PoseSet, nominal: Predicted, own: np.ndarray, kind: str) -> DeviceFrames:
+    """Return the frame of one device or fixture by its own poses (N,); with targets where it sees poses."""
+    known = nominal.poses.position[own]
+    if len(known) < 3:
+        return DeviceFrames((IDENTITY,), ())
+    if kind == "hole":
+        return DeviceFrames((Frame(np.eye(3), -known.mean(axis=0)),), ())
+    if kind == "plane":
+        turn = np.linalg.svd(known - known.mean(axis=0))[2]
+        turn = turn * np.sign(np.linalg.det(turn))
+        return DeviceFrames((Frame(turn, -turn @ known.mean(axis=0) * np.array([0.0, 0.0, 1.0])),), ())
+    if kind != "pose":
+        place, length = _trilaterate(known, poses.position[own, 0], KINDS[kind].sign)
+        return DeviceFrames((Frame(np.eye(3), place),), (), (kind,), (length,))
+    some = replace(poses.take(own), devices=("1",), kinds=("pose",), device=np.zeros(int(own.sum()), int))
+    return _align_poses(some, Predicted(nominal.poses.take(own), nominal.ok[own], nominal.reason[own]))
+
+
+def _trilaterate(known: np.ndarray, distance: np.ndarray, sign: float) -> tuple[np.ndarray, float]:
+    """Return the shift (3,) [m] of positions (n, 3) and the length [m] with `|p + t| = d + sign length`, the best of some starts.
+
+    The linear equations are solved with and without the length. Positions in a plane leave two mirrored points.
+    """
+    square, ones = np.sum(known**2, axis=1), np.ones(len(known))
+    middle, normal = known.mean(axis=0), np.linalg.svd(known - known.mean(axis=0))[2][2]
+    starts = []
+    for columns in ((2 * known, ones), (2 * known, -2 * sign * distance, ones)):
+        x = np.linalg.lstsq(np.column_stack(columns), distance**2 - square, rcond=1e-9)[0]
+        length = float(x[3]) if len(columns) > 2 else 0.0
+        away = float(np.sqrt(np.mean((distance + sign * length) ** 2)))
+        for side in (-1.0, 1.0):
+            across = -middle + side * away * normal  # a point off the plane of the positions
+            starts += [
+                (*x[:3], length),
+                (*(x[:3] - 2 * normal * (normal @ (x[:3] + middle))), length),
+                (*across, length),
+            ]
+
+    def left(x: np.ndarray) -> np.ndarray:
+        return distance + sign * x[3] - np.linalg.norm(known + x[:3], axis=1)
+
+    found = [least_squares(left, start, method="lm") for start in starts if np.all(np.isfinite(start))]
+    best = min(found, key=lambda one: one.cost).x
+    return best[:3], float(best[3])
+
+
+def _align_poses(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
+    """Return the frames of one device that measures poses or positions."""
+    ok = nominal.ok
+    seen, known = poses.position[ok], nominal.poses.position[ok]
+    flat = is_flat(known)
+    if poses.rotation is not None and flat:
+        return _from_orientation(poses, nominal)
+    device = (
+        align_with_targets(poses.take(ok), nominal.poses.take(ok))[0] if len(poses.targets) > 1 else align(seen, known)
+    )
+    if not flat:
+        _check_hand(poses.source, seen, known, device)
+    if poses.rotation is None:
+        return DeviceFrames((device,), (IDENTITY,) * len(poses.targets))
+    back = np.swapaxes(device.rotation @ nominal.poses.rotation[ok], 1, 2) @ poses.rotation[ok]
+    return DeviceFrames(
+        (device,), tuple(Frame(_mean_of(back[poses.target[ok] == k]), np.zeros(3)) for k in _each(poses))
+    )
+
+
+_NEAREST = 1e-3
+"""Weight of the common orientation in a campaign's own, relative to its poses: it decides what poses in a line leave open."""
+
+
+def estimate_campaign_frames(
+    poses: PoseSet, base: Poses, ok: np.ndarray, frames: DeviceFrames, *, turned: bool, tool: bool
+) -> DeviceFrames:
+    """Return frames with the device of each campaign at its own poses, where they fit better so than the given ones.
+
+    Orientations give the rotations by themselves, so that a campaign that turns one joint is placed by the target of the others.
+
+    Args:
+        poses: Measured poses (N), several campaigns.
+        base: Tool poses (N) in the robot's base frame.
+        ok: Whether they are known (N,).
+        frames: A device for every campaign, and targets.
+        turned: Whether measured orientations count.
+        tool: Whether the targets are unknown.
+    """
+    some, known = poses.take(ok), base.take(ok)
+    found = _turn_frames(some, known, frames, tool=tool) if turned else frames
+    for _ in range(1 if turned else _ALTERNATIONS):
+        found = _shift_frames(some, known, found, tool=tool)
+        if not turned:
+            found = _align_devices(some, known, found)
+
+    def miss(one: DeviceFrames) -> float:
+        return float(np.sum((some.position - one.measured(known, some.setup).position) ** 2))
+
+    return found if miss(found) < miss(frames) else frames
+
+
+def _turn_frames(poses: PoseSet, base: Poses, frames: DeviceFrames, *, tool: bool) -> DeviceFrames:
+    """Return frames with the rotations that measured orientations `R_m = R_D R R_T` ask for: the better of two starts.
+
+    One start keeps the given targets. The other solves `R_D' R_m = R R_T` as linear equations of all entries (Shah 2013).
+    """
+    assert poses.rotation is not None
+    starts = [frames, _solve_rotations(poses, base, frames)] if tool else [frames]
+    found = [_alternate_rotations(poses, base, start, tool=tool) for start in starts]
+
+    def miss(one: DeviceFrames) -> float:
+        return float(np.sum((poses.rotation - one.measured(base, poses.setup).rotation) ** 2))
+
+    return min(found, key=miss)
+
+
+def _solve_rotations(poses: PoseSet, base: Poses, frames: DeviceFrames) -> DeviceFrames:
+    """Return frames with the rotations of the smallest singular vector of the linear equations, each nearest to its block."""
+    assert poses.rotation is not None
+    n_device, n_frames = len(frames.device), len(frames.device) + len(frames.tool)
+    rows = np.zeros((poses.n, 9, n_frames, 9))
+    device, tool = (
+        np.minimum(x, n - 1) for x, n in zip(split_setup(poses.setup), (n_device, len(frames.tool)), strict=True)
+    )
+    number, eye = np.arange(poses.n), np.eye(3)
+    # row-major entries: (X R)_ij = sum_k X_ik R_kj and (R Y)_ij = sum_k R_ik Y_kj
+    rows[number, :, device] = np.einsum("ia,nbj->nijab", eye, poses.rotation).reshape(-1, 9, 9)
+    rows[number, :, n_device + tool] = -np.einsum("nia,jb->nijab", base.rotation, eye).reshape(-1, 9, 9)
+    flat = rows.reshape(-1, 9 * n_frames)
+    blocks = np.linalg.eigh(flat.T @ flat)[1][:, 0].reshape(n_frames, 3, 3)
+    turns = [compute_mean_rotation(x[None] * np.sign(np.linalg.det(blocks[0]))) for x in blocks]
+    return DeviceFrames(
+        tuple(f._replace(rotation=x.T) for f, x in zip(frames.device, turns[:n_device], strict=True)),
+        tuple(f._replace(rotation=x) for f, x in zip(frames.tool, turns[n_device:], strict=True)),
+    )
+
+
+def _alternate_rotations(poses: PoseSet, base: Poses, frames: DeviceFrames, *, tool: bool) -> DeviceFrames:
+    """Return frames with rotations of devices and targets fitted in turn."""
+    assert poses.rotation is not None
+    for _ in range(_ALTERNATIONS):
+        rd, _, rt, _ = frames.of_each(poses.setup)
+        rd = poses.rotation @ np.swapaxes(base.rotation @ rt, 1, 2)
+        frames = replace(frames, device=_average(rd, split_setup(poses.setup)[0], frames.device))
+        if tool:
+            rd = frames.of_each(poses.setup)[0]
+            rt = np.swapaxes(rd @ base.rotation, 1, 2) @ poses.rotation
+            frames = replace(frames, tool=_average(rt, split_setup(poses.setup)[1], frames.tool))
+    return frames
+
+
+def _average(rotations: np.ndarray, number: np.ndarray, frames: tuple[Frame, ...]) -> tuple[Frame, ...]:
+    """Return frames with the mean of their own rotations (N, 3, 3); those without any stay."""
+    number = np.minimum(number, len(frames) - 1)
+    return tuple(
+        f._replace(rotation=compute_mean_rotation(rotations[number == k])) if np.any(number == k) else f
+        for k, f in enumerate(frames)
+    )
+
+
+def _shift_frames(poses: PoseSet, base: Poses, frames: DeviceFrames, *, tool: bool) -> DeviceFrames:
+    """Return frames with the translations of least squares, the shortest where the poses leave them open."""
+    rd, _, _, tt = frames.of_each(poses.setup)
+    n_device, n_tool = len(frames.device), len(frames.tool)
+    device, target = split_setup(poses.setup)
+    columns = np.zeros((poses.n, 3, n_device + n_tool, 3))
+    columns[np.arange(poses.n), :, np.minimum(device, n_device - 1)] = np.eye(3)
+    left = poses.position - np.einsum("nij,nj->ni", rd, base.position)
+    if tool:
+        columns[np.arange(poses.n), :, n_device + np.minimum(target, n_tool - 1)] = rd @ base.rotation
+    else:
+        left = left - np.einsum("nij,nj->ni", rd @ base.rotation, tt)
+    places = np.linalg.lstsq(columns.reshape(3 * poses.n, -1), left.ravel(), rcond=1e-9)[0].reshape(-1, 3)
+    found = tuple(f._replace(translation=x) for f, x in zip((*frames.device, *frames.tool), places, strict=True))
+    return DeviceFrames(found[:n_device], found[n_device:] if tool else frames.tool)
+
+
+def _align_devices(poses: PoseSet, base: Poses, frames: DeviceFrames) -> DeviceFrames:
+    """Return frames with each device aligned with its own positions, those with fewer than three left."""
+    seen, device = frames.measured(base, poses.setup), list(frames.device)
+    for k, old in enumerate(device):
+        own = split_setup(poses.setup)[0] == k
+        if own.sum() >= 3:
+            known = (seen.position[own] - old.translation) @ old.rotation
+            device[k] = _align_near(poses.position[own], known, old.rotation)
+    return replace(frames, device=tuple(device))
+
+
+def _align_near(seen: np.ndarray, known: np.ndarray, rotation: np.ndarray) -> Frame:
+    """Return the frame that best takes `known` points (N, 3) to `seen` ones, near a rotation where they leave it open."""
+    a, b = seen.mean(axis=0), known.mean(axis=0)
+    u, s, vt = np.linalg.svd((seen - a).T @ (known - b))
+    u, _, vt = np.linalg.svd((u * s) @ vt + _NEAREST * s[0] * rotation)
+    turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return Frame(turn, a - turn @ b)
+
+
+def _each(poses: PoseSet) -> range:
+    """Return the targets' numbers."""
+    return range(len(poses.targets))
+
+
+def _mean_of(rotations: np.ndarray) -> np.ndarray:
+    """Return the mean rotation (3, 3), none where there are no rotations."""
+    return compute_mean_rotation(rotations) if len(rotations) else np.eye(3)
+
+
+def align_with_targets(poses: PoseSet, nominal: Poses) -> tuple[Frame, np.ndarray]:
+    """Return the device's frame and the targets' places on the tool (targets, 3) [m], fitted in turn."""
+    place = np.zeros((len(poses.targets), 3))
+    turned = nominal.rotation
+    frame = align(poses.position, nominal.position)
+    for _ in range(_ALTERNATIONS):
+        for k in _each(poses):
+            own = poses.target == k
+            if own.any():
+                left = poses.position[own] - frame.translation - nominal.position[own] @ frame.rotation.T
+                rows = (frame.rotation @ turned[own]).reshape(-1, 3)
+                place[k] = np.linalg.lstsq(rows, left.ravel(), rcond=None)[0]
+        frame = align(poses.position, nominal.position + np.einsum("nij,nj->ni", turned, place[poses.target]))
+    return frame, place
+
+
+def _from_orientation(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
+    """Return frames from orientations where positions lie in a plane: the target taken as turned like the tool."""
+    assert poses.rotation is not None
+    ok = nominal.ok
+    rotation = compute_mean_rotation(poses.rotation[ok] @ np.swapaxes(nominal.poses.rotation[ok], 1, 2))
+    shift = poses.position[ok].mean(axis=0) - rotation @ nominal.poses.position[ok].mean(axis=0)
+    return DeviceFrames((Frame(rotation, shift),), (IDENTITY,))
+
+
+def _check_hand(source: str, seen: np.ndarray, known: np.ndarray, device: Frame) -> None:
+    def left(frame: Frame) -> float:
+        return float(np.sqrt(np.mean(np.sum((seen - frame.translation - known @ frame.rotation.T) ** 2, axis=1))))
+
+    proper, mirrored = left(device), left(align(seen, known, mirrored=True))
+    if proper > _MIRROR_GAIN * mirrored:
+        raise InputError(
+            "invalid_value",
+            f"{source}: the measuring device's frame is left-handed: with one axis turned round the nominal robot is off by "
+            f"{1e3 * mirrored:.3g} mm instead of {1e3 * proper:.3g} mm; change the sign of one of x_tool, y_tool, z_tool",
+        )
