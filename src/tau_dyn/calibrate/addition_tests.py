@@ -18,7 +18,7 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.calibrate.conventions import measure_misfit
-from tau_dyn.calibrate.fit_problem import compute_actuated_positions
+from tau_dyn.calibrate.fit_problem import compute_actuated_positions, compute_size_slope
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.measured import PoseSet
 from tau_dyn.calibrate.models import Family, Spec
@@ -134,7 +134,8 @@ def find_rivals(
 ) -> tuple[tuple[str, str], ...]:
     """Return what else leaves nothing for an addition to explain, as addition and place.
 
-    A base that yields to the robot's weight counts too, as `gravity` of `base`; beside a joint that stands still it always does.
+    The dimensions that the model keeps count, as `structure` and the name of the largest one. A base that yields to the robot's
+    weight counts too, as `gravity` of `base`; beside a joint that stands still it always does.
 
     Args:
         fitted: The fit without the addition.
@@ -149,13 +150,17 @@ def find_rivals(
         return (("gravity", "base"),)
     rest = _ProjectedResidual(fitted)
     hints = {(h.addition, h.joints[0]): h for h in screen_additions(fitted, family, spec)}
-    if (addition, joint) not in hints:
+    hint = hints.pop((addition, joint), None)
+    if hint is None and addition.startswith("periodic"):
         return ()
-    own = _build_columns(rest, family, spec, hints.pop((addition, joint)))
+    own = _build_columns(rest, family, spec, hint or AdditionTest(addition, (joint,), 1.0, 0.0))
     q = compute_actuated_positions(fitted.poses, fitted.state.slack)
     others = {place: _build_columns(rest, family, spec, hint) for place, hint in hints.items()}
     base = rest.twists(family.move_with_base(q, fitted.state.base))
     others |= {("gravity", "base"): base} if base.shape[1] else {}
+    widest = [name for name in family.structures if name != "paths"][-1]
+    if widest != spec.structure:
+        others[("structure", widest)] = _build_new_columns(rest, family, Spec(widest, spec.additions))
     return tuple(place for place, columns in others.items() if rest.compare_nested(columns, own) < _ALIKE)
 
 
@@ -237,12 +242,23 @@ def _build_plain_columns(rest: _ProjectedResidual, family: Family, spec: Spec, a
         a = family.joints.index(joint)
         slope = fitted.geometry.tool_by_joint(fitted.theta, q, fitted.state.base)[:, :, a : a + 1]
         return rest.twists(slope * (-0.5 * fitted.poses.approach[:, None, a : a + 1]))
-    larger = family.build(spec.plus(addition, (joint,)))
+    return _build_new_columns(rest, family, spec.plus(addition, (joint,)))
+
+
+def _build_new_columns(rest: _ProjectedResidual, family: Family, spec: Spec) -> np.ndarray:
+    """Return the whitened columns (rows, k) of the parameters that a larger model has beside those of a fit."""
+    fitted = rest.fitted
+    q = compute_actuated_positions(fitted.poses, fitted.state.slack)
+    larger = family.build(spec)
     old = dict(zip(fitted.geometry.parameters.names, fitted.theta.tolist(), strict=True))
     names = larger.parameters.names
     theta = np.array([old.get(p.name, p.value) for p in larger.parameters])
     new = [k for k, name in enumerate(names) if name not in old]
-    return rest.twists(larger.tool_by_parameter(theta, q, fitted.state.base)[:, :, new])
+    columns = rest.twists(larger.tool_by_parameter(theta, q, fitted.state.base)[:, :, new])
+    touches = np.repeat(fitted.poses.touches, fitted.sigma.shape[1])
+    whitened = np.where(fitted.state.ok[:, None], fitted.residuals / fitted.sigma, 0.0).ravel()
+    slope = compute_size_slope(larger, q) if touches.any() else np.zeros(len(theta))
+    return columns + np.outer(touches * whitened, slope[new])
 
 
 def _periodic(rest: _ProjectedResidual, family: Family, joint: str, addition: str = "periodic") -> AdditionTest | None:

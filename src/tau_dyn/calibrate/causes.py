@@ -92,6 +92,7 @@ def _recombined(
 
 _NO_HELD_OUT = "no held-out poses show it"
 _ELSEWHERE = "the poses show the same at {} as well"
+_BY_DIMENSIONS = "dimensions off the robot file explain the poses as well"
 _NOT_APART = "the poses do not tell it from a move of the {}"
 _OUTDONE = "an implausible law explains the poses better"
 _MISSED_POSES = "the model misses the poses by far, or a frame moved between them"
@@ -211,9 +212,11 @@ def find_causes(
         alike = _list_alike(family, cause, joints)
         if not why_not:
             rivals = _list_rivals(family, chosen, cause, joints, smaller, spec)
+            by_dimensions = any(addition == "structure" for addition, _ in rivals)
+            rivals = [(addition, place) for addition, place in rivals if addition != "structure"]
             alike = tuple(dict.fromkeys((*alike, *(_OF_ADDITION[addition] for addition, _ in rivals))))
             places = [place for _, place in rivals if place != "/".join(joints)]
-            why_not = _ELSEWHERE.format(format_list(places)) if places else ""
+            why_not = _ELSEWHERE.format(format_list(places)) if places else _BY_DIMENSIONS if by_dimensions else ""
         shown = holdout is not None and not explain_gain(gain)
         numbers, dof = _parameters(cause, joints, chosen.fit), chosen.fit.dof
         one = _build_finding(cause, joints, gain, 0, why_not, numbers, alike, dof)

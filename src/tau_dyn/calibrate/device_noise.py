@@ -1,7 +1,8 @@
 """How exact each of several devices and fixtures is: a fit weighs a wire, a tracker and a pin by what each one leaves.
 
-The scatter of a device is that of its residuals by what the fitted parameters leave of them. Devices of one kind are equally exact
-unless an F test tells them apart. Weights and fit are found in turn (iterated weighted least squares; Carroll & Ruppert 1988, 2).
+The scatter of a device is that of its residuals by what the fitted parameters leave of them. Devices of one kind are equally
+exact unless an F test tells them apart. Weights and fit are found in turn (iterated weighted least squares; Carroll & Ruppert
+1988, 2).
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ import numpy as np
 
 from tau_dyn.calibrate.frames import DeviceFrames, compute_rotation_between
 from tau_dyn.calibrate.geometry import KNOWN_BEFOREHAND, Closure, Geometry
-from tau_dyn.calibrate.measured import TOUCHES, PoseSet
+from tau_dyn.calibrate.measured import PoseSet
 from tau_dyn.calibrate.unknowns import Identifiability, Unknowns, find_identifiable
 from tau_dyn.estimate import (
     DescentRules,
@@ -139,7 +139,7 @@ class Problem:
             lengths = state.frames.lengths_of(self.poses.setup)
             position = self.poses.compute_position_residuals(seen.position, lengths)
             if self._touches.any():
-                position = np.where(self._touches[:, None], position / self._compute_scale(state.theta)[0], position)
+                position = np.where(self._touches[:, None], position / self._compute_size(state), position)
             if not self.turned:
                 return position
             assert self.poses.rotation is not None
@@ -183,24 +183,22 @@ class Problem:
 
     @cached_property
     def _touches(self) -> np.ndarray:
-        """Which poses touch something (N,)."""
-        return np.array([kind in TOUCHES for kind in self.poses.kinds])[self.poses.device]
+        return self.poses.touches
 
-    def _compute_scale(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the robot's size over the nominal one, and its derivative by the parameters (p,).
+    @cached_property
+    def _size_slope(self) -> np.ndarray:
+        return compute_size_slope(self.geometry, self.poses.q)
 
-        What only touches shows no absolute length, and a smaller robot misses by less: residuals of touches are relative to it.
-        """
-        nominal = self.geometry.parameters.values * np.array([p.unit == "m" for p in self.geometry.parameters])
-        square = float(nominal @ nominal)
-        return (float(nominal @ theta) / square, nominal / square) if square > 0 else (1.0, nominal)
+    def _compute_size(self, state: FitState) -> float:
+        """Return the robot's size over the nominal one."""
+        return 1.0 + float(self._size_slope @ (state.theta - self.geometry.parameters.values))
 
     def _rescale(self, state: FitState, columns: np.ndarray, resized: bool) -> np.ndarray:
         """Return derivatives (N, m, P) with touches relative to the robot's size, which changes or not."""
-        scale, slope = self._compute_scale(state.theta)
-        relative = columns / scale
+        size, slope = self._compute_size(state), self._size_slope
+        relative = columns / size
         if resized:
-            relative[:, :3, : len(slope)] += self.residuals(state)[:, :3, None] * slope / scale
+            relative[:, :3, : len(slope)] += self.residuals(state)[:, :3, None] * slope / size
         return np.where(self._touches[:, None, None], relative, columns)
 
     def _measured_in_base(self, state: FitState) -> Poses:
@@ -219,6 +217,31 @@ class Problem:
         if found is None:
             raise InputError("unsupported", "this mechanism has no closure equations; use the forward residual")
         return found
+
+
+def compute_size_slope(geometry: Geometry, q: np.ndarray) -> np.ndarray:
+    """Return the derivative (p,) of a robot's size, over the nominal one, by its parameters.
+
+    What only touches shows no absolute length, and a smaller robot misses by less: residuals of touches are relative to the size.
+    It is the component along the nominal lengths, and does not change with what moves no tool in any way that frames would not.
+
+    Args:
+        geometry: The mechanism.
+        q: Actuated positions (N, na).
+    """
+    nominal = geometry.parameters.values * np.array([p.unit == "m" and p.free for p in geometry.parameters], float)
+    at = geometry.forward(geometry.parameters.values, q)
+    if not nominal.any() or not at.ok.any():
+        return np.zeros(len(nominal))
+    base = at.poses.take(at.ok)
+    frames, setup = DeviceFrames(), np.zeros(len(base.position), int)
+    twist = geometry.tool_by_parameter(geometry.parameters.values, q[at.ok], base)
+    rows = np.concatenate([twist, *frames.columns(base, base, setup)], axis=2).reshape(6 * len(setup), -1)
+    _, s, vt = np.linalg.svd(rows * np.concatenate([np.array(geometry.parameters.free, float), np.ones(12)]))
+    blind = vt[np.sum(s > _BLIND * s[0]) :, : len(nominal)]
+    slope = nominal - np.linalg.pinv(blind, rcond=1e-6) @ (blind @ nominal)
+    along = float(slope @ nominal)
+    return slope / along if along > _BLIND * float(nominal @ nominal) else np.zeros(len(nominal))
 
 
 def _require_square(slope: np.ndarray) -> np.ndarray:
@@ -244,6 +267,7 @@ _FREE_FRAMES = 1e3  # how much less than dimensions frames are known beforehand
 _UNIDENTIFIABLE_PRIOR_WEIGHT = 1e5  # prior of parameters that poses cannot tell, in units of 1 / scale
 _FULL_STEPS = 4  # undamped Gauss-Newton steps along a curved valley
 _MIN_NOISE = 1e-9  # [m or rad], of poses without noise
+_BLIND = 1e-9  # of the largest singular value: rounding
 _RANK_TOLERANCE = 1e-14  # rounding: the prior tells every unknown something
 _RULES = DescentRules(_MAX_STEPS, small_step=1e-3, small_gain=1e-3, first_damping=0.1, growth=5.0, max_trials=10)
 """A step is the last that moves predictions by a thousandth of the noise (rms) or gains a thirtieth of a standard error."""

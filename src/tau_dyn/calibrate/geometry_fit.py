@@ -321,7 +321,7 @@ def fit_geometry_to_poses(
         CannotAnswer: The geometry cannot reach the poses from where the fit stands.
     """
     turned = poses.rotation is not None and geometry.orients
-    state = _starting_state(geometry, poses, start, frames, device)
+    state = _starting_state(geometry, poses, start, frames, device, tool=tool and geometry.orients)
     devices = len(poses.campaigns) if apart[0] else len(state.frames.device)
     tools = len(poses.campaigns) if apart[1] else max(len(poses.targets), len(state.frames.tool))
     several = len(poses.devices) > 1
@@ -369,7 +369,13 @@ def _solve(problem: Problem, robust: str, noise: tuple[float, ...] | None, state
 
 
 def _starting_state(
-    geometry: Geometry, poses: PoseSet, start: GeometryFit | FitState | None, frames: DeviceFrames | None, device: bool
+    geometry: Geometry,
+    poses: PoseSet,
+    start: GeometryFit | FitState | None,
+    frames: DeviceFrames | None,
+    device: bool,
+    *,
+    tool: bool,
 ) -> FitState:
     if isinstance(start, GeometryFit):
         start = start.state
@@ -382,7 +388,7 @@ def _starting_state(
     if frames is None:
         n, kinds = len(poses.frame_kinds), poses.frame_kinds
         known = DeviceFrames((IDENTITY,) * n, kinds=kinds, lengths=(0.0,) * n)
-        frames = estimate_initial_frames(poses, found) if device else known
+        frames = estimate_initial_frames(poses, found, tool=tool) if device else known
     return FitState(theta, frames, found.poses, found.ok, np.zeros(poses.na))
 
 

@@ -28,12 +28,19 @@ from tau_dyn.mechanism import Poses
 
 _ALTERNATIONS = 20
 """Fits of the device's frame and of the targets' places in turn; what is left to go shrinks by half or more each."""
+_MAX_EVALUATIONS = 60
+"""Evaluations for each unknown of a descent to a start; a smooth one takes about ten."""
 _MIRROR_GAIN = 5.0
 """By how much better a mirrored device frame must fit before it is called wrong-handed."""
 
 
-def estimate_initial_frames(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
+def estimate_initial_frames(poses: PoseSet, nominal: Predicted, *, tool: bool = True) -> DeviceFrames:
     """Return the device's frame in which the nominal robot's tool comes nearest to the measured poses.
+
+    Args:
+        poses: What was measured.
+        nominal: Tool poses of the nominal robot (N).
+        tool: Whether the target may be anywhere on a tool that turns.
 
     Raises:
         InputError: The nominal robot reaches too few of the poses, or a mirrored frame fits far better.
@@ -52,9 +59,56 @@ def estimate_initial_frames(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
     number = split_setup(poses.setup)[0]
     found = [_place_device(poses, nominal, ok & (number == k), kind) for k, kind in enumerate(poses.frame_kinds)]
     targets = [one.tool for one in found if len(one.tool) == len(poses.targets)]
-    tool = targets[0] if targets else (IDENTITY,) * len(poses.targets)
+    places = targets[0] if targets else (IDENTITY,) * len(poses.targets)
     lengths = tuple(one.lengths[0] if one.lengths else 0.0 for one in found)
-    return DeviceFrames(tuple(one.device[0] for one in found), tool, poses.frame_kinds, lengths)
+    frames = DeviceFrames(tuple(one.device[0] for one in found), places, poses.frame_kinds, lengths)
+    if poses.measures_poses:
+        return frames
+    some, base = poses.take(ok), nominal.poses.take(ok)
+    starts = [frames, _place_points(some, base, frames)] if tool else [frames]
+    settled = [_settle(some, base, start, tool=tool) for start in starts]
+    return min(settled, key=lambda one: one[1])[0]
+
+
+def _place_points(poses: PoseSet, base: Poses, frames: DeviceFrames) -> DeviceFrames:
+    """Return frames with every hole and ball as a point that the target touches: `p + R p_T + t = 0` is linear."""
+    number, target = split_setup(poses.setup)
+    point = np.array([kind in ("hole", "sphere") for kind in poses.kinds])[poses.device]
+    if not point.any():
+        return frames
+    rows = np.zeros((int(point.sum()), 3, len(frames.device) + len(frames.tool), 3))
+    index, n = np.arange(len(rows)), len(frames.device)
+    rows[index, :, number[point]] = np.eye(3)
+    rows[index, :, n + target[point]] = base.rotation[point]
+    x = np.linalg.lstsq(rows.reshape(3 * len(rows), -1), -base.position[point].ravel(), rcond=1e-9)[0].reshape(-1, 3)
+    device = list(frames.device)
+    for k in np.unique(number[point]):
+        device[k] = Frame(np.eye(3), x[k])
+    lengths = [0.0 if kind == "sphere" else size for kind, size in zip(frames.kinds, frames.lengths, strict=True)]
+    tool = tuple(f._replace(translation=x[n + k]) for k, f in enumerate(frames.tool))
+    return DeviceFrames(tuple(device), tool, frames.kinds, tuple(lengths))
+
+
+def _settle(poses: PoseSet, base: Poses, frames: DeviceFrames, *, tool: bool) -> tuple[DeviceFrames, float]:
+    """Return the frames after a descent at the robot file's dimensions, and the sum of squares that is left [m^2]."""
+    shown = [6 * k + axis for k, kind in enumerate(frames.kinds) for axis in KINDS[kind].axes]
+    n, places = len(shown), [6 * k + axis for k in range(len(frames.tool) if tool else 0) for axis in range(3)]
+
+    def move(x: np.ndarray) -> DeviceFrames:
+        device, target = np.zeros(6 * len(frames.device)), np.zeros(6 * len(frames.tool))
+        device[shown], target[places] = x[:n], x[n : n + len(places)]
+        return frames.moved(device, target, x[n + len(places) :])
+
+    def left(x: np.ndarray) -> np.ndarray:
+        moved = move(x)
+        seen = moved.measured(base, poses.setup).position
+        return poses.compute_position_residuals(seen, moved.lengths_of(poses.setup)).ravel()
+
+    start = np.zeros(n + len(places) + len(frames.with_length))
+    if not len(start) or poses.n * 3 < len(start):
+        return frames, float(np.sum(left(start) ** 2))
+    end = least_squares(left, start, method="lm", x_scale=1.0, max_nfev=_MAX_EVALUATIONS * len(start))
+    return move(end.x), float(2 * end.cost)
 
 
 def _place_device(poses: PoseSet, nominal: Predicted, own: np.ndarray, kind: str) -> DeviceFrames:

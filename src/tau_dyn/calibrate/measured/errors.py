@@ -12,7 +12,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from tau_dyn.calibrate.frames import compute_rotation_between
-from tau_dyn.calibrate.measured.kinds import TOUCHES
 from tau_dyn.calibrate.measured.pose_set import PoseSet
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Poses
@@ -177,7 +176,7 @@ def _from_repeats(poses: PoseSet) -> MeasurementNoise:
 
     Touches repeat without scatter, whatever their noise.
     """
-    poses = poses.take(np.isin(np.array(poses.kinds)[poses.device], TOUCHES, invert=True))
+    poses = poses.take(~poses.touches)
     rows = np.column_stack([poses.configuration, poses.setup])
     _, group = np.unique(rows, axis=0, return_inverse=True)
     group = group.ravel()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tau_dyn.calibrate.measured.kinds import KINDS, compute_position_residuals, project_columns
+from tau_dyn.calibrate.measured.kinds import KINDS, TOUCHES, compute_position_residuals, project_columns
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Poses
 from tau_dyn.results import Brief
@@ -132,6 +132,11 @@ class PoseSet(Brief):
     def measures_poses(self) -> bool:
         """Whether all measurements are poses or positions."""
         return all(kind == "pose" for kind in self.kinds)
+
+    @property
+    def touches(self) -> np.ndarray:
+        """Whether each measurement is that the target touches something (N,)."""
+        return np.array([kind in TOUCHES for kind in self.kinds])[self.device]
 
     @property
     def numbers(self) -> np.ndarray:
