@@ -11,7 +11,7 @@ from scipy.signal import bilinear, lfilter
 
 from hidden_effects_parts.forms import Added, Form, Places, either, log_uniform, one
 from hidden_effects_parts.recording import RATE_HZ, Recording
-from hidden_effects_parts.robots import TURNING, Rig
+from hidden_effects_parts.robots import Rig
 
 
 class Ripple(Added):
@@ -23,7 +23,7 @@ class Ripple(Added):
     def draw(cls, rig: Rig, places: Places, rng: np.random.Generator) -> Self:
         """Draw a joint, a period of 15 to 150 mm (a turn over 8 to 80) and phases."""
         j = one(rig, rng)
-        period = 2 * np.pi / log_uniform(rng, 8, 80) if rig.name in TURNING else log_uniform(rng, 0.015, 0.15)
+        period = 2 * np.pi / log_uniform(rng, 8, 80) if rig.turns else log_uniform(rng, 0.015, 0.15)
         inner = {"period": period, "second": float(rng.uniform(0.1, 0.5)), "phase": float(rng.uniform(0, 6))}
         return cls((j,), inner | {"other": float(rng.uniform(0, 6))}, 0.3 * rig.friction.coulomb[j])
 
@@ -91,9 +91,9 @@ class TransmissionError(Form):
     def draw(cls, rig: Rig, places: Places, rng: np.random.Generator) -> Self:
         """Draw a joint, a period of 30 to 250 mm (a turn over 5 to 40) and phases."""
         j = one(rig, rng)
-        period = 2 * np.pi / log_uniform(rng, 5, 40) if rig.name in TURNING else log_uniform(rng, 0.03, 0.25)
+        period = 2 * np.pi / log_uniform(rng, 5, 40) if rig.turns else log_uniform(rng, 0.03, 0.25)
         inner = {"period": period, "second": float(rng.uniform(0.02, 0.1)), "phase": float(rng.uniform(0, 6))}
-        return cls((j,), inner, 2e-3 if rig.name in TURNING else 4e-4)
+        return cls((j,), inner, 2e-3 if rig.turns else 4e-4)
 
     def act(self, run: Recording, amplitude: float) -> Recording:
         """Return the run as its encoder shows it."""

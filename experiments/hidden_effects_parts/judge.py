@@ -35,6 +35,7 @@ def about(one: HiddenSet) -> dict[str, Any]:
         "robot": one.rig.name,
         "base": one.rig.base,
         "nominal": one.nominal,
+        "known_model": one.known is not None,
         "rate_hz": one.sensing.rate_hz,
         "position_sd": one.sensing.position_sd,
         "colour": one.sensing.colour,

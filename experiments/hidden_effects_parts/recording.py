@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.signal import lfilter
 
-from hidden_effects_parts.robots import TURNING, Rig
+from hidden_effects_parts.robots import Rig
 from tau_dyn.log import Log
 from tau_dyn.simulate import Trajectory, build_fourier_motion, build_named_motion, concatenate
 
@@ -121,9 +121,9 @@ class Recording:
 def draw_sensing(rig: Rig, rng: np.random.Generator, *, coarse: bool | None = None) -> Sensing:
     """Return sensors: encoders of 5 or 20 um (20 or 80 urad), 5 N (2 N, 0.4 N m) of force noise, white or coloured."""
     coarse = bool(rng.random() < 0.4) if coarse is None else coarse
-    size = (2e-5 if rig.name in TURNING else 5e-6) * (4 if coarse else 1)
+    size = (2e-5 if rig.turns else 5e-6) * (4 if coarse else 1)
     rounded = rng.random() < 0.3
-    force = {"l1": 5.0, "axis": 2.0, "arm": 0.4, "elbow": 0.4, "geared": 0.6}[rig.name]
+    force = {"l1": 5.0, "axis": 2.0, "arm": 0.4, "elbow": 0.4, "geared": 0.6}.get(rig.name, 0.4)
     colour = float(rng.choice((0.0, 0.0, 0.5, 0.9)))
     noise, step = (size / 3, size * np.sqrt(12) * np.sqrt(8) / 3) if rounded else (size, 0.0)  # the same in all
     return Sensing(float(noise), float(step), force, colour, float(rng.choice(LOG_RATES_HZ)))

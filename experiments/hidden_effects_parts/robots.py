@@ -2,7 +2,8 @@
 
 Five robots: the L1 Gantry-Tau (`l1`), one linear axis (`axis`), a serial arm of three hinges (`arm`), whose last two may share a
 motor, its last two hinges alone (`elbow`, for actuators), and a six-axis arm with geared drives (`geared`), of whose rotors'
-inertia its file says nothing. Forces are
+inertia its file says nothing. For clean sets also geared arms of three makes (`ur5`, `panda`, `xarm7` of `example-robot-data`)
+and trees of three to five hinges, drawn from a number (`tree7`); their files say nothing of rotors either. Forces are
 `rigid body + base friction` with a sign that jumps exactly where the speed changes its own.
 """
 
@@ -11,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from importlib.metadata import files
+from pathlib import Path
 
 import numpy as np
 
@@ -32,8 +35,16 @@ FRICTION = {"l1": TABLE_6_1, "axis": AXIS, "arm": ARM, "elbow": ARM[1:], "geared
 ROTORS = ((2.5e-4, 101), (2.5e-4, 101), (1.2e-4, 101), (3e-5, 80), (3e-5, 80), (1e-5, 50))
 """Rotor inertia [kg m2] and gear ratio of each drive of the geared arm, up to 30 % off."""
 ARM_RATIOS = {"turn": 101, "lift": 41, "bend": 21}
-TURNING = ("arm", "elbow", "geared")
-"""Robots whose joints are hinges."""
+MAKES = {
+    "ur5": ("ur_description/urdf/ur5_robot.urdf", (10.0, 12.0, 8.0, 2.0, 2.0, 1.5)),
+    "panda": ("panda_description/urdf/panda.urdf", (6.0, 6.0, 5.0, 5.0, 2.0, 2.0, 1.0)),
+    "xarm7": ("xarm_description/urdf/xarm7.urdf", (8.0, 9.0, 6.0, 6.0, 3.0, 2.0, 1.5)),
+}
+"""End of the file of each make, and the Coulomb friction of its joints [N m]."""
+ROTORS_KG_M2 = (0.05, 1.0)
+"""Rotor inertia behind the gear of makes and trees, which their files lack."""
+N_TREES = 10_000
+FEW_JOINTS = (3, 6)  # hinges of a tree, the last excluded
 OFF = 0.1
 """Largest relative error of a mass in the robot file."""
 
@@ -75,12 +86,56 @@ def _geared_urdf() -> str:
     return f'<robot name="geared"><link name="base_link"/>{"".join(parts)}TRANSMISSIONS</robot>'
 
 
+def _tree_urdf(number: int) -> str:
+    """Return a tree of hinges about axes by chance, each on the last link or, in three of ten, on an earlier one."""
+    rng = np.random.default_rng([number, 17])
+    links, parts = ["base_link"], []
+    for k in range(int(rng.integers(*FEW_JOINTS))):
+        parent = links[-1] if rng.random() < 0.7 else links[int(rng.integers(len(links)))]
+        axis, place = rng.normal(size=3), rng.uniform(0.1, 0.4) * _direction(rng)
+        mass, centre, gyration = rng.uniform(1, 8), rng.uniform(0.02, 0.15) * _direction(rng), rng.uniform(0.04, 0.15)
+        i = mass * gyration**2
+        axis = axis / np.linalg.norm(axis)
+        links.append(f"body{k}_link")
+        parts.append(
+            f'<link name="body{k}_link"><inertial><origin xyz="{_xyz(centre)}"/><mass value="{mass:.6g}"/>'
+            f'<inertia ixx="{i:.6g}" iyy="{1.1 * i:.6g}" izz="{0.8 * i:.6g}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+            f'<joint name="hinge{k}" type="revolute"><parent link="{parent}"/><child link="body{k}_link"/>'
+            f'<axis xyz="{_xyz(axis)}"/><origin xyz="{_xyz(place)}"/>'
+            '<limit lower="-2.2" upper="2.2" velocity="3" effort="300"/></joint>'
+        )
+    return f'<robot name="tree"><link name="base_link"/>{"".join(parts)}</robot>'
+
+
+def _direction(rng: np.random.Generator) -> np.ndarray:
+    x = rng.normal(size=3)
+    return x / np.linalg.norm(x)
+
+
+def _xyz(values: np.ndarray) -> str:
+    return " ".join(f"{x:.9g}" for x in values)
+
+
+def _friction_of(name: str, n: int) -> np.ndarray:
+    """Return coefficients (n, 4) as in `FRICTION`; of a make or a tree Coulomb and viscous friction in proportion."""
+    if name in FRICTION:
+        return np.array(FRICTION[name])
+    coulomb = np.array(MAKES[name][1]) if name in MAKES else np.random.default_rng([int(name[4:]), 18]).uniform(1, 8, n)
+    return coulomb[:, None] * np.array([0.9, 1.1, 0.8, 0.7])
+
+
 @cache
 def nominal_robot(name: str) -> Robot:
-    """Return a robot as its file has it: `l1`, `l1_point` (point masses for rods), `axis`, `arm`, `elbow` or `geared`."""
+    """Return a robot as its file has it, by the names of this module; `l1_point` is `l1` with point masses for rods."""
     if name == "axis":
         return load_robot("linear_axis")
-    if name not in TURNING:
+    if name in MAKES:
+        found = next(f for f in files("example-robot-data") or () if str(f).endswith(MAKES[name][0]))
+        joints = [f"panda_joint{k}" for k in range(1, 8)] if name == "panda" else None
+        return load_robot(Path(str(found.locate())), actuated=joints)
+    if name.startswith("tree"):
+        return load_robot_from_urdf(_tree_urdf(int(name.removeprefix("tree"))), name)
+    if name.startswith("l1"):
         return load_robot("gantry_tau", prototype="l1", rod_mass_model="point" if name == "l1_point" else "uniform")
     kind = "<type>transmission_interface/SimpleTransmission</type>"
     ratios = ARM_RATIOS
@@ -130,7 +185,7 @@ class Rig:
     """A robot as it is, and what a person knows of it.
 
     Attributes:
-        name: `l1`, `axis`, `arm` or `geared`.
+        name: As this module calls it.
         nominal: The robot file.
         base: Friction the person's model has: `asymmetric`, `symmetric` (with an offset) or `plain` (without).
         robot: The true robot.
@@ -148,6 +203,11 @@ class Rig:
     def joints(self) -> tuple[str, ...]:
         """Actuated joints."""
         return self.nominal.actuated
+
+    @property
+    def turns(self) -> bool:
+        """Whether the joints are hinges."""
+        return set(self.nominal.position_units) == {"rad"}
 
     @property
     def model(self) -> Model:
@@ -184,7 +244,7 @@ def draw_rig(name: str, base: str, rng: np.random.Generator, *, off: float = OFF
     """Return a robot whose bodies are up to `off` heavier or lighter than its file says, with friction by chance.
 
     Args:
-        name: `l1`, `axis` or `arm`.
+        name: As this module calls it.
         base: Friction of the person's model; where it is symmetric, so is the true base friction.
         rng: Randomness.
         off: Largest relative error of a body's mass; centre and inertia follow.
@@ -198,8 +258,10 @@ def draw_rig(name: str, base: str, rng: np.random.Generator, *, off: float = OFF
     if name == "geared":
         for joint, (inertia, ratio) in zip(true.actuated, ROTORS, strict=True):
             values[f"{joint}.armature"] = inertia * ratio**2 * rng.uniform(0.7, 1.3)
+    if name in MAKES or name.startswith("tree"):
+        values |= {f"{joint}.armature": rng.uniform(*ROTORS_KG_M2) for joint in true.actuated}
     robot = Model.of(true).with_values(values).robot
-    neg, pos, slow, fast = np.array(FRICTION[name]).T * rng.uniform(0.8, 1.2, (4, len(FRICTION[name])))
+    neg, pos, slow, fast = _friction_of(name, true.na).T * rng.uniform(0.8, 1.2, (4, true.na))
     if base == "plain":
         neg = pos = (neg + pos) / 2
     if base != "asymmetric":  # an offset lies in `symmetric`, another slope for each direction does not
@@ -216,6 +278,9 @@ DRAWS: dict[str, Callable[[np.random.Generator], str]] = {
     "several": lambda rng: str(rng.choice(("l1", "l1", "arm", "geared"))),
     "small": lambda rng: str(rng.choice(("axis", "elbow"))),
     "hinges": lambda rng: str(rng.choice(("elbow", "elbow", "elbow", "arm"))),
+    "wide": lambda rng: str(
+        rng.choice(("l1", "geared", *MAKES, f"tree{rng.integers(N_TREES)}", f"tree{rng.integers(N_TREES)}"))
+    ),
     "cart": lambda rng: str(rng.choice(("l1", "axis"))),
 }
-"""Choices of a robot by chance: most effects are tried on any, some on those that can have them."""
+"""Choices of a robot by chance: most effects are tried on any, some on those that can have them; `wide` is for clean sets."""

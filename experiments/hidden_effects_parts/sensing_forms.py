@@ -9,7 +9,7 @@ import numpy as np
 
 from hidden_effects_parts.forms import Added, Form, Places, either, one
 from hidden_effects_parts.recording import Recording
-from hidden_effects_parts.robots import TURNING, Rig
+from hidden_effects_parts.robots import Rig
 
 
 class JointZero(Form):
@@ -20,7 +20,7 @@ class JointZero(Form):
     @classmethod
     def draw(cls, rig: Rig, places: Places, rng: np.random.Generator) -> Self:
         """Draw a joint and a direction."""
-        return cls((one(rig, rng),), {"sign": either(rng)}, 0.5 if rig.name in TURNING else 0.05)
+        return cls((one(rig, rng),), {"sign": either(rng)}, 0.5 if rig.turns else 0.05)
 
     def act(self, run: Recording, amplitude: float) -> Recording:
         """Return the run as its encoder shows it."""

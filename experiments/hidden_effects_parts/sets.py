@@ -7,8 +7,10 @@ form's cap, its inner parameters are drawn again, so what hides is never absurd.
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -24,6 +26,7 @@ from hidden_effects_parts.strength import Ruler, base_columns
 from hidden_effects_parts.timing_forms import TIMING_FORMS
 from hidden_effects_parts.unknown_forms import UNKNOWN_FORMS
 from tau_dyn.exceptions import InputError
+from tau_dyn.identify import identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.simulate import Sensors, simulate
@@ -42,6 +45,9 @@ LAMBDA = (15.0, 600.0)
 STRONG = (120.0, 600.0)
 TRAINED = 0.6
 """Share of the data that is trained on where no log is held out."""
+
+KNOWN_MODELS = 1 / 3
+"""Share of `wide` clean sets in which the person has a model identified before."""
 
 TRIES = 40
 
@@ -78,6 +84,7 @@ class HiddenSet:
         runs: The logs before noise; none for logs with feedback.
         held_runs: The held-out logs before noise.
         nominal: Whether bodies are as the file says within 2 %, so that no `parameter` finding is right.
+        known: A model identified from an earlier log, which the person has as a file; None where there is none.
     """
 
     number: int
@@ -90,11 +97,12 @@ class HiddenSet:
     runs: tuple[Recording, ...]
     held_runs: tuple[Recording, ...]
     nominal: bool
+    known: Model | None = None
 
     @property
     def model(self) -> Model:
         """The person's model."""
-        return self.rig.model
+        return self.known or self.rig.model
 
 
 def draw_set(
@@ -148,7 +156,19 @@ def _clean(number: int, rng: np.random.Generator, seconds: float, robots: str) -
     if rng.random() < 1 / 3:
         tau, rise = float(rng.uniform(40, 120)), float(rng.uniform(8, 25))
         runs, held = ([warm(run, tau, rise) for run in x] for x in (runs, held))
-    return _finished("clean", number, rig, sensing, runs, held, (), rng, nominal)
+    done = _finished("clean", number, rig, sensing, runs, held, (), rng, nominal)
+    if robots != "wide" or rng.random() > KNOWN_MODELS:
+        return done
+    earlier = Recording.of(rig, draw_motion(rig, seconds / 2, rng, "fourier"), sensing.rate_hz, len(runs) + len(held))
+    return replace(done, known=_identify(rig, earlier.log(sensing, rng, "earlier.csv")))
+
+
+def _identify(rig: Rig, log: Log) -> Model:
+    """Return the model that a person identified from an earlier log, written to a file and read back."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "model.yaml"
+        identify(rig.nominal, log, model=rig.model).model.save(path)
+        return Model.load(path)
 
 
 def _with_forms(

@@ -172,6 +172,9 @@ WARNING_CODES: dict[str, MessageCode] = {
         "training poses leave open where the device or the target is, so a move cannot be tested",
         "train on poses that turn every joint",
     ),
+    "size_undetermined": MessageCode(
+        "nothing but touches was measured, which do not show how large the robot is", "measure one distance beside them"
+    ),
     "orientation_unused": MessageCode(
         "training and held-out poses do not both have orientations", "measure both alike; positions alone are compared"
     ),

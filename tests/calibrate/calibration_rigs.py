@@ -64,3 +64,20 @@ def measured(
 
 
 __all__ = ["RodFamily", "Spec", "family_at", "measured", "rods_of", "spoiled"]
+
+
+SCARA_JOINTS = (("s1", "revolute", "0 0 0.5"), ("s2", "revolute", "0.4 0 0"), ("z3", "prismatic", "0.3 0 0"),
+          ("r4", "revolute", "0 0 -0.1"))  # fmt: skip
+
+
+def scara_text() -> str:
+    """Return the file of a SCARA with a flange."""
+    rows, parent = ['<robot name="scara"><link name="base_link"/>'], "base_link"
+    for name, kind, at in SCARA_JOINTS:
+        rows.append(
+            f'<link name="{name}_link"/><joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{name}_link"/>'
+            f'<origin xyz="{at}"/><axis xyz="0 0 1"/><limit lower="-2.2" upper="2.2" velocity="2" effort="50"/></joint>'
+        )
+        parent = f"{name}_link"
+    tool = '<link name="tool"/><joint name="flange" type="fixed"><origin xyz="0.05 0 -0.1"/>'
+    return "".join(rows) + f'{tool}<parent link="{parent}"/><child link="tool"/></joint></robot>'

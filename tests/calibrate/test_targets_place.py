@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+sys.path.insert(0, str(Path(__file__).parent))
+from calibration_rigs import scara_text
 
 from tau_dyn.calibrate import build_frame_rows, fit_geometry_to_poses, read_poses
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
@@ -11,21 +17,7 @@ from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.robot import load_robot_from_urdf
 
-JOINTS = (("s1", "revolute", "0 0 0.5"), ("s2", "revolute", "0.4 0 0"), ("z3", "prismatic", "0.3 0 0"),
-          ("r4", "revolute", "0 0 -0.1"))  # fmt: skip
 NOISE = 2e-5  # m, each axis
-
-
-def scara_text() -> str:
-    rows, parent = ['<robot name="scara"><link name="base_link"/>'], "base_link"
-    for name, kind, at in JOINTS:
-        rows.append(
-            f'<link name="{name}_link"/><joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{name}_link"/>'
-            f'<origin xyz="{at}"/><axis xyz="0 0 1"/><limit lower="-2.2" upper="2.2" velocity="2" effort="50"/></joint>'
-        )
-        parent = f"{name}_link"
-    tool = '<link name="tool"/><joint name="flange" type="fixed"><origin xyz="0.05 0 -0.1"/>'
-    return "".join(rows) + f'{tool}<parent link="{parent}"/><child link="tool"/></joint></robot>'
 
 
 def test_a_blind_target_stays_where_the_file_has_it_and_takes_no_dimension_along() -> None:

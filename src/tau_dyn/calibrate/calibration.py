@@ -47,6 +47,10 @@ from tau_dyn.robot import Robot
 
 _ENOUGH_TO_SPLIT = 40  # poses; with fewer, a held-out part is too small for an rms error
 _HELD_OUT = 0.25  # share of the poses
+_TOUCHES_ALONE = (
+    "{}: holes, planes and balls at unknown places do not show how large the robot is; its size is that of the robot file, and "
+    "angles and ratios of lengths are calibrated; measure one distance beside them (distance_tool)"
+)
 _MAX_RELATIVE_MISFIT = 0.05
 """What a fit misses, over how far the poses spread, above which the two do not belong together."""
 
@@ -106,6 +110,9 @@ def calibrate(
     progress("checking conventions of the pose file")
     poses, holdout, reading, reread = _reread(robot, poses, holdout, options)
     poses, said = drop_duplicate_poses(poses)
+    said = (
+        (*said, CodedWarning("size_undetermined", _TOUCHES_ALONE.format(poses.source))) if poses.touches.all() else said
+    )
     measured = estimate_measurement_noise(poses, accuracy)
     holdout = None if holdout is None else number_alike(poses, holdout)
     family = get_family(robot, poses)
