@@ -74,7 +74,7 @@ def test_derivatives_of_every_kind_are_those_of_its_residual(kind: str) -> None:
     unknowns = collect(geometry, frames, device=True, tool=True, turned=False)
     problem = Problem(geometry, poses, unknowns, "forward", False)
     state = problem.place(geometry.parameters.values, frames, np.zeros(4), None)
-    columns, step = problem.columns(state, resized=True), 1e-6
+    columns, step = problem.columns(state), 1e-6
     seen = state.frames.measured(state.base, poses.setup).position
     for k in np.flatnonzero(unknowns.free):
         change = step * (np.arange(len(unknowns.rows)) == k)

@@ -152,14 +152,8 @@ class Problem:
             return -found.gap
         return -np.linalg.solve(_require_square(found.by_joint), found.gap[:, :, None])[:, :, 0]
 
-    def columns(self, state: FitState, *, resized: bool = False) -> np.ndarray:
-        """Return minus the residuals' derivative by all unknowns (N, m, P).
-
-        Args:
-            state: Where.
-            resized: Whether the size that residuals of touches are relative to changes too: by it the fit goes down, but it is
-                nothing that was measured.
-        """
+    def columns(self, state: FitState) -> np.ndarray:
+        """Return minus the residuals' derivative by all unknowns (N, m, P)."""
         at = state.base if self.kind == "forward" else self._measured_in_base(state)
         seen = state.frames.measured(at, self.poses.setup)
         device, tool = state.frames.columns(at, seen, self.poses.setup)
@@ -174,7 +168,7 @@ class Problem:
             length = state.frames.length_columns(self.poses, seen.position)
             twist = np.concatenate([moved[:, :, :split], device, tool, length, moved[:, :, split:]], axis=2)
             columns = self.poses.project_columns(seen.position, twist if self.turned else twist[:, :3])
-            return self._rescale(state, columns, resized) if self._touches.any() else columns
+            return self._rescale(state, columns) if self._touches.any() else columns
         found = self._closure(state, at)
         base = state.frames.brought(at, np.concatenate([device, tool], axis=2), self.poses.setup)
         # the measurement stays, so the base pose moves back
@@ -193,12 +187,11 @@ class Problem:
         """Return the robot's size over the nominal one."""
         return 1.0 + float(self._size_slope @ (state.theta - self.geometry.parameters.values))
 
-    def _rescale(self, state: FitState, columns: np.ndarray, resized: bool) -> np.ndarray:
-        """Return derivatives (N, m, P) with touches relative to the robot's size, which changes or not."""
+    def _rescale(self, state: FitState, columns: np.ndarray) -> np.ndarray:
+        """Return derivatives (N, m, P) with touches relative to the robot's size."""
         size, slope = self._compute_size(state), self._size_slope
         relative = columns / size
-        if resized:
-            relative[:, :3, : len(slope)] += self.residuals(state)[:, :3, None] * slope / size
+        relative[:, :3, : len(slope)] += self.residuals(state)[:, :3, None] * slope / size
         return np.where(self._touches[:, None, None], relative, columns)
 
     def _measured_in_base(self, state: FitState) -> Poses:
@@ -332,19 +325,15 @@ class WeightedProblem:
         r = np.where(state.ok[:, None], self.problem.residuals(state) / self.sigma, 0.0)
         return r, np.where(state.ok, compute_robust_weights(self.robust, np.linalg.norm(r, axis=1), r.shape[1]), 0.0)
 
-    def columns(self, state: FitState, w: np.ndarray, *, resized: bool = False) -> np.ndarray:
-        """Return whitened derivatives by the free unknowns (N, m, f) at weights (N,); `resized` as in `Problem.columns`."""
-        columns = (
-            self.problem.columns(state, resized=resized)[:, :, self.free]
-            / self.sigma[:, :, None]
-            * np.sqrt(w)[:, None, None]
-        )
+    def columns(self, state: FitState, w: np.ndarray) -> np.ndarray:
+        """Return whitened derivatives by the free unknowns (N, m, f) at weights (N,)."""
+        columns = self.problem.columns(state)[:, :, self.free] / self.sigma[:, :, None] * np.sqrt(w)[:, None, None]
         return np.where(state.ok[:, None, None], columns, 0.0)
 
     def linearise(self, state: FitState) -> LinearSystem:
         """Return the linear system about a state: the poses' rows, then the prior's."""
         r, w = self.whiten(state)
-        columns = self.columns(state, w, resized=True).reshape(r.size, len(self.free))
+        columns = self.columns(state, w).reshape(r.size, len(self.free))
         rows = np.vstack([columns, np.diag(self.trust / self.scales)])
         target = np.concatenate([(r * np.sqrt(w)[:, None]).ravel(), -self._prior(state)])
         return factor_system(rows, target, self.scales, _RANK_TOLERANCE)
@@ -394,9 +383,10 @@ class WeightedProblem:
         columns = self.columns(state, self.whiten(state)[1]).reshape(self.sigma.size, len(self.free))
         priority = u.priority[self.free]
         known = np.diag(1 / self.scales)[priority == KNOWN_BEFOREHAND]
-        return find_identifiable(
-            np.vstack([columns, known]), tuple(u.names[k] for k in self.free), self.scales, priority
-        )
+        poses, names = self.problem.poses, tuple(u.names[k] for k in self.free)
+        plain = poses.measures_poses and len(poses.devices) == 1
+        frame = (self.free >= u.n_geometry) & (self.free < u.n_geometry + u.n_frames)
+        return find_identifiable(np.vstack([columns, known]), names, self.scales, priority, None if plain else frame)
 
     def compute_covariance(self, state: FitState, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return weights (N,), whitened columns of the kept unknowns (N, m, r) and the covariance of the free ones (f, f)."""

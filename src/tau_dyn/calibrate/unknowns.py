@@ -89,6 +89,7 @@ def find_identifiable(
     names: tuple[str, ...],
     scales: np.ndarray,
     priority: np.ndarray,
+    homeless: np.ndarray | None = None,
 ) -> Identifiability:
     """Find which parameters can be told.
 
@@ -97,6 +98,7 @@ def find_identifiable(
         names: Of the parameters.
         scales: Size of an error that matters (p,).
         priority: Those with smaller numbers are kept first (p,).
+        homeless: Those without a nominal value (p,), kept wherever they do not say the same among themselves; none unless given.
     """
     scaled = columns * scales
     r = np.asarray(np.linalg.qr(scaled, mode="r")) if len(scaled) > scaled.shape[1] else scaled
@@ -104,7 +106,17 @@ def find_identifiable(
     s = np.concatenate([s, np.zeros(len(names) - len(s))])
     blind = STRUCTURAL * s.max(initial=0.0)
     structural = int(np.sum(s > blind))
-    kept = _chosen(r, priority, structural)
+    if homeless is None or not homeless.any():
+        kept = _chosen(r, priority, structural)
+    else:
+        own = r[:, homeless]
+        sizes = np.linalg.svd(own, compute_uv=False)
+        first = np.flatnonzero(homeless)[_chosen(own, priority[homeless], int(np.sum(sizes > blind)))]
+        basis = np.linalg.qr(r[:, first])[0]
+        others = np.setdiff1d(np.arange(len(names)), first)
+        rest = r[:, others] - basis @ (basis.T @ r[:, others])
+        more = others[_chosen(rest, priority[others], max(structural - len(first), 0))]
+        kept = np.sort(np.concatenate([first, more]))
     dropped = np.setdiff1d(np.arange(len(names)), kept)
     factors = np.linalg.lstsq(r[:, kept], r[:, dropped], rcond=None)[0] if len(kept) else np.zeros((0, len(dropped)))
     depends = tuple(_involved(factors[:, d], [names[k] for k in kept]) for d in range(len(dropped)))
