@@ -19,6 +19,7 @@ from .measured import (
 from .model_selection import CandidateModel as CandidateModel
 from .result import (
     Calibration as Calibration,
+    build_device_rows as build_device_rows,
     build_frame_rows as build_frame_rows,
     build_parameter_rows as build_parameter_rows,
     list_correlated_pairs as list_correlated_pairs,

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.calibrate.crossvalidation import compute_rms_interval
 from tau_dyn.calibrate.geometry import expand_constraints
 from tau_dyn.calibrate.geometry_fit import GeometryFit, compute_sensitivities
-from tau_dyn.calibrate.measured import MeasurementNoise, PoseErrors, PoseSet
+from tau_dyn.calibrate.measured import KINDS, MeasurementNoise, PoseErrors, PoseSet
 from tau_dyn.calibrate.model_selection import CandidateModel, SelectionStep
 from tau_dyn.evidence import Finding
 from tau_dyn.results import Shown, plot_pose_errors, to_plain
@@ -136,17 +136,21 @@ class Calibration(Shown):
         }
         return to_plain(told)
 
-    def _errors_at_poses(self) -> dict[str, object]:
-        """Return where unseen errors stand and every model's errors there [m], in the robot's base frame: what a viewer draws."""
+    def locate_errors(self, model: CandidateModel) -> tuple[np.ndarray, np.ndarray]:
+        """Return where unseen errors stand and a model's errors there, (N, 3) each [m] in the robot's base frame.
+
+        Of a distance or a touch, where the target was is known from the chosen model alone.
+        """
         at = self.at()
         turn, shift, _, _ = self.fit.frames.of_each(at.setup)
-        seen = self.fit.seen(
-            at
-        ).position  # of a distance or a touch, where the target was is known from the model alone
         sees = np.array([kind == "pose" for kind in at.kinds])[at.device]
-        position = np.where(sees[:, None], at.position, seen)
-        models = {m.name: np.einsum("nji,nj->ni", turn, self.errors(m).position) for m in self.models}
-        return {"points": np.einsum("nji,nj->ni", turn, position - shift), "models": models}
+        position = np.where(sees[:, None], at.position, self.fit.seen(at).position)
+        return tuple(np.einsum("nji,nj->ni", turn, x) for x in (position - shift, self.errors(model).position))
+
+    def _errors_at_poses(self) -> dict[str, object]:
+        """Return where unseen errors stand and every model's errors there [m], in the robot's base frame: what a viewer draws."""
+        models = {m.name: self.locate_errors(m)[1] for m in self.models}
+        return {"points": self.locate_errors(self.chosen)[0], "models": models}
 
     def _model(self, model: CandidateModel) -> dict[str, object]:
         return {
@@ -221,20 +225,24 @@ def list_correlated_pairs(fitted: GeometryFit) -> list[dict[str, object]]:
 
 
 def build_frame_rows(fitted: GeometryFit) -> list[dict[str, object]]:
-    """Return device and target as translation [m] and unit quaternion `x y z w`."""
-    rows, targets = [], fitted.poses.targets
+    """Return device and target as translation [m] and unit quaternion `x y z w`; of a distance or a ball also its length [m]."""
+    rows, targets, devices = [], fitted.poses.targets, fitted.poses.devices
+    each = len(fitted.poses.campaigns) if len(devices) > 1 else len(fitted.frames.device)
     for owner, frames in (("device", fitted.frames.device), ("tool", fitted.frames.tool)):
         for k, f in enumerate(frames):
             quaternion = Rotation.from_matrix(f.rotation).as_quat(canonical=True)
             rows.append(
                 {
                     "frame": owner,
-                    "campaign": k + 1 if owner == "device" or len(targets) == 1 else None,
+                    "campaign": k % each + 1 if owner == "device" else k + 1 if len(targets) == 1 else None,
+                    "device": devices[k // each] if owner == "device" and len(devices) > 1 else None,
                     "target": targets[k] if owner == "tool" and len(targets) > 1 else None,
                     "translation": f.translation.tolist(),
                     "quaternion": quaternion.tolist(),
                 }
             )
+    for k in fitted.frames.with_length:
+        rows[k][KINDS[fitted.frames.kinds[k]].length] = fitted.frames.lengths[k]
     return rows
 
 

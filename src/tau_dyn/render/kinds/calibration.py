@@ -12,6 +12,7 @@ from tau_dyn.calibrate import (
     CHANGE,
     Calibration,
     CandidateModel,
+    build_device_rows,
     build_frame_rows,
     build_parameter_rows,
     compute_sensitivities,
@@ -38,12 +39,13 @@ def present_calibration(found: Calibration, *, poses: Sequence[tuple[str, str]] 
         ("held-out poses" if k else "poses", name, sha256 or "not a file") for k, (name, sha256) in enumerate(poses)
     ]
     facts = [("model", found.chosen.name), ("seed", str(found.seed)), ("residual", found.fit.kind)]
-    both = r.On.PRINTED
+    both, several = r.On.PRINTED, len(found.poses.devices) > 1
     findings = [r.Chapter("findings", "Errors of the robot file", lambda: _list_findings(found), both)]
     sections = [
         *warn([r.end_sentence(r.capitalise(text)) for text in found.warnings]),
         r.Chapter("error", "Error before and after", lambda: _build_errors(found), r.On.DRAWN),
         r.Chapter("gain", "Error by model", lambda: _build_gain(found), both),
+        *([r.Chapter("devices", "Devices and fixtures", lambda: _build_devices(found), both)] if several else []),
         *(findings if found.findings else []),
         r.Chapter("space", "Errors in space", lambda: _build_space(found)),
         r.Chapter("left", "Residuals by joint", lambda: _build_residuals(found)),
@@ -117,6 +119,28 @@ def _build_gain(found: Calibration) -> Iterator[r.Element]:
         )
         said = "Cross-validation within the fitted poses. A larger model is selected if a paired test shows a smaller "
         yield r.Folded("All models tested", [tested, r.explain(f"{said}held-out error.")])
+
+
+def _build_devices(found: Calibration) -> Iterator[r.Element]:
+    """Yield a line a device or fixture: what it measures, how exactly, and how well it is predicted."""
+    at, errors = found.at(), found.errors(found.chosen).distance
+
+    def left(name: str) -> str:
+        own = errors[at.device == at.devices.index(name)]
+        return format_length(float(np.sqrt(np.nanmean(own**2)))) if len(own) else ""
+
+    yield r.tabulate_things(
+        build_device_rows(found.fit),
+        r.Column("device", cell=lambda row: str(row["name"])),
+        r.Column("measures", style="quiet", cell=lambda row: words.MEASURED_KINDS[str(row["kind"])]),
+        r.Column("fitted", "number", cell=lambda row: str(row["n"])),
+        r.Column("noise", "number", cell=lambda row: format_length(row["noise"]) if row["noise"] else ""),
+        r.Column("held out, rms", "number", "strong", cell=lambda row: left(str(row["name"]))),
+        on=r.On.PRINTED,
+    )
+    yield r.explain(
+        "Standard error of one measured number, estimated from the residuals. Measurements are weighed by it."
+    )
 
 
 def _build_sizes(found: Calibration) -> r.ResultTable:
@@ -205,9 +229,7 @@ def _build_space(found: Calibration) -> Iterator[r.Element]:
 
 def _draw_vectors(found: Calibration, model: CandidateModel) -> r.VectorPicture | None:
     """Return the error vectors in the robot's base frame, the largest at a fixed share of the poses' extent."""
-    frame = found.fit.frames.device[0]
-    error = found.errors(model).position @ frame.rotation
-    places = (found.at().position - frame.translation) @ frame.rotation
+    places, error = found.locate_errors(model)
     ok = np.isfinite(error).all(axis=1)
     if not ok.any():
         return None
@@ -224,7 +246,7 @@ def _round_down(x: float) -> float:
 
 def _build_residuals(found: Calibration) -> Iterator[r.Element]:
     """Give, joint by joint, what is left over that joint's position: what is still cyclic or crooked would show."""
-    poses, error = found.at(), 1e6 * (found.errors(found.chosen).position @ found.fit.frames.device[0].rotation)
+    poses, error = found.at(), 1e6 * found.locate_errors(found.chosen)[1]
     axis = int(np.nanargmax(np.nanstd(error, axis=0))) if np.isfinite(error).any() else 0
     y, figures = error[:, axis], []
     ok = np.isfinite(y)
@@ -305,9 +327,10 @@ def _format_interval(row: dict[str, Any]) -> str:
 
 def _list_frame(row: dict[str, Any]) -> list[str]:
     name = f"{'device' if row['frame'] == 'device' else 'target'}, campaign {row['campaign']}"
-    name = f"target {row['target']}" if row["target"] else name
+    name = row["device"] or (f"target {row['target']}" if row["target"] else name)
+    length = next((f"{key} {row[key]:.5f} m" for key in ("offset", "radius") if key in row), "")
     place, turn = ", ".join(f"{x:.5f}" for x in row["translation"]), ", ".join(f"{x:.6f}" for x in row["quaternion"])
-    return [name, f"{r.replace_minus_signs(place)} m", f"quaternion {r.replace_minus_signs(turn)}"]
+    return [name, f"{r.replace_minus_signs(place)} m", length or f"quaternion {r.replace_minus_signs(turn)}"]
 
 
 def _build_blind(found: Calibration) -> Iterator[r.Element]:

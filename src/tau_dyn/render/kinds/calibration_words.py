@@ -36,6 +36,15 @@ ADDED = {
 }
 """Additions in words."""
 
+MEASURED_KINDS = {
+    "pose": "position",
+    "distance": "distance from a point",
+    "hole": "pin in a hole",
+    "plane": "plane touched",
+    "sphere": "ball touched",
+}
+"""What devices and fixtures measure, in words."""
+
 _EXPLAINED = 1.5
 """Times the predicted error above which the model lacks an effect."""
 
