@@ -260,6 +260,9 @@ _FREE_FRAMES = 1e3  # how much less than dimensions frames are known beforehand
 _UNIDENTIFIABLE_PRIOR_WEIGHT = 1e5  # prior of parameters that poses cannot tell, in units of 1 / scale
 _FULL_STEPS = 4  # undamped Gauss-Newton steps along a curved valley
 _MIN_NOISE = 1e-9  # [m or rad], of poses without noise
+_BARELY = 1e-2
+"""Singular value below which a combination of distances, touches or several devices counts as blind: the prior has 1e4 times its
+information. Axes that are parallel in the file are so no longer after a fit, by a noise that would decide."""
 _BLIND = 1e-9  # of the largest singular value: rounding
 _RANK_TOLERANCE = 1e-14  # rounding: the prior tells every unknown something
 _RULES = DescentRules(_MAX_STEPS, small_step=1e-3, small_gain=1e-3, first_damping=0.1, growth=5.0, max_trials=10)
@@ -383,10 +386,9 @@ class WeightedProblem:
         columns = self.columns(state, self.whiten(state)[1]).reshape(self.sigma.size, len(self.free))
         priority = u.priority[self.free]
         known = np.diag(1 / self.scales)[priority == KNOWN_BEFOREHAND]
-        poses, names = self.problem.poses, tuple(u.names[k] for k in self.free)
+        names, rows, poses = tuple(u.names[k] for k in self.free), np.vstack([columns, known]), self.problem.poses
         plain = poses.measures_poses and len(poses.devices) == 1
-        frame = (self.free >= u.n_geometry) & (self.free < u.n_geometry + u.n_frames)
-        return find_identifiable(np.vstack([columns, known]), names, self.scales, priority, None if plain else frame)
+        return find_identifiable(rows, names, self.scales, priority, 0.0 if plain else _BARELY)
 
     def compute_covariance(self, state: FitState, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return weights (N,), whitened columns of the kept unknowns (N, m, r) and the covariance of the free ones (f, f)."""

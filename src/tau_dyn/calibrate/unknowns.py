@@ -89,7 +89,7 @@ def find_identifiable(
     names: tuple[str, ...],
     scales: np.ndarray,
     priority: np.ndarray,
-    homeless: np.ndarray | None = None,
+    least: float = 0.0,
 ) -> Identifiability:
     """Find which parameters can be told.
 
@@ -98,25 +98,15 @@ def find_identifiable(
         names: Of the parameters.
         scales: Size of an error that matters (p,).
         priority: Those with smaller numbers are kept first (p,).
-        homeless: Those without a nominal value (p,), kept wherever they do not say the same among themselves; none unless given.
+        least: Singular value below which a combination is blind too: it is uncertain by `1 / least` of its scale.
     """
     scaled = columns * scales
     r = np.asarray(np.linalg.qr(scaled, mode="r")) if len(scaled) > scaled.shape[1] else scaled
     s = np.linalg.svd(r, compute_uv=False)
     s = np.concatenate([s, np.zeros(len(names) - len(s))])
-    blind = STRUCTURAL * s.max(initial=0.0)
+    blind = max(STRUCTURAL * s.max(initial=0.0), least)
     structural = int(np.sum(s > blind))
-    if homeless is None or not homeless.any():
-        kept = _chosen(r, priority, structural)
-    else:
-        own = r[:, homeless]
-        sizes = np.linalg.svd(own, compute_uv=False)
-        first = np.flatnonzero(homeless)[_chosen(own, priority[homeless], int(np.sum(sizes > blind)))]
-        basis = np.linalg.qr(r[:, first])[0]
-        others = np.setdiff1d(np.arange(len(names)), first)
-        rest = r[:, others] - basis @ (basis.T @ r[:, others])
-        more = others[_chosen(rest, priority[others], max(structural - len(first), 0))]
-        kept = np.sort(np.concatenate([first, more]))
+    kept = _chosen(r, priority, structural)
     dropped = np.setdiff1d(np.arange(len(names)), kept)
     factors = np.linalg.lstsq(r[:, kept], r[:, dropped], rcond=None)[0] if len(kept) else np.zeros((0, len(dropped)))
     depends = tuple(_involved(factors[:, d], [names[k] for k in kept]) for d in range(len(dropped)))
@@ -150,6 +140,8 @@ def _chosen(r: np.ndarray, priority: np.ndarray, rank: int) -> np.ndarray:
 
 _PRIOR_UNITS = ("m", "rad")
 _FRAMES_FIRST = -1  # priority of device and target: below that of any parameter of the robot
+_DEVICES_FIRST = -6
+"""Priority of several devices, or of such that show no poses: left where a start put one, it would hold the robot's size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,5 +242,7 @@ def collect(
         )
     known = SCALES | dict(zip(_PRIOR_UNITS, prior, strict=False))
     scales = np.array([row.prior_stderr or known.get(row.unit, 0.01) for row in rows])
-    priority = np.concatenate([geometry.priority, np.full(len(own), _FRAMES_FIRST), np.zeros(len(play), int)])
+    device_first = _DEVICES_FIRST if len(kinds) > 1 or kinds[0] != "pose" else _FRAMES_FIRST
+    of_frames = [device_first] * nd + [_FRAMES_FIRST] * nt + [device_first] * n_length
+    priority = np.concatenate([geometry.priority, of_frames, np.zeros(len(play), int)])
     return Unknowns(rows, may, scales, priority, p, nd, nt, n_length)
