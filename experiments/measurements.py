@@ -1,7 +1,7 @@
-"""Are dimensions found as exactly as they can be from distances, pins in holes, planes, balls and several trackers?
+"""Are dimensions found as exactly as they can be from distances, pins, planes, balls, cameras on the tool?
 
-    python experiments/measurements.py [--what distance hole plane sphere trackers wire_and_tracker] [--sets 20] [--seed 0]
-                                       [--out DIR]
+    python experiments/measurements.py [--what distance hole plane sphere trackers hand_eye wire_and_tracker]
+                                       [--sets 20] [--seed 0] [--out DIR]
 
 In: nothing; a six-axis arm and a UR5, or the L1 Gantry-Tau where its three axes can do it, each with three dimensions off by
 0.3 to 1 mm (mrad), devices and fixtures anywhere, the target anywhere on the tool. Joint positions that touch a fixture come from
@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from pose_files import DIMENSIONS, N_OFF, ROBOTS, StudiedRobot, build_machine, draw_frame
+from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate import Calibration, GeometryFit, PoseSet, calibrate, fit_geometry_to_poses
 from tau_dyn.calibrate.fit_problem import FitState, Problem, WeightedProblem
@@ -34,8 +35,10 @@ STUDIES = {
     "plane": (("plane",) * 3, (2e-5,) * 3, 60, ("six", "ur5")),
     "sphere": (("sphere",) * 4, (2e-5,) * 4, 50, ("six", "ur5")),
     "trackers": (("pose",) * 2, (2e-5, 6e-5), 60, ("six", "l1")),
+    "hand_eye": (("hand_eye",), (1e-4,), 80, ("six", "ur5")),
     "wire_and_tracker": (("pose", "distance"), (2e-5, 5e-5), 60, ("ur5", "l1")),
 }
+HAND_EYE_RAD = 5e-4  # noise of a camera on the tool
 OFFSETS_M = {"distance": 0.35, "sphere": 0.0127}
 NEWTON_STEPS = 30
 CLOSED_M = 1e-10
@@ -47,8 +50,8 @@ def draw_devices(machine: StudiedRobot, kinds: tuple[str, ...], rng: np.random.G
     tool = Frame(draw_frame(rng, 1.0).rotation, rng.uniform(-0.1, 0.1, 3))
     device = []
     for kind in kinds:
-        turn = draw_frame(rng, 1.0).rotation if kind in ("pose", "plane") else np.eye(3)
-        if kind in ("pose", "distance"):
+        turn = draw_frame(rng, 1.0).rotation if kind in ("pose", "plane", "hand_eye") else np.eye(3)
+        if kind in ("pose", "distance", "hand_eye"):
             device.append(Frame(turn, turn @ rng.uniform(-2.0, 2.0, 3)))
             continue
         q = machine.robot.home + 0.5 * machine.reach * rng.uniform(-1, 1, (1, machine.robot.na))
@@ -105,7 +108,7 @@ def measure(
     """Return what all devices measure of a robot with parameters `theta`, the rows in an order by chance."""
     q, position, device = [], [], []
     for k, (kind, sigma) in enumerate(zip(frames.kinds, noise, strict=True)):
-        if kind in ("pose", "distance"):
+        if kind in ("pose", "distance", "hand_eye"):
             own = machine.robot.home + machine.reach * rng.uniform(-1, 1, (n, machine.robot.na))
         else:
             own = reach_fixture(machine, theta, frames, k, n, sigma, rng)
@@ -118,6 +121,11 @@ def measure(
         q.append(own)
         position.append(value)
         device.append(np.full(n, k))
+    if frames.kinds == ("hand_eye",):  # the file as a camera on the tool writes it, without a word on that
+        board = frames.measured(machine.geometry.forward(theta, q[0]).poses, np.zeros(n, int))
+        seen = PoseSet(q[0], board.position, board.rotation).as_seen_from_tool()
+        turn = Rotation.from_rotvec(HAND_EYE_RAD * rng.standard_normal((n, 3))).as_matrix()
+        return PoseSet(q[0], seen.position + noise[0] * rng.standard_normal((n, 3)), turn @ seen.rotation)
     order = rng.permutation(n * len(noise))
     return PoseSet(
         np.vstack(q)[order], np.vstack(position)[order], device=np.concatenate(device)[order],
@@ -128,10 +136,12 @@ def measure(
 def compute_bound(fitted: GeometryFit, theta: np.ndarray, frames: DeviceFrames, noise: tuple[float, ...]) -> np.ndarray:
     """Return the covariance of the kept unknowns at the truth and the true noise, with the fit's prior (Cramer-Rao)."""
     poses = replace(fitted.poses, device_errors=tuple(np.array(noise) / noise[0]))
-    problem = Problem(fitted.geometry, poses, fitted.unknowns, "forward", False)
+    turned = fitted.poses.rotation is not None
+    problem = Problem(fitted.geometry, poses, fitted.unknowns, "forward", turned)
     start = problem.place(theta, frames, fitted.state.slack, None)
     state = FitState(theta, frames, start.base, start.ok, fitted.state.slack)
-    return WeightedProblem.of(problem, "none", (noise[0],)).compute_covariance(state, fitted.identifiability.kept)[2]
+    weighted = WeightedProblem.of(problem, "none", (noise[0], HAND_EYE_RAD)[: 1 + turned])
+    return weighted.compute_covariance(state, fitted.identifiability.kept)[2]
 
 
 def compare_with_truth(
@@ -184,7 +194,9 @@ def study(what: str, name: str, number: int, seed: int) -> dict[str, object]:
     if set(fitted.geometry.parameters.names) == set(geometry.parameters.names):
         row |= compare_with_truth(fitted, dict(zip(geometry.parameters.names, theta, strict=True)), frames, noise)
     held_mm = 1e3 * found.errors(found.chosen).position_size.rms
-    confirmed = [f.cause for f in found.findings if f.status == "confirmed" and f.cause not in DIMENSIONS]
+    confirmed = [
+        f.cause for f in found.findings if f.status == "confirmed" and f.cause not in (*DIMENSIONS, "inverse_poses")
+    ]
     return row | {"held_mm": held_mm, "others": "; ".join(confirmed), "warnings": " | ".join(found.warnings)}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from tau_dyn.calibrate.device_noise import weigh_devices
 from tau_dyn.calibrate.fit_problem import Problem
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.measured import KINDS
+from tau_dyn.calibrate.measured.kinds import project_columns
 from tau_dyn.calibrate.model_selection import Options
 from tau_dyn.calibrate.models import get_family
 from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
@@ -70,18 +72,21 @@ def test_derivatives_of_every_kind_are_those_of_its_residual(kind: str) -> None:
     rng = np.random.default_rng(2)
     frames = DeviceFrames((Frame(TURN, np.array([1.2, -0.4, 0.7])),), (TARGET,), (kind,), (0.2,))
     q = rng.uniform(LOW, HIGH, (6, 4))
-    poses = PoseSet(q, rng.normal(size=(6, 3)) * (kind == "pose"), kinds=(kind,))
-    unknowns = collect(geometry, frames, device=True, tool=True, turned=False)
-    problem = Problem(geometry, poses, unknowns, "forward", False)
+    setup = np.zeros(6, int)
+    seen = frames.measured(geometry.forward(geometry.parameters.values, q).poses, setup)
+    poses = PoseSet(q, rng.normal(size=(6, 3)) * (KINDS[kind].numbers == 3), kinds=(kind,))
+    turned = kind == "hand_eye"
+    poses = replace(poses, rotation=poses.expect(seen).rotation if turned else None)
+    unknowns = collect(geometry, frames, device=True, tool=True, turned=turned)
+    problem = Problem(geometry, poses, unknowns, "forward", turned)
     state = problem.place(geometry.parameters.values, frames, np.zeros(4), None)
     columns, step = problem.columns(state), 1e-6
-    seen = state.frames.measured(state.base, poses.setup).position
     for k in np.flatnonzero(unknowns.free):
         change = step * (np.arange(len(unknowns.rows)) == k)
         low, high = (problem.residuals(problem.moved(state, sign * change)) for sign in (-1, 1))
-        slope = poses.project_columns(seen, (low - high)[:, :, None] / (2 * step))[:, :, 0]
+        slope = project_columns((kind,), setup, seen.position, (low - high)[:, :, None] / (2 * step))[:, :, 0]
         assert np.allclose(columns[:, :, k], slope, atol=2e-8), unknowns.names[k]
-    assert np.all(np.linalg.matrix_rank(columns[0][:, unknowns.free]) == KINDS[kind].numbers)
+    assert np.all(np.linalg.matrix_rank(columns[0][:3, unknowns.free]) == KINDS[kind].numbers)
 
 
 def test_a_wire_of_unknown_zero_calibrates_a_robot() -> None:
@@ -103,6 +108,27 @@ def test_a_wire_of_unknown_zero_calibrates_a_robot() -> None:
     offset = found.parameters["device_2.offset"]
     assert abs(offset.value - 0.02) < 4 * offset.stderr
     assert robot.na == 4
+
+
+def test_a_camera_on_the_tool_is_weighed_where_it_measures() -> None:
+    """A camera at arm's length is off by 0.1 mm and 0.5 mrad in its own frame: inverted, its lever would make 0.4 mm of that."""
+    robot = load_robot("ur5")
+    geometry = build_tree_geometry(robot)
+    theta = geometry.parameters.with_values({"elbow_joint.offset": 0.002}).values
+    rng = np.random.default_rng(8)
+    q = robot.home + rng.uniform(-0.8, 0.8, (60, 6))
+    frames = DeviceFrames((Frame(TURN, np.array([0.9, -0.2, 0.1])),), (TARGET,))
+    board = frames.measured(geometry.forward(theta, q).poses, np.zeros(60, int))
+    seen = PoseSet(q, board.position, board.rotation).as_seen_from_tool()
+    assert seen.rotation is not None
+    turn = Rotation.from_rotvec(5e-4 * rng.standard_normal((60, 3))).as_matrix() @ seen.rotation
+    file = PoseSet(q, seen.position + 1e-4 * rng.standard_normal((60, 3)), turn)
+    found = calibrate(robot, file)
+    assert found.poses.kinds == ("hand_eye",)
+    assert "inverse_poses" in {f.cause for f in found.findings}
+    assert abs(found.fit.noise[0] / 1e-4 - 1) < 0.2 and abs(found.fit.noise[1] / 5e-4 - 1) < 0.2
+    p = found.fit.parameters["elbow_joint.offset"]
+    assert p.stderr is not None and abs(p.value - 0.002) < 4 * p.stderr
 
 
 def test_each_device_is_weighed_by_what_it_leaves() -> None:

@@ -58,6 +58,7 @@ class UnitCoupling(NamedTuple):
 
 def find_unit_coupling(family: Family, poses: PoseSet) -> UnitCoupling | None:
     """Return the coupling of all of one joint's motion to another joint that the poses ask for, None where none stands out."""
+    poses = poses.as_poses()
     if not poses.measures_poses:
         return None
     without = _measure_misfit(family, poses, Spec("frames"))
@@ -201,7 +202,7 @@ class _ProjectedResidual:
         state, poses = self.fitted.state, self.fitted.poses
         moved = self.fitted.frames.carried(state.base, base, poses.setup)
         if self.fitted.kind == "forward":
-            moved = poses.project_columns(self.fitted.frames.measured(state.base, poses.setup).position, moved)
+            moved = poses.project_columns(self.fitted.frames.measured(state.base, poses.setup), moved)
         return (moved[:, : self.sigma.shape[1]] / self.sigma[:, :, None]).reshape(len(self.q), -1)
 
     def span(self, columns: np.ndarray) -> np.ndarray:
@@ -344,13 +345,12 @@ def _try_step(
 def find_move_within(fitted: GeometryFit, family: Family, spec: Spec) -> MoveWithin | None:
     """Return the move during the measurement, if it explains the residuals of poses in order better than any addition."""
     poses, m = fitted.poses, fitted.sigma.shape[1]
-    if not poses.measures_poses or len(np.unique(poses.setup, axis=0)) > 1 or poses.n <= 2 * _MIN_STEP_POSES:
+    if not poses.as_poses().measures_poses or len(np.unique(poses.setup, axis=0)) > 1 or poses.n <= 2 * _MIN_STEP_POSES:
         return None
     rest = _ProjectedResidual(fitted)
     seen = fitted.frames.measured(fitted.state.base, poses.setup)
     device, tool = (
-        poses.project_columns(seen.position, columns)
-        for columns in fitted.frames.columns(fitted.state.base, seen, poses.setup)
+        poses.project_columns(seen, columns) for columns in fitted.frames.columns(fitted.state.base, seen, poses.setup)
     )
     both = {"device": device[:, :m], "target": tool[:, :m, : 3 if m == 3 else 6]}
     first, last = _MIN_STEP_POSES, poses.n - _MIN_STEP_POSES

@@ -195,9 +195,23 @@ def _reread(
             )
         holdout = holdout if written < read else meant
     poses = found.apply(poses) if found else poses
+    if found and "inverse_poses" in {change.cause for change in found.reading}:
+        poses, holdout = _see_from_tool(robot, poses, holdout, options)
     for one in (poses, *([holdout] if holdout is not None else [])):
         check_units(one)
     return poses, holdout, found, tuple(said)
+
+
+def _see_from_tool(
+    robot: Robot, poses: PoseSet, holdout: PoseSet | None, options: Options
+) -> tuple[PoseSet, PoseSet | None]:
+    """Return inverse poses as a camera on the tool measures them, where their errors are equal in its frame."""
+    if holdout is not None and holdout.rotation is None:
+        return poses, holdout
+    from_tool = poses.as_seen_from_tool()
+    if not _measure_left(robot, from_tool, options) < _measure_left(robot, poses, options):
+        return poses, holdout
+    return from_tool, None if holdout is None else holdout.as_seen_from_tool()
 
 
 def _describe_unused_orientation(poses: PoseSet, holdout: PoseSet) -> str:

@@ -137,14 +137,15 @@ class Problem:
         if self.kind == "forward":
             seen = state.frames.measured(state.base, self.poses.setup)
             lengths = state.frames.lengths_of(self.poses.setup)
-            position = self.poses.compute_position_residuals(seen.position, lengths)
+            position = self.poses.compute_position_residuals(seen, lengths)
             if self._touches.any():
                 position = np.where(self._touches[:, None], position / self._compute_size(state), position)
             if not self.turned:
                 return position
             assert self.poses.rotation is not None
             rotation = np.full_like(position, np.nan)
-            rotation[state.ok] = compute_rotation_between(self.poses.rotation[state.ok], seen.rotation[state.ok])
+            turn = self.poses.expect(seen).rotation
+            rotation[state.ok] = compute_rotation_between(self.poses.rotation[state.ok], turn[state.ok])
             return np.concatenate([position, rotation], axis=1)
         at = self._measured_in_base(state)
         found = self._closure(state, at)
@@ -167,7 +168,7 @@ class Problem:
             moved, split = state.frames.carried(at, np.concatenate([own, play], axis=2), self.poses.setup), own.shape[2]
             length = state.frames.length_columns(self.poses, seen.position)
             twist = np.concatenate([moved[:, :, :split], device, tool, length, moved[:, :, split:]], axis=2)
-            columns = self.poses.project_columns(seen.position, twist if self.turned else twist[:, :3])
+            columns = self.poses.project_columns(seen, twist)[:, : 6 if self.turned else 3]
             return self._rescale(state, columns) if self._touches.any() else columns
         found = self._closure(state, at)
         base = state.frames.brought(at, np.concatenate([device, tool], axis=2), self.poses.setup)
@@ -387,7 +388,7 @@ class WeightedProblem:
         priority = u.priority[self.free]
         known = np.diag(1 / self.scales)[priority == KNOWN_BEFOREHAND]
         names, rows, poses = tuple(u.names[k] for k in self.free), np.vstack([columns, known]), self.problem.poses
-        plain = poses.measures_poses and len(poses.devices) == 1
+        plain = poses.as_poses().measures_poses and len(poses.devices) == 1
         return find_identifiable(rows, names, self.scales, priority, 0.0 if plain else _BARELY)
 
     def compute_covariance(self, state: FitState, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

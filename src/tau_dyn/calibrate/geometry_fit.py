@@ -183,8 +183,8 @@ class GeometryFit(Brief):
     @property
     def spread(self) -> float:
         """Rms distance from their middle [m] of the measured positions, of the predicted ones where others were measured."""
-        if self.poses.measures_poses:
-            return self.poses.spread
+        if self.poses.as_poses().measures_poses:
+            return self.poses.as_poses().spread
         return measure_spread(self.state.base.position[self.state.ok])
 
     @property
@@ -264,10 +264,10 @@ class GeometryFit(Brief):
             poses: What was measured.
             base: Predicted tool poses there (N) in the robot's base frame.
         """
-        seen = self.frames.measured(base, poses.setup).position
+        seen = self.frames.measured(base, poses.setup)
         columns, u = self._compute_columns(poses.q, base, poses.setup), self.unknowns
         first = u.n_geometry + u.n_device + u.n_tool
-        columns[:, :, first : first + u.n_length] = self.frames.length_columns(poses, seen)
+        columns[:, :, first : first + u.n_length] = self.frames.length_columns(poses, seen.position)
         return poses.project_columns(seen, columns[:, :, u.free])
 
     def _compute_columns(self, q: np.ndarray, base: Poses, setup: np.ndarray) -> np.ndarray:
@@ -326,11 +326,13 @@ def fit_geometry_to_poses(
     tools = len(poses.campaigns) if apart[1] else max(len(poses.targets), len(state.frames.tool))
     several = len(poses.devices) > 1
     devices = len(state.frames.device) if several else devices
-    fresh = frames is None and device and poses.measures_poses
+    fresh = frames is None and device and poses.as_poses().measures_poses
     fresh = fresh and (devices > len(state.frames.device) or (several and start is None))
     state = state._replace(frames=state.frames.apart(devices, tools))
     if fresh:
-        own_frames = estimate_campaign_frames(poses, state.base, state.ok, state.frames, turned=turned, tool=tool)
+        own_frames = estimate_campaign_frames(
+            poses.as_poses(), state.base, state.ok, state.frames, turned=turned, tool=tool
+        )
         state = state._replace(frames=own_frames)
     own = {"fix": fix, "free": free, "device": device, "tool": tool, "backlash": backlash, "prior": prior}
     problem = Problem(geometry, poses, collect(geometry, state.frames, turned=turned, **own), residual, turned)

@@ -49,7 +49,7 @@ def check_spread(family: Family, poses: PoseSet) -> None:
             f"{poses.source}: the joints have the same positions in all {poses.n} poses, so that no dimension shows",
             "measure poses all over the workspace",
         )
-    geometry = family.build(Spec("frames"))
+    geometry, poses = family.build(Spec("frames")), poses.as_poses()
     if geometry.orients or not poses.measures_poses or not is_flat(poses.position):
         return
     own = geometry.forward(geometry.parameters.values, poses.q)

@@ -141,11 +141,15 @@ class Calibration(Shown):
 
         Of a distance or a touch, where the target was is known from the chosen model alone.
         """
-        at = self.at()
+        at, seen = self.at(), self.fit.seen(self.at())
         turn, shift, _, _ = self.fit.frames.of_each(at.setup)
-        sees = np.array([kind == "pose" for kind in at.kinds])[at.device]
-        position = np.where(sees[:, None], at.position, self.fit.seen(at).position)
-        return tuple(np.einsum("nji,nj->ni", turn, x) for x in (position - shift, self.errors(model).position))
+        known = at.as_poses()
+        sees = np.array([kind == "pose" for kind in known.kinds])[at.device]
+        position = np.where(sees[:, None], known.position, seen.position)
+        error = self.errors(model).position
+        from_camera = -np.einsum("nij,nj->ni", seen.rotation, error)  # a camera on the tool is off the other way
+        error = np.where(at.from_tool[:, None], from_camera, error)
+        return tuple(np.einsum("nji,nj->ni", turn, x) for x in (position - shift, error))
 
     def _errors_at_poses(self) -> dict[str, object]:
         """Return where unseen errors stand and every model's errors there [m], in the robot's base frame: what a viewer draws."""

@@ -45,7 +45,7 @@ def estimate_initial_frames(poses: PoseSet, nominal: Predicted, *, tool: bool = 
     Raises:
         InputError: The nominal robot reaches too few of the poses, or a mirrored frame fits far better.
     """
-    ok = nominal.ok
+    poses, ok = poses.as_poses(), nominal.ok
     if ok.sum() < 3:
         k = int(np.argmin(ok))
         raise InputError(
@@ -101,7 +101,7 @@ def _settle(poses: PoseSet, base: Poses, frames: DeviceFrames, *, tool: bool) ->
 
     def left(x: np.ndarray) -> np.ndarray:
         moved = move(x)
-        seen = moved.measured(base, poses.setup).position
+        seen = moved.measured(base, poses.setup)
         return poses.compute_position_residuals(seen, moved.lengths_of(poses.setup)).ravel()
 
     start = np.zeros(n + len(places) + len(frames.with_length))

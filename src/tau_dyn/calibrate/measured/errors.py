@@ -110,11 +110,11 @@ def compute_pose_errors(
     """
     rotation = None
     if poses.rotation is not None and (own or target is not None):
-        predicted = seen.rotation if target is None else seen.rotation @ target
+        predicted = poses.expect(seen).rotation if target is None else seen.rotation @ target
         rotation = np.full_like(poses.position, np.nan)
         ok = np.isfinite(predicted).all(axis=(1, 2))
         rotation[ok] = compute_rotation_between(poses.rotation[ok], predicted[ok])
-    position = poses.compute_position_residuals(seen.position, lengths)
+    position = poses.compute_position_residuals(seen, lengths)
     return PoseErrors(position, rotation, poses.relative_errors(6), poses.configuration, own, poses.numbers)
 
 

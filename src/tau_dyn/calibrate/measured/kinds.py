@@ -1,6 +1,7 @@
 r"""What a device or a fixture tells of the target: its place, its distance, or that it touches something.
 
     pose      the position, perhaps with the orientation, in the frame of a tracker or a camera
+    hand_eye  the pose of what stands still, in the frame of a camera on the tool: R^T, -R^T p
     distance  d = |p| + offset, from a point that stands still: wire, ball bar, laser interferometer
     hole      p = 0: a pin stands in a hole, at any attitude
     plane     p_z = 0: a probe touches a plane
@@ -17,6 +18,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+
+from tau_dyn.mechanism import Poses
 
 
 class MeasurementKind(NamedTuple):
@@ -37,6 +40,7 @@ class MeasurementKind(NamedTuple):
 
 KINDS = {
     "pose": MeasurementKind(3, (0, 1, 2, 3, 4, 5)),
+    "hand_eye": MeasurementKind(3, (0, 1, 2, 3, 4, 5)),
     "distance": MeasurementKind(1, (0, 1, 2), "offset", -1.0),
     "hole": MeasurementKind(3, (0, 1, 2)),
     "plane": MeasurementKind(1, (2, 3, 4)),
@@ -81,6 +85,20 @@ def compute_position_residuals(
     along = measured[:, 0] + sign * lengths - np.sum(u * seen, axis=1)
     one = np.any(u != 0, axis=1)
     return np.where(one[:, None], along[:, None] * u, measured - seen)
+
+
+def invert_poses(poses: Poses) -> Poses:
+    """Return the inverse `R^T, -R^T p` of poses (N)."""
+    back = np.swapaxes(poses.rotation, 1, 2)
+    return Poses(-np.einsum("nij,nj->ni", back, poses.position), back)
+
+
+def invert_columns(poses: Poses, columns: np.ndarray) -> np.ndarray:
+    """Return twists (N, 6, p) of the inverse of poses (N) from those of the poses: `R^T (w x p - v)` and `-R^T w`."""
+    linear, angular = columns[:, :3], columns[:, 3:]
+    back = np.swapaxes(poses.rotation, 1, 2)
+    lever = np.cross(angular, poses.position[:, :, None], axis=1)
+    return np.concatenate([back @ (lever - linear), -(back @ angular)], axis=1)
 
 
 def project_columns(kinds: Sequence[str], device: np.ndarray, seen: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -7,7 +7,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tau_dyn.calibrate.measured.kinds import KINDS, TOUCHES, compute_position_residuals, project_columns
+from tau_dyn.calibrate.measured.kinds import (
+    KINDS,
+    TOUCHES,
+    compute_position_residuals,
+    invert_columns,
+    invert_poses,
+    project_columns,
+)
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Poses
 from tau_dyn.results import Brief
@@ -147,18 +154,50 @@ class PoseSet(Brief):
         """Return the independent numbers of each pose (N,) of `m` coordinates, 3 or 6."""
         return self.numbers + (m - 3)
 
-    def compute_position_residuals(self, seen: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    @property
+    def from_tool(self) -> np.ndarray:
+        """Whether a camera on the tool measured each pose (N,)."""
+        return np.array([kind == "hand_eye" for kind in self.kinds])[self.device]
+
+    def as_poses(self) -> PoseSet:
+        """Return the set with what cameras on the tool saw as poses of the target in a frame that stands still."""
+        if not self.from_tool.any() or self.rotation is None:
+            return self
+        position, rotation = self._invert(Poses(self.position, self.rotation))
+        kinds = tuple("pose" if kind == "hand_eye" else kind for kind in self.kinds)
+        return replace(self, position=position, rotation=rotation, kinds=kinds)
+
+    def as_seen_from_tool(self) -> PoseSet:
+        """Return poses as a camera on the tool measures them."""
+        known = replace(self, kinds=tuple("hand_eye" if kind == "pose" else kind for kind in self.kinds))
+        assert self.rotation is not None
+        position, rotation = known._invert(Poses(self.position, self.rotation))
+        return replace(known, position=position, rotation=rotation)
+
+    def expect(self, seen: Poses) -> Poses:
+        """Return what is measured of the target's predicted poses in the frames of the devices (N)."""
+        return Poses(*self._invert(seen)) if self.from_tool.any() else seen
+
+    def compute_position_residuals(self, seen: Poses, lengths: np.ndarray) -> np.ndarray:
         """Return measured minus predicted positions (N, 3) [m], along what was measured.
 
         Args:
-            seen: Predicted positions in the frames of the devices (N, 3) [m].
+            seen: The target's predicted poses in the frames of the devices (N).
             lengths: Offset or radius of each measurement (N,) [m].
         """
-        return compute_position_residuals(self.kinds, self.device, self.position, seen, lengths)
+        return compute_position_residuals(self.kinds, self.device, self.position, self.expect(seen).position, lengths)
 
-    def project_columns(self, seen: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return derivatives (N, m, p) of what was measured from those of the whole pose, predicted at `seen` (N, 3) [m]."""
-        return project_columns(self.kinds, self.device, seen, columns)
+    def project_columns(self, seen: Poses, columns: np.ndarray) -> np.ndarray:
+        """Return derivatives (N, 6, p) of what was measured from those of the target's pose, predicted at `seen` (N)."""
+        if self.from_tool.any():
+            columns = np.where(self.from_tool[:, None, None], invert_columns(seen, columns), columns)
+        return project_columns(self.kinds, self.device, seen.position, columns)
+
+    def _invert(self, poses: Poses) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and rotations, inverted where a camera on the tool measures."""
+        back = invert_poses(poses)
+        position = np.where(self.from_tool[:, None], back.position, poses.position)
+        return position, np.where(self.from_tool[:, None, None], back.rotation, poses.rotation)
 
     @property
     def poses(self) -> Poses:

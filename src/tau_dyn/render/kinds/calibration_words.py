@@ -38,6 +38,7 @@ ADDED = {
 
 MEASURED_KINDS = {
     "pose": "position",
+    "hand_eye": "pose, by a camera on the tool",
     "distance": "distance from a point",
     "hole": "pin in a hole",
     "plane": "plane touched",
