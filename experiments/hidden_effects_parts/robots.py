@@ -44,7 +44,7 @@ MAKES = {
 ROTORS_KG_M2 = (0.05, 1.0)
 """Rotor inertia behind the gear of makes and trees, which their files lack."""
 N_TREES = 10_000
-FEW_JOINTS = (3, 6)  # hinges of a tree, the last excluded
+TREE_HINGES = (3, 6)  # hinges of a tree, the last excluded
 OFF = 0.1
 """Largest relative error of a mass in the robot file."""
 
@@ -90,7 +90,7 @@ def _tree_urdf(number: int) -> str:
     """Return a tree of hinges about axes by chance, each on the last link or, in three of ten, on an earlier one."""
     rng = np.random.default_rng([number, 17])
     links, parts = ["base_link"], []
-    for k in range(int(rng.integers(*FEW_JOINTS))):
+    for k in range(int(rng.integers(*TREE_HINGES))):
         parent = links[-1] if rng.random() < 0.7 else links[int(rng.integers(len(links)))]
         axis, place = rng.normal(size=3), rng.uniform(0.1, 0.4) * _direction(rng)
         mass, centre, gyration = rng.uniform(1, 8), rng.uniform(0.02, 0.15) * _direction(rng), rng.uniform(0.04, 0.15)

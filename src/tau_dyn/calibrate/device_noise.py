@@ -19,7 +19,7 @@ from tau_dyn.calibrate.model_selection import Options
 from tau_dyn.calibrate.models import Family
 from tau_dyn.calibrate.outliers import fit_robustly
 
-_ROUNDS = 6  # fits; each brings the weights nearer by a factor of about ten
+_MAX_FITS = 6  # fits; each brings the weights nearer by a factor of about ten
 _SETTLED = 0.02  # relative change of a device's standard error at which weights stay
 _SIGNIFICANCE_LEVEL = 1e-3  # of the F test of a device against the others of its kind
 _MIN_NUMBERS = 6.0  # numbers beyond the parameters' share; with fewer, the scatter is known to no better than a third
@@ -37,7 +37,7 @@ def weigh_devices(family: Family, poses: PoseSet, options: Options) -> PoseSet:
     if len(poses.devices) == 1:
         return poses
     errors = np.array(poses.device_errors or (1.0,) * len(poses.devices))
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_FITS):
         scatter = _measure_scatter(fit_robustly(family, poses, options, None))
         new = _pool(poses, scatter._replace(square=scatter.square * errors**2))
         change = np.abs(new / new[0] / (errors / errors[0]) - 1).max()

@@ -41,7 +41,8 @@ def calibrate(
     """From measured poses to a geometry with uncertainty: the model they bear, what each step gained, what no pose can tell.
 
     Args:
-        poses: Q_J of every actuated joint and x_tool y_tool z_tool [qx_tool ..] in the measuring device's frame
+        poses: Q_J of every actuated joint and x_tool y_tool z_tool [qx_tool ..] in the measuring device's frame, or
+            distance_tool, hole, plane, sphere
         holdout: Poses used for nothing but the final errors (without any, a quarter of many poses, or cross-validation)
         model: auto; frames, ideal, nonparallel, complete or paths, as the robot offers them; with +periodic, +piecewise,
             +compliant, +backlash, +gravity, +eccentric, +coupling:j3/j2 (a share) or coupling:j3=-j2 (all), each perhaps
