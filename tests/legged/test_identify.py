@@ -24,6 +24,12 @@ def log(walker, walk) -> Log:
     return walk.record(walker)
 
 
+@pytest.fixture(scope="module")
+def found(walker, log) -> Identification:
+    """Return what is identified from the exact log."""
+    return identify(walker, log, model="symmetric")
+
+
 def compare(found: Identification, walk) -> tuple[np.ndarray, np.ndarray]:
     """Return the base parameters found and true."""
     e, robot = found.estimate, found.model.robot
@@ -50,9 +56,8 @@ def add_velocity(log: Log, *, of_world: bool = False) -> Log:
     return log.with_channels(**dict(zip(LINEAR, moved.T, strict=True)), **dict(zip(ANGULAR, turned.T, strict=True)))
 
 
-def test_exact_logs_give_the_exact_robot(walker, walk, log):
+def test_exact_logs_give_the_exact_robot(walker, walk, found):
     """All 142 base parameters, from torques alone, with ground forces that nobody measured: 11.6 kg to 5 g."""
-    found = identify(walker, log, model="symmetric")
     estimated, true = compare(found, walk)
     assert found.estimate.base.rank == 142
     bodies = [k for k, name in enumerate(found.estimate.base.names) if name in walker.parameters]
@@ -74,12 +79,11 @@ def test_feet_without_flags_count_as_touching(walker, walk, log):
     assert any(getattr(w, "code", "") == "contact_unknown" for w in found.warnings)
 
 
-def test_forces_of_feet_are_flags_as_well(walker, log):
+def test_forces_of_feet_are_flags_as_well(walker, log, found):
     """A foot with more than a hundredth of the weight on it touches the ground."""
     loads = {f"contact_{c.frame}": 30 * log[f"contact_{c.frame}"] + 0.3 for c in walker.contacts}
-    found = identify(walker, log.with_channels(**loads), model="symmetric")
-    expected = identify(walker, log, model="symmetric")
-    assert_allclose(found.estimate.beta, expected.estimate.beta)
+    by_force = identify(walker, log.with_channels(**loads), model="symmetric")
+    assert_allclose(by_force.estimate.beta, found.estimate.beta)
 
 
 def test_a_velocity_in_axes_of_the_base_replaces_the_position(walker, log):
@@ -124,11 +128,10 @@ def test_a_walk_without_its_base_is_refused(walker, log):
         complete_base(walker, [log.with_channels(q_base_qw=2 * log["q_base_qw"])])
 
 
-def test_what_takes_no_floating_base_says_so(walker, log):
+def test_what_takes_no_floating_base_says_so(walker, log, found):
     """Diagnosis and predictions from motion alone would take the ground's forces for faults of the model."""
     with raises_code("unsupported", "fixed base"):
         diagnose(walker, log)
-    found = identify(walker, log, model="symmetric")
     with raises_code("unsupported", "fixed base"):
         found.model.predict(log)
     with raises_code("bad_option", "wls"):
@@ -147,8 +150,12 @@ def test_the_command_line_takes_base_and_feet(walker, walker_file, log, tmp_path
         assert main(line) == status
         return json.loads(out.read_text()) if out.is_file() else {}
 
+    whole = path
     assert run("check", path, walker_file)["fit_for_use"]
-    assert run("columns", path, walker_file)["columns"]["q_fl_knee"] == "q_fl_knee"
-    found = {p["name"]: p for p in run("identify", walker_file, path, "--model", "symmetric")["parameters"]}
+    proposed = run("columns", path, walker_file)["columns"]
+    assert {name for name in log.channels} <= set(proposed) and proposed["q_base_qw"] == "q_base_qw"
+    without(log, "q_base_qw").to_csv(path := tmp_path / "lost.csv")
+    assert "# q_base_qw: COLUMN" in run("columns", path, walker_file)["template"]
+    found = {p["name"]: p for p in run("identify", walker_file, whole, "--model", "symmetric")["parameters"]}
     assert abs(found["fl_knee.coulomb"]["value"] - 0.15) < 0.005
     run("diagnose", walker_file, path, status=2)

@@ -47,7 +47,7 @@ def check(
 
             (read,) = complete_positions(machine, [read])
         checked = check_robot_log(read, machine)
-        if machine is not None:
+        if machine is not None and not machine.base_coordinates:
             step("holding the log against the robot file")
             checked = checked.with_faults(check_against_robot(machine, [read]))
 
@@ -76,11 +76,10 @@ def columns(
     """
     with show_progress(output.quiet) as step:
         step("reading")
-        from tau_dyn.legged import DrivenJoints
-        from tau_dyn.log import propose_columns
+        from tau_dyn.legged import propose_robot_columns
 
         machine = robot_options.load(robot, may_float=True)
-        proposal = propose_columns(log, DrivenJoints.of(machine))
+        proposal = propose_robot_columns(log, machine)
     text = proposal.to_yaml()
     return Outcome(
         result=proposal.to_dict(),

@@ -18,4 +18,5 @@ from .log_check import (
     DrivenJoints as DrivenJoints,
     check_robot_log as check_robot_log,
     list_base_warnings as list_base_warnings,
+    propose_robot_columns as propose_robot_columns,
 )

@@ -7,21 +7,25 @@ in axes of the world. Both look plausible; a robot that turns tells them apart.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.legged.base_motion import ANGULAR, LINEAR, POSITION, complete_base, read_rotation
+from tau_dyn.legged.base_motion import ANGULAR, LINEAR, POSITION, QUATERNION, complete_base, read_rotation
 from tau_dyn.log import (
     MIN_SEGMENT_SAMPLES,
     CheckFinding,
+    ColumnProposal,
     Log,
     LogCheck,
     check_log,
     differentiate,
     lowpass,
+    propose_columns,
+    read_any,
     resample_segments,
 )
 from tau_dyn.message_codes import CodedWarning
@@ -53,7 +57,8 @@ def check_robot_log(log: Log, robot: Robot | None) -> LogCheck:
     """Return the check of a log against its robot; of a floating base with what is wrong with its motion."""
     if robot is None or not robot.base_coordinates:
         return check_log(log, robot)
-    checked = check_log(log, DrivenJoints.of(robot))
+    joints = {name: x for name, x in log.channels.items() if not name.startswith(("q_base_", "v_base_"))}
+    checked = check_log(replace(log, channels=joints), DrivenJoints.of(robot))
     # joints leap where feet touch down, with no sample lost
     findings = [finding for finding in checked.findings if finding.code != "lost_samples"]
     try:
@@ -61,11 +66,43 @@ def check_robot_log(log: Log, robot: Robot | None) -> LogCheck:
     except InputError as fault:
         findings.append(CheckFinding("fault", "base", str(fault), "Log it, or name it in a map (--columns MAP.yaml)."))
     else:
+        findings.append(CheckFinding("ok", "base", f"{log.name} has orientation and position or velocity of the base."))
         findings += [
             CheckFinding("fault" if w.code == "base_velocity_frame" else "warning", "base", str(w), code=w.code)
             for w in list_base_warnings(robot, log)
         ]
     return replace(checked, findings=tuple(findings))
+
+
+def propose_robot_columns(path: str | Path, robot: Robot) -> ColumnProposal:
+    """Return the column map proposed for a log of a robot; of a floating base with the columns of its base and feet.
+
+    Those are taken under their own names alone; what is missing is listed, with lines to complete.
+
+    Raises:
+        InputError: The log cannot be read.
+        CannotAnswer: No column but the clock holds numbers.
+    """
+    proposal = propose_columns(path, DrivenJoints.of(robot))
+    if not robot.base_coordinates:
+        return proposal
+    there = read_any(Path(path)).cells
+    feet = tuple(f"contact_{contact.frame}" for contact in robot.contacts)
+    known = {name: name for name in (*POSITION, *QUATERNION, *LINEAR, *ANGULAR, *feet) if name in there}
+    place = POSITION if not all(name in known for name in LINEAR) else ()
+    missing = [name for name in (*place, *QUATERNION, *feet) if name not in known]
+    if not missing:
+        return replace(proposal, entries={**proposal.entries, **known})
+    sentence = (
+        f"No column is called {', '.join(missing)}: orientation and position of the base, and feet that touch the ground. "
+        "Complete their lines in the map."
+    )
+    return replace(
+        proposal,
+        entries={**proposal.entries, **known},
+        warnings=(*proposal.warnings, CodedWarning("column_missing", sentence)),
+        template=(*proposal.template, *(f"# {name}: COLUMN" for name in missing)),
+    )
 
 
 def list_base_warnings(robot: Robot, log: Log) -> list[CodedWarning]:
