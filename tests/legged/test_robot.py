@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
+from tau_dyn.exchange import build_mjcf, build_sdf, build_urdf
 from tau_dyn.mechanism import build_mechanism
 from tau_dyn.model import Model
 from tau_dyn.robot import BASE_COORDINATES, load_robot
@@ -74,3 +75,10 @@ def test_bases_and_feet_that_cannot_be_are_refused(walker_file, options, code):
     """A base is fixed or floating, feet belong to a floating one, and are links of the robot."""
     with raises_code(code):
         load_robot(walker_file, **options)
+
+
+def test_no_file_is_exported_with_coordinates_for_a_base(walker):
+    """A URDF whose base is six joints would be another robot to every program."""
+    for write in (build_urdf, build_mjcf, build_sdf):
+        with raises_code("unsupported", "fixed base"):
+            write(Model.of(walker))

@@ -265,7 +265,7 @@ class Robot(Shown):
             InputError: The base floats; `what` says what cannot take it.
         """
         if self.base_coordinates:
-            raise InputError("unsupported", f"{self.source}: {what} is for robots with a fixed base; leave --base out")
+            raise InputError("unsupported", f"{self.source}: {what} is for robots with a fixed base")
 
     def require_unscaled_drives(self, what: str) -> None:
         """Refuse a robot with a drive's scale where something cannot carry one.
