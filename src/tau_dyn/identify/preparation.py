@@ -37,7 +37,7 @@ from scipy.special import erf
 from tau_dyn.effects import Effect, Motion
 from tau_dyn.estimate import ROUNDING, Preparation, Regression
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.legged import Elimination, eliminate_contacts, find_contacts, find_usual_flight
+from tau_dyn.legged import ContactElimination, eliminate_contacts, find_contacts, find_usual_flight
 from tau_dyn.log import (
     FORCE_BAND_FACTOR,
     MIN_SEGMENT_SAMPLES,
@@ -350,7 +350,7 @@ def compute_gate(log: Log, motion: Motion, model: Model, preparation: Preparatio
 
 def compute_contact_gate(
     log: Log, q: np.ndarray, model: Model, preparation: Preparation, rate: float
-) -> tuple[Elimination, np.ndarray]:
+) -> tuple[ContactElimination, np.ndarray]:
     """Return how contacts leave the equations at positions (N, na), and 1 where an equation may be used and 0 where not.
 
     Touching down and lifting off spread as far as the first filter's memory, so contacts last longer by it on both sides. An

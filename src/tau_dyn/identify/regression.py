@@ -48,7 +48,7 @@ from tau_dyn.identify.preparation import (
     refuse_short,
     select_long,
 )
-from tau_dyn.legged import Elimination
+from tau_dyn.legged import ContactElimination
 from tau_dyn.log import (
     MIN_SEGMENT_SAMPLES,
     Log,
@@ -177,7 +177,7 @@ class PreparedSegment:
     usable: np.ndarray
     weight: np.ndarray
     rate_hz: float
-    contacts: Elimination | None = None
+    contacts: ContactElimination | None = None
 
     @property
     def factor(self) -> int:

@@ -8,7 +8,7 @@ from .base_motion import (
     complete_base as complete_base,
 )
 from .contacts import (
-    Elimination as Elimination,
+    ContactElimination as ContactElimination,
     compute_contact_jacobian as compute_contact_jacobian,
     eliminate_contacts as eliminate_contacts,
     find_contacts as find_contacts,

@@ -41,7 +41,7 @@ MAX_CONDITION = 1e3
 _RANK = 1e-6  # singular value relative to the largest, of a set of contacts that hold the same motion twice
 
 
-class Elimination(NamedTuple):
+class ContactElimination(NamedTuple):
     """Contact forces taken out.
 
     Attributes:
@@ -124,7 +124,7 @@ def compute_contact_jacobian(robot: Robot, q: np.ndarray) -> np.ndarray:
     return np.array(rows)
 
 
-def eliminate_contacts(robot: Robot, q: np.ndarray, touching: np.ndarray) -> Elimination:
+def eliminate_contacts(robot: Robot, q: np.ndarray, touching: np.ndarray) -> ContactElimination:
     """Return the motions that contacts leave free at positions (N, n), with contacts (N, k) that touch.
 
     Samples at which a leg is stretched out, or whose contacts hold each other, have no free coordinate.
@@ -152,7 +152,7 @@ def eliminate_contacts(robot: Robot, q: np.ndarray, touching: np.ndarray) -> Eli
         motion[~sound] = 0.0
         G[samples] = motion
         free[np.ix_(samples, kept)] = sound[:, None]
-    return Elimination(G, free)
+    return ContactElimination(G, free)
 
 
 def _choose_dependent(robot: Robot, J: np.ndarray) -> np.ndarray:
