@@ -218,6 +218,12 @@ WARNING_CODES: dict[str, MessageCode] = {
     "force_lowpassed": MessageCode(
         "a first-order lag explains the force better than a delay", "log the force before the filter"
     ),
+    "contact_unknown": MessageCode(
+        "a log of a walking robot does not say when a foot touches the ground", "log `contact_FRAME`, 0 or 1"
+    ),
+    "base_velocity_frame": MessageCode(
+        "the base's velocity is in axes of the world", "turn it into axes of the base, or leave it out"
+    ),
     "gravity_direction": MessageCode("gravity acts from another side", "turn the base in the robot file"),
     "gravity_subtracted": MessageCode(
         "forces lack gravity: the controller subtracted it, or the bodies are balanced unlike the file's",

@@ -216,6 +216,7 @@ class Model(Shown):
         Raises:
             InputError: The log lacks a column that the robot or an effect needs.
         """
+        self.robot.require_fixed_base("a prediction of forces from motion alone")
         read, joints = as_log(log), self.robot.actuated
         found = np.full((read.n_samples, len(joints)), np.nan)
         for piece in resample_segments(read):

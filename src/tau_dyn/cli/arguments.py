@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter, Token
 
@@ -188,6 +188,8 @@ class RobotOptions:
         fitted_inertias: Accept inertias that no body has, as those fitted to forces
         no_xacro: Accept plain URDF only; refuse xacro files, for they run code. Built-in robots are xacro files too
         hold: Hold a joint still at this position [m or rad]
+        base: floating for a robot that walks, with its base's pose in the log; identify, check and columns take it
+        contact: Links that touch the ground at times: FRAME for a point foot, FRAME=RADIUS for a ball [m], FRAME=flat
     """
 
     set: Annotated[tuple[str, ...], Parameter(metavar="NAME=VALUE")] = ()
@@ -198,15 +200,23 @@ class RobotOptions:
     fitted_inertias: bool = False
     no_xacro: bool = False
     hold: Annotated[tuple[str, ...], Parameter(metavar="JOINT=VALUE")] = ()
+    base: Literal["fixed", "floating"] = "fixed"
+    contact: Annotated[Strings, Parameter(metavar="FRAME")] = ()
 
-    def load(self, robot: str | Path) -> Robot:
+    def load(self, robot: str | Path, *, may_float: bool = False) -> Robot:
         """Load a robot: a robot file, a robot of ours, or a calibration's `--out`.
+
+        Args:
+            robot: Its path or short name.
+            may_float: Whether the command takes a floating base.
 
         Raises:
             InputError: Options that belong elsewhere, or a file that holds no robot.
         """
         from tau_dyn.robot import load_robot
 
+        if self.base == "floating" and not may_float:
+            raise InputError("bad_option", "--base floating goes with identify, check and columns")
         given = read_arguments(self.set)
         for name, instead in _ELSEWHERE.items():
             if name in given:
@@ -216,7 +226,7 @@ class RobotOptions:
         return load_robot(
             str(robot), actuated=self.actuated or None, tool=self.tool, xacro=not self.no_xacro,
             packages=self._read_packages(), srdf=self.srdf, fitted_inertias=self.fitted_inertias,
-            hold=self._read_held(), **given,
+            hold=self._read_held(), base=self.base, contacts=self.contact, **given,
         )  # fmt: skip
 
     def hold_silent_joints(self, machine: Robot, robot: str | Path, logs: Sequence[Log | Recording]) -> Robot:
@@ -226,7 +236,9 @@ class RobotOptions:
         names = {name for log in logs for name in log.channels}
         carrying = machine.carrying_joints
         kept = [j for j in machine.actuated if j in carrying or not names.isdisjoint((f"q_{j}", f"tau_{j}"))]
-        return machine if len(kept) in (0, machine.na) else replace(self, actuated=tuple(kept)).load(robot)
+        return (
+            machine if len(kept) in (0, machine.na) else replace(self, actuated=tuple(kept)).load(robot, may_float=True)
+        )
 
     def load_model(self, robot: str | Path) -> Model:
         """Load the model that ROBOT names: a file of ours with its effects, or a rigid robot.

@@ -62,7 +62,7 @@ def identify(
         from tau_dyn.servo import LoopIdentification, identify_loop, is_loop_log
         from tau_dyn.simulate import read_servo_law
 
-        machine = robot_options.load(robot)
+        machine = robot_options.load(robot, may_float=True)
         trained, held = fitting.open_logs(logs), fitting.open_logs(holdout)
         machine = robot_options.hold_silent_joints(machine, robot, trained)
         if is_loop_log(trained[0], machine):

@@ -32,9 +32,10 @@ def check(
     """
     with show_progress(output.quiet) as step:
         step("reading")
-        from tau_dyn.log import check_log, read_log
+        from tau_dyn.legged import check_robot_log
+        from tau_dyn.log import read_log
 
-        machine = robot_options.load(robot) if robot else None
+        machine = robot_options.load(robot, may_float=True) if robot else None
         read = read_log(log, columns)
         said: list[str] = []
         if machine is not None and robot is not None:
@@ -45,8 +46,8 @@ def check(
             from tau_dyn.identify import check_against_robot, complete_positions
 
             (read,) = complete_positions(machine, [read])
-        checked = check_log(read, machine)
-        if machine is not None:
+        checked = check_robot_log(read, machine)
+        if machine is not None and not machine.base_coordinates:
             step("holding the log against the robot file")
             checked = checked.with_faults(check_against_robot(machine, [read]))
 
@@ -75,10 +76,10 @@ def columns(
     """
     with show_progress(output.quiet) as step:
         step("reading")
-        from tau_dyn.log import propose_columns
+        from tau_dyn.legged import propose_robot_columns
 
-        machine = robot_options.load(robot)
-        proposal = propose_columns(log, machine)
+        machine = robot_options.load(robot, may_float=True)
+        proposal = propose_robot_columns(log, machine)
     text = proposal.to_yaml()
     return Outcome(
         result=proposal.to_dict(),

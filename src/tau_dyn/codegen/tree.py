@@ -56,6 +56,7 @@ class Tree:
                 scale.
         """
         robot.require_unscaled_drives("generated code of a tree's equations")
+        robot.require_fixed_base("generated code of a tree's equations")
         if robot.mimics and robot.loops:
             listed = ", ".join(robot.mimics)
             raise InputError(

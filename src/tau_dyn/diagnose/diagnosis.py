@@ -224,6 +224,7 @@ def diagnose(
             *(complete_positions(prepared.robot, get_log_list(some)) for some in (logs, holdout))
         )
         warnings += doubled
+        prepared.robot.require_fixed_base("diagnose")
         train, held = load_into_memory(given), load_into_memory(judged)
         if not train:
             raise InputError("missing_input", "no log was given")

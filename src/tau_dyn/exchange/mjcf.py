@@ -62,10 +62,11 @@ def build_mjcf(model: Model, meshes: str = "") -> Exported:
         meshes: With what the names of meshes' files begin, which stand beside the MJCF file; without it there are none.
 
     Raises:
-        InputError: A joint has more than one degree of freedom, or a drive has a scale.
+        InputError: A joint has more than one degree of freedom, a drive has a scale, or the base floats.
     """
     robot = model.robot
     robot.require_unscaled_drives("a MuJoCo file")
+    robot.require_fixed_base("a MuJoCo file")
     joints = list_joints(robot.model)
     if joints is None:
         raise InputError(

@@ -40,10 +40,11 @@ def build_sdf(model: Model) -> Exported:
     """Return the model's robot as SDF text.
 
     Raises:
-        InputError: A joint has more than one degree of freedom, or a drive has a scale.
+        InputError: A joint has more than one degree of freedom, a drive has a scale, or the base floats.
     """
     robot = model.robot
     robot.require_unscaled_drives("an SDF file")
+    robot.require_fixed_base("an SDF file")
     joints = list_joints(robot.model)
     if joints is None:
         raise InputError(

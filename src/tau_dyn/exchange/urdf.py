@@ -41,6 +41,7 @@ def build_urdf(model: Model, folder: Path | None = None) -> Exported:
         model: The model.
         folder: Folder of the file to be written, from which relative paths of meshes start; None for the robot file's.
     """
+    model.robot.require_fixed_base("an exported URDF")
     carried = build_carried_model(model, drives=False)
     left_out = list_omissions(model, drives=False)
     root = fromstring(model.robot.urdf, forbid_dtd=True)

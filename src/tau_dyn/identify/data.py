@@ -147,7 +147,7 @@ def _channel_warnings(robot: Robot, log: Log) -> list[str]:
     """Return what is wrong with the channels of a log, of those that the fit uses; forces at the drives' limits are gated out."""
     if log.n_samples < MIN_SEGMENT_SAMPLES:
         return []
-    columns = {f"{signal}_{joint}" for signal in ("q", "tau") for joint in robot.actuated}
+    columns = {f"{signal}_{joint}" for signal in ("q", "tau") for joint in robot.driven}
     limits = dict(zip((f"tau_{joint}" for joint in robot.actuated), robot.effort_limit, strict=True))
     used = {
         c: x
@@ -168,18 +168,19 @@ def require_forces(robot: Robot, logs: Sequence[Log | Recording]) -> None:
         InputError: A log has no force of any actuated joint.
     """
     for log in logs:
-        if (
-            isinstance(log, Log)
-            and log.has("q", robot.actuated)
-            and not any(log.has("tau", [j]) for j in robot.actuated)
-        ):
-            commands = " and commands" if log.has("cmd", robot.actuated[:1]) else ""
+        if isinstance(log, Log) and log.has("q", robot.driven) and not any(log.has("tau", [j]) for j in robot.driven):
+            commands = " and commands" if log.has("cmd", robot.driven[:1]) else ""
             raise InputError(
                 "missing_column",
-                f"{log.name} holds positions{commands} and no force; log each drive's force (tau_{robot.actuated[0]}), or its "
+                f"{log.name} holds positions{commands} and no force; log each drive's force (tau_{robot.driven[0]}), or its "
                 "current, which a column map scales by torque constant and gear ratio; tool positions (x_tool, y_tool, z_tool) "
                 "are diagnosed without forces",
             )
+
+
+def _mend(log: Log, robot: Robot) -> Log:
+    """Return a log with its lost samples as gaps; feet that touch down make all joints leap, so a walker's are not looked for."""
+    return log if robot.base_coordinates else mend_log(log, robot.actuated)
 
 
 TRAIN_SHARE = 0.7
@@ -218,7 +219,7 @@ class Data:
     def of(cls, model: Model, logs: Sequence[Log | Recording], **options: Any) -> Data:
         """Cut logs in memory into even pieces, their few lost samples being gaps in the clock."""
         here = [log for log in logs if isinstance(log, Log)]
-        mended = (mend_log(log, model.robot.actuated) for log in here if len(here) == len(logs))
+        mended = (_mend(log, model.robot) for log in here if len(here) == len(logs))
         return cls(model, tuple(logs), tuple(piece for log in mended for piece in resample_segments(log)), **options)
 
     @property

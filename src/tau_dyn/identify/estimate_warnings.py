@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -25,12 +25,14 @@ def compute_rest_shares(regression: Regression) -> np.ndarray:
     return np.mean(np.abs(v) < regression.preparation.speed_threshold, axis=0)
 
 
-def list_resting_warnings(regression: Regression) -> list[str]:
-    """Return one warning that names the joints at rest most of the time."""
+def list_resting_warnings(regression: Regression, joints: Sequence[str] | None = None) -> list[str]:
+    """Return one warning that names the joints at rest most of the time, of all outputs or of those given."""
     if not any(len(run.t) for run in regression.runs):
         return []
     resting = {
-        j: x for j, x in zip(regression.outputs, compute_rest_shares(regression), strict=True) if x > MAX_RESTING_SHARE
+        j: x
+        for j, x in zip(regression.outputs, compute_rest_shares(regression), strict=True)
+        if x > MAX_RESTING_SHARE and (joints is None or j in joints)
     }
     if not resting:
         return []

@@ -131,6 +131,8 @@ class Estimator:
     def _fault(self, kind: str) -> str:
         """Return why an estimator cannot take this model and these logs; empty where it can."""
         joints = self.model.robot.actuated
+        if self.model.robot.base_coordinates:
+            return "the forces of the ground are not known at full rate; use wls"
         odd = [
             e.name
             for e in self.model.effects

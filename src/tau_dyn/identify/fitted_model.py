@@ -177,11 +177,11 @@ def build_model(robot: Robot, model: str | Path | Model) -> Model:
     """
     if isinstance(model, str) and model in FRICTION_MODELS:
         return free_drive_inertias(
-            _with_friction_of_file(Model.of(robot, build_friction_model(model, robot.actuated, robot.force_units)))
+            _with_friction_of_file(Model.of(robot, build_friction_model(model, robot.driven, robot.driven_units)))
         )
     if not isinstance(model, Model):
         if isinstance(model, str) and not Path(model).suffix:
-            build_friction_model(model, robot.actuated, robot.force_units)  # says which names there are
+            build_friction_model(model, robot.driven, robot.driven_units)  # says which names there are
         model = Model.load(model)
     if model.robot.actuated != robot.actuated:
         theirs = ", ".join(model.robot.actuated)

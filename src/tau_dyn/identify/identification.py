@@ -18,6 +18,7 @@ import numpy as np
 from tau_dyn.effects import FRICTION_MODELS
 from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Preparation, Regression
 from tau_dyn.evidence import (
+    LogChange,
     build_shared_columns,
     describe_changes,
     describe_poor_fits,
@@ -56,6 +57,7 @@ from tau_dyn.identify.preparation import TooShort, count_information, list_infor
 from tau_dyn.identify.result import ForceErrors, Identification, build_force_errors
 from tau_dyn.identify.streaming import BlockExecutor
 from tau_dyn.identify.timing import ForceOffset, build_offset_columns, estimate_offset, widen_by_offset
+from tau_dyn.legged import complete_base, list_base_warnings
 from tau_dyn.log import Log, Recording
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.model import Model
@@ -125,10 +127,10 @@ def identify(
 
         progress("columns")
         built = data.build(fitted)
-        warnings += [*built.left_out, *list_resting_warnings(built.regression)]
-        refuse_constant_forces(train, built.regression)
+        warnings += [*built.left_out, *list_resting_warnings(built.regression, fitted.robot.driven)]
+        refuse_constant_forces(train, built.regression, fitted.robot.driven)
         warnings += _list_singularities(fitted, built.regression)
-        changes = find_changes(built.regression, build_shared_columns(built.regression, fitted.mechanism))
+        changes = _find_changes(fitted, built.regression)
         warnings += describe_changes(changes)
 
         progress("structure")
@@ -147,7 +149,7 @@ def identify(
         errors = _judge_held_out(held_out, settled, offset) if judged else _judge_last_part(settled.built, solver)
         warnings += errors.warnings
         if held and errors.regression is not None:
-            later = find_changes(errors.regression, build_shared_columns(errors.regression, fitted.mechanism))
+            later = _find_changes(fitted, errors.regression)
             warnings += describe_changes(later)
             changes = (*changes, *later)
         _refuse_if_nothing_determined(settled.estimate)
@@ -162,7 +164,7 @@ def identify(
     warnings += list_comparison_warnings(compared)
     warnings += list_unjudged_joint_warnings(trained, errors.errors)
     warnings += list_held_out_warnings(trained, errors.errors if held else None)
-    warnings += list_voltage_warnings(train, fitted.robot.actuated)
+    warnings += list_voltage_warnings(train, fitted.robot.driven)
     warnings += list_short_voltage_warnings(estimate)
     bodies = BodyPrior.of(fitted.robot)
     warnings += list_estimate_warnings(estimate, bodies.size, bodies.rough)
@@ -177,7 +179,7 @@ def identify(
         nominal=nominal,
         friction=model if isinstance(model, str) and model in FRICTION_MODELS else "",
         warnings=tuple(dict.fromkeys(warnings)),
-        equivalent=list_equivalent_models(estimate, fitted.robot.actuated),
+        equivalent=list_equivalent_models(estimate, fitted.robot.driven),
         seed=seed,
         logs=train,
         force_offset=offset,
@@ -227,9 +229,11 @@ def _gather_data(
             "every parameter is fixed; nothing is left to estimate. To judge a model on a new log, free its parameters, name "
             "the logs that it was fitted to, and the new one with --holdout",
         )
-    gains = choices.gains(fitted.robot.actuated)
+    gains = choices.gains(fitted.robot.driven)
     train, held, doubled = drop_repeated_logs(*(complete_positions(fitted.robot, some) for some in (given, judged)))
     require_forces(fitted.robot, [*train, *held])
+    doubled = [*doubled, *_list_base_warnings(fitted.robot, [*train, *held])]
+    train, held = (complete_base(fitted.robot, some) for some in (train, held))
     how = {**how, "factors": {joint: factor for joint, (factor, _) in gains.items()}}
     data = Data.of(
         fitted,
@@ -240,6 +244,12 @@ def _gather_data(
         **how,
     )
     return _Gathered(data, Data.of(fitted, held, campaigns=tuple(log.name for log in train), **how), gains, doubled)
+
+
+def _list_base_warnings(robot: Robot, logs: Sequence[Log | Recording]) -> list[str]:
+    """Return what is doubtful about a floating base's motion and feet; nothing of a fixed one."""
+    here = [log for log in logs if isinstance(log, Log) and robot.base_coordinates]
+    return [warning for log in here for warning in list_base_warnings(robot, log)]
 
 
 def _settled_or_scarce(built: BuiltData, solver: Estimator) -> Settled:
@@ -329,6 +339,13 @@ def _refuse_in_blocks(estimator: str, data: Data) -> None:
         )
 
 
+def _find_changes(model: Model, regression: Regression) -> tuple[LogChange, ...]:
+    """Return where something changes within a log; not looked for in rows that contacts mix, which are of no single joint."""
+    if model.robot.base_coordinates:
+        return ()
+    return find_changes(regression, build_shared_columns(regression, model.mechanism))
+
+
 def _list_singularities(model: Model, regression: Regression) -> list[str]:
     found = []
     for run in regression.runs:
@@ -355,10 +372,11 @@ def _refuse_if_nothing_determined(estimate: Estimate) -> None:
     )
 
 
-def refuse_constant_forces(logs: Sequence[Log | Recording], regression: Regression) -> None:
-    """Refuse a force that is the same to the last bit while its joint moves: it was not measured."""
+def refuse_constant_forces(logs: Sequence[Log | Recording], regression: Regression, driven: Sequence[str]) -> None:
+    """Refuse a force of a driven joint that is the same to the last bit while the joint moves: it was not measured."""
     here = [log for log in logs if isinstance(log, Log)]
-    moving = [j for k, j in enumerate(regression.outputs) if any(run.usable[:, k].any() for run in regression.runs)]
+    used = [j for k, j in enumerate(regression.outputs) if any(run.usable[:, k].any() for run in regression.runs)]
+    moving = [j for j in used if j in driven]
     flat = [j for j in moving if len(here) == len(logs) and all(_flat(log, "tau", j) for log in here)]
     flat = [j for j in flat if not all(_flat(log, "q", j) for log in here)]
     if flat:

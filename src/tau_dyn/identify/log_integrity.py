@@ -64,13 +64,19 @@ def check_integrity(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...] 
         logs: Logs as read.
         exclude: Columns whose nonzero samples are left out.
     """
-    told = [list_data_warnings(log, robot.actuated) for log in logs]
+    told = [_list_data_warnings(robot, log) for log in logs]
     return [*(warning for of_log in told for warning in of_log), *_against_robot(robot, logs, told, exclude)]
 
 
 def check_against_robot(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...] = ()) -> list[CodedWarning]:
     """Return faults of wiring and timing of logs as read against a robot file with masses; see `check_integrity`."""
-    return _against_robot(robot, logs, [list_data_warnings(log, robot.actuated) for log in logs], exclude)
+    return _against_robot(robot, logs, [_list_data_warnings(robot, log) for log in logs], exclude)
+
+
+def _list_data_warnings(robot: Robot, log: Log) -> list[CodedWarning]:
+    """Return faults that a log shows by itself; joints of a walker leap where feet touch down, with no sample lost."""
+    found = list_data_warnings(log, robot.driven)
+    return [w for w in found if w.code != "lost_samples"] if robot.base_coordinates else found
 
 
 def _against_robot(
@@ -78,8 +84,8 @@ def _against_robot(
 ) -> list[CodedWarning]:
     """Return forces at their limits and faults of wiring and timing of logs, given what each tells by itself."""
     at_limits = [warning for log in logs for warning in _list_at_limits(robot, log)]
-    if not sum(float(link.nominal[0]) for link in robot.links) > 0:
-        return at_limits
+    if robot.base_coordinates or not sum(float(link.nominal[0]) for link in robot.links) > 0:
+        return at_limits  # wiring and timing are read from forces that no ground shares
     found: list[CodedWarning] = at_limits
     longest = sorted(zip(logs, told, strict=True), key=lambda pair: -pair[0].duration)[:MAX_LOGS]
     for log, warnings in longest:

@@ -32,10 +32,12 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.ndimage import convolve1d, minimum_filter1d
+from scipy.special import erf
 
 from tau_dyn.effects import Effect, Motion
 from tau_dyn.estimate import ROUNDING, Preparation, Regression
 from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.legged import ContactElimination, eliminate_contacts, find_contacts, find_usual_flight
 from tau_dyn.log import (
     FORCE_BAND_FACTOR,
     MIN_SEGMENT_SAMPLES,
@@ -44,6 +46,7 @@ from tau_dyn.log import (
     EvenSegment,
     InMemorySegment,
     Log,
+    MotionBand,
     Recording,
     check_jumps,
     choose_force_cutoff,
@@ -111,6 +114,8 @@ def choose_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ..
         )
     force_cutoff = choose_force_cutoff(bands, rate, BAND_FACTOR)
     position_cutoff = min(POSITION_FACTOR * force_cutoff, 0.4 * rate)
+    if robot.base_coordinates:
+        force_cutoff, position_cutoff = _choose_floating_cutoffs(robot, logs, bands, force_cutoff)
     rests = [
         compute_rest_speed(log.joint("q", robot.actuated), log.rate_hz, position_cutoff, NOISE_FACTOR) for log in logs
     ]
@@ -122,6 +127,39 @@ def choose_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ..
         MEMORY / position_cutoff,
         exclude,
     )
+
+
+FLIGHT_FACTOR = 8.0
+"""Low-pass of positions times the time a foot is in the air: contacts last longer by two periods of it, the filter's memory, on
+each side, and half of the flight is left. Twice as much lets in noise of speeds that biases friction of a Go2 by 5 %."""
+
+
+def _choose_floating_cutoffs(
+    robot: Robot, logs: Sequence[Log], bands: Sequence[MotionBand], usual: float
+) -> tuple[float, float]:
+    """Return the low-passes [Hz] of forces and of positions of a robot with a floating base.
+
+    The base's pose is much noisier than encoders, and its accelerations stand in all columns. So forces and columns pass up to
+    where the noisiest coordinate of the base has 1e-4 of its acceleration's power, also where feet that step move faster: the
+    equations hold of any part of the motion. Positions pass more than that, so that a step of a foot stays one.
+    """
+    n = len(robot.base_coordinates)
+    edges = [band.noise_edge_hz[:n][band.edge_hz[:n] > 0] for band in bands]
+    noisy = min((float(x.min()) for x in edges if x.size), default=usual)
+    rate = min(log.rate_hz for log in logs)
+    flight = find_usual_flight([(find_contacts(robot, log), log.dt) for log in logs])
+    force_cutoff = min(usual, noisy)
+    wanted = max(POSITION_FACTOR * force_cutoff, FLIGHT_FACTOR / flight if flight else 0.0)
+    return force_cutoff, min(wanted, 0.4 * rate)
+
+
+def compute_base_cutoff(preparation: Preparation, rate_hz: float) -> float:
+    """Return the low-pass [Hz] of a floating base's pose, at most that of the joints' positions.
+
+    Its noise is large, and stands in products: of the noise `n` of an angle with that of its acceleration the mean is
+    `-mean(dn/dt^2)`, which no later filter takes out.
+    """
+    return min(POSITION_FACTOR * preparation.force_cutoff_hz, preparation.position_cutoff_hz, 0.4 * rate_hz)
 
 
 CODE = "short_log"
@@ -308,6 +346,33 @@ def compute_gate(log: Log, motion: Motion, model: Model, preparation: Preparatio
     gate = 1.0 - widen(shut, half)
     ramp = np.hanning(2 * int(np.ceil(rate / preparation.position_cutoff_hz - ROUNDING)) + 3)
     return convolve1d(gate, ramp / ramp.sum(), axis=0, mode="nearest")
+
+
+def compute_contact_gate(
+    log: Log, q: np.ndarray, model: Model, preparation: Preparation, rate: float
+) -> tuple[ContactElimination, np.ndarray]:
+    """Return how contacts leave the equations at positions (N, na), and 1 where an equation may be used and 0 where not.
+
+    Touching down and lifting off spread as far as the first filter's memory, so contacts last longer by it on both sides. An
+    equation holds the friction of several joints, of which one or another always reverses; no sample is left out for that.
+    """
+    ramp = int(np.ceil(rate / preparation.position_cutoff_hz - ROUNDING))
+    half = int(np.ceil(preparation.window_s * rate - ROUNDING))
+    touching = widen(find_contacts(model.robot, log), half + 1)
+    found = eliminate_contacts(model.robot, q, touching)
+    joints, limit = model.robot.actuated, model.robot.effort_limit
+    left_out = np.atleast_2d(find_excluded_samples(log, joints, limit, preparation.exclude).any(axis=1)).T
+    gate = np.where(widen(left_out, half), 0.0, found.free)
+    weights = np.hanning(2 * ramp + 3)
+    return found, convolve1d(gate, weights / weights.sum(), axis=0, mode="nearest")
+
+
+def compute_expected_direction(v: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Return the mean sign (N, na) of true speeds, given measured ones (N, na) with normal noise (na,): `erf(v / sqrt(2) noise)`.
+
+    It takes the place of the sign where samples next to a reversal stay in the fit.
+    """
+    return np.where(noise > 0, erf(v / (np.sqrt(2) * np.maximum(noise, 1e-300))), np.sign(v))
 
 
 def widen(shut: np.ndarray, half: int) -> np.ndarray:

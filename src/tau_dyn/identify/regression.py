@@ -32,8 +32,12 @@ from tau_dyn.estimate import Preparation, Regression, RegressionRun
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.motor_electrics import RECORDED, SPEED
 from tau_dyn.identify.preparation import (
+    NOISE_FACTOR,
     Kept,
     choose_preparation,
+    compute_base_cutoff,
+    compute_contact_gate,
+    compute_expected_direction,
     compute_gate,
     find_excluded_samples,
     hold_closed,
@@ -44,6 +48,7 @@ from tau_dyn.identify.preparation import (
     refuse_short,
     select_long,
 )
+from tau_dyn.legged import ContactElimination
 from tau_dyn.log import (
     MIN_SEGMENT_SAMPLES,
     Log,
@@ -58,6 +63,10 @@ from tau_dyn.model import Model
 
 MIN_SHARE = 0.5
 """Share of the filter's weight that must lie on usable samples."""
+MIN_FLIGHT_SHARE = 0.15
+"""The same for a joint of a leg in the air: flights are shorter than the filter's memory, and most would be lost."""
+MIN_FLIGHT_SAMPLES = 30
+"""Usable samples of a joint of a leg from which they count; the noise of a few, fitted exactly, would seem to be zero."""
 _MAX_VALUES = 2_000_000  # filtered in one call: 16 MB
 
 
@@ -128,10 +137,20 @@ def build_regression_of_pieces(
         number = {"campaign": np.full(piece.n_samples, float(names.index(piece.name)))}
         runs.append(prepare_segment(at or model, piece, preparation, signals=number).run(model))
     robot = model.robot
+    runs = runs if campaigns else _leave_out_rare(runs, len(robot.base_coordinates))
     regression = Regression(model.parameters, robot.actuated, robot.force_units, tuple(runs), preparation)
     if regression.n_samples == 0:
         raise _nothing_left(model, pieces, preparation)
     return regression, kept
+
+
+def _leave_out_rare(runs: list[RegressionRun], n_base: int) -> list[RegressionRun]:
+    """Return the runs of a floating base without the joints of legs that are hardly ever in the air; others as they are."""
+    if not n_base:
+        return runs
+    often = np.sum([run.usable.sum(axis=0) for run in runs], axis=0) >= MIN_FLIGHT_SAMPLES
+    often[:n_base] = True
+    return [replace(run, usable=run.usable & often) for run in runs]
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +166,7 @@ class PreparedSegment:
         usable: Which decimated samples a fit may use (n, na).
         weight: Share of the filter's weight on usable samples (n, na); 1 where not usable.
         rate_hz: Rate of the log [Hz].
+        contacts: Of a floating base, how the forces of the ground leave its equations, before the filter.
     """
 
     log: Log
@@ -157,6 +177,7 @@ class PreparedSegment:
     usable: np.ndarray
     weight: np.ndarray
     rate_hz: float
+    contacts: ContactElimination | None = None
 
     @property
     def factor(self) -> int:
@@ -181,11 +202,16 @@ class PreparedSegment:
         """Return an array (N, ...) through the low-pass that both sides share, decimated (n, ...)."""
         return lowpass_and_decimate(x, self.preparation.force_cutoff_hz, self.rate_hz, self.factor)
 
+    def without_contacts(self, rows: np.ndarray) -> np.ndarray:
+        """Return forces (N, na) or columns (N, na, p) with the forces of the ground taken out; see `legged/contacts.py`."""
+        return rows if self.contacts is None else self.contacts.project(rows)
+
     def columns(self, Y: np.ndarray, *, gated: bool = True) -> np.ndarray:
         """Return columns (N, na, p) as the fit sees them (n, na, p), joint by joint; many do not touch a joint.
 
         Samples are laid out last, as filters like them.
         """
+        Y = self.without_contacts(Y)
         N, na, p = Y.shape
         rows = np.ascontiguousarray(Y.transpose(1, 2, 0))
         k, column = np.nonzero((rows.max(axis=2, initial=0) != 0) | (rows.min(axis=2, initial=0) != 0))
@@ -201,6 +227,8 @@ class PreparedSegment:
 
     def columns_of(self, effects: Sequence[Effect]) -> list[np.ndarray]:
         """Return the gated columns (n, na, p) of several effects, filtered together; zeros are not filtered."""
+        if self.contacts is not None:
+            return [self.columns(effect.columns(self.motion)) for effect in effects]
         gate, N = np.ascontiguousarray(self.gate.T), len(self.gate)
         out, rows, places = [], [], []
 
@@ -225,7 +253,8 @@ class PreparedSegment:
     def run(self, model: Model) -> RegressionRun:
         """Return the regression of a model on this stretch."""
         Y = compute_columns(model, self.motion)
-        y = self.passed(self.gate * self.force) / self.weight
+        force = self.without_contacts(self.force)
+        y = self.passed(self.gate * force) / self.weight
         signals = {key: decimate(getattr(self.motion, key), self.factor) for key in ("q", "v", "a")}
         joints = model.robot.actuated
         for name in RECORDED:
@@ -239,7 +268,7 @@ class PreparedSegment:
             y,
             self.usable,
             self.columns(Y, gated=False),
-            self.passed(self.force),
+            self.passed(force),
             signals,
         )
 
@@ -316,6 +345,9 @@ def prepare_segment(
     raw, force = log.joint("q", joints), log.joint("tau", joints)
     refuse_jumps(log, model.robot, preparation.exclude)
     q = lowpass(raw, preparation.position_cutoff_hz, rate)
+    n_base = len(model.robot.base_coordinates)
+    if n_base:
+        q[:, :n_base] = lowpass(raw[:, :n_base], compute_base_cutoff(preparation, rate), rate)
     if smooth_hz is None:
         force = lowpass(force, preparation.position_cutoff_hz, rate)
     v = differentiate(q, dt, accuracy=4)
@@ -324,8 +356,13 @@ def prepare_segment(
     measured = get_measured_signals(log, joints, q, v, preparation.speed_threshold)
     measured = {**measured, REPORTED: reported, **(signals or {})}
     refuse_missing_temperature(model, log, measured)
-    gate = compute_gate(log, Motion.of(joints, q, v, a, signals=measured), model, preparation, rate)
-    sign = np.sign(v)
+    contacts = None
+    if model.robot.base_coordinates:
+        contacts, gate = compute_contact_gate(log, q, model, preparation, rate)
+        sign = compute_expected_direction(v, preparation.speed_threshold / NOISE_FACTOR)
+    else:
+        gate = compute_gate(log, Motion.of(joints, q, v, a, signals=measured), model, preparation, rate)
+        sign = np.sign(v)
     if smooth_hz is not None and smooth_hz < preparation.position_cutoff_hz:
         q = lowpass(raw, smooth_hz, rate)
         v = differentiate(q, dt, accuracy=4)
@@ -333,13 +370,14 @@ def prepare_segment(
     motion = model.motion(q, v, a, sign, t=log.t, signals=measured, needs=needs)
     factor = preparation.factor(rate)
     share = lowpass_and_decimate(gate, preparation.force_cutoff_hz, rate, factor)
-    usable = share > MIN_SHARE
+    usable = share > np.where(np.arange(len(joints)) < n_base, MIN_SHARE, MIN_FLIGHT_SHARE if n_base else MIN_SHARE)
     edge = compute_edge_samples(preparation.force_cutoff_hz, rate)
     if smooth_hz is not None:
         edge = max(edge, compute_edge_samples(smooth_hz, rate))
     edge = int(np.ceil(edge / factor))
     usable[:edge] = usable[len(usable) - edge :] = False
-    return PreparedSegment(log, motion, force, gate, preparation, usable, np.where(usable, share, 1.0), rate)
+    weight = np.where(usable, share, 1.0)
+    return PreparedSegment(log, motion, force, gate, preparation, usable, weight, rate, contacts)
 
 
 def _nothing_left(model: Model, logs: list[Log], preparation: Preparation) -> CannotAnswer:

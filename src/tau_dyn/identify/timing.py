@@ -337,6 +337,8 @@ def build_offset_columns(model: Model, pieces: Sequence[Log], regression: Regres
     """
     if len(pieces) != len(regression.runs) or any(effect.measured for effect in model.effects):
         return None
+    if model.robot.base_coordinates:
+        return None  # the model's own force lacks the ground's share
     found = []
     effect = Delay(model.robot.actuated, model.robot.force_units, about=max(piece.dt for piece in pieces))
     for piece, run in zip(pieces, regression.runs, strict=True):

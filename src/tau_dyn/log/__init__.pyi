@@ -37,7 +37,12 @@ from .filtering import (
     lowpass_and_decimate as lowpass_and_decimate,
 )
 from .log import Log as Log
-from .read import compute_mapped_columns as compute_mapped_columns, read_log as read_log, read_measured as read_measured
+from .read import (
+    compute_mapped_columns as compute_mapped_columns,
+    read_any as read_any,
+    read_log as read_log,
+    read_measured as read_measured,
+)
 from .recording import (
     DataTable as DataTable,
     LogSource as LogSource,

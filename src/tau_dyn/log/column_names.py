@@ -13,6 +13,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 DEGREE = math.pi / 180  # rad
 
+CONTACT = "contact_"
+"""How columns begin that say whether a foot touches the ground, 0 or 1, or with what force [N]."""
 SIGNALS = ("q_ref", "q_link", "voltage", "current", "temp", "tau", "cmd", "pwm", "q", "v", "a")
 """Signals a joint may have; `q_ref` stands before `q`, so that `q_ref_J` is not read as `q` of `ref_J`, and so does `q_link`,
 the position read behind the drive, on the load side; `cmd` is what a servo was told; `voltage` [V]
@@ -40,8 +42,9 @@ def split_column_name(column: str) -> tuple[str, str] | None:
 
 
 def is_contract_name(column: str) -> bool:
-    """Tell whether a column map may define the name: `t`, a joint's signal, a tool column or `temp_room`."""
-    return column in ("t", ROOM_TEMPERATURE, *TOOL_COLUMNS) or split_column_name(column) is not None
+    """Tell whether a column map may define the name: `t`, a joint's signal, a tool column, `temp_room` or a foot's contact."""
+    alone = column in ("t", ROOM_TEMPERATURE, *TOOL_COLUMNS) or column.startswith(CONTACT)
+    return alone or split_column_name(column) is not None
 
 
 def list_used_columns(columns: Iterable[str]) -> tuple[str, ...]:

@@ -23,6 +23,12 @@ from .expand import (
     list_robot_names as list_robot_names,
     list_robots as list_robots,
 )
+from .floating_base import (
+    BASE_COORDINATES as BASE_COORDINATES,
+    FLAT as FLAT,
+    POINT as POINT,
+    ContactFrame as ContactFrame,
+)
 from .load import as_robot as as_robot, load_robot as load_robot, load_robot_from_urdf as load_robot_from_urdf
 from .packages import find_package as find_package, resolve_mesh as resolve_mesh
 from .robot import (

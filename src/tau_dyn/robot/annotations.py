@@ -18,6 +18,7 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.robot.floating_base import FLAT, POINT, ContactFrame
 from tau_dyn.robot.numbers import MAX_NUMBER, check_names, check_numbers, check_parents, check_tree, parse_numbers
 from tau_dyn.robot.rotations import build_rotation, combine_axes
 
@@ -126,6 +127,8 @@ class Annotations:
     estimated: bool  # its inertias are fitted to data, and need not be those of bodies
     shared_drives: tuple[tuple[str, str], ...] = ()  # pairs of joints in one <transmission>
     drive_scales: dict[str, float] = field(default_factory=dict)  # joint -> travel per reading
+    floating: bool = False  # six joints without motors place its base
+    contacts: tuple[ContactFrame, ...] = ()
 
 
 def read_annotations(urdf: str, where: str) -> Annotations:
@@ -169,6 +172,8 @@ def read_annotations(urdf: str, where: str) -> Annotations:
         estimated=bool(reader.ours("estimated_inertias")),
         shared_drives=reader.shared_drives(),
         drive_scales=reader.drive_scales(),
+        floating=bool(reader.ours("floating_base")),
+        contacts=reader.contacts(),
     )
 
 
@@ -377,6 +382,18 @@ class _Reader:
                 raise InputError("robot_structure", f"{self.where}: <drive> of '{name}': it {why}")
             found[name] = scale
         return found
+
+    def contacts(self) -> tuple[ContactFrame, ...]:
+        """Return the feet: `<tau_dyn:contact link="" kind="" radius="" centre=""/>`."""
+        found = []
+        for element in self.ours("contact"):
+            link, kind = self.link_of(element, "link"), element.get("kind", POINT)
+            if kind not in (POINT, FLAT):
+                raise InputError("robot_structure", f"{self.where}: <contact link='{link}'> is neither point nor flat")
+            radius = self.number(element, "radius") if element.get("radius") is not None else 0.0
+            centre = self._numbers(element, "centre", 3) if element.get("centre") is not None else (0.0, 0.0, 0.0)
+            found.append(ContactFrame(link, kind, radius, centre))  # type: ignore[arg-type]
+        return tuple(found)
 
     def springs(self) -> tuple[Spring, ...]:
         driven, found = {t.joint for t in self.transmissions()}, {}

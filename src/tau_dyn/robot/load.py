@@ -29,9 +29,10 @@ from tau_dyn.robot.annotations import (
     read_annotations,
 )
 from tau_dyn.robot.expand import expand, find_robot
+from tau_dyn.robot.floating_base import BASE_COORDINATES, free_base
 from tau_dyn.robot.held_joints import hold_joints
 from tau_dyn.robot.numbers import MAX_NUMBER, check_inertia
-from tau_dyn.robot.robot import NOT_GIVEN, LinkInertia, Loop, Robot, get_inertial_parameters
+from tau_dyn.robot.robot import NO_DRIVE, NOT_GIVEN, LinkInertia, Loop, Robot, get_inertial_parameters
 from tau_dyn.robot.semantics import find_srdf, read_passive_joints
 from tau_dyn.robot.stock import StockRobot, find_described_robot
 
@@ -58,6 +59,8 @@ def load_robot(
     srdf: str | Path | None = None,
     fitted_inertias: bool = False,
     hold: Mapping[str, float] | None = None,
+    base: object = "fixed",
+    contacts: Iterable[str] = (),
     **arguments: object,
 ) -> Robot:
     """Load a robot from a file or by its short name.
@@ -72,6 +75,10 @@ def load_robot(
         srdf: An SRDF that names passive joints; by default the one beside the file, of the same name.
         fitted_inertias: Accept inertias that no body has, as those that were fitted to forces.
         hold: Positions of joints that are held still [m or rad], by name.
+        base: `floating` for a robot that walks; its pose is then measured (`floating_base.py`). By default `fixed`; any other
+            value is the xacro argument of this name, a dimension of some robots.
+        contacts: Links that touch the ground at times: `FRAME` for a point foot, `FRAME=RADIUS` [m] for a ball about its origin
+            (by default the one that the link shows), `FRAME=flat` for a flat foot.
         **arguments: xacro arguments, such as `prototype="l1"`.
 
     Raises:
@@ -85,7 +92,8 @@ def load_robot(
     """
     path = find_robot(robot)
     described = find_described_robot(str(robot)) or StockRobot(path)
-    given = {k: str(v) for k, v in {**described.arguments, **arguments}.items()}
+    named = {} if base in ("fixed", "floating") else {"base": base}
+    given = {k: str(v) for k, v in {**described.arguments, **arguments, **named}.items()}
     folders = {**described.packages, **(packages or {})}
     urdf = expand(path, given, evaluate=xacro, packages=folders)
     if fitted_inertias:
@@ -93,6 +101,7 @@ def load_robot(
     if hold:
         read_annotations(urdf, str(robot))
         urdf = hold_joints(urdf, hold, str(robot))
+    urdf = _float(urdf, tuple(contacts), str(robot), floating=base == "floating")
     semantics = Path(srdf) if srdf is not None else find_srdf(path)
     found = load_robot_from_urdf(
         urdf,
@@ -106,6 +115,16 @@ def load_robot(
     )
     _LOGGER.info("loaded %s: %s", path, ", ".join(found.actuated))
     return found
+
+
+def _float(urdf: str, contacts: tuple[str, ...], where: str, *, floating: bool) -> str:
+    """Return URDF text with the base that was asked for."""
+    if floating:
+        read_annotations(urdf, where)
+        return free_base(urdf, contacts, where)
+    if contacts:
+        raise InputError("bad_option", f"--contact {' '.join(contacts)} goes with --base floating")
+    return urdf
 
 
 def as_robot(robot: Robot | str | Path) -> Robot:
@@ -148,6 +167,9 @@ def load_robot_from_urdf(
     if lock_springs and notes.springs:
         model = _locked(model, [s.joint for s in notes.springs], source)
     names, warnings = _actuated(model, notes, actuated, tuple(passive), source)
+    coordinates = BASE_COORDINATES if notes.floating else ()
+    if notes.floating and notes.loops:
+        raise InputError("unsupported", f"{source}: loops in the legs of a floating base are not read yet")
     warnings += notes.warnings
     followers = [n for n in notes.mimics if n in names]
     if followers:
@@ -194,6 +216,8 @@ def load_robot_from_urdf(
         home=np.array([notes.home.get(j, _middle(model, j)) for j in names]),
         links=links,
         parameters=_parameters(links, units, notes, mimics),
+        base_coordinates=coordinates,
+        contacts=notes.contacts,
         arms=notes.gantry_tau_arms,
         plate=notes.gantry_tau_plate,
         assumed=notes.assumed,
@@ -304,10 +328,11 @@ def _actuated(
     movable = [n for n in model.names[1:]]
     driven = [t.joint for t in notes.transmissions if t.joint not in notes.mimics]
     names = list(wanted) if wanted is not None else driven
+    base = BASE_COORDINATES if notes.floating else ()
     for name in names:
         if name not in movable:
             raise UnknownName("movable joint", name, movable, where)
-    left = [name for name in movable if name not in notes.mimics and name not in passive]
+    left = [name for name in movable if name not in (*notes.mimics, *passive, *base)]
     if not names and notes.loops and passive:
         names = left
     if not names and notes.loops:
@@ -328,7 +353,7 @@ def _actuated(
                 f"{where}: joint '{name}' has several degrees of freedom and cannot be actuated; hold it still "
                 f"(--hold {name}=0, or type='fixed' in the file), or name the joints with a motor (--actuated)",
             )
-    return tuple(n for n in movable if n in names), warnings
+    return tuple(n for n in movable if n in (*base, *names)), warnings
 
 
 def _resolve_mimics(model: pin.Model, notes: Annotations, actuated: tuple[str, ...], where: str) -> dict[str, Mimic]:
@@ -425,6 +450,8 @@ def _parameters(
     rows = [p for link in links for p in get_inertial_parameters(link)]
     for joint, unit in armature_units.items():
         origin = "robot file" if joint in armature else NOT_GIVEN
+        if notes.floating and joint in BASE_COORDINATES:
+            origin = NO_DRIVE
         rows.append(Parameter(f"{joint}.armature", armature.get(joint, 0.0), unit, 0.0, free=False, origin=origin))
     for link, value in notes.gravity_masses.items():
         rows.append(Parameter(f"{link}.gravity_mass", value, "kg", free=False))

@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.robot.floating_base import FREE_BODY
 from tau_dyn.robot.mjcf_file import Item, MjcfFile
 from tau_dyn.robot.mjcf_tree import MjcfTree, Place, format_numbers
 
@@ -39,6 +40,10 @@ def convert_mjcf(text: str, path: Path) -> str:
     tree.build()
     for add in (_couple, _drive, _close_loops, _place_home):
         add(tree)
+    for body in tree.free:
+        link, sentence = tree.bodies[body].link, f"body '{body}' is free in the file; here it stands still"
+        SubElement(root, FREE_BODY, link=link)
+        SubElement(root, f"{{{_OURS}}}warning", text=sentence, free_body=link)
     left_out = [f"left out: {what} {', '.join(names)}" for what, names in tree.left_out.items()]
     for sentence in [*tree.said, *left_out]:
         SubElement(root, f"{{{_OURS}}}warning", text=sentence)

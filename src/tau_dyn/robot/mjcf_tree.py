@@ -64,6 +64,7 @@ class MjcfTree:
         sites: By name.
         positions: The joints in the order of MuJoCo's `qpos`, and how many numbers each has there.
         said: Sentences about what is read otherwise.
+        free: Bodies with a free joint.
         left_out: What is left out, and of which joints or bodies.
     """
 
@@ -75,6 +76,7 @@ class MjcfTree:
         self.sites: dict[str, Place] = {}
         self.positions: list[tuple[str, int]] = []
         self.said: list[str] = []
+        self.free: list[str] = []
         self.left_out: dict[str, list[str]] = {}
         self._locked: dict[str, float] = {}
         self._names: set[str] = set()
@@ -189,7 +191,7 @@ class MjcfTree:
             parent_link, origin, inside = self._own(name), inside, STILL
             self._add_link(parent_link, f"{parent_link}_fixed", "fixed", parent.link, origin)
         place = self.bodies[name] = Place(parent_link, inside, parent.world @ pose, element.get("mocap") == "true")
-        self._add_mass(item, parts, place, moving or moves)
+        self._add_mass(item, parts, place, moving or moves, free=name in self.free)
         for child, own, its_class in parts:
             if child.tag == "site":
                 self._add_site(child, place, own, its_class)
@@ -205,7 +207,7 @@ class MjcfTree:
         name = item.get("name") or f"{body}_joint{len(self.positions) + 1}"
         if kind == "free":
             self.positions.append((name, 7))
-            self.said.append(f"body '{body}' is free in the file; here it stands still")
+            self.free.append(body)
             return []
         anchor = frame.place(item.numbers("pos", "0 0 0", 3))
         axis = frame.rotation @ item.numbers("axis", "0 0 1", 3)
@@ -261,11 +263,14 @@ class MjcfTree:
         if any(item.numbers("stiffness", "0")):
             self.left_out.setdefault("springs of joints", []).append(name)
 
-    def _add_mass(self, item: Item, parts: list[tuple[Element, Transform, str]], place: Place, moving: bool) -> None:
+    def _add_mass(
+        self, item: Item, parts: list[tuple[Element, Transform, str]], place: Place, moving: bool, *, free: bool
+    ) -> None:
         link, compiler = self._links[place.link], self.file.compiler
         shapes = [
             read_shape(self.file.item(child, its_class), own) for child, own, its_class in parts if child.tag == "geom"
         ]
+        moving = moving or (free and all(shape.kind != "mesh" for shape in shapes))
         mode, where = compiler.get("inertiafromgeom", "auto"), item.where
         given = next((child for child, *_ in parts if child.tag == "inertial"), None)
         body = BodyMass(0.0, np.zeros(3), np.zeros((3, 3)))

@@ -19,11 +19,14 @@ from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Shown
 from tau_dyn.robot.annotations import ArmNames, JointFriction, Mimic, Spring
+from tau_dyn.robot.floating_base import ContactFrame
 
 INERTIAL = ("mass", "mx", "my", "mz", "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 _UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 NOT_GIVEN = "not given"
 """Origin of a drive inertia that the robot file says nothing about."""
+NO_DRIVE = "no drive"
+"""Origin of the drive inertia, zero, of a floating base's coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +100,9 @@ class Robot(Shown):
         friction: What the file says of the actuated joints' friction, their followers' included.
         gear_ratios: Motor turns a turn of actuated joints, or radians a metre of slides, where the file gives them.
         packages: Folders of ROS packages by name in which meshes lie, before those that are found.
+        base_coordinates: Of a floating base, the six coordinates that place it. They are the first of `actuated`, as they are
+            measured like all others, and their forces are zero.
+        contacts: Of a floating base, what may touch the ground.
     """
 
     name: str
@@ -124,16 +130,28 @@ class Robot(Shown):
     friction: Mapping[str, JointFriction] = field(default_factory=dict)
     gear_ratios: Mapping[str, float] = field(default_factory=dict)
     packages: Mapping[str, str | Path] = field(default_factory=dict)
+    base_coordinates: tuple[str, ...] = ()
+    contacts: tuple[ContactFrame, ...] = ()
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """Names of the joints with a motor: the actuated ones but for the coordinates of a floating base."""
+        return self.actuated[len(self.base_coordinates) :]
+
+    @property
+    def driven_units(self) -> tuple[str, ...]:
+        """'N' or 'N m' for each joint with a motor."""
+        return self.force_units[len(self.base_coordinates) :]
 
     @property
     def coupled_pairs(self) -> tuple[tuple[str, str], ...]:
         """Pairs of actuated joints that one motor may drive: neighbours in the chain, or declared to share a transmission."""
         parent: dict[str, str] = {}
-        for joint in self.actuated:
+        for joint in self.driven:
             k = self.model.parents[self.model.getJointId(joint)]
             while k > 0 and self.model.names[k] not in self.actuated:
                 k = self.model.parents[k]
-            if k > 0:
+            if k > 0 and self.model.names[k] in self.driven:
                 parent[joint] = self.model.names[k]
         near = {frozenset(pair) for pair in (*parent.items(), *self.shared_drives)}
         order = self.actuated
@@ -239,6 +257,15 @@ class Robot(Shown):
             chain.add(model.names[joint])
             joint = model.parents[joint]
         return tuple(name for name in self.actuated if name in chain)
+
+    def require_fixed_base(self, what: str) -> None:
+        """Refuse a robot with a floating base where something cannot take one.
+
+        Raises:
+            InputError: The base floats; `what` says what cannot take it.
+        """
+        if self.base_coordinates:
+            raise InputError("unsupported", f"{self.source}: {what} is for robots with a fixed base")
 
     def require_unscaled_drives(self, what: str) -> None:
         """Refuse a robot with a drive's scale where something cannot carry one.

@@ -122,6 +122,7 @@ class SampledForces:
         Raises:
             InputError: An effect feels what a simulation cannot give.
         """
+        model.robot.require_fixed_base("a simulation")
         self.model, self.joints, self.na = model, model.robot.actuated, model.robot.na
         self._rest, self._signs = np.zeros((2, self.na)), np.repeat([[-1.0], [1.0]], self.na, axis=1)
         effects = [effect for effect in model.effects if not acts_on_recording(effect)]
