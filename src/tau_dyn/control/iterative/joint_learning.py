@@ -13,7 +13,11 @@ from typing import Literal
 
 import numpy as np
 
-from tau_dyn.control.iterative.convergence_analysis import Convergence, analyse_convergence
+from tau_dyn.control.iterative.convergence_analysis import (
+    Convergence,
+    analyse_convergence,
+    compute_frequency_condition,
+)
 from tau_dyn.control.iterative.filters import TimeShift, ZeroPhase, design_low_pass
 from tau_dyn.control.iterative.law_choice import CUTOFFS_HZ, GAINS, LawChoice, choose_law, compute_growth
 from tau_dyn.control.iterative.laws import LearningLaw
@@ -46,7 +50,7 @@ class JointLearning:
         filtered: Q of the law.
         correction: The next one (N,).
         forecast: Of the next trial.
-        convergence: Of the law on the mean response.
+        convergence: Of the law on the mean response; of a law that is chosen, by the frequency picture.
         action: `learn`; `change`: the last trial missed its prediction, so the law is another one; `floor`: what is left is
             not expected to fall; `stop`.
         reason: Sentence; empty for `learn`.
@@ -136,11 +140,18 @@ def learn_joint(
     convergence = None
     if law is not None and filtered is not None:
         whole = LearningLaw(response.side(), (filtered,), TimeShift(law.gain, law.shift, motion.dt))
-        convergence = analyse_convergence(whole, motion)
+        convergence = analyse_convergence(whole, motion) if options.given else _bound_convergence(whole)
     return JointLearning(
         response, given_rms, fitted_rms, forecasts, outcomes, base, law, filtered, correction, forecast, convergence,
         action, reason,
     )  # fmt: skip
+
+
+def _bound_convergence(law: LearningLaw) -> Convergence:
+    """Return the convergence by the frequency picture alone: its largest growth is the singular value of an endless trial."""
+    picture = compute_frequency_condition(law)
+    assert picture is not None  # a law of filters has one
+    return Convergence((picture.worst[1],), picture.worst[1], picture)
 
 
 def compute_rms(x: np.ndarray, full: slice) -> float:
