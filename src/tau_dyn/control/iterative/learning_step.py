@@ -22,9 +22,7 @@ from tau_dyn.modes import Actuator
 from tau_dyn.results import Shown
 
 _LEAD_SHARE = 0.1  # of the motion that learning takes to fade in, and out
-_POOR_MODEL = (
-    2.0  # times the error of an actuator fitted to the trial: beyond, the given one is not used and that is stated
-)
+_POOR_MODEL = 2.0  # times the error of an actuator fitted to the trial: beyond, a warning states both
 _EDGES_HZ = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # of the bands that are listed
 _SEEN = 2.0  # times the noise's power that a change has in a band, for its growth to be listed
 

@@ -27,10 +27,10 @@ _BAND_SHARE = 0.25  # half-width of a band over its frequency
 _BAND_BINS = 3.0  # least half-width, over the inverse of the trial's length
 _KEPT_PER_TRIAL = 0.6  # weight of a change over that of the change after it
 _MODEL_STDERR = 0.05  # of C where P explains the first trial completely: P is no more than a first-order model
-_ROUNDS = 3  # of response and noise in turn
+_ALTERNATIONS = 3  # of response and noise in turn
 _UPDATES = 50  # of the split into noise and bend; the likelihood then changes below its own spread
 _LEAST_POWER = 1e-30  # m^2 or rad^2, of a transform: below any encoder's, and not zero
-_LARGEST_VARIANCE = 4.0  # of C where nothing is known: gains up to twice the model's, any phase
+_MAX_VARIANCE = 4.0  # of C where nothing is known: gains up to twice the model's, any phase
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +229,7 @@ def estimate_response(
     weight = (_KEPT_PER_TRIAL ** np.arange(len(pairs))[::-1])[:, None]
     size = _compute_powers(found, [found.model.simulate(du, dt) for du, _ in pairs], full)
     expected = np.where(size > 0, size, 1.0)  # a change of zero tells nothing of the response, whatever its weight
-    for _ in range(_ROUNDS):
+    for _ in range(_ALTERNATIONS):
         factor, stderr = _update(found, pairs, weight / expected, variance)
         left = [dy - found.restore(factor * found.transform(found.model.simulate(du, dt))) for du, dy in pairs]
         noise, bend = _split(size, _compute_powers(found, left, full))
@@ -242,7 +242,7 @@ def _compute_prior_variance(found: TrialResponse, sent: np.ndarray, position: np
     """Return the variance of C (F,) by what P leaves of a trial's speed."""
     X, Z = _transform_speeds(found, sent, position)
     left, there = found.bands.average(np.abs(Z - X) ** 2), found.bands.average(np.abs(X) ** 2)
-    return np.minimum(left / np.maximum(there, 1e-300) + _MODEL_STDERR**2, _LARGEST_VARIANCE)
+    return np.minimum(left / np.maximum(there, 1e-300) + _MODEL_STDERR**2, _MAX_VARIANCE)
 
 
 def _transform_speeds(found: TrialResponse, sent: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
