@@ -157,6 +157,9 @@ WARNING_CODES: dict[str, MessageCode] = {
         "positions of drives follow over a loop from those of its other joints",
         "nothing, if those encoders' signs and zeros are the robot file's",
     ),
+    "prediction_missed": MessageCode(
+        "a trial of `learn` ended above its predicted interval", "the sentence says what changes"
+    ),
     "poses_reread": MessageCode(
         "a pose file follows another convention than documented: sign, zero, order, unit, orientation or rows",
         "correct the file, or a column map (`--columns`); the answer uses the reading that is named",

@@ -83,9 +83,73 @@ def test_learning_goes_on_from_file_to_file(folder, capsys) -> None:
         last = run_trial(folder, f"trial{k + 1}.csv", f"c{k + 1}.csv")
     found = json.loads((folder / "l.json").read_text())
     assert found["convergence"]["monotone"] and found["convergence"]["largest_singular_value"] < 1
-    assert last < 0.1 * first and "convergence" in (folder / "l.html").read_text()
+    assert last < 0.1 * first and "By frequency" in (folder / "l.html").read_text()
     assert main(["export", "gantry_tau", "--to", "reference", "--motion", str(folder / "ref.csv"), "--correction",
                  str(folder / "c3.csv"), "--out", str(folder / "sent.csv")]) == 0  # fmt: skip
+
+
+def write_told(folder, name: str, correction: str | None = None) -> str:
+    """Write a trial with its command as q_ref_J and encoder noise of 1 um; return its path."""
+    motion = read_reference(folder / "ref.csv", ROBOT.actuated)
+    sent = motion.q if correction is None else motion.q + read_correction(folder / correction, ROBOT.actuated).dq
+    noise = 1e-6 * np.random.default_rng(len(name)).standard_normal(sent.shape)
+    table = {"t": motion.t}
+    for k, (j, drive) in enumerate(DRIVES.items()):
+        table |= {f"q_ref_{j}": sent[:, k], f"q_{j}": drive.simulate(sent[:, k], DT) + noise[:, k]}
+    pd.DataFrame(table).to_csv(folder / name, index=False)
+    return str(folder / name)
+
+
+def test_a_history_of_trials_is_learnt_in_one_command(folder, capsys) -> None:
+    """Without a model of the drives the error falls below a tenth in two corrections; every prediction is compared."""
+    history = [write_told(folder, "h0.csv")]
+    for k in (1, 2):
+        command = ["learn", str(folder / "ref.csv"), "--history", *history, "--out", str(folder / f"hc{k}.csv")]
+        assert main([*command, "--quiet"]) == 0
+        history.append(write_told(folder, f"h{k}.csv", f"hc{k}.csv"))
+    out, page = folder / "h.json", folder / "h.html"
+    command = ["learn", str(folder / "ref.csv"), "--history", *history, "--out", str(folder / "hc3.csv")]
+    assert main([*command, "--json", str(out), "--report", str(page)]) == 0
+    found = json.loads(out.read_text())
+    trials = pd.DataFrame(found["trials"])
+    assert len(trials) == 9 and trials["predicted_rms"].notna().sum() == 6
+    last, first = (trials[trials["trial"] == k].set_index("joint")["error_rms"] for k in (3, 1))
+    assert (last < 0.1 * first).all()
+    low, high = np.array(found["joints"][0]["expected_error_rms_ci95"])
+    assert 0 < low < found["joints"][0]["expected_error_rms"] < high
+    assert {row["joint"] for row in found["frequencies"]} == set(DRIVES)
+    assert "Trial by trial" in page.read_text() and "within the predicted interval" in capsys.readouterr().out
+
+
+def test_the_last_trial_with_its_correction_is_the_last_of_a_history(folder) -> None:
+    """The command is the reference plus the correction, from the log's columns or from the correction's file."""
+    first = write_told(folder, "g0.csv")
+    base = ["learn", str(folder / "ref.csv")]
+    assert main([*base, "--history", first, "--out", str(folder / "g1.csv"), "--quiet"]) == 0
+    second = write_told(folder, "g1trial.csv", "g1.csv")
+    ways = {
+        "a.csv": ["--history", first, second],
+        "b.csv": [second, "--history", first, "--correction", str(folder / "g1.csv")],
+    }
+    for name, way in ways.items():
+        assert main([*base, *way, "--out", str(folder / name), "--quiet"]) == 0
+    one, other = (read_correction(folder / name, ROBOT.actuated).dq for name in ways)
+    np.testing.assert_allclose(one, other, atol=1e-9)
+
+
+def test_a_history_without_commands_or_of_another_motion_is_refused(folder, capsys) -> None:
+    """Status 2: a log that holds no command, a command that is far from the reference, and no trial at all."""
+    command = ["learn", str(folder / "ref.csv"), "--out", str(folder / "no.csv"), "--quiet"]
+    run_trial(folder, "bare.csv")
+    assert main([*command, "--history", str(folder / "bare.csv")]) == 2
+    assert "q_ref_cart1" in capsys.readouterr().err
+    far = pd.read_csv(write_told(folder, "far.csv"))
+    far["q_ref_cart1"] += 0.5
+    far.to_csv(folder / "far.csv", index=False)
+    assert main([*command, "--history", str(folder / "far.csv")]) == 2
+    assert "far.csv" in capsys.readouterr().err
+    assert main(command) == 2 and "--history" in capsys.readouterr().err
+    assert not (folder / "no.csv").exists()
 
 
 @pytest.mark.parametrize(

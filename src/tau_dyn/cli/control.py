@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
@@ -24,6 +25,12 @@ from tau_dyn.cli.execute import Outcome
 from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError
 from tau_dyn.results import to_plain
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from tau_dyn.log import Log
+    from tau_dyn.simulate import Trajectory
 
 _COLUMNS = Group("Columns, by name")
 _LAW = Group("How an error becomes a correction")
@@ -69,13 +76,14 @@ def actuators(
 
 def learn(
     reference: Annotated[Path, Parameter(name="REFERENCE.csv")],
-    trial: Annotated[str, Parameter(name="TRIAL")],
+    trial: Annotated[str | None, Parameter(name="TRIAL")] = None,
     /,
     *,
-    actuators: Annotated[Path, Parameter(metavar="ACTUATORS.yaml")],
+    history: Annotated[Strings, Parameter(metavar="FILE")] = (),
+    actuators: Annotated[Path | None, Parameter(metavar="ACTUATORS.yaml")] = None,
     correction: Annotated[Path | None, Parameter(metavar="FILE.csv")] = None,
     columns: ColumnMapFile = None,
-    gain: Annotated[Positive, Parameter(group=_LAW, metavar="X")] = 0.9,
+    gain: Annotated[Positive | None, Parameter(group=_LAW, metavar="X")] = None,
     shift: Annotated[Whole | None, Parameter(group=_LAW, metavar="N")] = None,
     cutoff: Annotated[Positive | None, Parameter(group=_LAW, metavar="HZ")] = None,
     lead: Annotated[NotNegative | None, Parameter(group=_LAW, metavar="S")] = None,
@@ -84,83 +92,114 @@ def learn(
     out: Annotated[Path, build_destination("CORRECTION.csv", "Write the next correction here", csv=True)],
     output: Output = Output(),
 ) -> Outcome:
-    """The next correction of a repeated motion from one trial; refused if learning would not converge.
+    """The next correction of a repeated motion from its trials, each compared with its prediction.
 
     Args:
         reference: The motion without correction, as export --to reference writes it
-        trial: A log with t and q_J, from the motion's first sample on
-        actuators: From the actuators command
-        correction: In force in the trial
-        gain: Part of the error that one iteration takes away
-        shift: Of the error forwards in time [samples] (default: delay plus time constant)
-        cutoff: Of the learning (default: the highest that converges monotonically)
+        trial: A log with t and q_J, from the motion's first sample on; the last trial
+        history: Earlier trials in their order, with their commands as q_ref_J; or all
+        actuators: From the actuators command (default: from the first trial)
+        correction: In force in TRIAL
+        gain: Part of the error that one iteration takes away (default: chosen)
+        shift: Of the error forwards in time [samples] (default: chosen)
+        cutoff: Of the learning (default: chosen)
         lead: Fading in and out [s] (default: a tenth of the motion)
         not_monotone: Allow convergence that is not monotone
         largest_correction: Refuse a larger one [m or rad] (default: the size of the motion)
     """
     import numpy as np
 
+    if trial is None and (not history or correction is not None):
+        raise InputError("bad_option", "learn takes a TRIAL, --history FILE..., or both; --correction belongs to TRIAL")
     with show_progress(output.quiet) as step:
         step("loading")
-        from tau_dyn.control.interface import (
-            Correction,
-            compute_digest,
-            format_correction_text,
-            read_correction,
-            require_same_motion,
-        )
+        from tau_dyn.control.interface import Correction, compute_digest, format_correction_text
         from tau_dyn.control.iterative import LearningOptions, compute_learning_step, read_actuators
-        from tau_dyn.log import read_log
         from tau_dyn.simulate import Trajectory
 
         joints = _list_joints(reference)
         motion = Trajectory.from_csv(str(reference), joints)
         dt = motion.duration / (motion.n_samples - 1)
-        log = read_log(trial, columns)
-        if abs(log.dt / dt - 1) > 1e-3:
-            raise InputError(
-                "time_stamps",
-                f"{trial}: it has a sample every {1e3 * log.dt:.6g} ms, {reference} one every {1e3 * dt:.6g} ms; log the trial "
-                "at the controller's period",
-            )
-        before = None
-        if correction is not None:
-            given = read_correction(correction, joints, period=dt)
-            require_same_motion(motion, given)
-            before = given.dq
-        step("checking convergence")
-        options = LearningOptions(gain, shift, cutoff, lead, not not_monotone)
-        position = log.joint("q", joints)[: motion.n_samples]
-        found = compute_learning_step(
-            read_actuators(actuators, joints), joints, dt, motion.q, position, before, options
-        )
         allowed = float(np.ptp(motion.q, axis=0).max()) if largest_correction is None else largest_correction
-        size = float(np.abs(found.correction).max())
-        if size > allowed:
-            raise InputError(
-                "invalid_value",
-                f"the next correction is up to {size:.3g}, more than the {allowed:.3g} allowed; the robot does not do what its "
-                "model says, or --largest-correction is too low",
-            )
+        logs = [_read_trial(path, columns, motion, joints, dt) for path in (*history, *([trial] if trial else ()))]
+        told = [log.joint("q_ref", joints)[: motion.n_samples] for log in logs[: len(history)]]
+        if trial is not None:
+            told.append(_read_command(logs[-1], bool(history), correction, motion, joints, dt))
+        for log, command in zip(logs, told, strict=True):
+            _require_small(float(np.abs(command - motion.q).max()), allowed, f"{log.name}: its correction")
+        step("checking convergence")
+        found = compute_learning_step(
+            joints, dt, motion.q, told, [log.joint("q", joints)[: motion.n_samples] for log in logs],
+            None if actuators is None else read_actuators(actuators, joints),
+            LearningOptions(gain, shift, cutoff, lead, not not_monotone),
+        )  # fmt: skip
+        _require_small(float(np.abs(found.correction).max()), allowed, "the next correction")
     text = format_correction_text(Correction(joints, dt, found.correction, compute_digest(motion)))
-    facts = {"gain": found.gain, "shift_samples": found.shift, "cutoff_hz": found.cutoff_hz}
     checked = found.convergence
     return Outcome(
         result={
             "joints": to_plain(found.to_rows()),
-            "law": facts,
+            "law": {"gain": found.gain, "shift_samples": found.shift, "cutoff_hz": found.cutoff_hz},
             "convergence": {
                 "largest_singular_value": max(checked.singular), "spectral_radius": checked.radius,
                 "monotone": checked.monotone, "stable": checked.stable,
             },
+            "trials": to_plain(found.to_trial_rows()),
+            "frequencies": to_plain(found.to_frequency_rows()),
             "out": str(out),
         },
-        warnings=[*log.warnings, *found.warnings],
-        inputs=[reference, (trial, log.sha256), actuators, *(p for p in (correction, columns) if p)],
+        warnings=[*(w for log in logs for w in log.warnings), *found.warnings],
+        inputs=[
+            reference, *((path, log.sha256) for path, log in zip((*history, trial), logs, strict=False) if path),
+            *(p for p in (actuators, correction, columns) if p),
+        ],
         files={out: text},
         named={"correction": out},
         found=found,
     )  # fmt: skip
+
+
+def _read_trial(path: str, columns: Path | None, motion: Trajectory, joints: Sequence[str], dt: float) -> Log:
+    """Return a trial's log.
+
+    Raises:
+        InputError: Its clock is not the reference's, or it is shorter.
+    """
+    from tau_dyn.log import read_log
+
+    log = read_log(path, columns)
+    if abs(log.dt / dt - 1) > 1e-3:
+        raise InputError(
+            "time_stamps",
+            f"{path}: it has a sample every {1e3 * log.dt:.6g} ms, {motion.name} one every {1e3 * dt:.6g} ms; log the trial "
+            "at the controller's period",
+        )
+    n = len(log.joint("q", joints))
+    if n < motion.n_samples:
+        raise InputError("mismatch", f"{path}: it has {n} samples, {motion.name} has {motion.n_samples}")
+    return log
+
+
+def _read_command(
+    log: Log, in_log: bool, correction: Path | None, motion: Trajectory, joints: Sequence[str], dt: float
+) -> np.ndarray:
+    """Return what TRIAL was told (N, m): reference and correction, or its columns q_ref_J where trials went before it."""
+    from tau_dyn.control.interface import read_correction, require_same_motion
+
+    if correction is not None:
+        given = read_correction(correction, joints, period=dt)
+        require_same_motion(motion, given)
+        return motion.q + given.dq
+    return log.joint("q_ref", joints)[: motion.n_samples] if in_log else motion.q
+
+
+def _require_small(size: float, allowed: float, what: str) -> None:
+    if size > allowed:
+        raise InputError(
+            "invalid_value",
+            f"{what} is up to {size:.3g}, more than the {allowed:.3g} allowed; the robot does not do what its model says, the "
+            "trial is of another motion, or --largest-correction is too low",
+        )
 
 
 def _list_joints(reference: Path) -> tuple[str, ...]:

@@ -1,7 +1,8 @@
-"""One step of learning from files: a reference, one trial on it, the correction that was in force -> the next correction.
+"""The next correction of a repeated motion from its trials: commands and positions of one trial or several.
 
-Case 1 of the thesis: the drives' positions are learnt, with fitted actuators as the model. What is not asked for is chosen: the
-shift is what makes up best for delay and lag, the cutoff is the highest of a list at which every iteration comes closer, (7.16).
+Case 1 of the thesis: the drives' positions are learnt. Gain, shift and cutoff that are not asked for are chosen drive by drive,
+from the response that the trials show (`trial_response`, `law_choice`). Every trial is compared with what the trials before it
+predicted (`joint_learning`).
 """
 
 from __future__ import annotations
@@ -12,22 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.control.iterative.convergence_analysis import (
-    Convergence,
-    analyse_convergence,
-    compute_frequency_condition,
-    require_convergence,
-)
-from tau_dyn.control.iterative.filters import TimeShift, design_low_pass
-from tau_dyn.control.iterative.laws import LearningLaw
-from tau_dyn.control.iterative.learned_outputs import MotorSide, Reference
-from tau_dyn.control.iterative.lifted_system import stack_controlled_actuators
+from tau_dyn.control.iterative.convergence_analysis import Convergence, FrequencyCondition, require_convergence
+from tau_dyn.control.iterative.joint_learning import JointLearning, LawOptions, learn_joint
+from tau_dyn.control.iterative.learned_outputs import Reference
 from tau_dyn.exceptions import InputError
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.modes import Actuator
 from tau_dyn.results import Shown
 
-_CUTOFFS_HZ = (40.0, 30.0, 20.0, 15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.0)  # tried in turn; the thesis learns up to 10
 _LEAD_SHARE = 0.1  # of the motion that learning takes to fade in, and out
+_POOR_MODEL = 2.0  # times the error of an actuator fitted to the trial: beyond, a warning states both
+_EDGES_HZ = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # of the bands that are listed
+_SEEN = 2.0  # times the noise's power that a change has in a band, for its growth to be listed
 
 
 @dataclass(frozen=True)
@@ -42,7 +39,7 @@ class LearningOptions:
         monotone: Refuse a law that converges, but not in every single iteration.
     """
 
-    gain: float = 0.9
+    gain: float | None = None
     shift: int | None = None
     cutoff_hz: float | None = None
     lead: float | None = None
@@ -56,121 +53,188 @@ class LearningStep(Shown):
     Attributes:
         joints: Drives.
         dt: Sampling step [s].
-        error: Reference less position in the trial (N, m) [m or rad].
-        previous: The correction that was in force (N, m).
+        errors: Reference less position in each trial (K, N, m) [m or rad].
+        previous: The last trial's correction (N, m).
         correction: The next one (N, m).
-        expected: Error of the next trial as the actuators' models expect it (N, m).
+        expected: Mean error of the next trial (N, m).
         full: Where learning acts fully.
-        convergence: What was checked before.
-        gain: Of L.
-        shift: Of L [samples].
-        cutoff_hz: Of Q [Hz].
+        drives: What was found drive by drive.
     """
 
     joints: tuple[str, ...]
     dt: float
-    error: np.ndarray
+    errors: np.ndarray
     previous: np.ndarray
     correction: np.ndarray
     expected: np.ndarray
     full: slice
-    convergence: Convergence
-    gain: float
-    shift: int
-    cutoff_hz: float
+    drives: tuple[JointLearning, ...]
+
+    @property
+    def error(self) -> np.ndarray:
+        """Error of the last trial (N, m)."""
+        return self.errors[-1]
+
+    @property
+    def convergence(self) -> Convergence:
+        """Of all drives on their mean responses; a drive without a law neither converges nor grows."""
+        parts = [drive.convergence for drive in self.drives]
+        singular = tuple(1.0 if c is None else max(c.singular) for c in parts)
+        radius = max(1.0 if c is None else c.radius for c in parts)
+        return Convergence(
+            singular, radius, _join([c.picture for c in parts if c is not None and c.picture is not None])
+        )
+
+    @property
+    def gain(self) -> float | None:
+        """Least gain of all drives; None without a law."""
+        return min((d.law.gain for d in self.drives if d.law), default=None)
+
+    @property
+    def shift(self) -> int | None:
+        """Largest shift of all drives [samples]; None without a law."""
+        return max((d.law.shift for d in self.drives if d.law), default=None)
+
+    @property
+    def cutoff_hz(self) -> float | None:
+        """Least cutoff of all drives [Hz]; None without a law."""
+        return min((d.law.cutoff_hz for d in self.drives if d.law), default=None)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Axes whose error would grow in the next trial."""
-        now, then = self.rms(self.error), self.rms(self.expected)
-        return tuple(
-            f"{j}: the next trial's error is expected at {b:.3g}, this one's is {a:.3g}; what is left does not repeat, or the "
-            "actuators' models are off"
-            for j, a, b in zip(self.joints, now, then, strict=True)
-            if b > a
-        )
+        """Drives whose learning changed or stopped, and actuators' models that the first trial contradicts."""
+        out = []
+        if len(self.errors) == 1 and np.any(self.previous):
+            out.append(
+                "no earlier trial is given, so this one is not compared with its prediction; --history takes them"
+            )
+        for joint, drive in zip(self.joints, self.drives, strict=True):
+            if drive.action in ("change", "stop"):
+                out.append(CodedWarning("prediction_missed", f"{joint}: {drive.reason}", (joint,)))
+            elif drive.reason:
+                out.append(f"{joint}: {drive.reason}")
+            if drive.given_rms is not None and drive.given_rms > _POOR_MODEL * drive.fitted_rms:
+                out.append(
+                    f"{joint}: the actuator's model misses the first trial by {drive.given_rms:.3g}; one fitted to that trial "
+                    f"misses it by {drive.fitted_rms:.3g} and is used"
+                )
+        return tuple(out)
 
-    def rms(self, x: np.ndarray) -> np.ndarray:
-        """Return the root mean square (m,) where learning acts fully."""
-        return np.sqrt(np.mean(x[self.full] ** 2, axis=0))
+    def count_inside(self) -> tuple[int, int]:
+        """Return how many outcomes are within their predicted intervals, and how many were predicted."""
+        inside = [row["inside"] for row in self.to_trial_rows() if row["inside"] is not None]
+        return sum(inside), len(inside)
 
     def to_rows(self) -> list[dict[str, Any]]:
-        """Return one row a drive: errors [m or rad] and corrections."""
-        columns = zip(
-            self.joints,
-            self.rms(self.error),
-            self.rms(self.expected),
-            np.abs(self.previous).max(axis=0),
-            np.abs(self.correction).max(axis=0),
-            strict=True,
-        )
-        names = ("joint", "error_rms", "expected_error_rms", "largest_previous_correction", "largest_correction")
-        return [dict(zip(names, row, strict=True)) for row in columns]
+        """Return one row a drive: errors [m or rad], the law, and what is done."""
+        previous, largest = (np.abs(x).max(axis=0) for x in (self.previous, self.correction))
+        rows = []
+        for k, (joint, drive) in enumerate(zip(self.joints, self.drives, strict=True)):
+            law, growth = drive.law, drive.largest_growth
+            rows.append({
+                "joint": joint, "error_rms": float(drive.outcomes[-1]), "expected_error_rms": drive.forecast.rms,
+                "expected_error_rms_ci95": [drive.forecast.low, drive.forecast.high],
+                "largest_previous_correction": previous[k], "largest_correction": largest[k],
+                "gain": law and law.gain, "shift_samples": law and law.shift, "cutoff_hz": law and law.cutoff_hz,
+                "largest_growth": growth[0], "largest_growth_ci95": list(growth[1:]), "floor_rms": law and law.floor,
+                "from_trial": drive.base + 1, "action": drive.action, "reason": drive.reason,
+            })  # fmt: skip
+        return rows
+
+    def to_trial_rows(self) -> list[dict[str, Any]]:
+        """Return one row a trial and drive: its error, what the trials before it predicted, and whether that holds it."""
+        rows = []
+        for joint, drive in zip(self.joints, self.drives, strict=True):
+            for k, (rms, forecast) in enumerate(zip(drive.outcomes, drive.forecasts, strict=True)):
+                predicted = {"predicted_rms": None, "predicted_rms_ci95": None, "inside": None}
+                if forecast is not None:
+                    inside = bool(forecast.low <= rms <= forecast.high)
+                    predicted = {
+                        "predicted_rms": forecast.rms, "predicted_rms_ci95": [forecast.low, forecast.high], "inside": inside,
+                    }  # fmt: skip
+                rows.append({"trial": k + 1, "joint": joint, "error_rms": float(rms), **predicted})
+        return rows
+
+    def to_frequency_rows(self) -> list[dict[str, Any]]:
+        """Return one row a band and drive: errors of the first and the last trial, growth in a trial predicted and achieved."""
+        rows = []
+        for k, (joint, drive) in enumerate(zip(self.joints, self.drives, strict=True)):
+            f = drive.response.frequency
+            powers = np.array([np.abs(drive.response.transform(e)) ** 2 for e in self.errors[:, :, k]])
+            scale = 2 / (drive.response.length * drive.response.n)
+            mean, stderr = drive.growth()
+            for low, high in zip(_EDGES_HZ, _EDGES_HZ[1:], strict=False):
+                inside = (f >= low) & (f < high)
+                if not inside.any():
+                    continue
+                size = powers[:, inside].sum(axis=1)
+                weight = powers[-1, inside] / max(size[-1], 1e-300)
+                predicted, unsure = (float(np.sqrt(np.sum(weight * x[inside] ** 2))) for x in (mean, stderr))
+                seen = len(size) > 1 and size[-2] > _SEEN * drive.response.noise[inside].sum()
+                rows.append({
+                    "joint": joint, "low_hz": low, "high_hz": high, "first_error_rms": float(np.sqrt(scale * size[0])),
+                    "error_rms": float(np.sqrt(scale * size[-1])), "growth_predicted": predicted,
+                    "growth_predicted_ci95": [max(predicted - 1.96 * unsure, 0.0), predicted + 1.96 * unsure],
+                    "growth_achieved": float(np.sqrt(size[-1] / size[-2])) if seen else None,
+                })  # fmt: skip
+        return rows
 
 
 def compute_learning_step(
-    actuators: Sequence[Actuator],
     joints: Sequence[str],
     dt: float,
     reference: np.ndarray,
-    position: np.ndarray,
-    previous: np.ndarray | None = None,
+    commands: Sequence[np.ndarray],
+    positions: Sequence[np.ndarray],
+    actuators: Sequence[Actuator] | None = None,
     options: LearningOptions = LearningOptions(),
 ) -> LearningStep:
     """Return the next correction of the drives' references.
 
     Args:
-        actuators: Model of each drive.
-        joints: Their names.
+        joints: Names of the drives.
         dt: Sampling step [s].
         reference: The motion without any correction (N, m) [m or rad].
-        position: Measured positions of the trial, on the same clock (N, m).
-        previous: The correction that was in force (N, m); None for none.
+        commands: What each trial was told, reference plus correction, in the order of the trials; each (N, m).
+        positions: Measured positions of each trial, on the same clock; each (N, m).
+        actuators: A model of each drive; None takes them from the first trial.
         options: Of the law.
 
     Raises:
-        InputError: Shapes differ, the motion is too short, or learning would not converge.
+        InputError: Shapes differ, the motion is too short, or the law that is asked for would not converge.
+        CannotAnswer: A drive never moves, or does not follow its command.
     """
-    if position.shape != reference.shape or (previous is not None and previous.shape != reference.shape):
+    if not commands or len(commands) != len(positions):
+        raise InputError("missing_input", "learning takes at least one trial, each with its command and its positions")
+    wrong = next((x.shape for x in (*commands, *positions) if x.shape != reference.shape), None)
+    if wrong is not None:
         raise InputError(
             "mismatch",
-            f"reference, trial and correction have the same samples of {len(joints)} joints, not {reference.shape}, "
-            f"{position.shape}{'' if previous is None else f', {previous.shape}'}",
+            f"reference, commands and trials have the same samples of {len(joints)} joints, not {reference.shape} and {wrong}",
         )
     n = len(reference)
+    if dt > 0.4:
+        raise InputError("invalid_value", f"a sample every {dt:g} s is too slow to learn from")
     lead = max(1, round((_LEAD_SHARE * n * dt if options.lead is None else options.lead) / dt))
-    motion = Reference(dt, reference, np.zeros((n, 3)), first=lead, last=n - lead, lead=lead)
-    side = MotorSide(stack_controlled_actuators(actuators, dt))
-    shift = options.shift
-    if shift is None:
-        shift = max(round(np.mean([(a.delay + a.time_constant) / dt for a in actuators])), 0)
-    law, cutoff, convergence = _choose_law(side, motion, shift, options)
-    require_convergence(convergence, monotone=options.monotone)
-    error = reference - position
-    u = np.zeros_like(reference) if previous is None else previous
-    after = law.update(motion, u, error)
-    moved = (side.operator(n) @ (after - u).T.ravel()).reshape(len(joints), -1).T
-    return LearningStep(
-        tuple(joints), dt, error, u, after, error - moved, motion.full, convergence,
-        options.gain, shift, cutoff,
+    asked = LawOptions(options.gain, options.shift, options.cutoff_hz)
+    drives = []
+    for k in range(len(joints)):
+        motion = Reference(dt, reference[:, [k]], np.zeros((n, 3)), first=lead, last=n - lead, lead=lead)
+        given = None if actuators is None else actuators[k]
+        drives.append(learn_joint(motion, [c[:, k] for c in commands], [y[:, k] for y in positions], given, asked))
+    found = LearningStep(
+        tuple(joints), dt, reference - np.asarray(positions), commands[-1] - reference,
+        np.column_stack([d.correction for d in drives]), np.column_stack([d.forecast.error for d in drives]),
+        slice(lead, n - lead), tuple(drives),
     )  # fmt: skip
+    if asked.given:
+        require_convergence(found.convergence, monotone=options.monotone)
+    return found
 
 
-def _choose_law(
-    side: MotorSide, motion: Reference, shift: int, options: LearningOptions
-) -> tuple[LearningLaw, float, Convergence]:
-    """Return the law that is asked for, or the one with the highest cutoff [Hz] that is monotone; the cutoff; its convergence."""
-    given = options.cutoff_hz
-    tried = [given] if given is not None else [f for f in _CUTOFFS_HZ if f < 0.4 / side.dt]
-    if not tried:
-        raise InputError("invalid_value", f"a sample every {side.dt:g} s is too slow to learn from")
-    for cutoff in tried:
-        filters = (design_low_pass(cutoff, side.dt),) * motion.q.shape[1]
-        law = LearningLaw(side, filters, TimeShift(options.gain, shift, side.dt))
-        picture = compute_frequency_condition(law)
-        if cutoff != tried[-1] and picture is not None and picture.worst[1] >= 1:
-            continue
-        found = analyse_convergence(law, motion)
-        if found.monotone:
-            break
-    return law, cutoff, found
+def _join(pictures: Sequence[FrequencyCondition]) -> FrequencyCondition | None:
+    """Return the frequency pictures of drives as one."""
+    if not pictures:
+        return None
+    left, bound = (np.column_stack([getattr(p, name) for p in pictures]) for name in ("left", "bound"))
+    return FrequencyCondition(pictures[0].frequency, left, bound, np.max([p.growth for p in pictures], axis=0))

@@ -6,16 +6,19 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from tau_dyn.control.iterative import ActuatorModels, LearningStep
+from tau_dyn.control.iterative import ActuatorModels, JointLearning, LearningStep
 from tau_dyn.control.lead_through import LeadThroughAdvice
 from tau_dyn.control.observers import ToolObservation
 from tau_dyn.render.presentation import ZOOM, present_kind
 from tau_dyn.results import (
+    THIRD,
     WHOLE,
+    Z95,
     Axis,
     Chapter,
     Column,
     Curve,
+    Dots,
     Element,
     Figure,
     Figures,
@@ -24,12 +27,16 @@ from tau_dyn.results import (
     On,
     Presentation,
     ResultTable,
+    Ribbon,
     Row,
+    Rule,
+    Strokes,
     Text,
     TimeView,
     Verdict,
     View,
     build_strip,
+    count,
     format_fixed_digits,
     format_number,
     format_percent,
@@ -96,32 +103,117 @@ def _build_tests(found: ActuatorModels) -> Iterator[Element]:
 
 @present_kind.register
 def present_learning(found: LearningStep) -> Presentation:
-    """Return how a step of learning is presented."""
-    checked = found.convergence
-    sentence = (
-        f"Every iteration comes closer: largest singular value {max(checked.singular):.3g}."
-        if checked.monotone
-        else f"Learning converges (spectral radius {checked.radius:.3g}), but not in every iteration."
+    """Return how learning is presented."""
+    last = [drive.outcomes[-1] for drive in found.drives]
+    low, high = (
+        max(getattr(drive.forecast, end) / max(rms, 1e-300) for drive, rms in zip(found.drives, last, strict=True))
+        for end in ("low", "high")
     )
-    now, then = (float(np.sqrt(np.mean(found.rms(x) ** 2))) for x in (found.error, found.expected))
+    chapters = [Chapter("joints", "Joint by joint", lambda: _build_learning(found), On.ALL)]
+    if len(found.errors) > 1:
+        chapters.append(Chapter("trials", "Trial by trial", lambda: _build_trials(found)))
+    chapters += [
+        Chapter("frequencies", "By frequency", lambda: _build_frequencies(found)),
+        Chapter("trial", "Last trial and correction", lambda: _build_trial(found)),
+    ]
+    settings = "no law" if found.gain is None else (
+        f"learns up to {found.cutoff_hz:g} Hz, gain {found.gain:g}, shift {found.shift} samples"
+    )  # fmt: skip
     return Presentation(
         "Learning", ", ".join(found.joints), "Iterative learning: the next correction",
-        f"The next trial's error is expected at {format_percent(100 * then / max(now, 1e-300))} of this one's.",
-        Verdict("good" if checked.monotone and not found.warnings else "care", sentence),
-        f"learns up to {found.cutoff_hz:g} Hz, gain {found.gain:g}, shift {found.shift} samples",
-        [
-            Chapter("joints", "Joint by joint", lambda: _build_learning(found), On.ALL),
-            Chapter("trial", "Trial and correction", lambda: _build_trial(found)),
-        ],
+        f"The next trial's error is expected at {format_percent(100 * low)} to {format_percent(100 * high)} of this one's "
+        "(95 %, worst joint).",
+        _judge_learning(found), f"{count(len(found.errors), 'trial')}; {settings}", chapters,
         found.warnings, data=found.to_rows, result=found,
     )  # fmt: skip
 
 
+def _judge_learning(found: LearningStep) -> Verdict:
+    """Return what the trials support, and no more."""
+    actions = [drive.action for drive in found.drives]
+    stopped = [j for j, action in zip(found.joints, actions, strict=True) if action == "stop"]
+    if stopped:
+        return Verdict("care", f"Learning stops: {', '.join(stopped)}.")
+    inside, predicted = found.count_inside()
+    if not predicted:
+        return Verdict("care", "No change of the command has been seen yet; friction may hold a drive.")
+    held = f"{inside} of {count(predicted, 'outcome')} within the predicted interval."
+    if "change" in actions:
+        return Verdict("care", f"A trial missed its prediction; the law is another one. {held}")
+    if all(action == "floor" for action in actions):
+        return Verdict("good", f"The error is at its floor. {held}")
+    growth = max(drive.largest_growth[2] for drive in found.drives)
+    sentence = "No frequency grows" if growth < 1 else "A growth at some frequency is not excluded"
+    return Verdict("good" if growth < 1 else "care", f"{sentence}: at most {growth:.3g} times a trial (95 %). {held}")
+
+
+def _milli(x: float) -> str:
+    return format_fixed_digits(1e3 * x)
+
+
 def _build_learning(found: LearningStep) -> Iterator[Element]:
-    names = ("error_rms", "expected_error_rms", "largest_correction")
-    rows = [[r["joint"], *(format_fixed_digits(r[n]) for n in names)] for r in found.to_rows()]
-    yield _table(("joint", "RMS error", "expected next", "largest correction"), rows)
-    yield Text("In m or rad, where learning acts fully.", "note")
+    rows = []
+    for r in found.to_rows():
+        law = "none" if r["gain"] is None else f"{r['gain']:g}, {r['shift_samples']}, {r['cutoff_hz']:g} Hz"
+        following = " to ".join(_milli(x) for x in r["expected_error_rms_ci95"])
+        rows.append([r["joint"], _milli(r["error_rms"]), following, _milli(r["largest_correction"]), law, r["action"]])
+    titles = ("joint", "RMS error", "next (95 %)", "largest correction", "gain, shift, cutoff", "action")
+    yield _table(titles, rows)
+    yield Text("In mm or mrad, where learning acts fully; shift in samples.", "note")
+
+
+def _build_trials(found: LearningStep) -> Iterator[Element]:
+    yield Figures([_draw_trials(joint, drive) for joint, drive in zip(found.joints, found.drives, strict=True)])
+    rows = []
+    for r in found.to_trial_rows():
+        predicted, within = "", ""
+        if r["inside"] is not None:
+            predicted = " to ".join(_milli(x) for x in r["predicted_rms_ci95"])
+            within = "yes" if r["inside"] else "no"
+        rows.append([str(r["trial"]), r["joint"], _milli(r["error_rms"]), predicted, within])
+    yield _table(("trial", "joint", "RMS error", "predicted (95 %)", "within"), rows)
+    yield Text(
+        "In mm or mrad. Dots: achieved. Strokes: 95 % intervals from the trials before; last: the next trial.", "note"
+    )
+
+
+def _draw_trials(joint: str, drive: JointLearning) -> Figure:
+    """Return one drive's errors by trial with their predicted intervals."""
+    n = len(drive.outcomes)
+    low, high = (
+        np.log10([1e3 * getattr(f, end) for f in (*drive.forecasts[1:], drive.forecast) if f is not None])
+        for end in ("low", "high")
+    )
+    achieved, later = np.log10(1e3 * np.maximum(drive.outcomes, 1e-300)), np.arange(2.0, n + 2)
+    marks = (Strokes(later, low, later, high, "predicted"), Dots(np.arange(1.0, n + 1), achieved, size=6.0))
+    limits = pad_limits(np.concatenate([low, high, achieved]))
+    x, y = Axis("trial", (0.0, n + 2.0)), Axis("log10 RMS error [mm or mrad]", limits)
+    return Figure(x, y, marks, joint, (THIRD, 200))
+
+
+def _build_frequencies(found: LearningStep) -> Iterator[Element]:
+    rows = []
+    for r in found.to_frequency_rows():
+        achieved = "" if r["growth_achieved"] is None else format_fixed_digits(r["growth_achieved"])
+        following = " to ".join(format_fixed_digits(x) for x in r["growth_predicted_ci95"])
+        band = f"{r['low_hz']:g} to {r['high_hz']:g}"
+        rows.append([r["joint"], band, _milli(r["first_error_rms"]), _milli(r["error_rms"]), achieved, following])
+    yield _table(("joint", "Hz", "first error", "last error", "last growth", "next growth (95 %)"), rows)
+    yield Figures([_draw_growth(joint, drive) for joint, drive in zip(found.joints, found.drives, strict=True)])
+    yield Text(
+        "Errors in mm or mrad. Growth: an error over that of the trial before; none within the noise. Area: 95 %.",
+        "note",
+    )
+
+
+def _draw_growth(joint: str, drive: JointLearning) -> Figure:
+    """Return one drive's growth of an error in a trial over frequency."""
+    f = drive.response.frequency
+    shown = f <= 2 * (drive.law.cutoff_hz if drive.law else 20.0)
+    mean, stderr = (x[shown] for x in drive.growth())
+    low, high = np.maximum(mean - Z95 * stderr, 0), mean + Z95 * stderr
+    x, y = Axis("frequency [Hz]", (0.0, float(f[shown][-1]))), Axis("growth", pad_limits(np.append(high, [0.0, 1.1])))
+    return Figure(x, y, (Ribbon(f[shown], low, high), Line(f[shown], mean), Rule("limit", y=1.0)), joint, (THIRD, 200))
 
 
 def _build_trial(found: LearningStep) -> Iterator[Element]:
@@ -140,13 +232,6 @@ def _build_trial(found: LearningStep) -> Iterator[Element]:
         Key("residual", "error of this trial"), Key("predicted", "expected of the next"), Key("measured", "next correction"),
     ]  # fmt: skip
     yield TimeView("errors and correction over time", views, key)
-    picture = found.convergence.picture
-    if picture is not None:
-        x = Axis("frequency [Hz]", (0.0, float(picture.frequency[-1])))
-        y = Axis("growth of an error in an iteration", pad_limits(picture.growth, np.array([0.0, 1.1])))
-        marks = (Line(np.array(x.limits), np.ones(2), "limit"), Line(picture.frequency, picture.growth))
-        yield Figures([Figure(x, y, marks, "convergence", (WHOLE, 240))], "wide-chart")
-        yield Text("Dashed: above it an error grows.", "note")
 
 
 @present_kind.register

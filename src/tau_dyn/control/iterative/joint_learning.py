@@ -1,0 +1,234 @@
+"""One drive's learning from its trials: each outcome against its prediction, then the next correction or the reason to stop.
+
+The prediction of a trial is made from the trials before it alone, with the command that the trial then had. Misses widen the
+next interval. A trial above its interval changes the law: the response is estimated with it, the gain is halved, and learning
+goes on from the best trial. After two in a row that brought nothing, learning stops at the best trial's correction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from tau_dyn.control.iterative.convergence_analysis import (
+    Convergence,
+    analyse_convergence,
+    compute_frequency_condition,
+)
+from tau_dyn.control.iterative.filters import TimeShift, ZeroPhase, design_low_pass
+from tau_dyn.control.iterative.law_choice import CUTOFFS_HZ, GAINS, LawChoice, choose_law, compute_growth
+from tau_dyn.control.iterative.laws import LearningLaw
+from tau_dyn.control.iterative.learned_outputs import Reference
+from tau_dyn.control.iterative.trial_forecast import Forecast, forecast_trial
+from tau_dyn.control.iterative.trial_response import TrialResponse, choose_model, estimate_response
+from tau_dyn.modes import Actuator
+
+Action = Literal["learn", "change", "floor", "stop"]
+
+_WORSE = 1.05  # of the best trial's error: beyond, learning goes on from the best one
+_GAINED = 0.95  # of the error: a median above it promises nothing
+_MISSES = 2  # in a row above the interval, until learning stops
+_TRIALS_FOR_A_FLOOR = 3  # fewer do not tell noise from a response that depends on the change
+_PRIOR_SCORES = 3.0  # trials as spread as predicted that the interval's width starts from
+
+
+@dataclass(frozen=True, eq=False)
+class JointLearning:
+    """One drive.
+
+    Attributes:
+        response: From all trials.
+        given_rms: RMS error of the given actuator on the first trial, None where none was given [m or rad].
+        fitted_rms: That of the actuator fitted to it.
+        forecasts: Of each trial; None for the first.
+        outcomes: RMS errors of the trials where learning acts fully (K,) [m or rad].
+        base: Index of the trial that the next correction starts from.
+        law: None where none is admitted.
+        filtered: Q of the law.
+        correction: The next one (N,).
+        forecast: Of the next trial.
+        convergence: Of the law on the mean response; of a law that is chosen, by the frequency picture.
+        action: `learn`; `change`: the last trial missed its prediction, so the law is another one; `floor`: what is left is
+            not expected to fall; `stop`.
+        reason: Sentence; empty for `learn`.
+    """
+
+    response: TrialResponse
+    given_rms: float | None
+    fitted_rms: float
+    forecasts: tuple[Forecast | None, ...]
+    outcomes: np.ndarray
+    base: int
+    law: LawChoice | None
+    filtered: ZeroPhase | None
+    correction: np.ndarray
+    forecast: Forecast
+    convergence: Convergence | None
+    action: Action
+    reason: str
+
+    def growth(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean and standard error of an error's growth in a trial (F,); one and zero without a law."""
+        if self.law is None or self.filtered is None:
+            return np.ones(len(self.response.frequency)), np.zeros(len(self.response.frequency))
+        return compute_growth(self.response, self.filtered, self.law.gain, self.law.shift)
+
+    @property
+    def largest_growth(self) -> tuple[float, float, float]:
+        """Largest growth of any frequency in a trial: its mean, and the ends of its 95 % interval."""
+        mean, stderr = self.growth()
+        k = int(np.argmax(mean + 1.96 * stderr))
+        return float(mean[k]), float(max(mean[k] - 1.96 * stderr[k], 0.0)), float(mean[k] + 1.96 * stderr[k])
+
+
+@dataclass(frozen=True)
+class LawOptions:
+    """What is asked for of a law; None is chosen."""
+
+    gain: float | None = None
+    shift: int | None = None
+    cutoff_hz: float | None = None
+
+    @property
+    def given(self) -> bool:
+        """Whether anything is asked for."""
+        return any(x is not None for x in (self.gain, self.shift, self.cutoff_hz))
+
+
+def learn_joint(
+    motion: Reference,
+    sent: Sequence[np.ndarray],
+    position: Sequence[np.ndarray],
+    given: Actuator | None,
+    options: LawOptions = LawOptions(),
+) -> JointLearning:
+    """Return the next correction of one drive.
+
+    Args:
+        motion: Its motion, with `q` (N, 1).
+        sent: Commands of the trials, each (N,) [m or rad], in their order.
+        position: Measured positions, alike.
+        given: A model of the drive; None takes one from the first trial.
+        options: Of the law.
+
+    Raises:
+        CannotAnswer: The command never moves, or the position does not follow it.
+    """
+    reference = motion.q[:, 0]
+    errors = [reference - y for y in position]
+    outcomes = np.array([compute_rms(e, motion.full) for e in errors])
+    model, given_rms, fitted_rms = choose_model(given, sent[0], position[0], motion.dt)
+    forecasts, width = _forecast_past(model, motion, sent, position, outcomes)
+    response = estimate_response(model, sent, position, motion.dt, motion.full)
+    base = len(sent) - 1 if outcomes[-1] <= _WORSE * outcomes.min() else int(np.argmin(outcomes))
+    misses = _count_misses(forecasts, outcomes)
+    before = sent[base] - reference
+    law = _choose(response, errors[base], before, options, misses)
+    correction, filtered = before, None
+    if law is not None:
+        filtered = design_low_pass(law.cutoff_hz, motion.dt)
+        asked = before + TimeShift(law.gain, law.shift, motion.dt).apply(errors[base])
+        correction = motion.weights() * filtered.apply(asked)
+    forecast = forecast_trial(response, errors[base], correction - before, motion.full).widened(*width)
+    action, reason = _decide(law, forecast, outcomes, base, misses, options)
+    if action in ("floor", "stop") and np.any(correction != before):
+        correction = before
+        forecast = forecast_trial(response, errors[base], 0.0 * before, motion.full).widened(*width)
+    convergence = None
+    if law is not None and filtered is not None:
+        whole = LearningLaw(response.side(), (filtered,), TimeShift(law.gain, law.shift, motion.dt))
+        convergence = analyse_convergence(whole, motion) if options.given else _bound_convergence(whole)
+    return JointLearning(
+        response, given_rms, fitted_rms, forecasts, outcomes, base, law, filtered, correction, forecast, convergence,
+        action, reason,
+    )  # fmt: skip
+
+
+def _bound_convergence(law: LearningLaw) -> Convergence:
+    """Return the convergence by the frequency picture alone: its largest growth is the singular value of an endless trial."""
+    picture = compute_frequency_condition(law)
+    assert picture is not None  # a law of filters has one
+    return Convergence((picture.worst[1],), picture.worst[1], picture)
+
+
+def compute_rms(x: np.ndarray, full: slice) -> float:
+    """Return the root mean square of a signal where learning acts fully."""
+    return float(np.sqrt(np.mean(x[full] ** 2)))
+
+
+def _forecast_past(
+    model: Actuator,
+    motion: Reference,
+    sent: Sequence[np.ndarray],
+    position: Sequence[np.ndarray],
+    outcomes: np.ndarray,
+) -> tuple[tuple[Forecast | None, ...], tuple[float, float]]:
+    """Return the prediction of each trial from those before it, and the widths that their misses give the next interval."""
+    found: list[Forecast | None] = [None]
+    scores: list[float] = []
+    for k in range(1, len(sent)):
+        response = estimate_response(model, sent[:k], position[:k], motion.dt, motion.full)
+        nearest = min(range(k), key=lambda j: (float(np.sum((sent[k] - sent[j]) ** 2)), -j))
+        error = motion.q[:, 0] - position[nearest]
+        plain = forecast_trial(response, error, sent[k] - sent[nearest], motion.full)
+        found.append(plain.widened(*_compute_widths(scores)))
+        scores.append(plain.score(float(outcomes[k])))
+    return tuple(found), _compute_widths(scores)
+
+
+def _compute_widths(scores: Sequence[float]) -> tuple[float, float]:
+    """Return the factors of an interval's lower and upper part after scores in standard deviations; never below 1."""
+    z = np.asarray(scores)
+    squares = (float(np.sum(np.minimum(z, 0) ** 2)), float(np.sum(np.maximum(z, 0) ** 2)))
+    below, above = (max(1.0, float(np.sqrt((_PRIOR_SCORES + 2 * s) / (_PRIOR_SCORES + len(z))))) for s in squares)
+    return below, above
+
+
+def _count_misses(forecasts: Sequence[Forecast | None], outcomes: np.ndarray) -> int:
+    """Return how many of the last trials in a row ended above their interval, or above the first trial's error."""
+    count = 0
+    for forecast, rms in zip(reversed(forecasts), outcomes[::-1], strict=True):
+        if forecast is None or rms <= min(forecast.high, outcomes[0]):
+            break
+        count += 1
+    return count
+
+
+def _choose(
+    response: TrialResponse, error: np.ndarray, command: np.ndarray, options: LawOptions, misses: int
+) -> LawChoice | None:
+    """Return the law: what is asked for, the rest chosen with a gain halved for each miss."""
+    gains = (options.gain,) if options.gain is not None else tuple(g * 0.5**misses for g in GAINS)
+    shifts = None if options.shift is None else (options.shift,)
+    cutoffs = CUTOFFS_HZ if options.cutoff_hz is None else (options.cutoff_hz,)
+    return choose_law(response, error, command, gains=gains, shifts=shifts, cutoffs=cutoffs, any_growth=options.given)
+
+
+def _decide(
+    law: LawChoice | None, forecast: Forecast, outcomes: np.ndarray, base: int, misses: int, options: LawOptions
+) -> tuple[Action, str]:
+    """Return what is done and why."""
+    best = f"trial {base + 1}"
+    if law is None:
+        return "stop", (
+            "no law is known to let no frequency grow: the trials do not show a response that a correction can use; "
+            f"the correction of {best} stays"
+        )
+    if misses >= _MISSES and base < len(outcomes) - misses:
+        return "stop", (
+            f"the last {misses} trials ended above their predicted intervals or the first error, and none is better than {best}; "
+            "its correction stays"
+        )
+    if options.given:
+        return "learn", ""
+    if misses:
+        return "change", (
+            f"trial {len(outcomes)} ended above its prediction or the first error; the law is chosen anew with half the gain"
+            + ("" if base == len(outcomes) - 1 else f", from {best} on")
+        )
+    if len(outcomes) >= _TRIALS_FOR_A_FLOOR and forecast.rms > _GAINED * outcomes[base]:
+        return "floor", f"a further change is not expected to lower the error of {best}; its correction stays"
+    return "learn", ""

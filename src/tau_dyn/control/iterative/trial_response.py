@@ -1,0 +1,295 @@
+"""What one drive's trials show of its response: a frequency response with its uncertainty, and what does not repeat.
+
+From trial to trial the command changes by `du`, the position by `dy = G du` plus what does not repeat. A first-order model P
+with a delay, fitted to the first trial or given, is multiplied by a complex factor C(f) that varies slowly with frequency:
+
+    G = C P,   Z = C X + noise,   X = F(P du),   Z = F(dy)
+
+C has a prior (mean 1, variance from what P leaves of the first trial) and is updated with the changes, later ones counting more:
+a Gaussian posterior in bands that are as wide as a share of their frequency [Ljung 1999, 6.4; Pintelon & Schoukens 2012, 2.6].
+Coulomb friction makes the response depend on the size of a change; that part is in the residual, hence in the uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+from scipy.fft import next_fast_len
+
+from tau_dyn.control.iterative.learned_outputs import Reference, TrialMeasurement
+from tau_dyn.control.iterative.lifted_system import Operator, build_convolution
+from tau_dyn.modes import Actuator, Record, fit_actuators
+
+_BAND_SHARE = 0.25  # half-width of a band over its frequency
+_BAND_BINS = 3.0  # least half-width, over the inverse of the trial's length
+_KEPT_PER_TRIAL = 0.6  # weight of a change over that of the change after it
+_MODEL_STDERR = 0.05  # of C where P explains the first trial completely: P is no more than a first-order model
+_ALTERNATIONS = 3  # of response and noise in turn
+_UPDATES = 50  # of the split into noise and bend; the likelihood then changes below its own spread
+_LEAST_POWER = 1e-30  # m^2 or rad^2, of a transform: below any encoder's, and not zero
+_MAX_VARIANCE = 4.0  # of C where nothing is known: gains up to twice the model's, any phase
+
+
+@dataclass(frozen=True, eq=False)
+class Bands:
+    """A band about each frequency, as wide as a share of it.
+
+    Attributes:
+        first: First frequency's index in each band (F,).
+        end: Index after the last one (F,).
+        independent: Complex values in each band that are independent (F,).
+    """
+
+    first: np.ndarray
+    end: np.ndarray
+    independent: np.ndarray
+
+    @staticmethod
+    def of(frequency: np.ndarray, duration: float) -> Bands:
+        """Return the bands of evenly spaced frequencies (F,) [Hz] of signals of a duration [s]."""
+        half = np.maximum(_BAND_BINS / duration, _BAND_SHARE * frequency)
+        first = np.searchsorted(frequency, frequency - half)
+        end = np.searchsorted(frequency, frequency + half, side="right")
+        return Bands(first, end, (end - first) * (frequency[1] - frequency[0]) * duration)
+
+    def average(self, x: np.ndarray) -> np.ndarray:
+        """Return the mean (F, ...) of values (F, ...) in each band."""
+        total = np.cumsum(np.concatenate([np.zeros((1, *x.shape[1:]), x.dtype), x]), axis=0)
+        count = (self.end - self.first).reshape(-1, *(1,) * (x.ndim - 1))
+        return (total[self.end] - total[self.first]) / count
+
+    def draw(self, rng: np.random.Generator, n: int) -> np.ndarray:
+        """Return complex noise (F, n) of unit variance, as even along frequency as the bands are wide."""
+        white = rng.standard_normal((len(self.first), n)) + 1j * rng.standard_normal((len(self.first), n))
+        return self.average(white) * np.sqrt((self.end - self.first) / 2)[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class TrialResponse:
+    """One drive's response from command to position, (F,) over frequencies [Hz] on the trial's own grid.
+
+    Attributes:
+        model: P with its parameters.
+        dt: Step [s].
+        n: Samples of a trial.
+        frequency: [Hz], without zero.
+        factor: C, posterior mean.
+        stderr: Standard error of C.
+        noise: Power of the part of a trial that does not repeat, of its transform (F,) [m^2 or rad^2].
+        bend: Mean square of what a change leaves of `G du`, over `|G du|^2` (F,): a response that depends on the change.
+        bands: The band about each frequency.
+        freedom: Real degrees of freedom of the noise; 0 where there is no change yet.
+    """
+
+    model: Actuator
+    dt: float
+    n: int
+    frequency: np.ndarray
+    factor: np.ndarray
+    stderr: np.ndarray
+    noise: np.ndarray
+    bend: np.ndarray
+    bands: Bands
+    freedom: float
+
+    @property
+    def length(self) -> int:
+        """Samples of the transform."""
+        return count_transform_samples(self.n)
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Posterior mean of G (F,)."""
+        return self.factor * compute_model_response(self.model, self.dt, self.frequency)
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """Standard error of G (F,)."""
+        return self.stderr * np.abs(compute_model_response(self.model, self.dt, self.frequency))
+
+    def transform(self, x: np.ndarray) -> np.ndarray:
+        """Return signals (N, ...) as transforms (F, ...)."""
+        return np.fft.rfft(x, self.length, axis=0)[1:]
+
+    def restore(self, spectrum: np.ndarray) -> np.ndarray:
+        """Return transforms (F, ...) as signals (N, ...)."""
+        zero = np.zeros((1, *spectrum.shape[1:]), spectrum.dtype)
+        return np.fft.irfft(np.concatenate([zero, spectrum]), self.length, axis=0)[: self.n]
+
+    def side(self) -> MeasuredSide:
+        """Return what stability is judged with."""
+        return MeasuredSide(self)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredSide:
+    """One drive's position with the response that its trials show.
+
+    Attributes:
+        found: The response.
+        coupled: False.
+    """
+
+    found: TrialResponse
+    coupled: bool = False
+
+    @property
+    def dt(self) -> float:
+        """Step [s]."""
+        return self.found.dt
+
+    def reference(self, motion: Reference) -> np.ndarray:
+        """Return the drive's reference (N, 1)."""
+        return motion.q
+
+    def estimate(self, trial: TrialMeasurement) -> np.ndarray:
+        """Return the measured position."""
+        return trial.q
+
+    def commands(self, motion: Reference, correction: np.ndarray) -> np.ndarray:
+        """Return reference plus correction."""
+        return motion.q + correction
+
+    def operator(self, n: int) -> Operator:
+        """Return G (N, N) as a convolution."""
+        whole = np.concatenate([[self.found.factor[0].real * self.found.model.gain], self.found.mean])
+        return build_convolution(np.fft.irfft(whole, self.found.length)[:n, None, None])
+
+    def response(self, frequency: np.ndarray) -> np.ndarray:
+        """Return G (F, 1, 1) at frequencies (F,) [Hz]."""
+        f = np.asarray(frequency, float)
+        known = self.found.frequency
+        factor = np.interp(f, known, self.found.factor.real) + 1j * np.interp(f, known, self.found.factor.imag)
+        return (factor * compute_model_response(self.found.model, self.dt, f))[:, None, None]
+
+
+def count_transform_samples(n: int) -> int:
+    """Return the samples of a transform whose circle a trial of `n` samples does not close."""
+    return cast(int, next_fast_len(2 * n, real=True))
+
+
+def compute_model_response(actuator: Actuator, dt: float, frequency: np.ndarray) -> np.ndarray:
+    """Return an actuator's response (F,) at frequencies (F,) [Hz]."""
+    b, a, d = actuator.discrete(dt)
+    back = np.exp(-2j * np.pi * np.asarray(frequency, float) * dt)
+    return (b[0] + b[1] * back) * back**d / (1 - a * back)
+
+
+def choose_model(
+    given: Actuator | None, sent: np.ndarray, position: np.ndarray, dt: float
+) -> tuple[Actuator, float | None, float]:
+    """Return P: of the given actuator and one fitted to a trial the one that explains the trial better.
+
+    Args:
+        given: From a file; None for none.
+        sent: Command of the trial (N,) [m or rad].
+        position: Its measured position (N,).
+        dt: Step [s].
+
+    Returns:
+        P, and RMS errors of the given and of the fitted actuator on the trial [m or rad].
+
+    Raises:
+        CannotAnswer: The command never moves, or the position does not follow it.
+    """
+    record = Record(sent[:, None], position[:, None], dt, ("command",), ("position",), "trial")
+    (fit,) = fit_actuators([record])
+    own = float(np.sqrt(np.mean(fit.residuals[0] ** 2)))
+    if given is None:
+        return fit.actuator, None, own
+    left = position - position[0] - (given.simulate(sent, dt) - given.gain * sent[0])
+    other = float(np.std(left))
+    return (given if other <= own else fit.actuator), other, own
+
+
+def estimate_response(
+    model: Actuator, sent: Sequence[np.ndarray], position: Sequence[np.ndarray], dt: float, full: slice
+) -> TrialResponse:
+    """Return a drive's response.
+
+    Args:
+        model: P.
+        sent: Commands of the trials, each (N,) [m or rad], in their order.
+        position: Measured positions, alike.
+        dt: Step [s].
+        full: Where learning acts fully; what does not repeat is measured there.
+    """
+    n = len(sent[0])
+    frequency = np.fft.rfftfreq(count_transform_samples(n), dt)[1:]
+    bands = Bands.of(frequency, n * dt)
+    blank = np.zeros(len(frequency))
+    found = TrialResponse(model, dt, n, frequency, blank + 1.0, blank, blank, blank, bands, 0.0)
+    variance = _compute_prior_variance(found, sent[0], position[0])
+    pairs = [(b - a, d - c) for a, b, c, d in zip(sent, sent[1:], position, position[1:], strict=False)]
+    if not pairs:
+        return replace(found, stderr=np.sqrt(variance), noise=blank + _estimate_encoder_power(position[0]))
+    weight = (_KEPT_PER_TRIAL ** np.arange(len(pairs))[::-1])[:, None]
+    size = _compute_powers(found, [found.model.simulate(du, dt) for du, _ in pairs], full)
+    expected = np.where(size > 0, size, 1.0)  # a change of zero tells nothing of the response, whatever its weight
+    for _ in range(_ALTERNATIONS):
+        factor, stderr = _update(found, pairs, weight / expected, variance)
+        left = [dy - found.restore(factor * found.transform(found.model.simulate(du, dt))) for du, dy in pairs]
+        noise, bend = _split(size, _compute_powers(found, left, full))
+        expected = 2 * noise + bend * size
+    freedom = float(bands.independent[0])
+    return replace(found, factor=factor, stderr=stderr, noise=noise, bend=bend, freedom=freedom)
+
+
+def _compute_prior_variance(found: TrialResponse, sent: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Return the variance of C (F,) by what P leaves of a trial's speed."""
+    X, Z = _transform_speeds(found, sent, position)
+    left, there = found.bands.average(np.abs(Z - X) ** 2), found.bands.average(np.abs(X) ** 2)
+    return np.minimum(left / np.maximum(there, 1e-300) + _MODEL_STDERR**2, _MAX_VARIANCE)
+
+
+def _transform_speeds(found: TrialResponse, sent: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return X and Z (F,) of the speeds: a rest at another place than the start adds nothing."""
+    X = found.transform(np.diff(found.model.simulate(sent, found.dt)))
+    return X, found.transform(np.diff(position))
+
+
+def _update(
+    found: TrialResponse, pairs: list[tuple[np.ndarray, np.ndarray]], weight: np.ndarray, variance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and standard error of C (F,) after changes, each with a weight (K, F) over its residual's power."""
+    both = [_transform_speeds(found, du, dy) for du, dy in pairs]
+    told = weight * found.bands.independent / np.abs(2 * np.sin(np.pi * found.frequency * found.dt)) ** 2
+    precision = 1 / variance + sum(
+        g * found.bands.average(np.abs(X) ** 2) for g, (X, _) in zip(told, both, strict=True)
+    )
+    shown = sum(g * found.bands.average(Z * X.conj()) for g, (X, Z) in zip(told, both, strict=True))
+    return (1 / variance + shown) / precision, np.sqrt(1 / precision + _MODEL_STDERR**2)
+
+
+def _split(size: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return noise (F,) and bend (F,) of residuals' powers (K, F) `2 noise + bend size`, by maximum likelihood.
+
+    Multiplicative updates keep both positive [Fevotte, Bertin, Durrieu 2009, Neural Computation 21]. From changes of one size
+    alone each gets half of the residual.
+    """
+    power = np.maximum(power, max(1e-12 * power.max(), _LEAST_POWER))
+    noise, bend = power.min(axis=0) / 4, np.min(power / np.maximum(size, 1e-300), axis=0) / 2
+    for _ in range(_UPDATES):
+        model = np.maximum(2 * noise + bend * size, 1e-300)
+        towards, away = power / model**2, 1 / model
+        noise = noise * np.sum(towards, axis=0) / np.sum(away, axis=0)
+        bend = bend * np.sum(size * towards, axis=0) / np.maximum(np.sum(size * away, axis=0), 1e-300)
+    return noise, bend
+
+
+def _estimate_encoder_power(position: np.ndarray) -> float:
+    """Return the power of white noise of an encoder: second differences have six times its variance."""
+    return (float(np.median(np.abs(np.diff(position, 2)))) / 0.6745) ** 2 / 6 * len(position)
+
+
+def _compute_powers(found: TrialResponse, signals: Sequence[np.ndarray], full: slice) -> np.ndarray:
+    """Return powers (K, F) of signals (N,) that are everywhere as they are where learning acts fully."""
+    powers = []
+    for x in signals:
+        inside = np.zeros_like(x)
+        inside[full] = x[full]
+        powers.append(found.bands.average(np.abs(found.transform(inside)) ** 2) * found.n / len(x[full]))
+    return np.array(powers)
