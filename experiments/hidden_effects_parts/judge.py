@@ -81,7 +81,7 @@ def judgement(one: HiddenSet, found: Diagnosis) -> dict[str, Any]:
     pool = parameters if by_refit else confirmed
     detected = bool(pool or (unexplained and not by_refit))
     rows: dict[str, Any] = {
-        "false_parameter": one.nominal and not by_refit and bool(parameters),
+        "false_parameter": one.bodies_known and not by_refit and bool(parameters),
         "detected": detected,
         "first_right": bool(one.hidden) and bool(pool) and any(right(h, pool[0], one) for h in one.hidden),
         "twin_right": bool(one.hidden) and bool(pool) and any(right(h, pool[0], one, twins=True) for h in one.hidden),

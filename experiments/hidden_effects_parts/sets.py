@@ -83,7 +83,7 @@ class HiddenSet:
         hidden: What hides.
         runs: The logs before noise; none for logs with feedback.
         held_runs: The held-out logs before noise.
-        nominal: Whether bodies are as the file says within 2 %, so that no `parameter` finding is right.
+        nominal: Whether bodies are as the robot file says within 2 %.
         known: A model identified from an earlier log, which the person has as a file; None where there is none.
     """
 
@@ -103,6 +103,11 @@ class HiddenSet:
     def model(self) -> Model:
         """The person's model."""
         return self.known or self.rig.model
+
+    @property
+    def bodies_known(self) -> bool:
+        """Whether the person's model has the true bodies, so that no `parameter` finding is right: findings refer to it."""
+        return self.nominal or self.known is not None
 
 
 def draw_set(

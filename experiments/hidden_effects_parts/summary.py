@@ -21,6 +21,7 @@ OPTIONAL = (
     "joint_right",
     "variables_right",
     "variables_among",
+    "known_model",
     "fault",
 )
 """Columns that only some rows have."""
@@ -87,9 +88,24 @@ def _clean(what: str, rows: pd.DataFrame) -> Iterator[str]:
     yield f"{what}: {k} of {n} sets with a claim, so below {100 * upper_bound(k, n):.2f} % (95 %)"
     for coarse, part in rows.groupby(rows["position_sd"] > rows["position_sd"].median()):
         yield f"  {'coarse' if coarse else 'fine'} encoders: {int((part['claims'] > 0).sum())} of {len(part)}"
-    known = rows[rows["nominal"].eq(True)]
-    false = int(known["false_parameter"].eq(True).sum())
-    yield f"  bodies within 2 % of the file: {false} of {len(known)} with a parameter finding"
+    with_file = rows["known_model"].eq(True)
+    known = rows[rows["nominal"].eq(True) | with_file]
+    yield f"  bodies as the person's model has them: {_count_false_parameters(known)} of {len(known)} with a parameter finding"
+    several = rows["motions"].fillna("").str.contains(";")
+    groups = {"several logs": several, "one log": ~several, "a model file": with_file, "no model file": ~with_file}
+    kinds = rows["robot"].str.replace(r"^tree\d+$", "tree", regex=True)
+    groups |= {str(kind): kinds == kind for kind in sorted(kinds.unique())}
+    for name, chosen in groups.items():
+        part = rows[chosen]
+        unexplained = int(part["unexplained"].fillna("").str.contains(":confirmed").sum())
+        yield (
+            f"  {name}: {len(part)} sets, {int((part['claims'] > 0).sum())} with a claim "
+            f"({unexplained} with confirmed unexplained structure), {_count_false_parameters(part)} with a false parameter"
+        )
+
+
+def _count_false_parameters(rows: pd.DataFrame) -> int:
+    return int(rows["false_parameter"].eq(True).sum())
 
 
 def _single(rows: pd.DataFrame) -> Iterator[str]:

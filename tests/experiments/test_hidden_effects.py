@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,8 +17,9 @@ from hidden_effects_parts.drive_forms import Compliance, Delay, TransmissionErro
 from hidden_effects_parts.forms import Form, Places
 from hidden_effects_parts.friction_forms import LoadFriction, PassiveFriction, StribeckPower
 from hidden_effects_parts.gantry import load_across, rods_of
+from hidden_effects_parts.judge import judgement
 from hidden_effects_parts.recording import Recording, Sensing, draw_motion, draw_sensing
-from hidden_effects_parts.robots import draw_rig
+from hidden_effects_parts.robots import draw_rig, nominal_robot
 from hidden_effects_parts.sets import KNOWN_FORMS, draw_set, hidden_force
 from hidden_effects_parts.slip_forms import Lugre, MaxwellSlip
 from hidden_effects_parts.strength import Ruler, Whitener, base_columns
@@ -42,7 +44,7 @@ def ruler(run: Recording, sensing: Sensing = SENSING, *, encoder: bool = True) -
     return Ruler.of([run], [base_columns(run)], sensing, 1.0, encoder=encoder)
 
 
-@pytest.mark.parametrize("name", ["l1", "axis", "arm"])
+@pytest.mark.parametrize("name", ["l1", "axis", "arm", "ur5", "tree7"])
 @pytest.mark.parametrize("base", ["asymmetric", "symmetric", "plain"])
 def test_nothing_hides_in_a_clean_run(name: str, base: str) -> None:
     """The person's model fits the true force without noise exactly, with bodies up to 10 % off, sharp sign and all."""
@@ -126,6 +128,45 @@ def test_a_set_is_settled_by_its_number() -> None:
     one, same, other = (draw_set("clean", n, seconds=64.0).logs[0].to_frame().to_numpy() for n in (1, 1, 2))
     assert_array_equal(one, same)
     assert one.shape != other.shape or np.any(one != other)
+
+
+def test_a_model_identified_before_has_the_true_bodies_and_rotors() -> None:
+    """It predicts the forces without noise of another log; the robot file, without rotors and friction, does not."""
+    one = draw_set("clean", 13, seed=310, seconds=64.0, robots="wide")
+    assert one.known is not None and one.model is one.known
+    run = one.runs[0]
+    misses = {}
+    for name, model in (("model", one.known), ("file", one.rig.model)):
+        tau = model.torque(run.q, run.v, run.a)
+        misses[name] = np.linalg.norm(tau - run.tau) / np.linalg.norm(run.tau)
+    assert misses["model"] < 0.02 and misses["file"] > 0.1
+
+
+def test_trees_are_settled_by_their_number_and_name_no_rotor() -> None:
+    """The same number gives the same masses and axes, another one others; the true rotors are not in the file."""
+    rigs = []
+    for name in ("tree7", "tree7", "tree8"):
+        nominal_robot.cache_clear()  # so that the file is written again
+        rigs.append(draw_rig(name, "asymmetric", np.random.default_rng(2)))
+    rig, same, other = rigs
+    true, again = ([p.value for p in x.robot.parameters] for x in (rig, same))
+    assert_array_equal(true, again)
+    assert true != [p.value for p in other.robot.parameters]
+    nominal = {p.name: p.value for p in rig.nominal.parameters}
+    assert all(nominal.get(f"{j}.armature", 0.0) == 0.0 for j in rig.joints)
+    assert all(rig.robot.parameters[f"{j}.armature"].value >= 0.05 for j in rig.joints)
+
+
+def test_a_body_that_differs_from_a_true_model_is_a_false_parameter() -> None:
+    """Findings refer to the person's model: bodies 10 % off the robot file are no excuse where the model was identified."""
+    one = draw_set("clean", 1, seconds=64.0)
+    found = SimpleNamespace(
+        findings=[SimpleNamespace(status="parameter", cause="link_mass", joints=())], unexplained=[]
+    )
+    file_off = replace(one, nominal=False)
+    assert not judgement(file_off, found)["false_parameter"]
+    assert judgement(replace(one, nominal=True), found)["false_parameter"]
+    assert judgement(replace(file_off, known=one.rig.model), found)["false_parameter"]
 
 
 def test_rod_forces_hold_the_plate(run: Recording) -> None:
