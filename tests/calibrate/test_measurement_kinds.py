@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from calibration_rigs import scara_text
 
 from tau_dyn.calibrate import PoseSet, calibrate, fit_geometry_to_poses, read_poses
-from tau_dyn.calibrate.device_noise import weigh_devices
+from tau_dyn.calibrate.device_noise import _measure_scatter, weigh_devices
 from tau_dyn.calibrate.fit_problem import Problem
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.measured import KINDS
@@ -140,6 +140,8 @@ def test_each_device_is_weighed_by_what_it_leaves() -> None:
         poses = measure(geometry, geometry.parameters.values, frames, sigma, np.random.default_rng(6), 60)
         weighed = weigh_devices(get_family(robot, poses), poses, Options())
         assert abs(weighed.device_errors[1] / ratio - 1) < (0.25 if ratio > 1 else 1e-12)
+    fitted = fit_geometry_to_poses(geometry, poses)
+    assert abs(_measure_scatter(fitted).left.sum() - fitted.dof) < 1e-6  # what the parameters leave of both
 
 
 def test_a_pin_in_holes_shows_angles_but_no_size() -> None:
