@@ -28,6 +28,8 @@ from tau_dyn.render.presentation import flatten_rows, present_kind, warn
 _MAX_CORRELATED = 12  # pairs listed at most
 _MAX_SENSITIVE = 12  # parameters listed at most
 _MAX_PLANS = 8  # rows of a plan's curve at most
+_DRAWING_UNITS = {"m": (1e3, "mm"), "rad": (180 / np.pi, "°")}
+"""Factors and units of dimensions as a drawing has them."""
 _ARROW = 0.13
 """Length of the largest error vector, as a share of the poses' extent."""
 
@@ -309,9 +311,10 @@ def _build_dimension(row: dict[str, Any], group: list[dict[str, Any]]) -> r.Row:
     said = (
         f"{r.round_to_stderr(factor * change, factor * stderr)} ± {r.round_to_stderr(factor * stderr, factor * stderr)}"
     )
+    times, drawing_unit = _DRAWING_UNITS.get(str(row["unit"]), (1.0, str(row["unit"])))
     cells = [
-        str(row["name"]).rpartition(".")[2], r.format_number(round(nominal, 12) + 0.0, 6), r.round_to_stderr(value, stderr),
-        str(row["unit"]) if row["unit"] != "1" else "", said, unit, bar,
+        str(row["name"]).rpartition(".")[2], r.format_number(round(times * nominal, 9) + 0.0, 6),
+        r.round_to_stderr(times * value, times * stderr), drawing_unit if drawing_unit != "1" else "", said, unit, bar,
     ]  # fmt: skip
     return r.Row(cells, "" if row["determined"] else "weak")
 
