@@ -144,7 +144,8 @@ def test_a_campaign_survives_sigkill(tmp_path, child) -> None:
 
 
 ROW = {"what": "clean", "position_sd": 1e-6, "nominal": True, "false_parameter": False, "first": "", "unexplained": "",
-       "names": "", "lambda": "", "all": "", "claims": 0, "seconds": 1 / 3, "fault": ""}  # fmt: skip
+       "names": "", "lambda": "", "all": "", "claims": 0, "seconds": 1 / 3, "fault": "", "motions": "fourier; prbs",
+       "robot": "axis", "known_model": False}  # fmt: skip
 
 
 @pytest.mark.parametrize("stop", [0, 1, 4])

@@ -211,7 +211,7 @@ def identify_fleet(
     data = Data.of(fitted, logs, exclude=exclude)
     built = data.build(fitted)
     for unit in units:
-        refuse_constant_forces([log for log in logs if owner[log.name] == unit], built.regression)
+        refuse_constant_forces([log for log in logs if owner[log.name] == unit], built.regression, fitted.robot.driven)
     progress("all units together")
     physics = build_physical_constraints(fitted)
     together = solve_least_squares(built.regression, physics=physics, structural=find_structural_base(fitted, seed))

@@ -271,7 +271,7 @@ def _identify(
     _refuse_wrong_wiring(said)
     built = data.build(data.model)
     for logs in (without, with_it):
-        refuse_constant_forces(logs, built.regression)
+        refuse_constant_forces(logs, built.regression, model.robot.driven)
     names = {log.name for log in with_it}
     regression = add_payload_columns(model, body, built.regression, names)
     progress("estimate")
