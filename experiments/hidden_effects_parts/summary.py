@@ -91,13 +91,13 @@ def _clean(what: str, rows: pd.DataFrame) -> Iterator[str]:
     with_file = rows["known_model"].eq(True)
     known = rows[rows["nominal"].eq(True) | with_file]
     yield f"  bodies as the person's model has them: {_count_false_parameters(known)} of {len(known)} with a parameter finding"
-    several = rows["motions"].fillna("").str.contains(";")
+    several = rows["motions"].astype(str).str.contains(";")
     groups = {"several logs": several, "one log": ~several, "a model file": with_file, "no model file": ~with_file}
-    kinds = rows["robot"].str.replace(r"^tree\d+$", "tree", regex=True)
+    kinds = rows["robot"].astype(str).str.replace(r"^tree\d+$", "tree", regex=True)
     groups |= {str(kind): kinds == kind for kind in sorted(kinds.unique())}
     for name, chosen in groups.items():
         part = rows[chosen]
-        unexplained = int(part["unexplained"].fillna("").str.contains(":confirmed").sum())
+        unexplained = int(part["unexplained"].astype(str).str.contains(":confirmed").sum())
         yield (
             f"  {name}: {len(part)} sets, {int((part['claims'] > 0).sum())} with a claim "
             f"({unexplained} with confirmed unexplained structure), {_count_false_parameters(part)} with a false parameter"
