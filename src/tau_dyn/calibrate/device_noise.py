@@ -55,7 +55,9 @@ def _pool(poses: PoseSet, scatter: _Scatter) -> np.ndarray:
         alike = np.array([one == kind for one in poses.kinds]) & (scatter.left >= _MIN_NUMBERS)
         while alike.any():
             square, left = scatter.square[alike].sum(), scatter.left[alike].sum()
-            odd = [(_test_alike(scatter, alike, k), k) for k in np.flatnonzero(alike)] if alike.sum() > 1 else []
+            odd = (
+                [(_test_alike(scatter, alike, k), k) for k in np.flatnonzero(alike).tolist()] if alike.sum() > 1 else []
+            )
             if odd and min(odd)[0] < _SIGNIFICANCE_LEVEL / len(odd):
                 k = min(odd)[1]
                 out[k], alike[k] = np.sqrt(scatter.square[k] / scatter.left[k]), False

@@ -174,7 +174,8 @@ def _built(content: Mapping[str, Any]) -> CalibratedRobot:
     theta = np.array([given[name] for name in geometry.parameters.names])
     if not np.isfinite(theta).all():
         raise InputError("file_format", "a parameter is not a number")
-    frames = DeviceFrames(*(tuple(_read_frame(f) for f in content["frames"][key]) for key in ("device", "tool")))
+    device, tool = (tuple(_read_frame(f) for f in content["frames"][key]) for key in ("device", "tool"))
+    frames = DeviceFrames(device, tool)
     if not frames.device or not frames.tool:
         raise InputError("file_format", "frames needs a device and a tool at least")
     kinds = tuple(str(kind) for kind in content["frames"].get("kinds", ()))

@@ -141,7 +141,7 @@ def _chosen(r: np.ndarray, priority: np.ndarray, rank: int) -> np.ndarray:
 _PRIOR_UNITS = ("m", "rad")
 _FRAMES_FIRST = -1  # priority of device and target: below that of any parameter of the robot
 _DEVICES_FIRST = -6
-"""Priority of several devices, or of such that show no poses: left where a start put one, it would hold the robot's size."""
+"""Priority of devices where some show no poses: left where a start put it, one would hold the robot's size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +242,7 @@ def collect(
         )
     known = SCALES | dict(zip(_PRIOR_UNITS, prior, strict=False))
     scales = np.array([row.prior_stderr or known.get(row.unit, 0.01) for row in rows])
-    device_first = _DEVICES_FIRST if len(kinds) > 1 or kinds[0] != "pose" else _FRAMES_FIRST
+    device_first = _DEVICES_FIRST if set(kinds) - {"pose"} else _FRAMES_FIRST
     of_frames = [device_first] * nd + [_FRAMES_FIRST] * nt + [device_first] * n_length
     priority = np.concatenate([geometry.priority, of_frames, np.zeros(len(play), int)])
     return Unknowns(rows, may, scales, priority, p, nd, nt, n_length)
