@@ -176,7 +176,7 @@ WARNING_CODES: dict[str, MessageCode] = {
         "train on poses that turn every joint",
     ),
     "size_undetermined": MessageCode(
-        "nothing but touches was measured, which do not show how large the robot is", "measure one distance beside them"
+        "nothing but touches was measured, which do not show how large the robot is", "measure one distance as well"
     ),
     "orientation_unused": MessageCode(
         "training and held-out poses do not both have orientations", "measure both alike; positions alone are compared"

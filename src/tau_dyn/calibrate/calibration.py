@@ -49,7 +49,7 @@ _ENOUGH_TO_SPLIT = 40  # poses; with fewer, a held-out part is too small for an 
 _HELD_OUT = 0.25  # share of the poses
 _TOUCHES_ALONE = (
     "{}: holes, planes and balls at unknown places do not show how large the robot is; its size is that of the robot file, and "
-    "angles and ratios of lengths are calibrated; measure one distance beside them (distance_tool)"
+    "angles and ratios of lengths are calibrated; measure one distance as well (distance_tool)"
 )
 _MAX_RELATIVE_MISFIT = 0.05
 """What a fit misses, over how far the poses spread, above which the two do not belong together."""

@@ -263,7 +263,7 @@ _FULL_STEPS = 4  # undamped Gauss-Newton steps along a curved valley
 _MIN_NOISE = 1e-9  # [m or rad], of poses without noise
 _BARELY = 1e-2
 """Singular value below which a combination of distances, touches or several devices counts as blind: the prior has 1e4 times its
-information. Axes that are parallel in the file are so no longer after a fit, by a noise that would decide."""
+information. Else the noise of fitted axes, parallel in the file, would decide which parameters are estimated."""
 _BLIND = 1e-9  # of the largest singular value: rounding
 _RANK_TOLERANCE = 1e-14  # rounding: the prior tells every unknown something
 _RULES = DescentRules(_MAX_STEPS, small_step=1e-3, small_gain=1e-3, first_damping=0.1, growth=5.0, max_trials=10)
