@@ -175,6 +175,10 @@ WARNING_CODES: dict[str, MessageCode] = {
         "training poses leave open where the device or the target is, so a move cannot be tested",
         "train on poses that turn every joint",
     ),
+    "new_place": MessageCode(
+        "held-out distances or touches are at a place that the training poses do not show",
+        "none needed; an error common to all rows of that place does not show",
+    ),
     "size_undetermined": MessageCode(
         "nothing but touches was measured, which do not show how large the robot is", "measure one distance as well"
     ),

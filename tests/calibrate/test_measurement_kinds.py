@@ -17,7 +17,7 @@ from tau_dyn.calibrate import PoseSet, calibrate, fit_geometry_to_poses, read_po
 from tau_dyn.calibrate.device_noise import _measure_scatter, weigh_devices
 from tau_dyn.calibrate.fit_problem import Problem
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
-from tau_dyn.calibrate.measured import KINDS
+from tau_dyn.calibrate.measured import KINDS, number_alike
 from tau_dyn.calibrate.measured.kinds import project_columns
 from tau_dyn.calibrate.model_selection import Options
 from tau_dyn.calibrate.models import get_family
@@ -217,3 +217,51 @@ def test_distances_need_the_forward_residual() -> None:
     unknowns = collect(geometry, DeviceFrames(), device=True, tool=True, turned=False)
     with pytest.raises(InputError, match="forward residual"):
         Problem(geometry, poses, unknowns, "inverse", False)
+
+
+def measure_elsewhere(n: int) -> tuple[Robot, PoseSet, PoseSet]:
+    """Return an arm's distances from three wires, and `n` held-out ones from a fourth; a link is 3 mm longer than its file."""
+    robot, geometry = build_scara()
+    theta = geometry.parameters.with_values({"s2.origin_x": geometry.parameters["s2.origin_x"].value + 3e-3}).values
+    places = ([1.5, 0.2, 0.4], [-0.6, 1.3, 0.9], [0.1, -1.4, 1.2], [-0.9, -0.7, 0.6])
+    ends = [Frame(np.eye(3), np.array(p)) for p in places]
+    rng, some = np.random.default_rng(9), ("distance",) * 3
+    train = measure(
+        geometry, theta, DeviceFrames((*ends[:3],), (TARGET,), some, (0.31, 0.02, -0.1)), (SIGMA,) * 3, rng, 60
+    )
+    held = measure(geometry, theta, DeviceFrames((ends[3],), (TARGET,), some[:1], (0.17,)), (SIGMA,), rng, n)
+    return robot, train, replace(held, devices=("other wire",), source="held.csv")
+
+
+def test_held_out_distances_from_another_place_judge_the_dimensions() -> None:
+    """A wire whose end the training poses do not show is placed by its own rows, each judged by the others."""
+    robot, train, held = measure_elsewhere(20)
+    found = calibrate(robot, train, held)
+    assert any(get_code(w) == "new_place" for w in found.warnings)
+    before, after = (found.errors(m).position_size.rms for m in (found.models[0], found.chosen))
+    assert before > 5 * SIGMA and 0.6 * SIGMA < after < 1.6 * SIGMA
+    at, error = found.locate_errors(found.chosen)
+    assert np.allclose(np.linalg.norm(error, axis=1), found.errors(found.chosen).distance)
+    base = found.fit.geometry.forward(found.fit.theta, held.q).poses
+    assert np.allclose(at, base.position + base.rotation @ found.fit.frames.tool[0].translation)
+    spoiled = held.position.copy()
+    spoiled[4, 0] += 5e-3
+    found = calibrate(robot, train, replace(held, position=spoiled))
+    assert found.holdout is not None and found.holdout.n == 19
+    assert any("pose 5 (off by 5" in w for w in found.warnings)
+    assert found.errors(found.chosen).position_size.rms < 1.6 * SIGMA
+
+
+def test_a_new_place_needs_more_rows_than_it_has_numbers() -> None:
+    """Four distances give the end of a wire and its zero, and leave nothing to judge by."""
+    robot, train, held = measure_elsewhere(4)
+    with pytest.raises(InputError, match="other wire is not among the training poses.*at least 5"):
+        calibrate(robot, train, held)
+
+
+def test_a_tracker_at_a_new_place_is_refused() -> None:
+    """Positions in an unknown frame would hide the robot's own errors in that frame."""
+    _, train, held = measure_elsewhere(9)
+    trackers = replace(held, kinds=("pose",), devices=("tracker",))
+    with pytest.raises(InputError, match="device tracker is not among"):
+        number_alike(train, trackers)

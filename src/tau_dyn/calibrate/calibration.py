@@ -127,7 +127,7 @@ def calibrate(
     poses = weigh_devices(family, poses, options)
     poses, named = leave_out_outliers(family, poses, options, None if model == "auto" else model)
     poses = weigh_devices(family, poses, options)
-    holdout = None if holdout is None else replace(holdout, device_errors=poses.device_errors)
+    holdout = None if holdout is None else holdout.with_devices_of(poses)
     poses, holdout, split = _split(poses, holdout, seed)
     family = get_family(robot, poses)
     models, steps, more = fit_models(family, poses, model, options, progress)
@@ -157,7 +157,17 @@ def calibrate(
         warnings=tuple(
             dict.fromkeys(
                 (
-                    *(*poses.warnings, *reread, *said, *named, *late, *held, *more, *odd),
+                    *(
+                        *poses.warnings,
+                        *(() if holdout is None else holdout.warnings),
+                        *reread,
+                        *said,
+                        *named,
+                        *late,
+                        *held,
+                        *more,
+                        *odd,
+                    ),
                     *(one.describe() for one in moved),
                     *([within.describe()] if within else []),
                     *_doubts(chosen.fit),

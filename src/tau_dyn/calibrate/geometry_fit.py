@@ -23,6 +23,7 @@ from tau_dyn.calibrate.fit_problem import (
 from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames, compute_mean_rotation
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.measured import PoseErrors, PoseSet, compute_pose_errors, measure_spread
+from tau_dyn.calibrate.new_places import NewPlace, find_new_places
 from tau_dyn.calibrate.starting_frames import estimate_campaign_frames, estimate_initial_frames
 from tau_dyn.calibrate.unknowns import Identifiability, Unknowns, collect, find_identifiable
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -238,10 +239,38 @@ class GeometryFit(Brief):
         state = self.predict(poses) if state is None else state
         return self.frames.measured(state.base, poses.setup)
 
+    def find_devices(self, poses: PoseSet, base: Poses) -> tuple[np.ndarray, np.ndarray]:
+        """Return rotation (N, 3, 3) and translation (N, 3) [m] of the robot's base in the frame of each pose's device."""
+        turn, shift, _, _ = self.frames.of_each(poses.setup)
+        for place in self._find_new_places(poses, base):
+            turn[place.own], shift[place.own] = place.frames.device[0]
+        return turn, shift
+
     def errors(self, poses: PoseSet) -> PoseErrors:
-        """Return measured minus predicted at other poses."""
-        lengths = self.frames.lengths_of(poses.setup)
-        return compute_pose_errors(poses, self.seen(poses), self._target(), own=self.geometry.orients, lengths=lengths)
+        """Return measured minus predicted at other poses; at a place that these poses do not show, by its other rows there."""
+        state, known = self.predict(poses), self._is_known(poses)
+        own, base = self._keep_known(poses, known), state.base.take(known)
+        seen, lengths = self.seen(own, state._replace(base=base)), self.frames.lengths_of(own.setup)
+        errors = compute_pose_errors(own, seen, self._target(), own=self.geometry.orients, lengths=lengths)
+        if known.all():
+            return errors
+        position = np.zeros((poses.n, 3))
+        position[known] = errors.position
+        for place in self._find_new_places(poses, state.base):
+            position[place.own] = place.residuals
+        relative = poses.relative_errors(6, self.poses)
+        return PoseErrors(position, None, relative, poses.configuration, errors.oriented, poses.numbers)
+
+    def _is_known(self, poses: PoseSet) -> np.ndarray:
+        """Tell which poses (N,) were measured by devices that the fitted poses show."""
+        return poses.device < len(self.poses.devices)
+
+    def _keep_known(self, poses: PoseSet, known: np.ndarray) -> PoseSet:
+        """Return the poses of known devices alone."""
+        return poses if known.all() else poses.take(known).with_devices_of(self.poses)
+
+    def _find_new_places(self, poses: PoseSet, base: Poses) -> list[NewPlace]:
+        return find_new_places(poses, base, len(self.poses.devices), self.frames, self.noise[0])
 
     def _target(self) -> np.ndarray | None:
         """Return the target's orientation (3, 3) behind a plate that keeps its own: the mean that was measured."""
@@ -264,11 +293,31 @@ class GeometryFit(Brief):
             poses: What was measured.
             base: Predicted tool poses there (N) in the robot's base frame.
         """
-        seen = self.frames.measured(base, poses.setup)
-        columns, u = self._compute_columns(poses.q, base, poses.setup), self.unknowns
+        known, u = self._is_known(poses), self.unknowns
+        own, at = self._keep_known(poses, known), base.take(known)
+        seen = self.frames.measured(at, own.setup)
+        columns = self._compute_columns(own.q, at, own.setup)
         first = u.n_geometry + u.n_device + u.n_tool
-        columns[:, :, first : first + u.n_length] = self.frames.length_columns(poses, seen.position)
-        return poses.project_columns(seen, columns[:, :, u.free])
+        columns[:, :, first : first + u.n_length] = self.frames.length_columns(own, seen.position)
+        out = np.zeros((poses.n, 6, int(u.free.sum())))
+        out[known] = own.project_columns(seen, columns[:, :, u.free])
+        if not known.all():
+            for place in self._find_new_places(poses, base):
+                out[place.own] = self._compute_columns_at(place, base.take(place.own))
+        return out
+
+    def _compute_columns_at(self, place: NewPlace, base: Poses) -> np.ndarray:
+        """Return prediction columns (n, 6, f) at a new place, without what a change of the place explains."""
+        setup, u = place.poses.setup, self.unknowns
+        seen, twist = (
+            place.frames.measured(base, setup),
+            self.geometry.tool_by_parameter(self.theta, place.poses.q, base),
+        )
+        columns, tool = np.zeros((len(setup), 6, len(u.rows))), u.n_geometry + u.n_device
+        columns[:, :, : u.n_geometry] = place.frames.carried(base, twist, setup)
+        columns[:, :, tool : tool + u.n_tool] = place.frames.columns(base, seen, setup)[1]
+        columns = place.poses.project_columns(seen, columns[:, :, u.free])
+        return np.concatenate([place.remove(columns[:, :3]), np.zeros_like(columns[:, 3:])], axis=1)
 
     def _compute_columns(self, q: np.ndarray, base: Poses, setup: np.ndarray) -> np.ndarray:
         """Return the derivative (N, 6, P) of the target's pose in the device's frame by all unknowns; none by lengths."""

@@ -325,8 +325,9 @@ def find_moved_frames(fitted: GeometryFit, holdout: PoseSet) -> tuple[list[Moved
     A sentence names the directions along which the training poses do not determine a frame, where held-out poses are off.
     """
     found, said, state = [], [], fitted.predict(holdout)
-    for campaign, target in np.unique(holdout.setup, axis=0):
-        own = np.all(holdout.setup == (campaign, target), axis=1) & state.ok
+    known = holdout.device < len(fitted.poses.devices)
+    for campaign, target in np.unique(holdout.setup[known], axis=0):
+        own = np.all(holdout.setup == (campaign, target), axis=1) & known & state.ok
         sees_poses = fitted.poses.frame_kinds[min(campaign, len(fitted.poses.frame_kinds) - 1)] == "pose"
         if own.sum() >= _MIN_POSES and sees_poses:
             where = (

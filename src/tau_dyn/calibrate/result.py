@@ -129,7 +129,7 @@ class Calibration(Shown):
             "weak": list_weak_parameters(self.fit),
             "correlated": list_correlated_pairs(self.fit),
             "frames": build_frame_rows(self.fit),
-            "devices": build_device_rows(self.fit),
+            "devices": build_device_rows(self),
             "orientations": turn_rows(self.fit),
             "sensitivity": compute_sensitivities(self.fit),
             "errors_at_poses": self._errors_at_poses(),
@@ -141,15 +141,18 @@ class Calibration(Shown):
 
         Of a distance or a touch, where the target was is known from the chosen model alone.
         """
-        at, seen = self.at(), self.fit.seen(self.at())
-        turn, shift, _, _ = self.fit.frames.of_each(at.setup)
+        at, fitted = self.at(), self.fit
+        base = fitted.predict(at).base
+        turn, shift = fitted.find_devices(at, base)
+        _, _, target_turn, arm = fitted.frames.of_each(at.setup)
         known = at.as_poses()
         sees = np.array([kind == "pose" for kind in known.kinds])[at.device]
-        position = np.where(sees[:, None], known.position, seen.position)
+        measured = np.einsum("nji,nj->ni", turn, known.position - shift)
+        predicted = base.position + np.einsum("nij,nj->ni", base.rotation, arm)
         error = self.errors(model).position
-        from_camera = -np.einsum("nij,nj->ni", seen.rotation, error)  # a camera on the tool is off the other way
+        from_camera = -np.einsum("nij,nj->ni", turn @ base.rotation @ target_turn, error)  # off the other way
         error = np.where(at.from_tool[:, None], from_camera, error)
-        return tuple(np.einsum("nji,nj->ni", turn, x) for x in (position - shift, error))
+        return np.where(sees[:, None], measured, predicted), np.einsum("nji,nj->ni", turn, error)
 
     def _errors_at_poses(self) -> dict[str, object]:
         """Return where unseen errors stand and every model's errors there [m], in the robot's base frame: what a viewer draws."""
@@ -250,19 +253,17 @@ def build_frame_rows(fitted: GeometryFit) -> list[dict[str, object]]:
     return rows
 
 
-def build_device_rows(fitted: GeometryFit) -> list[dict[str, object]]:
-    """Return name, kind, number of measurements and estimated standard error [m] of each device or fixture."""
-    poses = fitted.poses
-    errors = poses.device_errors or (1.0,) * len(poses.devices)
-    several = fitted.kind == "forward"
+def build_device_rows(found: Calibration) -> list[dict[str, object]]:
+    """Return name, kind, number of fitted measurements and estimated standard error [m] of each device or fixture.
+
+    Places that the held-out measurements alone show have none.
+    """
+    fitted, known = found.fit, found.at()
+    poses, errors = fitted.poses, fitted.poses.device_errors or (1.0,) * len(fitted.poses.devices)
+    noise = [error * fitted.noise[0] if fitted.kind == "forward" else None for error in errors]
     return [
-        {
-            "name": name,
-            "kind": kind,
-            "n": int(np.sum(poses.device == k)),
-            "noise": error * fitted.noise[0] if several else None,
-        }
-        for k, (name, kind, error) in enumerate(zip(poses.devices, poses.kinds, errors, strict=True))
+        {"name": name, "kind": kind, "n": int(np.sum(poses.device == k)), "noise": noise[k] if k < len(noise) else None}
+        for k, (name, kind) in enumerate(zip(known.devices, known.kinds, strict=True))
     ]
 
 

@@ -70,6 +70,26 @@ def estimate_initial_frames(poses: PoseSet, nominal: Predicted, *, tool: bool = 
     return min(settled, key=lambda one: one[1])[0]
 
 
+def place_alone(
+    poses: PoseSet, known: Predicted, targets: tuple[Frame, ...], noise: float | None = None
+) -> DeviceFrames:
+    """Return the place of the one device of poses (N) that comes nearest to known tool poses (N), with targets that are known.
+
+    Args:
+        poses: What the device measured.
+        known: Tool poses in the robot's base frame.
+        targets: Where the targets are on the tool.
+        noise: Standard error of a measurement [m], beyond which a residual counts by its size alone; squares unless given.
+    """
+    position = known.poses.position + np.einsum(
+        "nij,nj->ni", known.poses.rotation, DeviceFrames(tool=targets).of_each(poses.setup)[3]
+    )
+    at = known._replace(poses=Poses(position, known.poses.rotation))
+    found = _place_device(poses, at, known.ok, poses.kinds[0])
+    frames = DeviceFrames(found.device, targets, poses.kinds, found.lengths or (0.0,))
+    return _settle(poses, known.poses, frames, tool=False, noise=noise)[0]
+
+
 def _place_points(poses: PoseSet, base: Poses, frames: DeviceFrames) -> DeviceFrames:
     """Return frames with every hole and ball as a point that the target touches: `p + R p_T + t = 0` is linear."""
     number, target = split_setup(poses.setup)
@@ -89,8 +109,13 @@ def _place_points(poses: PoseSet, base: Poses, frames: DeviceFrames) -> DeviceFr
     return DeviceFrames(tuple(device), tool, frames.kinds, tuple(lengths))
 
 
-def _settle(poses: PoseSet, base: Poses, frames: DeviceFrames, *, tool: bool) -> tuple[DeviceFrames, float]:
-    """Return the frames after a descent at the robot file's dimensions, and the sum of squares that is left [m^2]."""
+def _settle(
+    poses: PoseSet, base: Poses, frames: DeviceFrames, *, tool: bool, noise: float | None = None
+) -> tuple[DeviceFrames, float]:
+    """Return the frames after a descent at known tool poses, and the sum of squares that is left [m^2].
+
+    With a noise, residuals far beyond it count by their size (pseudo-Huber loss).
+    """
     shown = [6 * k + axis for k, kind in enumerate(frames.kinds) for axis in KINDS[kind].axes]
     n, places = len(shown), [6 * k + axis for k in range(len(frames.tool) if tool else 0) for axis in range(3)]
 
@@ -107,7 +132,8 @@ def _settle(poses: PoseSet, base: Poses, frames: DeviceFrames, *, tool: bool) ->
     start = np.zeros(n + len(places) + len(frames.with_length))
     if not len(start) or poses.n * 3 < len(start):
         return frames, float(np.sum(left(start) ** 2))
-    end = least_squares(left, start, method="lm", x_scale=1.0, max_nfev=_MAX_EVALUATIONS * len(start))
+    how = {"method": "lm"} if noise is None else {"method": "trf", "loss": "soft_l1", "f_scale": noise}
+    end = least_squares(left, start, x_scale=1.0, max_nfev=_MAX_EVALUATIONS * len(start), **how)
     return move(end.x), float(2 * end.cost)
 
 

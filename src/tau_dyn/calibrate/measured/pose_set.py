@@ -16,7 +16,9 @@ from tau_dyn.calibrate.measured.kinds import (
     project_columns,
 )
 from tau_dyn.exceptions import InputError
+from tau_dyn.log import format_names
 from tau_dyn.mechanism import Poses
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import Brief
 
 _MAX_JOINT_DIFFERENCE = 1e-6  # [rad or m]; encoders of a standing robot repeat far better
@@ -239,33 +241,77 @@ class PoseSet(Brief):
             out *= np.array(self.device_errors)[self.device, None]
         return out
 
+    def with_devices_of(self, known: PoseSet) -> PoseSet:
+        """Return the set with the devices, and how exact they are, of another whose numbers it follows.
+
+        Devices that the other has not are as exact as its devices of their kind, or else as all.
+        """
+        more = self.devices[len(known.devices) :] if self.device.max(initial=0) >= len(known.devices) else ()
+        kinds, errors = (*known.kinds, *self.kinds[len(known.kinds) :]), known.device_errors
+        if errors and more:
+            by_kind = {kind: error for kind, error in zip(known.kinds, errors, strict=True)}
+            errors = (*errors, *(by_kind.get(kind, 1.0) for kind in kinds[len(errors) :]))
+        return replace(
+            self, devices=(*known.devices, *more), kinds=kinds[: len(known.kinds) + len(more)], device_errors=errors
+        )
+
     def without_rotation(self) -> PoseSet:
         """Return the positions alone."""
         return replace(self, rotation=None)
 
 
 def number_alike(poses: PoseSet, holdout: PoseSet) -> PoseSet:
-    """Return held-out poses with the training poses' numbering of campaigns and targets."""
+    """Return held-out poses with the training poses' numbering of campaigns, targets and devices.
+
+    A distance or a touch at a place that the training poses do not show becomes a further device, with a warning.
+
+    Raises:
+        InputError: A campaign, a target or a tracker is unknown, or a device measures something else.
+    """
     campaign = _renumber(holdout, "campaign", holdout.campaign, holdout.campaigns, poses.campaigns)
     target = _renumber(holdout, "target", holdout.target, holdout.targets, poses.targets)
-    device = _renumber(holdout, "device", holdout.device, holdout.devices, poses.devices)
-    kinds = [poses.kinds[k] for k in dict.fromkeys(device.tolist())]
-    if kinds != [holdout.kinds[k] for k in dict.fromkeys(holdout.device.tolist())]:
-        raise InputError(
-            "mismatch",
-            f"{holdout.source}: its devices measure {', '.join(holdout.kinds)}, those of the training poses "
-            f"{', '.join(poses.kinds)}",
-        )
-    return replace(
+    alone = (
+        len(poses.devices) == len(holdout.devices) == 1
+        and poses.kinds == holdout.kinds
+        and not _can_be_placed(poses.kinds[0])
+    )
+    names = poses.devices if alone else holdout.devices  # one tracker alone is the same one under any name
+    for name, kind in zip(names, holdout.kinds, strict=True):
+        known = dict(zip(poses.devices, poses.kinds, strict=True))
+        if known.get(name, kind) != kind:
+            raise InputError(
+                "mismatch", f"{holdout.source}: device {name} measures {kind}, {known[name]} in the training poses"
+            )
+    new = [(n, kind) for n, kind in zip(names, holdout.kinds, strict=True) if n not in poses.devices]
+    for name, kind in new:
+        if not _can_be_placed(kind):
+            raise _unknown(holdout, "device", name, poses.devices)
+    devices = (*poses.devices, *(name for name, _ in new))
+    said = [CodedWarning("new_place", _describe_new_places([name for name, _ in new], holdout.source))] if new else []
+    numbered = replace(
         holdout,
         campaign=campaign,
         campaigns=poses.campaigns,
         target=target,
         targets=poses.targets,
-        device=device,
-        devices=poses.devices,
-        kinds=poses.kinds,
-        device_errors=poses.device_errors,
+        device=np.array([devices.index(name) for name in names])[holdout.device],
+        devices=devices,
+        kinds=(*poses.kinds, *(kind for _, kind in new)),
+        warnings=(*holdout.warnings, *said),
+    )
+    return numbered.with_devices_of(poses)
+
+
+def _can_be_placed(kind: str) -> bool:
+    """Tell whether measurements of a kind alone show where its device or fixture is."""
+    return kind == "distance" or kind in TOUCHES
+
+
+def _describe_new_places(names: Sequence[str], source: str) -> str:
+    verb, owner = ("is", "its") if len(names) == 1 else ("are", "their")
+    return (
+        f"{source}: {format_names(names)} {verb} not among the training poses; each held-out row there is judged by the place that "
+        f"{owner} other rows show, so an error common to them all is not seen"
     )
 
 
@@ -277,12 +323,16 @@ def _renumber(
         return number
     for name in names:
         if name not in known:
-            raise InputError(
-                "mismatch",
-                f"{holdout.source}: {kind} {name} is not among the training poses' {kind}s ({', '.join(known)}), "
-                "so where it is is unknown",
-            )
+            raise _unknown(holdout, kind, name, known)
     return np.array([known.index(name) for name in names])[number]
+
+
+def _unknown(holdout: PoseSet, kind: str, name: str, known: Sequence[str]) -> InputError:
+    return InputError(
+        "mismatch",
+        f"{holdout.source}: {kind} {name} is not among the training poses' {kind}s ({', '.join(known)}), "
+        "so where it is is unknown",
+    )
 
 
 def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:

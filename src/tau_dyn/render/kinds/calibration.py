@@ -41,7 +41,7 @@ def present_calibration(found: Calibration, *, poses: Sequence[tuple[str, str]] 
         ("held-out poses" if k else "poses", name, sha256 or "not a file") for k, (name, sha256) in enumerate(poses)
     ]
     facts = [("model", found.chosen.name), ("seed", str(found.seed)), ("residual", found.fit.kind)]
-    both, several = r.On.PRINTED, len(found.poses.devices) > 1
+    both, several = r.On.PRINTED, len(found.at().devices) > 1
     findings = [r.Chapter("findings", "Errors of the robot file", lambda: _list_findings(found), both)]
     sections = [
         *warn([r.end_sentence(r.capitalise(text)) for text in found.warnings]),
@@ -132,7 +132,7 @@ def _build_devices(found: Calibration) -> Iterator[r.Element]:
         return format_length(float(np.sqrt(np.nanmean(own**2)))) if len(own) else ""
 
     yield r.tabulate_things(
-        build_device_rows(found.fit),
+        build_device_rows(found),
         r.Column("device", cell=lambda row: str(row["name"])),
         r.Column("measures", style="quiet", cell=lambda row: words.MEASURED_KINDS[str(row["kind"])]),
         r.Column("fitted", "number", cell=lambda row: str(row["n"])),
