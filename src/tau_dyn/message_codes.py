@@ -171,6 +171,10 @@ WARNING_CODES: dict[str, MessageCode] = {
         "a law with a sign or size that no machine has explains poses best",
         "check gravity and masses in the robot file",
     ),
+    "home_searched": MessageCode(
+        "the loops do not close from the robot file's zeros, and a home was searched for",
+        "`<tau_dyn:home>` in the robot file where another assembly mode is meant",
+    ),
     "frame_undetermined": MessageCode(
         "training poses leave open where the device or the target is, so a move cannot be tested",
         "train on poses that turn every joint",

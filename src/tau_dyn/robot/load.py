@@ -28,6 +28,7 @@ from tau_dyn.robot.annotations import (
     Spring,
     read_annotations,
 )
+from tau_dyn.robot.closed_home import close_home
 from tau_dyn.robot.expand import expand, find_robot
 from tau_dyn.robot.floating_base import BASE_COORDINATES, free_base
 from tau_dyn.robot.held_joints import hold_joints
@@ -204,7 +205,7 @@ def load_robot_from_urdf(
         warnings.append("the robot file gives no mass at all; all inertial parameters start from zero")
     kinds = {j: model.joints[model.getJointId(j)].shortname() for j in names}
     units = {j: "kg" if kind.startswith("JointModelP") else "kg m^2" for j, kind in kinds.items()}
-    return Robot(
+    found = Robot(
         name=model.name,
         source=source,
         arguments=dict(arguments or {}),
@@ -233,6 +234,7 @@ def load_robot_from_urdf(
         gear_ratios={t.joint: t.ratio for t in notes.transmissions if t.ratio != 1 and t.joint in names},
         packages=dict(packages or {}),
     )
+    return close_home(found) if loops else found
 
 
 def _require_actuated_springs(actuated: tuple[str, ...], notes: Annotations, where: str) -> tuple[Spring, ...]:

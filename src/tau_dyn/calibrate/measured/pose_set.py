@@ -310,8 +310,8 @@ def _can_be_placed(kind: str) -> bool:
 def _describe_new_places(names: Sequence[str], source: str) -> str:
     verb, owner = ("is", "its") if len(names) == 1 else ("are", "their")
     return (
-        f"{source}: {format_names(names)} {verb} not among the training poses; each held-out row there is judged by the place that "
-        f"{owner} other rows show, so an error common to them all is not seen"
+        f"{source}: {format_names(names)} {verb} not among the training poses; each held-out row there is judged by the place "
+        f"that {owner} other rows show, so an error common to them all is not seen"
     )
 
 
