@@ -257,6 +257,10 @@ _MAX_ROUNDS = 15  # bounds the time of a fit that does not converge
 _MAX_STEPS = 15  # of Gauss-Newton in one round
 _RELATIVE_CHANGE_TOL = 1e-2  # of the noise: what a round may still change
 _SETTLED_NOISE_CHANGE = 0.2  # relative change of the noise below which a round walks to the end
+_SLOW_GAIN = 0.02
+"""Gain of the last round, for each unknown, below which the fit counts as at rest. The sum at the truth is above the minimum by
+about one for each unknown, so that predictions still move by a seventh of their standard errors: a curved valley that poses
+hardly show, such as the target's place on a plate that does not turn."""
 _FREE_FRAMES = 1e3  # how much less than dimensions frames are known beforehand
 _UNIDENTIFIABLE_PRIOR_WEIGHT = 1e5  # prior of parameters that poses cannot tell, in units of 1 / scale
 _FULL_STEPS = 4  # undamped Gauss-Newton steps along a curved valley
@@ -422,9 +426,10 @@ def descend_in_rounds(problem: Problem, robust: str, noise: tuple[float, ...] | 
         r = (problem.residuals(state) / problem.relative)[state.ok]
         first = tuple(max(float(np.sqrt(np.mean(r[:, cut] ** 2))), _MIN_NOISE) for cut in weighted.cuts)
         weighted = replace(weighted, noise=first)
-    steps, near, together = 0, False, True
+    steps, near, together, gain = 0, False, True, np.inf
     for _ in range(_MAX_ROUNDS):
         end = descend(weighted, state, replace(_RULES, max_steps=_MAX_STEPS if near else 3))
+        gain = weighted.gain(state, end.state)
         state, steps = end.state, steps + end.trials
         new = weighted.estimate_noise(state) if noise is None else noise
         change = max(abs(a / b - 1) for a, b in zip(new, weighted.noise, strict=True))
@@ -434,7 +439,7 @@ def descend_in_rounds(problem: Problem, robust: str, noise: tuple[float, ...] | 
         weighted, near = replace(weighted, noise=new), change < _SETTLED_NOISE_CHANGE
         if end.converged and change < _RELATIVE_CHANGE_TOL:
             return Rounds(state, weighted, steps, True)
-    return Rounds(state, weighted, steps, False)
+    return Rounds(state, weighted, steps, near and gain < _SLOW_GAIN * len(weighted.free))
 
 
 def descend_near(weighted: WeightedProblem, state: FitState, max_steps: int) -> FitState:

@@ -18,7 +18,7 @@ from tau_dyn.calibrate.starting_frames import place_alone
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Poses
 
-_FAR = 10.0  # standard errors, or medians of the residuals, beyond which a row does not place the others
+_MAX_DISTANCE = 10.0  # standard errors, or medians of the residuals, beyond which a row does not place the others
 _OPEN = 1e-6  # singular value, over the largest, of a number of the place that its rows do not show
 
 
@@ -104,7 +104,7 @@ def _place_robustly(
         known = Predicted(base.take(kept), kept[kept], np.full(int(kept.sum()), ""))
         placed = place_alone(poses.take(kept), known, targets, robust)
         off = np.linalg.norm(_compute_residuals(poses, base, placed), axis=1)
-        kept = ok & (off < np.maximum(_FAR * noise, _FAR * np.median(off[kept])))
+        kept = ok & (off < np.maximum(_MAX_DISTANCE * noise, _MAX_DISTANCE * np.median(off[kept])))
     assert placed is not None
     found = _leave_out_each(poses, base, kept, placed)
     return None if found is None else (placed, *found, kept)

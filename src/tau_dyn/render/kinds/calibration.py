@@ -20,11 +20,13 @@ from tau_dyn.calibrate import (
 )
 from tau_dyn.calibrate.poses import CalibrationCampaign
 from tau_dyn.evidence import Finding
+from tau_dyn.log import format_names
 from tau_dyn.render.kinds import calibration_words as words
 from tau_dyn.render.kinds.calibration_words import format_angle, format_length
 from tau_dyn.render.kinds.waterfall import WaterfallSeries, WaterfallStep
 from tau_dyn.render.presentation import flatten_rows, present_kind, warn
 
+_MAX_NAMES = 6  # parameters that are listed as equivalent to another
 _MAX_CORRELATED = 12  # pairs listed at most
 _MAX_SENSITIVE = 12  # parameters listed at most
 _MAX_PLANS = 8  # rows of a plan's curve at most
@@ -271,16 +273,23 @@ def _build_geometry(found: Calibration) -> Iterator[r.Element]:
         r.Column("change ± standard error", "number", "strong"), r.Column("", "unit"), r.Column("", "interval"),
     ]  # fmt: skip
     groups: dict[str, list[dict[str, Any]]] = {}
+    held = []
     for row in build_parameter_rows(found.fit):
         owner = str(row["name"]).rpartition(".")[0]
-        if not owner.startswith(("device", "tool")) and row["stderr"] is not None:
+        if owner.startswith(("device", "tool")) or row["stderr"] is None:
+            continue
+        if row["determined"]:
             groups.setdefault(owner, []).append(row)
+        else:
+            held.append(str(row["name"]))
     shown = [(owner, [_build_dimension(row, rows) for row in rows]) for owner, rows in groups.items()]
     yield r.ResultTable(columns, groups=shown, style="geometry")
     yield r.explain(
         "± is one standard error (1 σ). The bar shows the change from nominal with its 95 % interval, each group on "
-        "its own scale. Grey: determined by the robot file more than by these poses."
+        "its own scale."
     )
+    if held:
+        yield r.explain(f"Determined by the robot file more than by these poses: {', '.join(held)}.")
     yield r.Text("Device and target", "heading")
     yield r.tabulate_plainly(map(_list_frame, build_frame_rows(found.fit)))
     yield r.tabulate_things(
@@ -307,7 +316,7 @@ def _build_dimension(row: dict[str, Any], group: list[dict[str, Any]]) -> r.Row:
         or 1e-300
     )
     low, high = ((end - nominal) / reach for end in row["ci95"])
-    bar = r.IntervalBar(max(low, -1.0), min(high, 1.0), change / reach, 0.0, "" if row["determined"] else "weak", True)
+    bar = r.IntervalBar(max(low, -1.0), min(high, 1.0), change / reach, 0.0, "", True)
     said = (
         f"{r.round_to_stderr(factor * change, factor * stderr)} ± {r.round_to_stderr(factor * stderr, factor * stderr)}"
     )
@@ -316,7 +325,7 @@ def _build_dimension(row: dict[str, Any], group: list[dict[str, Any]]) -> r.Row:
         str(row["name"]).rpartition(".")[2], r.format_number(round(times * nominal, 9) + 0.0, 6),
         r.round_to_stderr(times * value, times * stderr), drawing_unit if drawing_unit != "1" else "", said, unit, bar,
     ]  # fmt: skip
-    return r.Row(cells, "" if row["determined"] else "weak")
+    return r.Row(cells)
 
 
 def _choose_unit(unit: str, size: float) -> tuple[float, str]:
@@ -340,7 +349,9 @@ def _build_blind(found: Calibration) -> Iterator[r.Element]:
     identified = found.fit.identifiability
     blind: Any = identified.to_dict()["not_identifiable"]
     if blind:
-        alike = {row["parameter"]: ", ".join(row["depends_on"]) for row in blind}
+        alike = {
+            row["parameter"]: format_names(row["depends_on"], _MAX_NAMES) if row["depends_on"] else "" for row in blind
+        }
         yield r.tabulate_plainly(
             (name, f"equivalent to a change of {others}" if others else "no effect on the tool")
             for name, others in alike.items()
