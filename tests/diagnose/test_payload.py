@@ -12,9 +12,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.diagnose import diagnose, nominal
+from tau_dyn.diagnose import diagnose, nominal, payload
 from tau_dyn.diagnose.nominal import find_parameter_changes
-from tau_dyn.diagnose.payload import compare_with_trusted, compute_body_properties
+from tau_dyn.diagnose.payload import compare_with_trusted, compute_body_properties, find_explanation
 from tau_dyn.evidence import Finding
 from tau_dyn.identify import Choices, Identification, identify
 from tau_dyn.log import Log
@@ -248,3 +248,31 @@ def test_a_file_with_all_bodies_off_has_no_single_cause(robot, judged, factors, 
     if cause == "link_mass":
         assert found[0].joints == ("upper_link",)
         assert_allclose(found[0].parameters[0].value, 0.3 * 6.0, rtol=0.1)
+
+
+@pytest.mark.parametrize(("angle", "places"), [(0.15, ("roll_link",)), (0.6, ())])
+def test_two_links_that_explain_as_much_are_both_named(robot, judged, monkeypatch, angle, places) -> None:
+    """Masses of neighbours change forces almost alike: 10 standard errors tell the two only beyond 16 degrees between them."""
+    fit = identify(robot, [recorded(robot, 3)], model="asymmetric")
+    tip, roll = np.array([1.0, 0.0]), np.array([np.cos(angle), np.sin(angle)])
+    known = compare_with_trusted(robot, fit.nominal, fit.estimate)
+    measured = replace(known, d=-10.0 * tip, S=np.eye(2), S_rough=None, select=known.select[:2])
+    rows = [("link_mass", "tip_link", tip[:, None]), ("link_mass", "roll_link", roll[:, None])]
+    monkeypatch.setattr(payload, "_candidates", lambda *_: rows)
+    monkeypatch.setattr(nominal, "compare_with_trusted", lambda *_: measured)
+    found = find_explanation(robot, measured)
+    assert found is not None and found.place == "tip_link" and found.places == places
+    [finding] = find_parameter_changes(fit.model, fit.nominal, fit.parameters, fit.estimate)
+    assert finding.status == ("suspected" if places else "parameter")
+    assert ("roll_link" in finding.why_not_confirmed) == bool(places)
+
+
+@pytest.mark.parametrize(("margin", "named"), [(7.0, False), (9.0, True)])
+def test_a_rough_file_is_a_rival_of_one_wrong_mass(robot, monkeypatch, margin, named) -> None:
+    """Bodies that are all off a little explain a difference, too: one link is named where it is 50 times as likely."""
+    fit = identify(robot, [recorded(_scaled(robot, (1.0, 1.3, 1.0, 1.0)), 100)], model="asymmetric")
+    difference = compare_with_trusted(robot, fit.nominal, fit.estimate)
+    found = find_explanation(robot, difference)
+    assert found is not None and found.place == "upper_link"
+    monkeypatch.setattr(type(difference), "rough_misfit", property(lambda _: found.penalised + margin))
+    assert (find_explanation(robot, difference) is not None) == named

@@ -8,6 +8,7 @@ many numbers.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -67,7 +68,8 @@ def describe_body_difference(model: Model, nominal: Parameters, estimate: Estima
         return ""
     difference = compare_with_trusted(model.robot, nominal, estimate)
     n = len(difference.d)
-    if not n or find_explanation(model.robot, difference) is not None:
+    explanation = find_explanation(model.robot, difference) if n else None
+    if not n or (explanation is not None and not explanation.places):
         return ""
     share = difference.force_share
     if stats.chi2.sf(difference.misfit, n) >= DIFFERENCE_LEVEL or share < MIN_DIFFERENCE_SHARE:
@@ -84,7 +86,7 @@ def _find_deviations(model: Model, nominal: Parameters, fitted: Parameters, esti
         explanation = find_explanation(model.robot, difference)
         if explanation is not None:
             finding = _build_finding(model, explanation, difference.misfit - explanation.left)
-            return [_suspect_small(finding, difference.force_share)]
+            return [_suspect_small(_suspect_place(finding, explanation.places), difference.force_share)]
     rows = [(p, nominal[p.name]) for p in fitted if _is_known(p, nominal)]
     if not rows:
         return []
@@ -97,6 +99,13 @@ def _find_deviations(model: Model, nominal: Parameters, fitted: Parameters, esti
     if len(off) > 1 and _is_common_factor(ratio, sigma):
         return [_build_gain_finding(ratio, sigma, float(p_values.min()))]
     return [_build_mass_finding(model, *rows[k], float(z[k]), float(p_values[k]), len(rows) == 1) for k in off]
+
+
+def _suspect_place(finding: Finding, places: Sequence[str]) -> Finding:
+    """Return a finding as `suspected` where the same cause at another link or joint explains as much."""
+    if not places:
+        return finding
+    return replace(finding, status="suspected", why_not_confirmed=f"{' or '.join(places)} instead explains as much")
 
 
 def _suspect_small(finding: Finding, share: float) -> Finding:

@@ -12,7 +12,7 @@ robot file; `robot/body_prior.py`). Each explanation has columns `B` and amplitu
 - drive gain: all forces times one factor, so all base parameters.
 
 The explanation with the least misfit for its number of amplitudes is taken, if it explains nearly all of the difference, and is
-likelier than a rough file, in which each body k has a wrong density, `d ~ N(0, S + sum_k (s_k E pi_k) (s_k E pi_k)')`.
+distinguished from a rough file, in which each body k has a wrong density, `d ~ N(0, S + sum_k (s_k E pi_k) (s_k E pi_k)')`.
 Reference: Khalil, Gautier & Lemoine 2007 (identification of the payload inertial parameters).
 """
 
@@ -104,6 +104,7 @@ class Explanation:
         dof: Base parameters less those.
         p: Chance of it, as one of all that were tried.
         twins: Causes that explain as much.
+        places: Other links or joints at which the same cause explains as much.
     """
 
     cause: str
@@ -115,6 +116,7 @@ class Explanation:
     dof: int
     p: float = 1.0
     twins: tuple[str, ...] = ()
+    places: tuple[str, ...] = ()
 
     @property
     def penalised(self) -> float:
@@ -178,17 +180,17 @@ def find_explanation(robot: Robot, difference: BaseParameterDifference) -> Expla
     found = [one for row in _candidates(robot, difference) if (one := _fit(difference, *row)) is not None]
     whole = difference.misfit
     fit = [one for one in found if one.explains(whole) and one.p_value(whole, len(found)) < DIFFERENCE_LEVEL]
-    fit = [one for one in fit if one.penalised < difference.rough_misfit]
-    if not fit:
+    best = min(fit, key=lambda one: one.penalised, default=None)
+    if best is None or best.penalised + MIN_2LOGL_DIFFERENCE >= difference.rough_misfit:
         return None
-    best = min(fit, key=lambda one: one.penalised)
-    near = [
-        one.cause for one in fit if one.penalised < best.penalised + MIN_2LOGL_DIFFERENCE and one.cause != best.cause
-    ]
+    alike = [one for one in fit if one.penalised < best.penalised + MIN_2LOGL_DIFFERENCE]
+    near = [one.cause for one in alike if one.cause != best.cause]
+    places = dict.fromkeys(one.place for one in alike if one.cause == best.cause and one.place != best.place)
     from_file = all(difference.trusted[n].stderr is None for n in robot.parameters.names if n in difference.trusted)
     heavier = best.cause == "payload" and from_file
     extra = ["link_mass"] if heavier or best.cause == "drive_gain" else []  # all masses off alike are all forces off
-    return replace(best, p=best.p_value(whole, len(found)), twins=tuple(dict.fromkeys([*near, *extra])))
+    twins = tuple(dict.fromkeys([*near, *extra]))
+    return replace(best, p=best.p_value(whole, len(found)), twins=twins, places=tuple(places))
 
 
 def compute_body_properties(pi: np.ndarray, R: np.ndarray | None = None, p: np.ndarray | None = None) -> np.ndarray:
