@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate import PoseSet, calibrate, read_poses
 from tau_dyn.calibrate.conventions import FoundReading, find_reading
+from tau_dyn.calibrate.conventions.rigid_fit import measure_misfit
 from tau_dyn.calibrate.conventions.search import is_far_beyond
 from tau_dyn.calibrate.models import RodFamily, Spec, TreeFamily, get_family
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
@@ -190,3 +191,16 @@ def test_three_angles_are_read(robot, tmp_path, names: str, sequence: str, unit:
         poses.position, abs=1e-9
     )
     assert (found is not None) == (sequence == "XYZ")
+
+
+def test_a_tool_that_turns_about_one_axis_is_placed_by_its_positions() -> None:
+    """Shoulder and elbow of a UR5 are parallel: orientations leave a turn about them open, and positions show it."""
+    arm = load_robot("ur5")
+    geometry, rng = build_tree_geometry(arm), np.random.default_rng(4)
+    theta = geometry.parameters.values + 5e-4 * rng.standard_normal(len(geometry.parameters)) * geometry.parameters.free
+    q = np.tile(arm.home, (30, 1))
+    q[:, 1:3] += rng.uniform(-1, 1, (30, 2))
+    poses = simulate_poses(geometry, theta, q, rng, noise=(2e-5, 4e-5), frames=TRACKER)
+    nominal = geometry.forward(geometry.parameters.values, q)
+    found = measure_misfit(poses, nominal.poses, nominal.ok, turns=True)
+    assert found.position < 2e-3 and found.rotation is not None and found.rotation < 2e-3

@@ -3,10 +3,10 @@ r"""The distance between measured poses and a robot of nominal dimensions, with 
     R_m = R_D R R_T,    p_m = p_D + R_D (p + R p_T)
 
 With orientations, `R_D` and `R_T` maximise `sum tr(R_m' R_D R R_T)`, which depends on the poses through one 9 x 9 matrix
-(Procrustes steps in turn, from all 24 quarter turns of the target). With positions alone, `p = A p_m + c - R p_T` is linear in an
-unconstrained `A`, whose nearest rotation is `R_D'`. Both then leave `p_D` and `p_T` to linear least squares. The worst fifth of
-the poses takes no part (least trimmed squares), so that gross outliers do not decide. References: Dornaika & Horaud 1998 (robot
-and world frames); Umeyama 1991; Rousseeuw 1984.
+(Procrustes steps in turn, from all 24 quarter turns of the target); a turn that they do not show is found by the positions.
+With positions alone, `p = A p_m + c - R p_T` is linear in an unconstrained `A`, whose nearest rotation is `R_D'`. Both then
+leave `p_D` and `p_T` to linear least squares. The worst fifth of the poses takes no part (least trimmed squares), so that gross
+outliers do not decide. References: Dornaika & Horaud 1998 (robot and world frames); Umeyama 1991; Rousseeuw 1984.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.frames import align, compute_rotation_between
@@ -31,6 +32,11 @@ _NEWTON_STEPS = 5
 """Gauss-Newton steps from there; they converge quadratically."""
 _BLIND = 1e-6
 """Share of the largest singular value below which a turn of both frames cannot be seen."""
+_WEAK = 0.03
+"""Share of the largest singular value below which positions tell a turn better: orientations 20 mrad off move it by a radian."""
+_TURNS = 24
+"""Starts of a turn about an axis that orientations do not show."""
+_TURN_TOL = 1e-6  # [rad]
 _PROCRUSTES_STEPS = 12
 """Steps of the device's and the target's orientation in turn; the error left falls by a constant factor in each."""
 _MIN_POSES = 8
@@ -132,11 +138,45 @@ def _place(poses: PoseSet, nominal: Poses, used: np.ndarray) -> tuple[np.ndarray
         device, angle = _turn_by_positions(poses.position[used], nominal.take(used)), None
     else:
         device, tool = align_orientations(poses.rotation[used], nominal.rotation[used])
+        device, tool = _turn_about_blind_axis(poses, nominal, used, device, tool)
         angle = np.linalg.norm(compute_rotation_between(poses.rotation, device @ nominal.rotation @ tool), axis=1)
+    return _miss(poses, nominal, used, device), angle
+
+
+def _miss(poses: PoseSet, nominal: Poses, used: np.ndarray, device: np.ndarray) -> np.ndarray:
+    """Return distances (N,) with the device's and the target's places fitted to the poses in use, at the device's orientation."""
     arms, right = device @ nominal.rotation, poses.position - nominal.position @ device.T
     rows = np.concatenate([np.broadcast_to(np.eye(3), arms.shape), arms], axis=2)
     place = np.linalg.lstsq(rows[used].reshape(-1, 6), right[used].ravel(), rcond=None)[0]
-    return np.linalg.norm(right - rows @ place, axis=1), angle
+    return np.linalg.norm(right - rows @ place, axis=1)
+
+
+def _turn_about_blind_axis(
+    poses: PoseSet, nominal: Poses, used: np.ndarray, device: np.ndarray, tool: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return both orientations with their common turn about an axis as the positions ask for, where orientations do not show it.
+
+    A tool that turns about one axis `u` alone, as parallel joints turn it, leaves open `Exp(x u) R_D` with `R_T Exp(-x u')`.
+    """
+    turned = device @ nominal.rotation[used] @ tool
+    rows = np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2).reshape(-1, 6)
+    _, s, vt = np.linalg.svd(rows, full_matrices=False)
+    if s[-1] > _WEAK * s[0]:
+        return device, tool
+    axes = vt[-1].reshape(2, 3) / np.linalg.norm(vt[-1].reshape(2, 3), axis=1, keepdims=True)
+
+    def turn(x: float) -> tuple[np.ndarray, np.ndarray]:
+        return Rotation.from_rotvec(x * axes[0]).as_matrix() @ device, tool @ Rotation.from_rotvec(
+            x * axes[1]
+        ).as_matrix()
+
+    def miss(x: float) -> float:
+        return float(np.sum(_miss(poses, nominal, used, turn(x)[0])[used] ** 2))
+
+    width = 2 * np.pi / _TURNS
+    start = min(width * np.arange(_TURNS), key=miss)
+    end = minimize_scalar(miss, bounds=(start - width, start + width), method="bounded", options={"xatol": _TURN_TOL})
+    return turn(float(end.x))
 
 
 def _turn_by_positions(seen: np.ndarray, nominal: Poses) -> np.ndarray:

@@ -118,14 +118,15 @@ class _Search:
         self.geometry, self.poses, self.limits = geometry, poses, limits
         self.known: dict[frozenset[int], Misfit] = {}
         self.placed: dict[bytes, Predicted] = {}
+        order = np.lexsort((*poses.q.T, poses.campaign))  # rows in another order are the same file
+        self.compared = np.sort(order[:: -(-poses.n // _MAX_POSES)])
 
     def measure(self, reading: Reading) -> Misfit:
         """Return the misfit of a reading."""
         key = frozenset(id(change) for change in reading)
         if key not in self.known:
             poses = apply_reading(reading, self.poses)
-            step = -(-poses.n // _MAX_POSES)
-            poses = poses.take(np.arange(0, poses.n, step)) if step > 1 else poses
+            poses = poses.take(self.compared[self.compared < poses.n])
             try:
                 unit = float(np.prod([change.unit for change in reading]))
                 self.known[key] = self._measure(poses)._replace(unit=unit)
