@@ -19,8 +19,14 @@ from tau_dyn.robot.robot import Robot
 
 _CLOSED = 1e-9  # [m] largest gap of a closed loop
 _ALIKE = 1e-4  # [rad or m] difference of joint positions below which two closures are one
-_STARTS = 60  # at random; a chain of six passive joints with four assembly modes is found by each tenth
+_STARTS = 30  # at random, as a chain of six passive joints with four assembly modes closes from each tenth
+_NEWTON_STEPS = 30  # as many as the solver of loops takes
+_LONGEST_STEP = 0.5  # [m or rad] of a passive joint in one step of Newton's method
+_BLIND = 1e-9  # of the largest singular value, below which a step does not go
+_MAX_CLOSURES = 6  # closures that end the search
+_MAX_EVALUATIONS = 200  # of one descent; one that comes to a closure takes about ten
 _FREE_SLIDE = 1.0  # [m] reach of a slide without limits
+_WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 _NAMED = 6  # joints in a message
 
 
@@ -33,8 +39,10 @@ def close_home(robot: Robot) -> Robot:
     if any(joint.nv != 1 for joint in robot.model.joints[1:]) or not passive:
         return robot
     gap = _Gap(robot)
-    if gap.closes_from_home():
-        return robot
+    x = gap.solve_from_home()
+    if x is not None:
+        far = np.abs(x - gap.home).max() > _LONGEST_STEP
+        return replace(robot, passive_home=gap.name_passive(x)) if far else robot
     for moved in (passive, [*passive, *map(int, robot.active_v)]):
         found = gap.search(moved)
         if found:
@@ -50,6 +58,8 @@ class _Gap:
         share, offset = robot.coupling
         self.share, self.offset = share, offset
         self.home = share @ robot.home + offset
+        self.spread = np.eye(robot.model.nv)  # positions of all joints by each, what follows it included
+        self.spread[:, robot.active_v] = share / robot.drive_scale
         joints = list(robot.model.joints)[1:]
         self.names = {joint.idx_v: name for name, joint in zip(robot.model.names[1:], joints, strict=True)}
         self.turns = np.zeros(robot.model.nv, bool)
@@ -57,10 +67,17 @@ class _Gap:
         for joint in joints:
             self.turns[joint.idx_v] = "JointModelP" not in joint.shortname()
             if joint.nq == 1:
-                self.lower[joint.idx_v] = robot.model.lowerPositionLimit[joint.idx_q]
-                self.upper[joint.idx_v] = robot.model.upperPositionLimit[joint.idx_q]
+                low, high = (
+                    limit[joint.idx_q] for limit in (robot.model.lowerPositionLimit, robot.model.upperPositionLimit)
+                )
+                if low < high:  # equal limits are none, as a URDF writes a joint whose limits nobody gave
+                    self.lower[joint.idx_v], self.upper[joint.idx_v] = low, high
         for name, value in robot.passive_home.items():
             self.home[robot.model.joints[robot.model.getJointId(name)].idx_v] = value
+
+    def name_passive(self, x: np.ndarray) -> dict[str, float]:
+        """Return the positions of the passive joints by name."""
+        return {self.names[k]: float(x[k]) for k in map(int, self.robot.passive_v)}
 
     def measure(self, x: np.ndarray) -> np.ndarray:
         """Return the gaps (3 loops,) [m] at positions of all joints (nv,)."""
@@ -75,23 +92,48 @@ class _Gap:
         rows = self.share.any(axis=1)
         return np.where(rows, placed, x)
 
+    def differentiate(self, x: np.ndarray, moved: list[int]) -> np.ndarray:
+        """Return the gaps' derivative (3 loops, moved) by the positions of some joints, with what follows them."""
+        model, data = self.robot.model, self.data
+        pin.computeJointJacobians(model, data, pin.integrate(model, pin.neutral(model), x))
+        pin.updateFramePlacements(model, data)
+        rows = [
+            pin.getFrameJacobian(model, data, loop.frame_a, _WORLD)[:3]
+            - pin.getFrameJacobian(model, data, loop.frame_b, _WORLD)[:3]
+            for loop in self.robot.loops
+        ]
+        return np.concatenate(rows) @ self.spread[:, moved]
+
     def descend(self, start: np.ndarray, moved: list[int]) -> np.ndarray | None:
         """Return the closure (nv,) that least squares over some joints reaches, None where gaps are left."""
 
-        def left(part: np.ndarray) -> np.ndarray:
+        def place(part: np.ndarray) -> np.ndarray:
             x = start.copy()
             x[moved] = part
-            return self.measure(self.follow(x))
+            return self.follow(x)
 
-        end = least_squares(left, start[moved], xtol=1e-15, ftol=1e-15, gtol=1e-15)
-        x = start.copy()
-        x[moved] = end.x
-        x = self.follow(x)
+        end = least_squares(
+            lambda part: self.measure(place(part)),
+            start[moved],
+            lambda part: self.differentiate(place(part), moved),
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-15,
+            max_nfev=_MAX_EVALUATIONS,
+        )
+        x = place(end.x)
         return x if np.abs(self.measure(x)).max() < _CLOSED else None
 
-    def closes_from_home(self) -> bool:
-        """Tell whether the passive joints close the loops from the file's home."""
-        return self.descend(self.home, [int(k) for k in self.robot.passive_v]) is not None
+    def solve_from_home(self) -> np.ndarray | None:
+        """Return the closure (nv,) to which Newton's method leads the passive joints from the file's home; None where to none."""
+        x, moved = self.home.copy(), [int(k) for k in self.robot.passive_v]
+        for _ in range(_NEWTON_STEPS):
+            gap = self.measure(x)
+            if np.abs(gap).max() < _CLOSED:
+                return x
+            step = -np.linalg.pinv(self.differentiate(x, moved), rcond=_BLIND) @ gap
+            x[moved] += step * min(1.0, _LONGEST_STEP / max(np.abs(step).max(), 1e-300))
+        return None
 
     def search(self, moved: list[int]) -> list[np.ndarray]:
         """Return closures (nv,) within the limits, the nearest to the file's home first."""
@@ -101,12 +143,15 @@ class _Gap:
             x = None if x is None else self._wrap(x)
             if x is not None and all(np.abs(x - other).max() > _ALIKE for other in found):
                 found.append(x)
+            if len(found) == _MAX_CLOSURES:
+                break
         return sorted(found, key=lambda x: (round(float(np.sum((x - self.home)[moved] ** 2)), 6), *(-x).tolist()))
 
     def _list_starts(self, moved: list[int]) -> Iterator[np.ndarray]:
         """Yield starts (nv,): near the home first, then all over the limits."""
         rng, reach = np.random.default_rng(0), np.where(self.turns, np.pi, _FREE_SLIDE)
         lower, upper = np.maximum(self.lower, self.home - reach), np.minimum(self.upper, self.home + reach)
+        yield self.home
         for share in np.linspace(0.1, 1.0, _STARTS):
             x, at = self.home.copy(), self.home[moved]
             low, high = (at + share * (end[moved] - at) for end in (lower, upper))
@@ -126,7 +171,7 @@ class _Gap:
 def _with_home(gap: _Gap, found: list[np.ndarray], moved: list[int]) -> Robot:
     """Return the robot with the first closure as its home."""
     robot, first = gap.robot, found[0]
-    passive = {gap.names[k]: float(first[k]) for k in map(int, robot.passive_v)}
+    passive = gap.name_passive(first)
     actuated = first[robot.active_v] / robot.drive_scale
     shown = {gap.names[k]: f"{first[k]:.4g} {'rad' if gap.turns[k] else 'm'}" for k in moved}
     listed = ", ".join(f"{name} = {value}" for name, value in list(shown.items())[:_NAMED])

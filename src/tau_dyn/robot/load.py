@@ -32,6 +32,7 @@ from tau_dyn.robot.closed_home import close_home
 from tau_dyn.robot.expand import expand, find_robot
 from tau_dyn.robot.floating_base import BASE_COORDINATES, free_base
 from tau_dyn.robot.held_joints import hold_joints
+from tau_dyn.robot.loop_file import add_loops, find_loop_file
 from tau_dyn.robot.numbers import MAX_NUMBER, check_inertia
 from tau_dyn.robot.robot import NO_DRIVE, NOT_GIVEN, LinkInertia, Loop, Robot, get_inertial_parameters
 from tau_dyn.robot.semantics import find_srdf, read_passive_joints
@@ -97,6 +98,8 @@ def load_robot(
     given = {k: str(v) for k, v in {**described.arguments, **arguments, **named}.items()}
     folders = {**described.packages, **(packages or {})}
     urdf = expand(path, given, evaluate=xacro, packages=folders)
+    if (loops := find_loop_file(path)) is not None:
+        urdf = add_loops(urdf, loops)
     if fitted_inertias:
         urdf = re.sub(r"</robot>\s*$", f"{FITTED}</robot>", urdf)
     if hold:
