@@ -21,7 +21,7 @@ _CLOSED = 1e-9  # [m] largest gap of a closed loop
 _ALIKE = 1e-4  # [rad or m] difference of joint positions below which two closures are one
 _STARTS = 30  # at random, as a chain of six passive joints with four assembly modes closes from each tenth
 _NEWTON_STEPS = 30  # as many as the solver of loops takes
-_LONGEST_STEP = 0.5  # [m or rad] of a passive joint in one step of Newton's method
+_MAX_STEP = 0.5  # [m or rad] of a passive joint in one step of Newton's method
 _BLIND = 1e-9  # of the largest singular value, below which a step does not go
 _MAX_CLOSURES = 6  # closures that end the search
 _MAX_EVALUATIONS = 200  # of one descent; one that comes to a closure takes about ten
@@ -41,7 +41,7 @@ def close_home(robot: Robot) -> Robot:
     gap = _Gap(robot)
     x = gap.solve_from_home()
     if x is not None:
-        far = np.abs(x - gap.home).max() > _LONGEST_STEP
+        far = np.abs(x - gap.home).max() > _MAX_STEP
         return replace(robot, passive_home=gap.name_passive(x)) if far else robot
     for moved in (passive, [*passive, *map(int, robot.active_v)]):
         found = gap.search(moved)
@@ -132,7 +132,7 @@ class _Gap:
             if np.abs(gap).max() < _CLOSED:
                 return x
             step = -np.linalg.pinv(self.differentiate(x, moved), rcond=_BLIND) @ gap
-            x[moved] += step * min(1.0, _LONGEST_STEP / max(np.abs(step).max(), 1e-300))
+            x[moved] += step * min(1.0, _MAX_STEP / max(np.abs(step).max(), 1e-300))
         return None
 
     def search(self, moved: list[int]) -> list[np.ndarray]:
