@@ -67,11 +67,8 @@ class _Gap:
         for joint in joints:
             self.turns[joint.idx_v] = "JointModelP" not in joint.shortname()
             if joint.nq == 1:
-                low, high = (
-                    limit[joint.idx_q] for limit in (robot.model.lowerPositionLimit, robot.model.upperPositionLimit)
-                )
-                if low < high:  # equal limits are none, as a URDF writes a joint whose limits nobody gave
-                    self.lower[joint.idx_v], self.upper[joint.idx_v] = low, high
+                self.lower[joint.idx_v] = robot.model.lowerPositionLimit[joint.idx_q]
+                self.upper[joint.idx_v] = robot.model.upperPositionLimit[joint.idx_q]
         for name, value in robot.passive_home.items():
             self.home[robot.model.joints[robot.model.getJointId(name)].idx_v] = value
 

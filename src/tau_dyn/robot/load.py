@@ -279,6 +279,9 @@ def _build_model(urdf: str, where: str) -> pin.Model:
             "robot_structure",
             f"{where}: its joints have {model.nv} degrees of freedom; a robot has {MAX_DEGREES_OF_FREEDOM} at most",
         )
+    none = model.lowerPositionLimit == model.upperPositionLimit  # a URDF's limits are zero where they are not given
+    model.lowerPositionLimit = np.where(none, -np.inf, model.lowerPositionLimit)
+    model.upperPositionLimit = np.where(none, np.inf, model.upperPositionLimit)
     model.lowerPositionLimit = np.clip(model.lowerPositionLimit, -MAX_NUMBER, MAX_NUMBER)
     model.upperPositionLimit = np.clip(model.upperPositionLimit, -MAX_NUMBER, MAX_NUMBER)
     return model
