@@ -29,7 +29,7 @@ from tau_dyn.calibrate.poses.fixtures import Fixture, FixtureSet, find_touches
 from tau_dyn.calibrate.poses.monte_carlo import MonteCarloCalibration, require_accuracy, simulate_calibrations
 from tau_dyn.calibrate.poses.reachable import (
     WANTED,
-    Candidates,
+    MeasurablePoses,
     Reachable,
     Safety,
     Visible,
@@ -249,7 +249,7 @@ def _find_candidates(
     check: PathCheck,
     demands: PoseRequirements,
     safety: Safety,
-) -> Candidates:
+) -> MeasurablePoses:
     """Return the poses that one device sees, or at which the target touches a fixture."""
     around = demands.surroundings
     if isinstance(device, Fixture):
@@ -261,10 +261,10 @@ def _find_candidates(
     visible = find_visible(device, reach, around, check.machine if demands.collisions else None)
     q, tool = reach.q[visible.index], reach.tool.take(visible.index)
     noise = device.covariance(tool)
-    return Candidates(q, q, tool, noise if device.turned else noise[:, :3, :3], visible.index, visible.reasons)
+    return MeasurablePoses(q, q, tool, noise if device.turned else noise[:, :3, :3], visible.index, visible.reasons)
 
 
-def _name_reasons(fixtures: Sequence[Fixture], parts: Sequence[Candidates]) -> dict[str, int]:
+def _name_reasons(fixtures: Sequence[Fixture], parts: Sequence[MeasurablePoses]) -> dict[str, int]:
     """Return why candidates are none, of several fixtures with the name of each."""
     if not fixtures:
         return parts[0].reasons

@@ -32,7 +32,7 @@ from tau_dyn.calibrate.measured import KINDS, TOUCHES, PoseSet, find_directions
 from tau_dyn.calibrate.measured.kinds import project_columns
 from tau_dyn.calibrate.poses.camera import FilePart, build_target_frame
 from tau_dyn.calibrate.poses.devices import SEEN, transform_to_base, transform_to_device
-from tau_dyn.calibrate.poses.reachable import Candidates, Reachable, Safety
+from tau_dyn.calibrate.poses.reachable import MeasurablePoses, Reachable, Safety
 from tau_dyn.calibrate.poses.tour import PathCheck
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.files import read_yaml
@@ -43,7 +43,7 @@ from tau_dyn.mechanism import Poses
 PLANNED = ("distance", *TOUCHES)
 """Kinds of fixtures in a file."""
 _STEPS = 40  # of Newton's method; it needs about eight
-_LONGEST_STEP = 0.3  # [m or rad] of a joint; longer ones leave the neighbourhood
+_MAX_STEP = 0.3  # [m or rad] of a joint; longer ones leave the neighbourhood
 _TOUCHES_M = 1e-9  # [m] gap at which the target touches
 _BEHIND_M = 1e-6  # [m] by which the tool frame may lie behind the surface: rounding
 _MIN_RETRACT_M = 0.02
@@ -219,7 +219,7 @@ def reach_fixtures(
         twist = frames.carried(found.poses, geometry.tool_by_joint(theta, q, found.poses), poses.setup)[:, :3]
         slope = np.nan_to_num(project_columns(poses.kinds, poses.device, seen.position, twist))
         step = (np.linalg.pinv(slope, rcond=1e-3) @ miss[:, :, None])[:, :, 0]
-        q = q + step * np.minimum(1.0, _LONGEST_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
+        q = q + step * np.minimum(1.0, _MAX_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
     return q, ok & (gap < _TOUCHES_M)
 
 
@@ -230,7 +230,7 @@ def find_touches(
     check: PathCheck,
     demands: PoseRequirements,
     safety: Safety,
-) -> Candidates:
+) -> MeasurablePoses:
     """Return joint positions at which the nominal robot touches a fixture and may do so, from those in reach.
 
     Args:
@@ -278,7 +278,7 @@ def find_touches(
             f"{reasons[word]} of them)",
             f"another place for {fixture.name}, its right normal and target, or smaller safety distances",
         )
-    return Candidates(q[good], before[good], tool.take(good), fixture.covariance(tool.take(good)), good, reasons)
+    return MeasurablePoses(q[good], before[good], tool.take(good), fixture.covariance(tool.take(good)), good, reasons)
 
 
 def _is_behind(fixture: Fixture, tool: np.ndarray) -> np.ndarray:

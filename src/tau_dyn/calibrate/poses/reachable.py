@@ -311,7 +311,7 @@ _HELP = {
 
 
 @dataclass(frozen=True, eq=False)
-class Candidates:
+class MeasurablePoses:
     """Poses that one device or fixture may measure.
 
     Attributes:
