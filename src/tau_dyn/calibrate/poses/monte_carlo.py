@@ -129,7 +129,7 @@ def simulate_calibrations(
     for k, rng in enumerate(np.random.default_rng(seed).spawn(runs), start=1):
         progress(f"simulated calibration {k} of {runs}")
         theta = draw_robot(geometry, np.vstack([choice.q, design.workspace]), design.unknowns.scales[:p], rng)
-        start = None if device_free else device.frames
+        start = None if device_free and tool_free else device.frames
         fit = partial(fit_geometry_to_poses, geometry, device=device_free, tool=tool_free)
         try:
             if isinstance(device, FixtureSet):
