@@ -1,7 +1,7 @@
 """From a robot file and a measuring device to a campaign that is ready to run (thesis 5.6, Figure 5.21).
 
-workspace -> safety distances, obstacles -> what the device sees or the target touches -> choice of poses -> simulated calibration
--> tour -> files
+workspace -> safety distances, obstacles -> poses in sight or in touch -> choice of poses -> simulated calibration -> tour
+-> files
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class CalibrationCampaign:
 
     @property
     def cells(self) -> tuple[dict[str, str], ...]:
-        """What a file of measurements states of the device or fixture at each place of the tour; nothing on the way."""
+        """Cells of a measurement file that name the device or fixture at each place of the tour; none on the way."""
         if not isinstance(self.device, FixtureSet):
             return ()
         known = self.device.get_cells(self.choice.poses)

@@ -56,7 +56,7 @@ def format_rapid_module(
         name: Of the module.
         wait: Time to settle before measuring [s].
         speed: RAPID speed data.
-        cells: What the file of measurements states of the device or fixture at each place, as `FixtureSet.get_cells`.
+        cells: Cells of a measurement file that name the device or fixture at each place, as `FixtureSet.get_cells`.
 
     Raises:
         InputError: More than twelve joints, a name that RAPID does not take, or nothing to drive to.
@@ -155,7 +155,7 @@ class CampaignProgress:
         state: `open`, `measured` or `missed` of each place; of places on the way `open` or `passed`.
         position: Measured positions (k, 3) [m], nan where there are none.
         rotation: Measured orientations (k, 3, 3), nan where there are none.
-        cells: What a file of measurements states of the device or fixture at each place, empty where there is one device.
+        cells: Cells of a measurement file that name the device or fixture at each place, empty where there is one device.
     """
 
     actuated: tuple[str, ...]

@@ -89,7 +89,7 @@ class PoseDesign:
 
     @property
     def variance(self) -> float:
-        """Mean variance of a measurement [m^2]: of a position, or along what is measured."""
+        """Mean variance of a measurement [m^2]: of a position, or of the number along its direction."""
         return float(np.mean(np.trace(self.noise[:, :3, :3], axis1=1, axis2=2) * self.poses.numbers / 3))
 
     @property

@@ -47,6 +47,7 @@ _MAX_STEP = 0.3  # [m or rad] of a joint; longer ones leave the neighbourhood
 _TOUCHES_M = 1e-9  # [m] gap at which the target touches
 _BEHIND_M = 1e-6  # [m] by which the tool frame may lie behind the surface: rounding
 _SAME_JOINTS = 1e-4  # [m or rad] below which two touches are one: three axes reach a hole in one way
+_MAX_APPROACH = 0.5  # [m or rad] of a joint on the last move; longer ones come from elsewhere
 _MIN_RETRACT_M = 0.02
 """Least distance from which a fixture is approached [m]: nominal dimensions are off by about 10 mm."""
 
@@ -95,7 +96,7 @@ class Fixture:
 
     @property
     def cells(self) -> dict[str, str]:
-        """What a file of measurements states of it, by column."""
+        """Cells of a measurement file that name it, by column."""
         return {"device" if self.kind == "distance" else self.kind: self.label}
 
     def reasons(self, tool: Poses) -> np.ndarray:
@@ -163,12 +164,12 @@ class FixtureSet:
         )
 
     def get_cells(self, poses: PoseSet) -> list[dict[str, str]]:
-        """Return the cells that tell what is measured at each pose."""
+        """Return the cells of a measurement file that name the fixture and the target of each pose."""
         target = [{"target": poses.targets[k]} if len(poses.targets) > 1 else {} for k in poses.target]
         return [self.fixtures[k].cells | more for k, more in zip(poses.device, target, strict=True)]
 
     def simulate(self, geometry: Geometry, theta: np.ndarray, poses: PoseSet, rng: np.random.Generator) -> PoseSet:
-        """Return what is measured of a robot with parameters `theta` (p,) at planned poses; touches are reached by jogging.
+        """Return measurements of a robot with parameters `theta` (p,) at planned poses; touches are reached by jogging.
 
         Raises:
             CannotAnswer: The robot does not reach a fixture from where it is planned.
@@ -259,7 +260,7 @@ def find_touches(
         ("out of reach", lambda left: ~ok[left]),
         ("actuator limit", lambda left: ~((q[left] >= low + room) & (q[left] <= high - room)).all(axis=1)),
         ("tool behind the surface", lambda left: _is_behind(fixture, tool.position[left])),
-        ("no way back from it", lambda left: ~free[left]),
+        ("no way back from it", lambda left: ~(free & (np.abs(before - q).max(axis=1) < _MAX_APPROACH))[left]),
         ("", lambda left: near.reasons(q[left])),
         ("", lambda left: check.reasons(before[left])),
         ("", lambda left: np.array(near.blocked(before[left], q[left]), dtype=object)),
@@ -316,7 +317,7 @@ _KEYS = {
     "plane": ("normal", "obstacle"),
     "sphere": ("radius", "obstacle"),
 }
-"""What a fixture of each kind may state besides kind, name, position, noise and target."""
+"""Keys of each kind besides kind, name, position, noise and target."""
 
 
 def _read_fixture(content: Any, where: str, target: np.ndarray) -> Fixture:
