@@ -107,6 +107,7 @@ ROBOTS = (
     Reader("surroundings", ".yaml", of(seeds.SURROUNDINGS), YAML, _surroundings),
     Reader("camera", ".yaml", of(seeds.CAMERA), YAML, by_name("calibrate.poses.camera", "read_camera")),
     Reader("tracker", ".yaml", of(seeds.TRACKER), YAML, by_name("calibrate.poses.camera", "read_tracker")),
+    Reader("fixtures", ".yaml", of(seeds.FIXTURES), YAML, by_name("calibrate.poses.fixtures", "read_fixtures")),
     Reader("errors", ".yaml", of(seeds.ERRORS), YAML,
            by_name("kinematics.accuracy.error_bounds", "read_errors_file", ("axis",), ("rod1", "rod2"))),
     Reader("cameras", ".yaml", of(seeds.CAMERAS), YAML, by_name("vision.cameras", "read_cameras")),

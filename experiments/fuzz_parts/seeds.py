@@ -187,6 +187,12 @@ TRACKER = b"""tracker: {position: [5, -0.6, 1], noise: 10e-6, noise_per_metre: 5
 reflector: {position: [0, 0, 0], normal: [1, 0, 0], orientation_noise: 50e-6}
 limits: {distance: [0.5, 30], incidence: 30, elevation: [-45, 45]}
 """
+FIXTURES = b"""target: [0, 0, 0.1]
+fixtures:
+  - {kind: distance, name: wire, position: [1.5, 0.2, 0.4], noise: 20e-6}
+  - {kind: hole, name: A, position: [0.6, 0.1, 0.2], normal: [0, 0, 1], noise: 30e-6, obstacle: table}
+  - {kind: sphere, name: ball, position: [0.4, -0.3, 0.3], radius: 0.0127, noise: 20e-6, target: [0.02, 0, 0.1]}
+"""
 ERRORS = b"""actuators: {all: 0.0001, axis: {along: 0.0001, across: 0.0002}}
 rods: {}
 """

@@ -231,11 +231,18 @@ def compute_size_slope(geometry: Geometry, q: np.ndarray) -> np.ndarray:
     frames, setup = DeviceFrames(), np.zeros(len(base.position), int)
     twist = geometry.tool_by_parameter(geometry.parameters.values, q[at.ok], base)
     rows = np.concatenate([twist, *frames.columns(base, base, setup)], axis=2).reshape(6 * len(setup), -1)
-    _, s, vt = np.linalg.svd(rows * np.concatenate([np.array(geometry.parameters.free, float), np.ones(12)]))
+    rows = rows * np.concatenate([np.array(geometry.parameters.free, float), np.ones(12)])
+    rows = np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
+    _, s, vt = np.linalg.svd(rows)
     blind = vt[np.sum(s > _BLIND * s[0]) :, : len(nominal)]
     slope = nominal - np.linalg.pinv(blind, rcond=1e-6) @ (blind @ nominal)
     along = float(slope @ nominal)
     return slope / along if along > _BLIND * float(nominal @ nominal) else np.zeros(len(nominal))
+
+
+def get_blind_limit(poses: PoseSet) -> float:
+    """Return the singular value of scaled, whitened columns below which a combination counts as blind; 0 is rounding alone."""
+    return 0.0 if poses.as_poses().shows_frames else _BARELY
 
 
 def _require_square(slope: np.ndarray) -> np.ndarray:
@@ -391,9 +398,8 @@ class WeightedProblem:
         columns = self.columns(state, self.whiten(state)[1]).reshape(self.sigma.size, len(self.free))
         priority = u.priority[self.free]
         known = np.diag(1 / self.scales)[priority == KNOWN_BEFOREHAND]
-        names, rows, poses = tuple(u.names[k] for k in self.free), np.vstack([columns, known]), self.problem.poses
-        plain = poses.as_poses().measures_poses and len(poses.devices) == 1
-        return find_identifiable(rows, names, self.scales, priority, 0.0 if plain else _BARELY)
+        names, rows = tuple(u.names[k] for k in self.free), np.vstack([columns, known])
+        return find_identifiable(rows, names, self.scales, priority, get_blind_limit(self.problem.poses))
 
     def compute_covariance(self, state: FitState, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return weights (N,), whitened columns of the kept unknowns (N, m, r) and the covariance of the free ones (f, f)."""

@@ -182,6 +182,7 @@ def plan_poses(
     weighted: bool = False,
     camera: Annotated[Path | None, Parameter(group=_DEVICE, metavar="FILE.yaml")] = None,
     tracker: Annotated[Path | None, Parameter(group=_DEVICE, metavar="FILE.yaml")] = None,
+    fixtures: Annotated[Path | None, Parameter(group=_DEVICE, metavar="FILE.yaml")] = None,
     obstacles: Annotated[Path | None, Parameter(group=_DEMANDS, metavar="FILE.yaml")] = None,
     no_collisions: Annotated[bool, Parameter(group=_DEMANDS)] = False,
     safety: Annotated[args.NotNegative, Parameter(group=_DEMANDS, metavar="M")] = 0.05,
@@ -208,6 +209,7 @@ def plan_poses(
         weighted: The fit will weigh each pose by the device's covariance there
         camera: Camera and pattern
         tracker: Laser tracker and reflector
+        fixtures: Points from which distances are measured; holes, planes and balls that the target touches
         obstacles: obstacles, safety zones, limits of the tool
         no_collisions: Let the robot pass through itself
         safety: From obstacles and the workspace's border [m]
@@ -224,10 +226,11 @@ def plan_poses(
         return _go_on(robot, robot_options, resume, demands, out, rapid)
     with show_progress(output.quiet) as step:
         step("loading")
-        from tau_dyn.calibrate.poses import Safety, plan_campaign, read_camera, read_tracker
+        from tau_dyn.calibrate.poses import Safety, plan_campaign, read_camera, read_fixtures, read_tracker
 
         machine = robot_options.load(robot)
-        device = read_camera(camera) if camera is not None else read_tracker(tracker) if tracker is not None else None
+        readers = ((camera, read_camera), (tracker, read_tracker), (fixtures, read_fixtures))
+        device = next((read(path) for path, read in readers if path is not None), None)
         plan = plan_campaign(
             machine,
             device,
@@ -250,7 +253,7 @@ def plan_poses(
     return Outcome(
         result=plan.to_dict(),
         warnings=[*machine.warnings, *plan.warnings],
-        inputs=[*robot_options.list_files(robot), camera, tracker, obstacles],
+        inputs=[*robot_options.list_files(robot), camera, tracker, fixtures, obstacles],
         found=plan,
         files=files,
         named={"places": out, "RAPID": rapid, "progress": resume},
@@ -267,14 +270,17 @@ def _go_on(
     machine = options.load(robot)
     now = read_progress(resume, machine.actuated)
     q, pose = now.q[now.left], now.pose[now.left]
+    cells = [now.cells[k] for k in now.left] if now.cells else []
     check = PathCheck(build_machine(machine), demands)
     done = {state: now.state.count(state) for state in ("measured", "missed")}
     left = int((pose >= 0).sum())
     files = _build_files(
         out,
-        lambda: format_tour_csv(q, pose, machine.actuated),
+        lambda: format_tour_csv(q, pose, machine.actuated, cells),
         rapid,
-        lambda: format_rapid_module(q, pose, check.poses(q)[0], machine.joint_kinds, actuated=machine.actuated),
+        lambda: format_rapid_module(
+            q, pose, check.poses(q)[0], machine.joint_kinds, actuated=machine.actuated, cells=cells
+        ),
     )
     said = f"{done['measured']} poses measured, {done['missed']} not seen, {left} left"
     return Outcome(

@@ -143,6 +143,11 @@ class PoseSet(Brief):
         return all(kind == "pose" for kind in self.kinds)
 
     @property
+    def shows_frames(self) -> bool:
+        """Whether one device measures poses or positions, in a frame of its own that they show."""
+        return self.measures_poses and len(self.devices) == 1
+
+    @property
     def touches(self) -> np.ndarray:
         """Whether each measurement is that the target touches something (N,)."""
         return np.array([kind in TOUCHES for kind in self.kinds])[self.device]

@@ -42,7 +42,7 @@ def read_poses(
     came, and without them the order of the file does.
 
     A row may give something else than a position: `distance_tool` [m] from the point that `device` names, or the name of what
-    the target touches in a column `hole`, `plane` or `sphere`.
+    the target touches in a column `hole`, `plane` or `sphere`. Places on the way of a plan (`pose` 0) are left out.
 
     Args:
         path: File.
@@ -59,6 +59,7 @@ def read_poses(
     table = _follow_mimics(table, mimics or {})
     table = name_pose_columns(table, actuated)
     _check_columns(table, actuated)
+    table = _leave_out_ways(table)
     q = np.column_stack([_numbers(table, f"q_{joint}") for joint in actuated])
     position, device, devices, kinds = _read_measurements(table)
     campaign, campaigns = _number_words(table, "campaign")
@@ -93,6 +94,18 @@ def read_poses(
     if np.median(np.abs(position).max(axis=1)) < _MAX_ROOM_M:  # else the whole file has another unit
         check_units(poses)
     return poses
+
+
+def _leave_out_ways(table: Table) -> Table:
+    """Return the table without the places of a plan where nothing is measured: `pose` 0 and no measurement."""
+    if "pose" not in table.cells:
+        return table
+    given = np.zeros(table.n_rows, bool)
+    for name in (*POSITION, DISTANCE, *TOUCHES):
+        if name in table.cells:
+            given |= [not is_blank(cell) for cell in table.cells[name]]
+    on_the_way = np.array([str(cell).strip() in ("0", "0.0") for cell in table.cells["pose"]], bool) & ~given
+    return table.take_rows(np.flatnonzero(~on_the_way)) if on_the_way.any() else table
 
 
 def _read_measurements(table: Table) -> tuple[np.ndarray, np.ndarray, tuple[str, ...], tuple[str, ...]]:

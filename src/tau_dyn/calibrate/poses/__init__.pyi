@@ -15,5 +15,6 @@ from .choice import (
     compute_min_poses as compute_min_poses,
 )
 from .devices import MeasuringDevice as MeasuringDevice, UniformDevice as UniformDevice
+from .fixtures import Fixture as Fixture, FixtureSet as FixtureSet, read_fixtures as read_fixtures
 from .reachable import Safety as Safety
 from .tour import PathCheck as PathCheck

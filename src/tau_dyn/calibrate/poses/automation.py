@@ -1,6 +1,6 @@
 """From a robot file and a measuring device to a campaign that is ready to run (thesis 5.6, Figure 5.21).
 
-workspace -> safety distances, obstacles -> what the device sees -> choice of poses -> simulated calibration -> tour
+workspace -> safety distances, obstacles -> poses in sight or in touch -> choice of poses -> simulated calibration -> tour
 -> files
 """
 
@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from tau_dyn.calibrate.geometry import Geometry
-from tau_dyn.calibrate.measured import PoseSet
+from tau_dyn.calibrate.measured import TOUCHES, PoseSet
 from tau_dyn.calibrate.models import get_family
 from tau_dyn.calibrate.poses.camera import Camera
 from tau_dyn.calibrate.poses.campaign_files import (
@@ -25,9 +25,18 @@ from tau_dyn.calibrate.poses.campaign_files import (
 from tau_dyn.calibrate.poses.choice import PoseChoice, choose_from, predict
 from tau_dyn.calibrate.poses.design import build_design
 from tau_dyn.calibrate.poses.devices import MeasuringDevice, UniformDevice
+from tau_dyn.calibrate.poses.fixtures import Fixture, FixtureSet, find_touches
 from tau_dyn.calibrate.poses.monte_carlo import MonteCarloCalibration, require_accuracy, simulate_calibrations
-from tau_dyn.calibrate.poses.reachable import WANTED, Reachable, Safety, Visible, find_reachable, find_visible
-from tau_dyn.calibrate.poses.tour import PathCheck, Tour, plan_tour
+from tau_dyn.calibrate.poses.reachable import (
+    WANTED,
+    MeasurablePoses,
+    Reachable,
+    Safety,
+    Visible,
+    find_reachable,
+    find_visible,
+)
+from tau_dyn.calibrate.poses.tour import PathCheck, Tour, approach_poses, plan_tour
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.kinematics.workspace import PoseRequirements, build_machine
 from tau_dyn.mechanism import Poses
@@ -48,7 +57,7 @@ class CalibrationCampaign:
         robot: The robot.
         device: What measures.
         reachable: Where the robot may be.
-        visible: What of it the device sees.
+        visible: Which of it the device sees, or leads to a touch.
         choice: The chosen poses and what they will give.
         rehearsal: Simulated calibrations with them.
         tour: Their order, and places on the way.
@@ -57,7 +66,7 @@ class CalibrationCampaign:
     """
 
     robot: Robot
-    device: MeasuringDevice
+    device: MeasuringDevice | FixtureSet
     reachable: Reachable
     visible: Visible
     choice: PoseChoice
@@ -66,9 +75,31 @@ class CalibrationCampaign:
     check: PathCheck
     warnings: tuple[str, ...]
 
+    @property
+    def cells(self) -> tuple[dict[str, str], ...]:
+        """Cells of a measurement file that name the device or fixture at each place of the tour; none on the way."""
+        if not isinstance(self.device, FixtureSet):
+            return ()
+        known = self.device.get_cells(self.choice.poses)
+        return tuple(known[k] if k >= 0 else {} for k in self.tour.pose)
+
+    def count_by_device(self) -> list[dict[str, Any]]:
+        """Return the name and kind of each device or fixture, and its candidates and chosen poses."""
+        every, chosen = self.choice.design.poses, self.choice.poses
+        names = every.devices if isinstance(self.device, FixtureSet) else (self.device.name,)
+        return [
+            {
+                "name": name,
+                "kind": kind,
+                "candidates": int((every.device == k).sum()),
+                "chosen": int((chosen.device == k).sum()),
+            }
+            for k, (name, kind) in enumerate(zip(names, every.kinds, strict=True))
+        ]
+
     def progress(self) -> CampaignProgress:
         """Return the plan as a progress file of which nothing is done."""
-        return build_new_progress(self.robot.actuated, self.tour.q, self.tour.pose)
+        return build_new_progress(self.robot.actuated, self.tour.q, self.tour.pose, self.cells)
 
     def tool(self, q: np.ndarray) -> Poses:
         """Return where the nominal robot's tool is at positions (k, na)."""
@@ -76,19 +107,25 @@ class CalibrationCampaign:
 
     def csv(self) -> str:
         """Return the tour as CSV."""
-        return format_tour_csv(self.tour.q, self.tour.pose, self.robot.actuated)
+        return format_tour_csv(self.tour.q, self.tour.pose, self.robot.actuated, self.cells)
 
     def rapid(self) -> str:
         """Return the tour as a RAPID module."""
         robot = self.robot
         return format_rapid_module(
-            self.tour.q, self.tour.pose, self.tool(self.tour.q), robot.joint_kinds, actuated=robot.actuated
+            self.tour.q,
+            self.tour.pose,
+            self.tool(self.tour.q),
+            robot.joint_kinds,
+            actuated=robot.actuated,
+            cells=self.cells,
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Return it for a JSON result."""
         return {
             "device": self.device.name,
+            "devices": self.count_by_device(),
             "reachable": self.reachable.n,
             "visible": len(self.visible.index),
             "not_visible": self.visible.reasons,
@@ -102,15 +139,21 @@ class CalibrationCampaign:
                 "left_out": [{"pose": k + 1, "why": why} for k, why in self.tour.left_out.items()],
             },
             "poses": [
-                {"pose": int(p) + 1, **{f"q_{j}": float(x) for j, x in zip(self.robot.actuated, row, strict=True)}}
-                for p, row in zip(self.tour.pose, self.tour.q, strict=True)
+                {
+                    "pose": int(p) + 1,
+                    **{f"q_{j}": float(x) for j, x in zip(self.robot.actuated, row, strict=True)},
+                    **cells,
+                }
+                for p, row, cells in zip(
+                    self.tour.pose, self.tour.q, self.cells or ({},) * len(self.tour.q), strict=True
+                )
             ],
         }
 
 
 def plan_campaign(
     robot: Robot,
-    device: MeasuringDevice | None = None,
+    device: MeasuringDevice | FixtureSet | None = None,
     n: int | Literal["auto"] = "auto",
     *,
     model: str | None = None,
@@ -131,7 +174,7 @@ def plan_campaign(
 
     Args:
         robot: The robot at its dimensions as far as they are known.
-        device: Camera or tracker; by default one that sees everything with 0.1 mm and 0.1 mrad of noise.
+        device: Camera, tracker or fixtures; by default one that sees everything with 0.1 mm and 0.1 mrad of noise.
         n: Number of poses, or `auto`.
         model: What is to be calibrated, as `calibrate` names it; by default all dimensions.
         criterion: As in `choose_poses`.
@@ -154,20 +197,30 @@ def plan_campaign(
             help.
     """
     demands = demands if demands is not None else PoseRequirements()
+    safety = safety if safety is not None else Safety()
     machine = build_machine(robot)
     geometry = build_geometry(robot, model)
     device = _device_for(geometry, device)
     reach = find_reachable(machine, demands, safety, wanted=candidates, seed=seed, progress=progress)
     reach = _predictable(reach, geometry)
-    progress("looking for poses in sight")
-    visible = find_visible(device, reach, demands.surroundings, machine if demands.collisions else None)
+    devices: Sequence[MeasuringDevice] = device.fixtures if isinstance(device, FixtureSet) else (device,)
+    fixtures = [one for one in devices if isinstance(one, Fixture)]
+    touched = {fixture.obstacle for fixture in fixtures if fixture.kind in TOUCHES}
+    check = PathCheck(machine, safety.apply(demands, touched)) if touched else reach.check
+    parts = []
+    for one in devices:
+        progress(f"looking for poses that {one.name} measures")
+        parts.append(_find_candidates(one, geometry, reach, check, demands, safety))
+    number, start = (
+        np.repeat(np.arange(len(parts)), [len(p.q) for p in parts]),
+        np.concatenate([p.start for p in parts]),
+    )
+    q = np.concatenate([p.q for p in parts])
     progress("choosing poses")
-    index = visible.index
-    noise = device.covariance(reach.tool.take(index))
     design = build_design(
         geometry,
-        reach.q[index],
-        noise if device.turned else noise[:, :3, :3],
+        device.build_pose_set(q, number) if isinstance(device, FixtureSet) else q,
+        np.concatenate([p.noise for p in parts]),
         frames=device.frames,
         workspace=_thinned(reach.q, seed),
         fix=fix,
@@ -183,9 +236,41 @@ def plan_campaign(
     )
     require_accuracy(choice, rehearsal, required)
     progress("ordering poses")
-    tour = _tour(choice, robot, reach)
-    warnings = (*reach.warnings, *choice.warnings, *said, *_left_out(tour))
-    return CalibrationCampaign(robot, device, reach, visible, choice, rehearsal, tour, reach.check, warnings)
+    tour = _tour(choice, start[choice.index], robot, reach, check)
+    visible = Visible(np.concatenate([p.index for p in parts]), _name_reasons(fixtures, parts))
+    warnings = (*reach.warnings, *choice.warnings, *said, *_restarted(rehearsal), *_left_out(tour))
+    return CalibrationCampaign(robot, device, reach, visible, choice, rehearsal, tour, check, warnings)
+
+
+def _find_candidates(
+    device: MeasuringDevice,
+    geometry: Geometry,
+    reach: Reachable,
+    check: PathCheck,
+    demands: PoseRequirements,
+    safety: Safety,
+) -> MeasurablePoses:
+    """Return the poses that one device sees, or at which the target touches a fixture."""
+    around = demands.surroundings
+    if isinstance(device, Fixture):
+        others = tuple(o for o in around.obstacles if o.name != device.obstacle)
+        around = replace(around, obstacles=others)
+        if device.kind in TOUCHES:
+            own = safety.apply(replace(demands, surroundings=around))
+            return find_touches(device, geometry, reach, check, own, safety)
+    visible = find_visible(device, reach, around, check.machine if demands.collisions else None)
+    q, tool = reach.q[visible.index], reach.tool.take(visible.index)
+    noise = device.covariance(tool)
+    return MeasurablePoses(q, q, tool, noise if device.turned else noise[:, :3, :3], visible.index, visible.reasons)
+
+
+def _name_reasons(fixtures: Sequence[Fixture], parts: Sequence[MeasurablePoses]) -> dict[str, int]:
+    """Return why candidates are none, of several fixtures with the name of each."""
+    if not fixtures:
+        return parts[0].reasons
+    return {
+        f"{one.name}: {why}": n for one, part in zip(fixtures, parts, strict=True) for why, n in part.reasons.items()
+    }
 
 
 def build_geometry(robot: Robot, model: str | None = None) -> Geometry:
@@ -200,7 +285,7 @@ def build_geometry(robot: Robot, model: str | None = None) -> Geometry:
     return family.build(family.spec(model if model is not None else largest))
 
 
-def _device_for(geometry: Geometry, device: MeasuringDevice | None) -> MeasuringDevice:
+def _device_for(geometry: Geometry, device: MeasuringDevice | FixtureSet | None) -> MeasuringDevice | FixtureSet:
     """Return the device given, or one that sees everything; a camera that sees one orientation alone is told so."""
     if device is None:
         return UniformDevice(_NOISE if geometry.orients else _NOISE[:1])
@@ -209,20 +294,20 @@ def _device_for(geometry: Geometry, device: MeasuringDevice | None) -> Measuring
     return device
 
 
-def _tour(choice: PoseChoice, robot: Robot, reach: Reachable) -> Tour:
-    """Return the chosen poses in order.
+def _tour(choice: PoseChoice, start: np.ndarray, robot: Robot, reach: Reachable, check: PathCheck) -> Tour:
+    """Return the chosen poses in order, each approached from its start (n, na) and left the same way.
 
     Raises:
         CannotAnswer: No free move leads from home to any of them.
     """
-    tour = plan_tour(choice.q, robot.home, reach.check, reach.q)
+    tour = plan_tour(start, robot.home, check, reach.q)
     if not (tour.pose >= 0).any():
         raise CannotAnswer(
             "no_solution",
             f"no move from home to any of the chosen poses is free ({next(iter(tour.left_out.values()), 'blocked')})",
             "fewer obstacles around home",
         )
-    return tour
+    return approach_poses(tour, choice.q, check.travel)
 
 
 def _predictable(reach: Reachable, geometry: Geometry) -> Reachable:
@@ -255,6 +340,17 @@ def _weighing(choice: PoseChoice) -> tuple[str, ...]:
     return (
         f"the device measures unevenly: a fit that weighs poses by its covariance (`--weighted`, `refine`) would bring "
         f"{1e3 * better:.3g} mm instead of {1e3 * choice.predicted.rms:.3g} mm",
+    )
+
+
+def _restarted(rehearsal: MonteCarloCalibration) -> tuple[str, ...]:
+    if not rehearsal.restarted:
+        return ()
+    runs = len(rehearsal.after) + len(rehearsal.failures)
+    return (
+        f"{rehearsal.restarted} of {runs} simulated calibrations of robots that are off by 10 mm and 10 mrad took a fixture for "
+        "one elsewhere until they started at its planned place; a robot file exact to a few millimetres, or a larger ball, "
+        "avoids that",
     )
 
 

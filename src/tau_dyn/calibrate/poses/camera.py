@@ -221,7 +221,7 @@ def _points(at: Poses, local: np.ndarray) -> np.ndarray:
     return at.position[:, None] + np.einsum("nij,kj->nki", at.rotation, local)
 
 
-_UP = (0.0, 0.0, 1.0)
+UP = (0.0, 0.0, 1.0)
 
 
 def read_camera(path: str | Path) -> Camera:
@@ -230,7 +230,7 @@ def read_camera(path: str | Path) -> Camera:
     Raises:
         InputError: Something is missing or no number; the message names the place.
     """
-    root = _Part(read_yaml(path), str(path), {"camera", "pattern", "limits"})
+    root = FilePart(read_yaml(path), str(path), {"camera", "pattern", "limits"})
     camera = root.part("camera", {"position", "look_at", "up", "image", "focal", "centre", "noise"})
     pattern = root.part("pattern", {"columns", "rows", "square", "border", "position", "normal", "up"})
     limits = root.part("limits", {"distance", "incidence", "margin"}, needed=False)
@@ -262,7 +262,7 @@ def read_tracker(path: str | Path) -> Tracker:
     Raises:
         InputError: Something is missing or no number; the message names the place.
     """
-    root = _Part(read_yaml(path), str(path), {"tracker", "reflector", "limits"})
+    root = FilePart(read_yaml(path), str(path), {"tracker", "reflector", "limits"})
     tracker = root.part("tracker", {"position", "noise", "noise_per_metre"})
     reflector = root.part("reflector", {"position", "normal", "up", "orientation_noise"})
     limits = root.part("limits", {"distance", "incidence", "elevation"}, needed=False)
@@ -280,10 +280,17 @@ def read_tracker(path: str | Path) -> Tracker:
     )
 
 
-class _Part:
-    """A mapping of the file; every fault names it."""
+class FilePart:
+    """A mapping of a YAML file; every fault names it.
+
+    Args:
+        content: What the file holds there.
+        where: Opens the messages.
+        known: Keys that may stand there.
+    """
 
     def __init__(self, content: Any, where: str, known: set[str]) -> None:
+        """Refuse what is no mapping, or has other keys."""
         self.where = where
         if not isinstance(content, Mapping):
             self.fault(f"needs {', '.join(sorted(known))}")
@@ -293,16 +300,19 @@ class _Part:
         self.content = content
 
     def fault(self, text: str) -> NoReturn:
+        """Raise with the place of the fault."""
         raise InputError("file_format", f"{self.where}: {text}")
 
-    def part(self, key: str, known: set[str], *, needed: bool = True) -> _Part:
+    def part(self, key: str, known: set[str], *, needed: bool = True) -> FilePart:
+        """Return a mapping in this one, an empty one where it is missing and not needed."""
         if needed and key not in self.content:
             self.fault(f"'{key}' is missing")
-        return _Part(self.content.get(key, {}), f"{self.where}: {key}", known)
+        return FilePart(self.content.get(key, {}), f"{self.where}: {key}", known)
 
     def numbers(
         self, key: str, n: int, *, default: tuple[float, ...] | None = None, low: float = -np.inf, alone: bool = False
     ) -> np.ndarray:
+        """Return `n` finite numbers; `alone` lets one stand for all."""
         value: Any = self.content.get(key, None if default is None else list(default))
         if value is None:
             self.fault(f"'{key}' is missing")
@@ -313,27 +323,31 @@ class _Part:
         return np.array([float(v) for v in value])
 
     def number(self, key: str, default: float, *, low: float = -np.inf, high: float = 1e9) -> float:
+        """Return a number within limits."""
         value: Any = self.content.get(key, default)
         if not _is_number(value) or not low <= float(value) <= high:
             self.fault(f"{key} must be a number from {low:g} to {high:g}, not {value}")
         return float(value)
 
     def whole(self, key: str, default: int) -> int:
+        """Return a number of corners."""
         value = self.number(key, default, low=2, high=1000)
         if value != int(value):
             self.fault(f"{key} must be a whole number of corners, not {value:g}")
         return int(value)
 
     def pair(self, key: str, default: tuple[float, float]) -> tuple[float, float]:
+        """Return a lower and an upper limit."""
         low, high = self.numbers(key, 2, default=default)
         if not low < high:
             self.fault(f"{key} is inverted: {low:g} is not below {high:g}")
         return float(low), float(high)
 
     def framed(self, make: Any, towards: str) -> Frame:
+        """Return the frame that a function makes of a position, a direction and `up`."""
         place = self.numbers("position", 3)
         try:
-            return make(place, self.numbers(towards, 3), self.numbers("up", 3, default=_UP))
+            return make(place, self.numbers(towards, 3), self.numbers("up", 3, default=UP))
         except InputError as fault:
             if str(fault).startswith(self.where):
                 raise

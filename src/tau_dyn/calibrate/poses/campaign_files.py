@@ -1,7 +1,8 @@
 """What a campaign leaves on disk: a RAPID module for ABB controllers, CSV, and the progress of one that can be interrupted.
 
 In RAPID, joint targets are what is driven to (`MoveAbsJ`: mm along slides, degrees about turning joints); robot targets stand
-beside them for whoever reads. `next_pose` is persistent, so a program that was stopped goes on with the pose it had not measured.
+beside them for whoever reads. `next_place` is persistent: a program that was stopped goes on with the pose it had not measured.
+A touch is not driven to, because the nominal robot would miss it or run into it: the program stops at the place before.
 
 The progress file is JSON, numbers in m and rad, one entry for every place of the tour, written whole or not at all after every
 pose. Killed at any point, a campaign loses at most the pose that was being measured.
@@ -10,14 +11,15 @@ pose. Killed at any point, a campaign loses at most the pose that was being meas
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tau_dyn.calibrate.measured import PoseSet
+from tau_dyn.calibrate.measured import TOUCHES, PoseSet
 from tau_dyn.control.interface import (
     format_array,
     format_comment,
@@ -41,6 +43,7 @@ def format_rapid_module(
     name: str = "CalibrationPoses",
     wait: float = 1.0,
     speed: str = "v100",
+    cells: Sequence[Mapping[str, str]] = (),
 ) -> str:
     """Return a RAPID module's text.
 
@@ -53,6 +56,7 @@ def format_rapid_module(
         name: Of the module.
         wait: Time to settle before measuring [s].
         speed: RAPID speed data.
+        cells: Cells of a measurement file that name the device or fixture at each place, as `FixtureSet.get_cells`.
 
     Raises:
         InputError: More than twelve joints, a name that RAPID does not take, or nothing to drive to.
@@ -64,6 +68,7 @@ def format_rapid_module(
     joints = [format_jointtarget(row, kinds) for row in q]
     robots = [format_robtarget(p, r) for p, r in zip(tool.position, convert_to_quaternions(tool), strict=True)]
     k = len(q)
+    touches = [next((f"{kind} {row[kind]}" for kind in TOUCHES if kind in row), "") for row in cells]
     lines = [
         f"MODULE {name}",
         format_comment(
@@ -75,12 +80,15 @@ def format_rapid_module(
         *format_array("jointtarget places", joints),
         "  ! The tool at these places by the nominal robot, for the reader; nothing drives to them.",
         *format_array("robtarget expected", robots),
+        *(format_array("string touches", [_format_string(text) for text in touches]) if any(touches) else ()),
         "",
         "  PROC main()",
         "    ! next_place survives a stop: the program goes on where it was. Set it to 1 to start anew.",
         "    WHILE next_place <= n_places DO",
+        *(_TOUCH if any(touches) else ()),
         f"      MoveAbsJ places{{next_place}} \\NoEOffs, {speed}, fine, tool0;",
         "      IF pose_number{next_place} > 0 measure_pose pose_number{next_place};",
+        *(("      ENDIF",) if any(touches) else ()),
         "      next_place := next_place + 1;",
         "    ENDWHILE",
         '    TPWrite "All poses measured";',
@@ -96,10 +104,36 @@ def format_rapid_module(
     return "\n".join(lines) + "\n"
 
 
-def format_tour_csv(q: np.ndarray, pose: np.ndarray, actuated: Sequence[str]) -> str:
-    """Return a tour as CSV: `pose` (from 1; 0 on the way) and `q_J` [m or rad] of every joint."""
-    head = ",".join(["pose", *(f"q_{joint}" for joint in actuated)])
-    rows = [",".join([str(int(p) + 1), *(f"{x:.9g}" for x in row)]) for p, row in zip(pose, q, strict=True)]
+_TOUCH = (
+    '      IF touches{next_place} <> "" THEN',
+    '        TPWrite "Jog until the target touches "+touches{next_place};',
+    '        TPWrite "Note the joints, start again. Pose " \\Num:=pose_number{next_place};',
+    "        Stop;",
+    "      ELSE",
+)
+_MAX_STRING = 80  # characters of a RAPID string
+
+
+def _format_string(text: str) -> str:
+    """Return a RAPID string; what is no printable ASCII becomes a question mark."""
+    plain = re.sub(r"[^ -~]", "?", text).replace("\\", "?")
+    return f'"{plain[:_MAX_STRING]}"'
+
+
+def format_tour_csv(
+    q: np.ndarray, pose: np.ndarray, actuated: Sequence[str], cells: Sequence[Mapping[str, str]] = ()
+) -> str:
+    """Return a tour as CSV: `pose` (from 1; 0 on the way) and `q_J` [m or rad] of every joint.
+
+    With `cells` (k) further columns name the device or fixture of each pose, and `distance_tool` is left to be filled in.
+    """
+    stated = [column for column in ("device", *TOUCHES, "target") if any(column in row for row in cells)]
+    more = ["distance_tool", *stated] if "device" in stated else stated
+    head = ",".join(["pose", *(f"q_{joint}" for joint in actuated), *more])
+    rows = [
+        ",".join([str(int(p) + 1), *(f"{x:.9g}" for x in row), *(own.get(column, "") for column in more)])
+        for p, row, own in zip(pose, q, cells or ({},) * len(q), strict=True)
+    ]
     return "\n".join([head, *rows]) + "\n"
 
 
@@ -121,6 +155,7 @@ class CampaignProgress:
         state: `open`, `measured` or `missed` of each place; of places on the way `open` or `passed`.
         position: Measured positions (k, 3) [m], nan where there are none.
         rotation: Measured orientations (k, 3, 3), nan where there are none.
+        cells: Cells of a measurement file that name the device or fixture at each place, empty where there is one device.
     """
 
     actuated: tuple[str, ...]
@@ -129,6 +164,7 @@ class CampaignProgress:
     state: tuple[str, ...]
     position: np.ndarray
     rotation: np.ndarray
+    cells: tuple[dict[str, str], ...] = ()
 
     @property
     def left(self) -> np.ndarray:
@@ -173,6 +209,8 @@ class CampaignProgress:
 
     def _row(self, k: int) -> dict[str, Any]:
         row: dict[str, Any] = {"pose": int(self.pose[k]) + 1, "q": self.q[k].tolist(), "state": self.state[k]}
+        if self.cells and self.cells[k]:
+            row["cells"] = self.cells[k]
         if self.state[k] == "measured":
             row["position"] = self.position[k].tolist()
             if np.isfinite(self.rotation[k]).all():
@@ -182,10 +220,13 @@ class CampaignProgress:
         return row
 
 
-def build_new_progress(actuated: tuple[str, ...], q: np.ndarray, pose: np.ndarray) -> CampaignProgress:
+def build_new_progress(
+    actuated: tuple[str, ...], q: np.ndarray, pose: np.ndarray, cells: tuple[dict[str, str], ...] = ()
+) -> CampaignProgress:
     """Return a plan of which nothing is done yet."""
     k = len(q)
-    return CampaignProgress(actuated, q, pose, ("open",) * k, np.full((k, 3), np.nan), np.full((k, 3, 3), np.nan))
+    nothing = np.full((k, 3), np.nan), np.full((k, 3, 3), np.nan)
+    return CampaignProgress(actuated, q, pose, ("open",) * k, *nothing, cells)
 
 
 def read_progress(path: str | Path, actuated: tuple[str, ...]) -> CampaignProgress:
@@ -229,7 +270,8 @@ def _read(joints: tuple[str, ...], rows: list[dict[str, Any]]) -> CampaignProgre
         or not set(state) <= {"open", "measured", "missed", "passed"}
     ):
         raise ValueError
-    found = replace(build_new_progress(joints, q, pose), state=state)
+    cells = tuple({str(column): str(word) for column, word in dict(row.get("cells", {})).items()} for row in rows)
+    found = replace(build_new_progress(joints, q, pose, cells if any(cells) else ()), state=state)
     for k, row in enumerate(rows):
         if state[k] == "measured":
             found.position[k] = row["position"]
@@ -252,9 +294,14 @@ def run_campaign(plan: CampaignProgress, measure: Measure, path: str | Path) -> 
         What was measured, over all calls.
 
     Raises:
-        InputError: The file belongs to another plan.
+        InputError: The file belongs to another plan, or the plan is one of distances and touches.
         CannotAnswer: No pose was seen.
     """
+    if any(plan.cells):
+        raise InputError(
+            "unsupported",
+            "distances and touches are measured by hand; fill in the plan's CSV file and calibrate with it",
+        )
     now = plan
     if Path(path).exists():
         now = read_progress(path, plan.actuated)

@@ -18,9 +18,11 @@ import numpy as np
 
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import count_required_poses
+from tau_dyn.calibrate.measured import PoseSet
 from tau_dyn.calibrate.poses.criteria import SMOOTH, PoseExchange, build_criterion, compute_observability_indices
 from tau_dyn.calibrate.poses.design import PoseDesign, build_design
 from tau_dyn.exceptions import InputError
+from tau_dyn.message_codes import CodedWarning
 
 
 class CalibrationPrediction(NamedTuple):
@@ -31,8 +33,7 @@ class CalibrationPrediction(NamedTuple):
         rms: Root mean square error of the tool's position over the workspace [m], from the parameters' uncertainty.
         scatter: Standard deviation of that from campaign to campaign [m].
         worst: The same root mean square at the worst place [m].
-        held_out: Root mean square of measured minus predicted positions at other poses [m]: `rms` and the device's
-            noise.
+        held_out: Root mean square of measured minus predicted at other poses [m]: `rms` and the device's noise.
         turn: Root mean square orientation error [rad], nan where the tool does not turn.
         stderr: Standard errors of the parameters that can be told (r,), each in its unit.
     """
@@ -68,7 +69,6 @@ def predict(design: PoseDesign, index: np.ndarray) -> CalibrationPrediction:
     half = p @ weight
     scatter = float(np.sqrt(2 * np.trace(half @ half)))
     each = np.einsum("nir,rs,nis->n", design.places, p, design.places, optimize=True)
-    noise = float(np.trace(design.noise[:, :3, :3].mean(axis=0)))
     turn = float("nan")
     if design.turns.shape[1]:
         turned = np.einsum("nir,rs,nis->n", design.turns, p, design.turns, optimize=True)
@@ -79,12 +79,16 @@ def predict(design: PoseDesign, index: np.ndarray) -> CalibrationPrediction:
         rms,
         scatter / max(2 * rms, 1e-300),
         float(np.sqrt(each.max())),
-        float(np.sqrt(square + noise)),
+        float(np.sqrt(square + design.variance)),
         turn,
         np.sqrt(np.diag(p)) * design.scales,
     )
 
 
+_TOUCHES_ALONE = (
+    "holes, planes and balls at unknown places do not show how large the robot is; the accuracy is that of its shape, at the "
+    "size of the robot file; plan one distance as well (kind: distance)"
+)
 MIN_DOUBLING_GAIN = 0.03
 """Share by which twice as many poses must make the held-out error smaller to be worth it."""
 _UNKNOWN = 1.0
@@ -131,7 +135,8 @@ def add_poses_until_enough(
 def _enough(design: PoseDesign, made: CalibrationPrediction, gain: float, target: float | None) -> bool:
     if target is not None:
         return made.rms <= target
-    return compute_doubling_gain(made) < gain and bool((made.stderr < _UNKNOWN * design.scales).all())
+    known = made.stderr < _UNKNOWN * design.scales
+    return compute_doubling_gain(made) < gain and bool(known[design.counts].all())
 
 
 MAX_POSES = 400
@@ -174,6 +179,11 @@ class PoseChoice:
         return self.design.q[self.index]
 
     @property
+    def poses(self) -> PoseSet:
+        """The chosen poses, with the device or fixture and the target of each."""
+        return self.design.poses.take(self.index)
+
+    @property
     def not_identifiable(self) -> dict[str, tuple[str, ...]]:
         """Parameters that stay at their nominal value, and on which others they depend."""
         found = self.design.found
@@ -205,7 +215,7 @@ class PoseChoice:
 
 def choose_poses(
     geometry: Geometry,
-    candidates: np.ndarray,
+    candidates: np.ndarray | PoseSet,
     n: int | Literal["auto"] = "auto",
     *,
     criterion: str = "tool",
@@ -219,7 +229,7 @@ def choose_poses(
 
     Args:
         geometry: Mechanism at its nominal parameters; those that are not `free` stay.
-        candidates: Actuated positions (N, na) [m or rad] that may be measured.
+        candidates: What may be measured, as in `build_design`.
         n: How many, or `auto`: until twice as many would hardly help.
         criterion: `tool` (default), `worst`, `determinant`, `condition`, `smallest` or `amplification`.
         noise: Standard deviations or covariances, as in `build_design`.
@@ -264,6 +274,8 @@ def choose_from(
     trace = [search.value(picked[: k + 1]) for k in range(len(picked))]
     made = predict(design, best)
     said = _warnings(design, made, n, gain, target)
+    if design.poses.touches.all():
+        said = (CodedWarning("size_undetermined", _TOUCHES_ALONE), *said)
     at_random = float(
         np.median([predict(design, rng.choice(design.n, len(best), replace=False)).rms for _ in range(9)])
     )
@@ -297,7 +309,8 @@ def _warnings(
     design: PoseDesign, made: CalibrationPrediction, n: int | Literal["auto"], gain: float, target: float | None
 ) -> tuple[str, ...]:
     said = []
-    weak = [name for name, e, s in zip(design.names, made.stderr, design.scales, strict=True) if e > s]
+    rows = zip(design.names, made.stderr, design.scales, design.counts, strict=True)
+    weak = [name for name, error, scale, counts in rows if counts and error > scale]
     if weak:
         more = f" and {len(weak) - 5} more" if len(weak) > 5 else ""
         said.append(

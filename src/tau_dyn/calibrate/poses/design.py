@@ -5,8 +5,10 @@ scales. The information of a set of poses is `M = sum J_k' S_k^-1 J_k`. A fit th
 
     P = A^-1 B A^-1,   A = sum J_k' W J_k,   B = sum J_k' W S_k W J_k,
 
-`W` from the mean noise; `P = M^-1` where all poses are measured equally well, or where `refine` weighs each by its own noise: a
-camera measures depth ten times worse than what lies across. Reference: Hollerbach, Khalil & Gautier 2016, 6.3.
+`W` from the mean noise of each device; `P = M^-1` where a device measures all poses equally well, or where `refine` weighs each
+by its own noise: a camera measures depth ten times worse than what lies across. Distances and touches show no frame: the tool's
+accuracy is then that after the best motion of the whole robot, and touches alone leave its size open as well. Reference:
+Hollerbach, Khalil & Gautier 2016, 6.3.
 """
 
 from __future__ import annotations
@@ -16,8 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.calibrate.fit_problem import FitState, Problem
-from tau_dyn.calibrate.frames import DeviceFrames
+from tau_dyn.calibrate.fit_problem import FitState, Problem, get_blind_limit
+from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.measured import PoseSet
@@ -37,14 +39,14 @@ class PoseDesign:
     Attributes:
         geometry: The mechanism at its nominal parameters.
         frames: Device and target, as far as they are known beforehand.
-        q: Candidates (N, na).
+        poses: Candidates (N), the device or fixture and the target of each.
         workspace: Positions where accuracy counts (M, na).
         tool: Tool poses there in the robot's base frame (N).
         unknowns: All that the fit may change.
         found: Which of it the candidates together can tell.
         slopes: Derivatives of the measured numbers by what can be told, times scale (N, m, r).
         noise: Covariance of the measured numbers (N, m, m).
-        places: The tool's shift [m] at the poses where accuracy counts, by what can be told, times scale (M, 3, r).
+        places: The target's shift [m] at the poses where accuracy counts, by what can be told, times scale (M, 3, r).
         turns: The tool's turn [rad] there (M, 3, r), empty where the tool does not turn.
         untold: Parameters that no candidate tells although they move the tool where accuracy counts: name and
             rms shift [m] that an error of one scale leaves.
@@ -53,7 +55,7 @@ class PoseDesign:
 
     geometry: Geometry
     frames: DeviceFrames
-    q: np.ndarray
+    poses: PoseSet
     workspace: np.ndarray
     tool: Poses
     unknowns: Unknowns
@@ -66,14 +68,29 @@ class PoseDesign:
     weighted: bool = False
 
     @property
+    def q(self) -> np.ndarray:
+        """Actuated positions of the candidates (N, na)."""
+        return self.poses.q
+
+    @property
     def n(self) -> int:
         """Number of candidates."""
-        return len(self.q)
+        return self.poses.n
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """Independent numbers that each candidate gives (N,)."""
+        return self.poses.count_numbers(self.slopes.shape[1])
 
     @property
     def per_pose(self) -> int:
-        """Numbers that one pose gives."""
-        return self.slopes.shape[1]
+        """Numbers that one pose gives, the median of different ones."""
+        return int(np.median(self.numbers))
+
+    @property
+    def variance(self) -> float:
+        """Mean variance of a measurement [m^2]: of a position, or of the number along its direction."""
+        return float(np.mean(np.trace(self.noise[:, :3, :3], axis1=1, axis2=2) * self.poses.numbers / 3))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -85,32 +102,41 @@ class PoseDesign:
         """Their scales (r,)."""
         return self.unknowns.scales[self.unknowns.free][self.found.kept]
 
+    @property
+    def counts(self) -> np.ndarray:
+        """Whether each of what can be told moves the tool (r,); where a fixture is does not."""
+        return np.any(self.places != 0, axis=(0, 1))
+
     def whitened(self) -> np.ndarray:
         """Return each candidate's derivative in units of the noise by which the fit weighs it (N, m, r)."""
         if not self.weighted:
-            return self.slopes / self.sigma()[:, None]
+            return self.slopes / self.sigma()[:, :, None]
         return np.linalg.solve(np.linalg.cholesky(self.noise), self.slopes)
 
     def sigma(self) -> np.ndarray:
-        """Return the standard deviation by which a fit weighs each number (m,): all positions, all orientations alike."""
-        return _mean_sigma(self.noise)
+        """Return the standard deviation by which a fit weighs each number (N, m): all of a device alike, by block."""
+        return _mean_sigma(self.noise, self.poses.device)
 
     def covariance(self, index: np.ndarray) -> np.ndarray:
         """Return the covariance (r, r), in scales, of what a fit to these candidates estimates."""
         if self.weighted:
             own = np.linalg.solve(np.linalg.cholesky(self.noise[index]), self.slopes[index])
             return np.linalg.pinv(np.einsum("nir,nis->rs", own, own), rcond=1e-14, hermitian=True)
-        weighed = self.slopes[index] / self.sigma()[:, None]
-        spread = self.noise[index] / np.outer(self.sigma(), self.sigma())
-        a = np.einsum("nir,nis->rs", weighed, weighed)
-        b = np.einsum("nir,nij,njs->rs", weighed, spread, weighed, optimize=True)
+        sigma = self.sigma()[index]
+        weighed = self.slopes[index] / sigma[:, :, None]
+        spread = self.noise[index] / (sigma[:, :, None] * sigma[:, None])
+        blind = get_blind_limit(self.poses) ** 2 * np.eye(
+            weighed.shape[2]
+        )  # a set that lacks rank is uncertain, not exact
+        a = np.einsum("nir,nis->rs", weighed, weighed) + blind
+        b = np.einsum("nir,nij,njs->rs", weighed, spread, weighed, optimize=True) + blind
         back = np.linalg.pinv(a, rcond=1e-14, hermitian=True)
         return back @ b @ back
 
 
 def build_design(
     geometry: Geometry,
-    q: np.ndarray,
+    candidates: np.ndarray | PoseSet,
     noise: tuple[float, ...] | np.ndarray,
     *,
     frames: DeviceFrames | None = None,
@@ -125,7 +151,7 @@ def build_design(
 
     Args:
         geometry: Mechanism at its nominal parameters.
-        q: Candidates (N, na) [m or rad].
+        candidates: Actuated positions (N, na) [m or rad], or poses that state the device and the target of each as well.
         noise: Standard deviation of positions [m] and, where orientations are measured, of these [rad]; or
             covariances (N, m, m).
         frames: Device and target as far as they are known; identity otherwise.
@@ -139,7 +165,8 @@ def build_design(
     Raises:
         InputError: Candidates or noise that are no numbers, or that the nominal robot cannot reach.
     """
-    q = _checked_q(geometry, q)
+    poses = candidates if isinstance(candidates, PoseSet) else PoseSet(candidates, np.zeros((len(candidates), 3)))
+    q = _checked_q(geometry, poses.q)
     cov = _covariances(noise, len(q))
     turned = geometry.orients and cov.shape[1] == 6
     cov = cov if turned else cov[:, :3, :3]
@@ -147,7 +174,7 @@ def build_design(
     unknowns = collect(geometry, frames, fix=fix, free=free, device=device, tool=tool, turned=turned)
     if not unknowns.free.any():
         raise InputError("invalid_value", "no parameter is free that poses could tell; free some, or leave `fix` out")
-    slopes, base, ok = _slopes(geometry, frames, unknowns, q, turned)
+    slopes, base, ok = _slopes(geometry, frames, unknowns, poses, turned)
     if not ok.all():
         raise InputError(
             "unreachable",
@@ -158,32 +185,78 @@ def build_design(
     names = tuple(name for name, may in zip(unknowns.names, unknowns.free, strict=True) if may)
     scales = unknowns.scales[unknowns.free]
     slopes = _without_rounding(slopes, scales)
-    flat = (slopes / _mean_sigma(cov)[:, None]).reshape(-1, slopes.shape[2])
-    found = find_identifiable(flat, names, scales, unknowns.priority[unknowns.free])
+    flat = (slopes / _mean_sigma(cov, poses.device)[:, :, None]).reshape(-1, slopes.shape[2])
+    found = find_identifiable(flat, names, scales, unknowns.priority[unknowns.free], get_blind_limit(poses))
     if not found.rank:
         raise InputError("invalid_value", "no parameter is free that poses could tell; free some, or leave `fix` out")
     there = q if workspace is None else _checked_q(geometry, workspace)
-    shifts, _, good = _slopes(geometry, frames, unknowns, there, geometry.orients)
+    if poses.shows_frames:
+        shifts, _, good = _slopes(geometry, frames, unknowns, _without_values(there), geometry.orients)
+    else:
+        shifts, good = _target_slopes(geometry, frames, unknowns, there, sized=not poses.touches.all())
     shifts = shifts[good] * scales
     kept = slopes[:, :, found.kept] * scales[found.kept]
     told = shifts[:, :, found.kept]
     untold = _untold(shifts, found, scales)
     return PoseDesign(
-        geometry, frames, q, there[good], base, unknowns, found, kept, cov, told[:, :3], told[:, 3:], untold, weighted
+        geometry,
+        frames,
+        poses,
+        there[good],
+        base,
+        unknowns,
+        found,
+        kept,
+        cov,
+        told[:, :3],
+        told[:, 3:],
+        untold,
+        weighted,
     )
 
 
+def _without_values(q: np.ndarray) -> PoseSet:
+    return PoseSet(q, np.zeros((len(q), 3)))
+
+
 def _slopes(
-    geometry: Geometry, frames: DeviceFrames, unknowns: Unknowns, q: np.ndarray, turned: bool
+    geometry: Geometry, frames: DeviceFrames, unknowns: Unknowns, poses: PoseSet, turned: bool
 ) -> tuple[np.ndarray, Poses, np.ndarray]:
     """Return derivatives of the measured numbers by the free unknowns (N, m, f), tool poses, and where they exist."""
-    theta, campaign = geometry.parameters.values, np.zeros(len(q), int)
-    predicted = geometry.forward(theta, q)
-    seen = frames.measured(predicted.poses, campaign)
-    poses = PoseSet(q, seen.position, seen.rotation if turned else None)
-    state = FitState(theta, frames, predicted.poses, predicted.ok, np.zeros(q.shape[1]))
+    theta = geometry.parameters.values
+    predicted = geometry.forward(theta, poses.q)
+    seen = frames.measured(predicted.poses, poses.setup)
+    if poses.measures_poses:
+        poses = replace(poses, position=seen.position, rotation=seen.rotation if turned else None)
+    state = FitState(theta, frames, predicted.poses, predicted.ok, np.zeros(poses.na))
     columns = Problem(geometry, poses, unknowns, "forward", turned).columns(state)
     return columns[:, :, unknowns.free], predicted.poses, predicted.ok
+
+
+def _target_slopes(
+    geometry: Geometry, frames: DeviceFrames, unknowns: Unknowns, q: np.ndarray, *, sized: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return derivatives of the first target's pose in the base frame by the free unknowns (N, 6, f), and where it exists (N,).
+
+    Nothing measured shows where the base is, so the motion of the whole robot that changes its positions least is taken out, and
+    its size where it is not `sized`.
+    """
+    theta, setup = geometry.parameters.values, np.zeros(len(q), int)
+    found = geometry.forward(theta, q)
+    own = DeviceFrames((IDENTITY,), frames.tool[:1])
+    seen = own.measured(found.poses, setup)
+    moved = own.carried(found.poses, geometry.tool_by_parameter(theta, q, found.poses), setup)
+    rigid, target = own.columns(found.poses, seen, setup)
+    columns = np.zeros((len(q), 6, len(unknowns.rows)))
+    first = unknowns.n_geometry + unknowns.n_device
+    columns[:, :, : unknowns.n_geometry], columns[:, :, first : first + 6] = moved, target
+    columns = columns[:, :, unknowns.free]
+    if not sized:
+        growth = np.concatenate([seen.position, np.zeros_like(seen.position)], axis=1)
+        rigid = np.concatenate([rigid, growth[:, :, None]], axis=2)
+    ok = found.ok
+    step = np.linalg.lstsq(rigid[ok, :3].reshape(-1, rigid.shape[2]), columns[ok, :3].reshape(-1, columns.shape[2]))[0]
+    return columns - rigid @ step, ok
 
 
 def _without_rounding(slopes: np.ndarray, scales: np.ndarray) -> np.ndarray:
@@ -203,10 +276,14 @@ def _untold(shifts: np.ndarray, found: Identifiability, scales: np.ndarray) -> t
     return tuple((found.names[k], float(s)) for k, s in zip(found.dropped, size, strict=True) if s > _SEEN * largest)
 
 
-def _mean_sigma(cov: np.ndarray) -> np.ndarray:
-    variances = np.diagonal(cov, axis1=1, axis2=2).mean(axis=0)
-    blocks = [np.full(3, np.sqrt(variances[k : k + 3].mean())) for k in range(0, len(variances), 3)]
-    return np.concatenate(blocks)
+def _mean_sigma(cov: np.ndarray, device: np.ndarray) -> np.ndarray:
+    """Return the root mean variance (N, m) of each device's positions and of its orientations."""
+    variances, out = np.diagonal(cov, axis1=1, axis2=2), np.zeros(cov.shape[:2])
+    for number in np.unique(device):
+        own = device == number
+        mean = variances[own].mean(axis=0)
+        out[own] = np.concatenate([np.full(3, np.sqrt(mean[k : k + 3].mean())) for k in range(0, len(mean), 3)])
+    return out
 
 
 def _checked_q(geometry: Geometry, q: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ and from the ends of the joints' travel, and a safety angle from the ball joints
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -61,10 +61,10 @@ class Safety:
                 f"{self.distance} m, {np.rad2deg(self.angle):.3g} degrees and {self.travel}",
             )
 
-    def apply(self, demands: PoseRequirements) -> PoseRequirements:
-        """Return demands with these margins."""
+    def apply(self, demands: PoseRequirements, touched: Collection[str] = ()) -> PoseRequirements:
+        """Return demands with these margins; obstacles that are `touched` keep their own."""
         around = demands.surroundings
-        walls = tuple(_wider(o, self.distance) for o in around.obstacles)
+        walls = tuple(o if o.name in touched else _wider(o, self.distance) for o in around.obstacles)
         limit = demands.ball_angle if demands.ball_angle is not None else DEFAULT_ANGLE
         if self.angle > 0 and limit - self.angle <= 0:
             raise InputError(
@@ -308,6 +308,27 @@ _HELP = {
     "above": "a tracker that stands higher or farther away",
     "hidden": "another place for the device, or fewer obstacles",
 }
+
+
+@dataclass(frozen=True, eq=False)
+class MeasurablePoses:
+    """Poses that one device or fixture may measure.
+
+    Attributes:
+        q: Actuated positions (N, na).
+        start: From where each is approached (N, na): itself, unless it touches something.
+        tool: Tool poses (N).
+        noise: Covariance of what is measured (N, m, m).
+        index: Which of the poses in reach each is, or was searched from (N,).
+        reasons: Why others are none, with their number, most frequent first.
+    """
+
+    q: np.ndarray
+    start: np.ndarray
+    tool: Poses
+    noise: np.ndarray
+    index: np.ndarray
+    reasons: dict[str, int]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ one remains, it goes through a place in between. A pose that nothing leads to is
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -144,6 +144,23 @@ def plan_tour(q: np.ndarray, start: np.ndarray, check: PathCheck, ways: np.ndarr
     track = np.vstack([start, places]) if len(places) else start[None]
     length = float(np.sum(np.max(np.abs(np.diff(track, axis=0)) / check.travel, axis=1)))
     return Tour(places, pose, left_out, length, given)
+
+
+def approach_poses(tour: Tour, q: np.ndarray, travel: np.ndarray) -> Tour:
+    """Return a tour that enters each pose (n, na) from its place of the tour and goes back to it; poses at their place stay.
+
+    Args:
+        tour: Over the places before the poses.
+        q: The poses themselves (n, na).
+        travel: Of the joints (na,).
+    """
+    places, pose, length = [], [], tour.length
+    for place, k in zip(tour.q, tour.pose, strict=True):
+        apart = k >= 0 and bool(np.any(q[k] != place))
+        places += [place, q[k], place] if apart else [place]
+        pose += [-1, k, -1] if apart else [k]
+        length += 2 * float(np.max(np.abs(q[k] - place) / travel)) if apart else 0.0
+    return replace(tour, q=np.array(places).reshape(-1, q.shape[1]), pose=np.array(pose, int), length=length)
 
 
 def _short(cost: np.ndarray, start: list[int] | None = None) -> list[int]:

@@ -169,10 +169,14 @@ def describe_plan(plan: CalibrationCampaign) -> str:
 
 def describe_plan_inputs(plan: CalibrationCampaign) -> str:
     """Return what was looked at."""
+    rank, least = plan.choice.design.found.rank, compute_min_poses(plan.choice.design)
+    known = f"{rank} identifiable parameters, at least {least} poses"
+    if not plan.choice.design.poses.shows_frames:
+        rows = [f"{row['name']} {row['chosen']} of {row['candidates']}" for row in plan.count_by_device()]
+        return f"poses of {format_list(rows)} candidates; {known}"
     seen = f"{len(plan.visible.index)} of {plan.reachable.n} poses in reach are seen by the {plan.device.name}"
     why = f" (mostly not: {next(iter(plan.visible.reasons))})" if plan.visible.reasons else ""
-    rank, least = plan.choice.design.found.rank, compute_min_poses(plan.choice.design)
-    return f"{seen}{why}; {rank} identifiable parameters, at least {least} poses"
+    return f"{seen}{why}; {known}"
 
 
 def describe_rehearsal(plan: CalibrationCampaign) -> str:

@@ -1,0 +1,348 @@
+r"""Distances, pins in holes, touched planes and balls in the place of a device: read from YAML, reached, and simulated.
+
+A distance (wire, ball bar, interferometer) is measured wherever nothing stands between. A touch is a joint position at which the
+target is on the fixture: Newton's method solves `|p(q)| = radius` of a ball, `z(q) = 0` of a plane, `p(q) = 0` of a hole, by the
+shortest step of the joints. The robot approaches from outwards, and only the last move may come near the obstacle to which the
+fixture belongs.
+
+Files have lengths in m, places about right in the robot's base frame, normals out of plane and hole, targets in the tool frame:
+
+    target: [0, 0, 0.1]
+    fixtures:
+      - {kind: distance, name: wire, position: [1.5, 0.2, 0.4], noise: 20e-6}
+      - {kind: hole, name: A, position: [0.6, 0.1, 0.2], normal: [0, 0, 1], noise: 30e-6, obstacle: table}
+      - {kind: plane, name: plate, position: [0.5, 0.3, 0.2], normal: [0, 0, 1], noise: 20e-6}
+      - {kind: sphere, name: ball, position: [0.4, -0.3, 0.3], radius: 0.0127, noise: 20e-6, target: [0.02, 0, 0.1]}
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.calibrate.frames import DeviceFrames, Frame
+from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.measured import KINDS, TOUCHES, PoseSet, find_directions
+from tau_dyn.calibrate.measured.kinds import project_columns
+from tau_dyn.calibrate.poses.camera import FilePart, build_target_frame
+from tau_dyn.calibrate.poses.devices import SEEN, transform_to_base, transform_to_device
+from tau_dyn.calibrate.poses.reachable import MeasurablePoses, Reachable, Safety
+from tau_dyn.calibrate.poses.tour import PathCheck
+from tau_dyn.exceptions import CannotAnswer
+from tau_dyn.files import read_yaml
+from tau_dyn.kinematics.workspace import PoseRequirements, get_travel
+from tau_dyn.log import format_names
+from tau_dyn.mechanism import Poses
+
+PLANNED = ("distance", *TOUCHES)
+"""Kinds of fixtures in a file."""
+_STEPS = 40  # of Newton's method; it needs about eight
+_MAX_STEP = 0.3  # [m or rad] of a joint; longer ones leave the neighbourhood
+_TOUCHES_M = 1e-9  # [m] gap at which the target touches
+_BEHIND_M = 1e-6  # [m] by which the tool frame may lie behind the surface: rounding
+_SAME_JOINTS = 1e-4  # [m or rad] below which two touches are one: three axes reach a hole in one way
+_MAX_APPROACH = 0.5  # [m or rad] of a joint on the last move; longer ones come from elsewhere
+_MIN_RETRACT_M = 0.02
+"""Least distance from which a fixture is approached [m]: nominal dimensions are off by about 10 mm."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fixture:
+    """A device that tells a distance, or a thing that the target touches; a `MeasuringDevice`.
+
+    Attributes:
+        kind: A name of `PLANNED`.
+        label: What the user calls it.
+        pose: It in the robot's base frame, z out of a plane or a hole.
+        on_tool: The target in the tool frame.
+        noise: Standard deviation of the distance, or of each coordinate in which the target is not where it touches [m].
+        radius: Of a ball [m].
+        obstacle: The obstacle to which it belongs, which its touches may come near.
+    """
+
+    kind: str
+    label: str
+    pose: Frame
+    on_tool: Frame
+    noise: float
+    radius: float = 0.0
+    obstacle: str = ""
+
+    @property
+    def name(self) -> str:
+        """Its name as `read_poses` forms it."""
+        return self.label if self.kind == "distance" else f"{self.kind} {self.label}"
+
+    @property
+    def frames(self) -> DeviceFrames:
+        """The base in the fixture's frame, the target on the tool, the kind and the radius."""
+        return DeviceFrames((self.pose.inverse,), (self.on_tool,), (self.kind,), (self.radius,))
+
+    @property
+    def turned(self) -> bool:
+        """It tells no orientation."""
+        return False
+
+    @property
+    def place(self) -> np.ndarray | None:
+        """From where a distance is measured (3,) [m]; a touch needs no line of sight."""
+        return self.pose.translation if self.kind == "distance" else None
+
+    @property
+    def cells(self) -> dict[str, str]:
+        """Cells of a measurement file that name it, by column."""
+        return {"device" if self.kind == "distance" else self.kind: self.label}
+
+    def reasons(self, tool: Poses) -> np.ndarray:
+        """Return '' for every pose (N,)."""
+        return np.full(len(tool.position), SEEN, dtype=object)
+
+    def marks(self, tool: Poses) -> np.ndarray:
+        """Return the target (N, 1, 3) [m] in the robot's base frame."""
+        return transform_to_base(self.frames, tool).position[:, None]
+
+    def covariance(self, tool: Poses) -> np.ndarray:
+        """Return the covariance (N, 3, 3) [m^2], which is equal along all axes."""
+        return np.repeat(self.noise**2 * np.eye(3)[None], len(tool.position), axis=0)
+
+    def measure(self, tool: Poses, rng: np.random.Generator) -> Poses:
+        """Return the distance in the first coordinate, zeros of a touch, and the target's orientation."""
+        at = transform_to_device(self.frames, tool)
+        position = np.zeros_like(at.position)
+        if self.kind == "distance":
+            position[:, 0] = np.linalg.norm(at.position, axis=1) + self.noise * rng.standard_normal(len(position))
+        return Poses(position, at.rotation)
+
+
+@dataclass(frozen=True, eq=False)
+class FixtureSet:
+    """Devices and fixtures of one campaign.
+
+    Attributes:
+        fixtures: All of them.
+    """
+
+    fixtures: tuple[Fixture, ...]
+
+    @property
+    def name(self) -> str:
+        """Their names."""
+        return format_names([fixture.name for fixture in self.fixtures])
+
+    @cached_property
+    def _targets(self) -> tuple[list[Frame], np.ndarray]:
+        """Different targets, and which of them each fixture has."""
+        places = np.array([fixture.on_tool.translation for fixture in self.fixtures])
+        _, first, number = np.unique(places, axis=0, return_index=True, return_inverse=True)
+        rank = np.argsort(np.argsort(first))
+        return [self.fixtures[k].on_tool for k in np.sort(first)], rank[number.ravel()]
+
+    @property
+    def frames(self) -> DeviceFrames:
+        """All devices and targets."""
+        device = tuple(fixture.pose.inverse for fixture in self.fixtures)
+        kinds, lengths = tuple(f.kind for f in self.fixtures), tuple(f.radius for f in self.fixtures)
+        return DeviceFrames(device, tuple(self._targets[0]), kinds, lengths)
+
+    def build_pose_set(self, q: np.ndarray, number: np.ndarray) -> PoseSet:
+        """Return poses at positions (N, na) of the devices or fixtures numbered (N,), without measured values."""
+        targets, own = self._targets
+        return PoseSet(
+            q,
+            np.zeros((len(q), 3)),
+            target=own[number],
+            targets=tuple(str(k + 1) for k in range(len(targets))),
+            device=number,
+            devices=tuple(fixture.name for fixture in self.fixtures),
+            kinds=tuple(fixture.kind for fixture in self.fixtures),
+        )
+
+    def get_cells(self, poses: PoseSet) -> list[dict[str, str]]:
+        """Return the cells of a measurement file that name the fixture and the target of each pose."""
+        target = [{"target": poses.targets[k]} if len(poses.targets) > 1 else {} for k in poses.target]
+        return [self.fixtures[k].cells | more for k, more in zip(poses.device, target, strict=True)]
+
+    def simulate(self, geometry: Geometry, theta: np.ndarray, poses: PoseSet, rng: np.random.Generator) -> PoseSet:
+        """Return measurements of a robot with parameters `theta` (p,) at planned poses; touches are reached by jogging.
+
+        Raises:
+            CannotAnswer: The robot does not reach a fixture from where it is planned.
+        """
+        noise = np.array([fixture.noise for fixture in self.fixtures])
+        off = noise[poses.device, None] * rng.standard_normal((poses.n, 3))
+        touched = np.flatnonzero(poses.touches)
+        q = poses.q.copy()
+        if len(touched):
+            q[touched], ok = reach_fixtures(geometry, theta, self.frames, poses.take(touched), off[touched])
+            if not ok.all():
+                name = poses.devices[poses.device[touched[int(np.argmin(ok))]]]
+                raise CannotAnswer(
+                    "no_solution",
+                    f"a robot whose dimensions are off by their usual size does not reach {name} from a chosen pose",
+                    f"another place for {name}, or dimensions that are known better",
+                )
+        seen = self.frames.measured(geometry.forward(theta, q).poses, poses.setup).position
+        read = np.array([fixture.kind == "distance" for fixture in self.fixtures])[poses.device]
+        position = np.zeros((poses.n, 3))
+        position[read, 0] = np.linalg.norm(seen[read], axis=1) + off[read, 0]
+        errors = tuple(float(x) for x in noise / noise[0]) if len(noise) > 1 else ()
+        return replace(poses, q=q, position=position, device_errors=errors, source="simulated measurement")
+
+
+def reach_fixtures(
+    geometry: Geometry, theta: np.ndarray, frames: DeviceFrames, poses: PoseSet, off: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the joint positions (N, na) nearest to those of poses at which the target touches, and whether it does (N,).
+
+    Args:
+        geometry: The mechanism.
+        theta: Its parameters (p,).
+        frames: Fixtures and targets.
+        poses: Where to start, and which fixture each touches.
+        off: Target from where it touches (N, 3) [m]: the first number outwards of a plane or a ball, three in a hole's frame.
+    """
+    q, gap = poses.q.copy(), np.full(poses.n, np.inf)
+    one, ok = poses.numbers == 1, np.zeros(poses.n, bool)
+    for _ in range(_STEPS):
+        found = geometry.forward(theta, q)
+        seen = frames.measured(found.poses, poses.setup)
+        outwards = find_directions(poses.kinds, poses.device, seen.position)
+        shift = np.where(one[:, None], outwards * off[:, :1], off)
+        miss = np.nan_to_num(poses.compute_position_residuals(seen, frames.lengths_of(poses.setup)) + shift)
+        gap, ok = np.abs(miss).max(axis=1), found.ok
+        if np.all(gap[ok] < _TOUCHES_M):
+            break
+        twist = frames.carried(found.poses, geometry.tool_by_joint(theta, q, found.poses), poses.setup)[:, :3]
+        slope = np.nan_to_num(project_columns(poses.kinds, poses.device, seen.position, twist))
+        step = (np.linalg.pinv(slope, rcond=1e-3) @ miss[:, :, None])[:, :, 0]
+        q = q + step * np.minimum(1.0, _MAX_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
+    return q, ok & (gap < _TOUCHES_M)
+
+
+def find_touches(
+    fixture: Fixture,
+    geometry: Geometry,
+    reach: Reachable,
+    check: PathCheck,
+    demands: PoseRequirements,
+    safety: Safety,
+) -> MeasurablePoses:
+    """Return joint positions at which the nominal robot touches a fixture and may do so, from those in reach.
+
+    Args:
+        fixture: What is touched.
+        geometry: The mechanism at its nominal parameters.
+        reach: Where the search starts.
+        check: Judges the place from which the fixture is approached, and the tour.
+        demands: What touches themselves must satisfy, without the obstacle to which the fixture belongs.
+        safety: Margins of the travel, and how far outwards the approach starts.
+
+    Raises:
+        CannotAnswer: The fixture cannot be touched; says mostly why.
+    """
+    theta, frames = geometry.parameters.values, fixture.frames
+    start = PoseSet(reach.q, np.zeros((reach.n, 3)), devices=(fixture.name,), kinds=(fixture.kind,))
+    q, ok = reach_fixtures(geometry, theta, frames, start, np.zeros((reach.n, 3)))
+    away = max(safety.distance, _MIN_RETRACT_M) * (np.eye(3)[2] if KINDS[fixture.kind].numbers == 3 else np.eye(3)[0])
+    before, free = reach_fixtures(geometry, theta, frames, replace(start, q=q), np.repeat(away[None], reach.n, axis=0))
+    low, high = get_travel(check.machine.robot)
+    room = safety.travel * (high - low)
+    tool = geometry.forward(theta, q).poses
+    near = PathCheck(check.machine, demands)
+    why = np.full(reach.n, SEEN, dtype=object)
+    rules = (
+        ("out of reach", lambda left: ~ok[left]),
+        ("actuator limit", lambda left: ~((q[left] >= low + room) & (q[left] <= high - room)).all(axis=1)),
+        ("tool behind the surface", lambda left: _is_behind(fixture, tool.position[left])),
+        ("no way back from it", lambda left: ~(free & (np.abs(before - q).max(axis=1) < _MAX_APPROACH))[left]),
+        ("", lambda left: near.reasons(q[left])),
+        ("", lambda left: check.reasons(before[left])),
+        ("", lambda left: np.array(near.blocked(before[left], q[left]), dtype=object)),
+    )
+    for word, find in rules:
+        left = np.flatnonzero(why == SEEN)
+        if len(left):
+            found = find(left)
+            why[left] = np.where(found, word, SEEN) if word else found
+    good = np.flatnonzero(why == SEEN)
+    good = good[np.unique(np.round(q[good] / _SAME_JOINTS), axis=0, return_index=True)[1]]
+    reasons = dict(Counter(why[why != SEEN].tolist()).most_common())
+    if not len(good):
+        place, word = ", ".join(f"{x:g}" for x in fixture.pose.translation), next(iter(reasons))
+        raise CannotAnswer(
+            "no_solution",
+            f"the robot cannot touch {fixture.name} at ({place}) m from any of {reach.n} positions (mostly: {word}, "
+            f"{reasons[word]} of them)",
+            f"another place for {fixture.name}, its right normal and target, or smaller safety distances",
+        )
+    return MeasurablePoses(q[good], before[good], tool.take(good), fixture.covariance(tool.take(good)), good, reasons)
+
+
+def _is_behind(fixture: Fixture, tool: np.ndarray) -> np.ndarray:
+    """Tell where the tool frame (N, 3) [m] lies on the far side of a plane, inside a ball, or under a hole."""
+    at = tool @ fixture.pose.rotation - fixture.pose.translation @ fixture.pose.rotation
+    return (np.linalg.norm(at, axis=1) - fixture.radius if fixture.kind == "sphere" else at[:, 2]) < -_BEHIND_M
+
+
+def read_fixtures(path: str | Path) -> FixtureSet:
+    """Read devices that tell distances, and fixtures that the target touches.
+
+    Raises:
+        InputError: Something is missing or no number; the message names the place.
+    """
+    root = FilePart(read_yaml(path), str(path), {"fixtures", "target"})
+    listed: Any = root.content.get("fixtures")
+    if not isinstance(listed, list) or not listed:
+        root.fault(
+            f"'fixtures' must be a list, each with a kind ({', '.join(PLANNED)}), a name, a position and a noise"
+        )
+    target = root.numbers("target", 3, default=(0.0, 0.0, 0.0))
+    found = tuple(_read_fixture(row, f"{path}: fixture {k}", target) for k, row in enumerate(listed, start=1))
+    names = [fixture.name for fixture in found]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        root.fault(f"two fixtures are called '{twice}'; give each its own name")
+    return FixtureSet(found)
+
+
+_KEYS = {
+    "distance": (),
+    "hole": ("normal", "obstacle"),
+    "plane": ("normal", "obstacle"),
+    "sphere": ("radius", "obstacle"),
+}
+"""Keys of each kind besides kind, name, position, noise and target."""
+
+
+def _read_fixture(content: Any, where: str, target: np.ndarray) -> Fixture:
+    kind = str(content.get("kind")) if isinstance(content, Mapping) else ""
+    part = FilePart(content, where, {"kind", "name", "position", "noise", "target", *_KEYS.get(kind, ())})
+    if kind not in PLANNED:
+        part.fault(f"kind must be one of {', '.join(PLANNED)}, not '{kind}'")
+    label = str(part.content.get("name", ""))
+    if not label.strip() or any(letter in label for letter in ',"\n\r'):
+        part.fault("name must be a word without commas and quotes, by which the file of measurements calls it")
+    needed = {"plane": ("noise", "normal"), "sphere": ("noise", "radius")}
+    for key in needed.get(kind, ("noise",)):
+        if key not in part.content:
+            part.fault(f"'{key}' is missing")
+    place, rotation = part.numbers("position", 3), np.eye(3)
+    if kind in ("plane", "hole"):
+        rotation = _turn_outwards(part, part.numbers("normal", 3, default=(0.0, 0.0, 1.0)))
+    on_tool = Frame(np.eye(3), part.numbers("target", 3, default=(target[0], target[1], target[2])))
+    radius = part.number("radius", 0.0, low=1e-6) if kind == "sphere" else 0.0
+    noise, obstacle = part.number("noise", 0.0, low=1e-9), str(part.content.get("obstacle", label))
+    return Fixture(kind, label, Frame(rotation, place), on_tool, noise, radius, obstacle)
+
+
+def _turn_outwards(part: FilePart, normal: np.ndarray) -> np.ndarray:
+    """Return a rotation (3, 3) whose z is a normal."""
+    if np.linalg.norm(normal) < 1e-9:
+        part.fault(f"normal must have a direction, not {normal.tolist()}")
+    return build_target_frame(np.zeros(3), normal, np.eye(3)[np.argmin(np.abs(normal))]).rotation
