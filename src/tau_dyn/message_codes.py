@@ -300,6 +300,11 @@ WARNING_CODES: dict[str, MessageCode] = {
         "nobody states the stiffness of a rod or drive, so that of the tool is unknown",
         "springs in the robot file, `--rod-stiffness`, `--actuator-stiffness`",
     ),
+    "stamps_chosen": MessageCode("a bag's messages carry stamps, and these are the clock", "nothing"),
+    "stamps_scatter": MessageCode(
+        "time stamps scatter around the even clock of the device",
+        "log time stamps of the measurement; the clock is corrected",
+    ),
     "stderr_rounded": MessageCode("standard errors were zero", "write them with more digits"),
     "updated_less_often": MessageCode(
         "channels are held or interpolated from a lower rate", "log at that rate; only the updates are used"

@@ -114,8 +114,11 @@ def test_many_stale_rows_are_left_out(axis_log, rng, share: float) -> None:
     stale = np.arange(n)
     stale[1:] -= rng.random(n - 1) < share
     log = recounted(axis_log, stale)
-    (warning,) = list_data_warnings(log)
+    warning, *filled = list_data_warnings(log)
     assert get_code(warning) == "repeated_samples" and isinstance(warning, RepairedWarning)
+    assert all("interpolated" in note and isinstance(note, RepairedWarning) for note in filled), (
+        "three stale rows in a row"
+    )
     mended = mend_log(log)
     assert mended.n_samples < (1 - 0.8 * share) * n and check_log(log).fit_for_use
     kept = np.round(mended.t / axis_log.dt).astype(int)

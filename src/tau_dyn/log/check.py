@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tau_dyn.log.check_motion import check_motion, find_moving_samples
 from tau_dyn.log.column_names import format_names
-from tau_dyn.log.data_integrity import list_data_warnings
+from tau_dyn.log.data_integrity import list_data_warnings, mend_log
 from tau_dyn.log.log import Log
 from tau_dyn.log.resample import (
     MAX_RELATIVE_JITTER,
@@ -127,6 +127,9 @@ def _extent(log: Log, joint: str) -> tuple[float, float]:
 MIN_RATE_HZ = 50.0
 """Below this rate [Hz] accelerations of a machine can hardly be had from positions."""
 
+MIN_PART_SHARE = 0.05
+"""Parts between gaps count for the motion from this share of the longest part's length."""
+
 _UNITS = ((2e5, "nanoseconds", "1e-9"), (200.0, "microseconds", "1e-6"), (0.5, "milliseconds", "0.001"))
 """Steps from which a clock reads like another unit, as machines log at 5 Hz to 2 kHz, and its scale to seconds."""
 
@@ -134,8 +137,12 @@ MIN_DURATION_S = 5.0
 """Shorter logs [s] rarely hold enough independent motion."""
 
 
-def check_clock(log: Log) -> tuple[list[CheckFinding], dict[str, Any]]:
+def check_clock(log: Log, used: Log | None = None) -> tuple[list[CheckFinding], dict[str, Any]]:
     """Judge the clock of a log.
+
+    Args:
+        log: A log as read.
+        used: The log with its short gaps filled; by default the log itself.
 
     Returns:
         Findings, and the numbers `n_samples`, `duration` [s], `rate_hz`, `jitter` (share of a step), `n_missing`,
@@ -151,7 +158,7 @@ def check_clock(log: Log) -> tuple[list[CheckFinding], dict[str, Any]]:
         "gaps": [[float(log.t[i]), float(log.t[i + 1])] for i in clock.gaps],
         "times_rounded": clock.rounded,
     }
-    return [_rate(log, clock), _evenness(log, clock), _gaps(log, clock)], numbers
+    return [_rate(log, clock), _evenness(log, clock), _gaps(used or log, clock)], numbers
 
 
 def _rate(log: Log, clock: Clock) -> CheckFinding:
@@ -177,15 +184,25 @@ def _evenness(log: Log, clock: Clock) -> CheckFinding:
     return choose_finding("jitter", differ, rounding, (uneven, differ, remedy))
 
 
+def _choose_used(log: Log, joints: Sequence[str]) -> Log:
+    """Return the mended log where gaps of the log are filled in it, else the log."""
+    n_gaps = len(examine_clock(log).gaps)
+    mended = mend_log(log, joints) if n_gaps else log
+    return mended if len(examine_clock(mended).gaps) < n_gaps else log
+
+
 def _gaps(log: Log, clock: Clock) -> CheckFinding:
     lost = (
         f"{count(clock.n_missing, 'sample')} {'is' if clock.n_missing == 1 else 'are'} missing, never three in a row."
     )
-    cut = describe_gaps(log, clock) if clock.gaps else ""
+    left = examine_clock(log)
+    cut = describe_gaps(log, left) if left.gaps else ""
+    filled = f"{log.name} has {count(len(clock.gaps), 'gap')} in time, which the samples around tell."
     return choose_finding(
         "gaps",
         f"{log.name}: no sample is missing.",
-        (bool(clock.gaps), cut, "Record without interruption; the parts are used separately."),
+        (bool(left.gaps), cut, "Record without interruption; the parts are used separately."),
+        (bool(clock.gaps), filled, "Record without interruption; the gaps are interpolated."),
         (
             clock.n_missing > 0,
             f"{log.name}: {lost}",
@@ -198,6 +215,7 @@ _READING = {
     UNCODED: "Let the logger finish its file.",
     "log_layout": "Check that it was meant so.",
     "clock_converted": "Check the rate above.",
+    "stamps_chosen": "None needed: they tell the time of the measurement better.",
     "clocks_joined": "Log all signals by one clock.",
     "column_without_numbers": "Log it, or map another column.",
     "samples_left_out": "Let the logger fill every cell.",
@@ -209,7 +227,7 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
     """Judge whether a log is fit for identification.
 
     Args:
-        log: A log as read. Where it has gaps, channels and motion are judged on its longest part.
+        log: A log as read. Where it has gaps that are not filled, channels are judged on its longest part.
         robot: The robot it belongs to, for joints and limits; None leaves those out.
 
     Returns:
@@ -221,19 +239,23 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
         >>> [finding.topic for finding in td.check_log(log).findings if finding.severity != "ok"]
         ['gaps', 'excitation']
     """
-    findings, numbers = check_clock(log)
+    joints = () if robot is None else robot.actuated
+    used = _choose_used(log, joints)
+    findings, numbers = check_clock(log, used)
     findings += [
         CheckFinding("warning", "reading", sentence, _READING.get(get_code(sentence), "See the message."))
         for sentence in log.warnings
     ]
     findings += _columns(log, robot) + _check_units(log, robot)
-    findings += [build_fault(warning) for warning in list_data_warnings(log, () if robot is None else robot.actuated)]
-    parts = split_at_gaps(log)
+    findings += [build_fault(warning) for warning in list_data_warnings(log, joints)]
+    parts = split_at_gaps(used)
     if not parts:
         lost = f"{log.name}: no stretch of it is without a gap."
         return LogCheck(log.name, (*findings, CheckFinding("fault", "gaps", lost, "Record it again.")), numbers)
     longest = int(np.argmax([part.n_samples for part in parts]))
-    raw, part = parts[longest], resample_segments(log)[longest]
+    even = resample_segments(used)
+    raw, part = parts[longest], even[longest]
+    others = [other for other in even if other is not part and other.n_samples >= MIN_PART_SHARE * part.n_samples]
     moving = (
         {joint: find_moving_samples(part, joint) for joint in log.joints("q")}
         if part.n_samples == raw.n_samples
@@ -241,7 +263,7 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
     )
     findings += _find_jumps(raw, robot)
     known = " ".join(finding.sentence for finding in findings if finding.topic == "frozen")
-    for more, figures in (check_signals(raw, moving), check_motion(part)):
+    for more, figures in (check_signals(raw, moving), check_motion(part, others)):
         findings += [f for f in more if f.topic != "frozen" or f"{_name_column(log, f)} stays at the same" not in known]
         numbers.update(figures)
     findings.append(_force_lag(log))

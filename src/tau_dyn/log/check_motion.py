@@ -3,6 +3,7 @@
 Part of `check.py`. Velocities are those an identification would use: zero-phase low-pass, then central differences.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -52,11 +53,12 @@ def find_moving_samples(log: Log, joint: str) -> NDArray[np.bool_]:
     return np.abs(v) > max(_noise_speed(log, signal, joint), 0.02 * float(np.abs(v).max()))
 
 
-def check_motion(log: Log) -> tuple[list[CheckFinding], dict[str, Any]]:
+def check_motion(log: Log, others: Sequence[Log] = ()) -> tuple[list[CheckFinding], dict[str, Any]]:
     """Judge the motion of every joint with a `q`.
 
     Args:
         log: A log with an even clock.
+        others: Other parts of the same log, whose range, speed and reversals count as well.
 
     Returns:
         Findings, and by joint: `quantisation`, `encoder_noise` [m or rad], `velocity_noise` [per s], `range`, `speed`
@@ -67,7 +69,7 @@ def check_motion(log: Log) -> tuple[list[CheckFinding], dict[str, Any]]:
     numbers: dict[str, dict[str, Any]] = {}
     crossed = _check_swapped_columns(log)
     for joint in log.joints("q"):
-        figures = _figures(log, joint)
+        figures = _add_parts(_figures(log, joint), [_figures(other, joint) for other in others])
         numbers[joint] = figures
         follows = crossed[joint] if joint in crossed else _lag(log, joint, figures)
         findings += [_encoder(log, joint, figures), _excitation(log, joint, figures), follows]
@@ -117,6 +119,17 @@ def _figures(log: Log, joint: str) -> dict[str, Any]:
         "acceleration_rms": float(np.sqrt(np.mean(a[inner] ** 2))),
         "acceleration_noise": noise * gains[1],
         "lag": estimate_reference_lag(log, joint) if log.has("q_ref", [joint]) and speeds.size else None,
+    }
+
+
+def _add_parts(figures: dict[str, Any], others: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the figures of a joint in the longest part of a log, with the range, speed and reversals of all parts."""
+    parts = [figures, *others]
+    return figures | {
+        "moves": any(part["moves"] for part in parts),
+        "range": [min(part["range"][0] for part in parts), max(part["range"][1] for part in parts)],
+        "speed": [figures["speed"][0], max(part["speed"][1] for part in parts)],
+        "n_reversals": sum(part["n_reversals"] for part in parts),
     }
 
 

@@ -21,6 +21,9 @@ A lost sample gives s = 1, one inserted twice s = -1. `z` is the estimate of `s`
 `s` within 0.25 of a nonzero integer are events. What is not a lost sample (a knock, a rough motion) has no reason to prefer
 integers, so steps nearer to the half integers are counted as a control. Alarm: three events, and more than twice the control.
 
+**Scattered stamps** (`device_clock.py`). Stamps of a logger that follow the device's even clock loosely are replaced by that
+clock. **Short gaps** (`short_gaps.py`) are filled where the rows around tell what is missing.
+
 **Forces that drop out.** A missing measurement is often written as zero or as the value before. A zero run is a stretch of
 exact zeros whose two neighbours are six typical steps off, on the same side: a force that passes through zero changes its
 side. A held run is a stretch of three or more exactly equal values in a channel that otherwise hardly ever repeats a value.
@@ -37,9 +40,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tau_dyn.log.check_motion import find_moving_samples
+from tau_dyn.log.device_clock import find_device_clock
 from tau_dyn.log.filtering import estimate_quantisation_step
 from tau_dyn.log.log import Log
 from tau_dyn.log.resample import examine_clock, find_true_runs, interpolate
+from tau_dyn.log.short_gaps import fill_short_gaps
 from tau_dyn.log.signal_checks import FrozenStretch, find_constant_runs, find_frozen_force, find_frozen_positions
 from tau_dyn.log.update_rate import UpdateRate, find_update_rates, sample_at_updates
 from tau_dyn.message_codes import CodedWarning, RepairedWarning
@@ -535,13 +540,39 @@ def _mend_samples(log: Log, joints: Sequence[str]) -> Repair:
     """Mend repeated rows, and under an even clock lost samples too; a measured clock shows its losses by itself."""
     clock = examine_clock(log)
     repeated = _mend_repeated(log, joints)
-    if not (clock.even or clock.rounded):
-        return repeated
-    lost = _mend_lost(repeated.log, joints)
-    return Repair(lost.log, [*repeated.warnings, *lost.warnings])
+    next_step = _mend_lost if clock.even or clock.rounded else _mend_stamps
+    mended = next_step(repeated.log, joints)
+    return Repair(mended.log, [*repeated.warnings, *mended.warnings])
 
 
-_STEPS = (_mend_updates, _leave_out_frozen, _mend_samples, _mend_dropouts)
+def _mend_stamps(log: Log, joints: Sequence[str]) -> Repair:
+    """Give a log the even times of its device where its stamps scatter around them."""
+    if log.n_samples < MIN_SAMPLES or not log.has("q", joints):
+        return Repair(log, [])
+    found = find_device_clock(log.t, log.joint("q", joints))
+    if found is None:
+        return Repair(log, [])
+    sentence = (
+        f"{log.name}: its time stamps scatter by {found.scatter_s:.2g} s around an even clock of "
+        f"{1 / found.tick_s:.6g} Hz, which the motion shows; that clock is used. Log time stamps of the measurement."
+    )
+    keep = np.diff(found.t, prepend=-np.inf) > 0
+    return Repair(_take(log, keep, found.t), [RepairedWarning("stamps_scatter", sentence)])
+
+
+def _fill_gaps(log: Log, joints: Sequence[str]) -> Repair:
+    """Fill gaps in which the motion is known as well as if it were measured."""
+    filled, n, longest_s = fill_short_gaps(log, joints)
+    if not n:
+        return Repair(log, [])
+    sentence = (
+        f"{log.name}: {count(n, 'gap')} of up to {longest_s:.2g} s {'is' if n == 1 else 'are'} interpolated: the samples around "
+        "tell the positions there to within their noise. Record without interruption."
+    )
+    return Repair(filled, [RepairedWarning("lost_samples", sentence)])
+
+
+_STEPS = (_mend_updates, _leave_out_frozen, _mend_samples, _mend_dropouts, _fill_gaps)
 """In this order: a low update rate looks like lost samples, and repeated rows look like both."""
 
 _REPAIRED: WeakKeyDictionary[Log, dict[tuple[str, ...], Repair]] = WeakKeyDictionary()

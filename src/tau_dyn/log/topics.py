@@ -24,6 +24,7 @@ from tau_dyn.log.column_names import format_names
 from tau_dyn.log.resample import resample_to_clock
 from tau_dyn.log.table import Table
 from tau_dyn.log.topic_columns import Budget, Topic, TopicRecorder
+from tau_dyn.message_codes import CodedWarning
 
 LOG_TIME = "log_time"
 MIN_OVERLAP = 0.5
@@ -190,15 +191,18 @@ class _Clock:
 
     def said(self, main: Topic, repeated: int, cut: int) -> list[str]:
         """Return sentences about the clock and what was left out."""
+        said: list[str] = []
         if main.log.dtype.kind == "f":
-            said = []
+            pass
         elif self.stamped:
             said = [
-                f"{self.name}: t is the stamp in the messages of {main.name}, from its first on, not when they were recorded."
+                CodedWarning(
+                    "stamps_chosen",
+                    f"{self.name}: t is the stamp in the messages of {main.name}, from its first on, not when they were "
+                    "recorded.",
+                )
             ]
-        elif self.asked:
-            said = []
-        else:
+        elif not self.asked:
             said = [
                 f"{self.name}: t is when messages of {main.name} were recorded, from the first on, since "
                 f"{format_names(self.lacking)} "
