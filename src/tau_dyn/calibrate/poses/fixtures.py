@@ -46,7 +46,7 @@ _STEPS = 40  # of Newton's method; it needs about eight
 _MAX_STEP = 0.3  # [m or rad] of a joint; longer ones leave the neighbourhood
 _TOUCHES_M = 1e-9  # [m] gap at which the target touches
 _BEHIND_M = 1e-6  # [m] by which the tool frame may lie behind the surface: rounding
-_SAME_JOINTS = 1e-4  # [m or rad] below which two touches are one: three axes reach a hole in one way
+_MIN_DIFFERENCE = 1e-4  # [m or rad] below which two touches are one: three axes reach a hole in one way
 _MAX_APPROACH = 0.5  # [m or rad] of a joint on the last move; longer ones come from elsewhere
 _MIN_RETRACT_M = 0.02
 """Least distance from which a fixture is approached [m]: nominal dimensions are off by about 10 mm."""
@@ -271,7 +271,7 @@ def find_touches(
             found = find(left)
             why[left] = np.where(found, word, SEEN) if word else found
     good = np.flatnonzero(why == SEEN)
-    good = good[np.unique(np.round(q[good] / _SAME_JOINTS), axis=0, return_index=True)[1]]
+    good = good[np.unique(np.round(q[good] / _MIN_DIFFERENCE), axis=0, return_index=True)[1]]
     reasons = dict(Counter(why[why != SEEN].tolist()).most_common())
     if not len(good):
         place, word = ", ".join(f"{x:g}" for x in fixture.pose.translation), next(iter(reasons))
