@@ -7,15 +7,13 @@ from .base_parameters import (
     read_expression as read_expression,
 )
 from .covariance import BLOCK_S as BLOCK_S, Whitener as Whitener, assign_blocks as assign_blocks
-from .determined_combinations import (
-    DeterminedCombinations as DeterminedCombinations,
-    find_determined_combinations as find_determined_combinations,
-)
 from .estimate import (
     MAX_RELATIVE_STDERR as MAX_RELATIVE_STDERR,
+    DeterminedCombinations as DeterminedCombinations,
     Estimate as Estimate,
     ParameterSum as ParameterSum,
     combine_parameters as combine_parameters,
+    find_determined_combinations as find_determined_combinations,
 )
 from .instrumental_variables import (
     InstrumentalSolution as InstrumentalSolution,
@@ -24,13 +22,14 @@ from .instrumental_variables import (
     solve_instrumental_variables as solve_instrumental_variables,
 )
 from .least_squares import solve_least_squares as solve_least_squares
-from .linear_system import LinearSystem as LinearSystem, factor_system as factor_system
 from .nonlinear import (
     Descent as Descent,
     DescentRules as DescentRules,
     LeastSquaresProblem as LeastSquaresProblem,
+    LinearSystem as LinearSystem,
     NonlinearEstimate as NonlinearEstimate,
     descend as descend,
+    factor_system as factor_system,
     fit_nonlinear as fit_nonlinear,
 )
 from .physical_consistency import (

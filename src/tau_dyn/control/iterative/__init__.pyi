@@ -21,8 +21,7 @@ from .filters import (
     design_band_stop as design_band_stop,
     design_low_pass as design_low_pass,
 )
-from .joint_learning import JointLearning as JointLearning
-from .law_choice import LawChoice as LawChoice
+from .joint_learning import JointLearning as JointLearning, LawChoice as LawChoice
 from .laws import (
     LearningLaw as LearningLaw,
     NormOptimalLaw as NormOptimalLaw,
@@ -43,6 +42,5 @@ from .lifted_system import (
     compute_pulse_response as compute_pulse_response,
     stack_controlled_actuators as stack_controlled_actuators,
 )
-from .trial_forecast import Forecast as Forecast
 from .trial_loop import LearningHistory as LearningHistory, TrialPlant as TrialPlant, learn as learn
-from .trial_response import TrialResponse as TrialResponse
+from .trial_response import Forecast as Forecast, TrialResponse as TrialResponse
