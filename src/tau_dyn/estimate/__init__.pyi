@@ -27,10 +27,8 @@ from .nonlinear import (
     DescentRules as DescentRules,
     LeastSquaresProblem as LeastSquaresProblem,
     LinearSystem as LinearSystem,
-    NonlinearEstimate as NonlinearEstimate,
     descend as descend,
     factor_system as factor_system,
-    fit_nonlinear as fit_nonlinear,
 )
 from .physical_consistency import (
     InertialBody as InertialBody,

@@ -37,7 +37,6 @@ from .learning_step import (
 from .lifted_system import (
     Operator as Operator,
     build_convolution as build_convolution,
-    build_lifted_matrix as build_lifted_matrix,
     build_signal_operator as build_signal_operator,
     compute_pulse_response as compute_pulse_response,
     stack_controlled_actuators as stack_controlled_actuators,
