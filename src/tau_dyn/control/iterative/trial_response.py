@@ -29,7 +29,7 @@ from typing import cast
 import numpy as np
 from scipy.fft import next_fast_len
 
-from tau_dyn.control.iterative.learned_outputs import Reference, TrialMeasurement
+from tau_dyn.control.iterative.learned_outputs import OwnPositions
 from tau_dyn.control.iterative.lifted_system import Operator, build_convolution
 from tau_dyn.modes import Actuator, Record, fit_actuators
 
@@ -135,33 +135,19 @@ class TrialResponse:
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredSide:
+class MeasuredSide(OwnPositions):
     """One drive's position with the response that its trials show.
 
     Attributes:
         found: The response.
-        coupled: False.
     """
 
     found: TrialResponse
-    coupled: bool = False
 
     @property
     def dt(self) -> float:
         """Step [s]."""
         return self.found.dt
-
-    def reference(self, motion: Reference) -> np.ndarray:
-        """Return the drive's reference (N, 1)."""
-        return motion.q
-
-    def estimate(self, trial: TrialMeasurement) -> np.ndarray:
-        """Return the measured position."""
-        return trial.q
-
-    def commands(self, motion: Reference, correction: np.ndarray) -> np.ndarray:
-        """Return reference plus correction."""
-        return motion.q + correction
 
     def operator(self, n: int) -> Operator:
         """Return G (N, N) as a convolution."""

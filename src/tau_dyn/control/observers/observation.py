@@ -239,9 +239,7 @@ def _estimate_complementary_error(
         missed[:, k] = passed @ np.linalg.lstsq(seen, deflection[:, k], rcond=None)[0]
     bias = observer.estimate(nothing, nothing + acceleration.mean(axis=0))
     noise = [_estimate_white_noise(x) for x in (kinematic, acceleration)]
-    slow, fast = observer.responses((np.arange(4096) + 0.5) / 8192 / observer.dt)
-    power = [np.mean(np.abs(np.einsum("fii->fi", x)) ** 2, axis=0) for x in (slow, fast)]
-    variance = power[0] * noise[0] ** 2 + power[1] * noise[1] ** 2
+    variance = observer.standard_error(*noise) ** 2
     return np.sqrt(variance + np.mean(missed**2, axis=0) + np.mean(bias**2, axis=0))
 
 
