@@ -1,6 +1,13 @@
 """The engines that torque, pose and vibration share: linear regressions, noise, base parameters, physics."""
 
-from .autoregression import Autoregression as Autoregression, fit_autoregression as fit_autoregression
+from .autoregression import (
+    REACH as REACH,
+    Autoregression as Autoregression,
+    PositionNoise as PositionNoise,
+    build_position_noise as build_position_noise,
+    compute_accelerations as compute_accelerations,
+    fit_autoregression as fit_autoregression,
+)
 from .base_parameters import (
     BaseParameters as BaseParameters,
     find_base as find_base,
@@ -35,12 +42,6 @@ from .physical_consistency import (
     PhysicalConstraints as PhysicalConstraints,
     pseudo_inertia as pseudo_inertia,
     solve_consistent as solve_consistent,
-)
-from .position_noise import (
-    REACH as REACH,
-    PositionNoise as PositionNoise,
-    build_position_noise as build_position_noise,
-    compute_accelerations as compute_accelerations,
 )
 from .regression import (
     ROUNDING as ROUNDING,

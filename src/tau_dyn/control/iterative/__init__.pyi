@@ -5,14 +5,6 @@ from .actuator_models import (
     fit_actuator_models as fit_actuator_models,
     read_actuators as read_actuators,
 )
-from .convergence_analysis import (
-    Convergence as Convergence,
-    FrequencyCondition as FrequencyCondition,
-    analyse_convergence as analyse_convergence,
-    build_iteration_operator as build_iteration_operator,
-    compute_frequency_condition as compute_frequency_condition,
-    require_convergence as require_convergence,
-)
 from .filters import (
     TimeShift as TimeShift,
     ZeroPhase as ZeroPhase,
@@ -41,5 +33,15 @@ from .lifted_system import (
     compute_pulse_response as compute_pulse_response,
     stack_controlled_actuators as stack_controlled_actuators,
 )
-from .trial_loop import LearningHistory as LearningHistory, TrialPlant as TrialPlant, learn as learn
+from .trial_loop import (
+    Convergence as Convergence,
+    FrequencyCondition as FrequencyCondition,
+    LearningHistory as LearningHistory,
+    TrialPlant as TrialPlant,
+    analyse_convergence as analyse_convergence,
+    build_iteration_operator as build_iteration_operator,
+    compute_frequency_condition as compute_frequency_condition,
+    learn as learn,
+    require_convergence as require_convergence,
+)
 from .trial_response import Forecast as Forecast, TrialResponse as TrialResponse

@@ -23,14 +23,14 @@ from typing import Literal
 
 import numpy as np
 
-from tau_dyn.control.iterative.convergence_analysis import (
+from tau_dyn.control.iterative.filters import TimeShift, ZeroPhase, design_low_pass
+from tau_dyn.control.iterative.laws import LearningLaw
+from tau_dyn.control.iterative.learned_outputs import Reference
+from tau_dyn.control.iterative.trial_loop import (
     Convergence,
     analyse_convergence,
     compute_frequency_condition,
 )
-from tau_dyn.control.iterative.filters import TimeShift, ZeroPhase, design_low_pass
-from tau_dyn.control.iterative.laws import LearningLaw
-from tau_dyn.control.iterative.learned_outputs import Reference
 from tau_dyn.control.iterative.trial_response import (
     Forecast,
     TrialResponse,

@@ -30,10 +30,9 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.control.motion.coordinates import Coordinates
+from tau_dyn.control.motion.coordinates import Coordinates, Nodes
 from tau_dyn.control.motion.expressions import ForceLaw, import_casadi
 from tau_dyn.control.motion.limits import MotionLimits
-from tau_dyn.control.motion.nodes import Nodes
 
 
 class Pointwise:
