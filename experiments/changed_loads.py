@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.diagnose import Diagnosis, diagnose
+from tau_dyn.diagnose import diagnose
+from tau_dyn.evidence import Diagnosis
 from tau_dyn.identify import build_model
 from tau_dyn.log import Log
 from tau_dyn.model import Model

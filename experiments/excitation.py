@@ -4,7 +4,7 @@
 
 Three robots with asymmetric friction: the L1 (simplified Gantry-Tau), the linear axis, and a 6R (an elbow arm of 1.3 m reach and
 70 kg). Each gets 30 s, the robot file's limits, and the same speeds (90 % of the limit, at most 1 m/s or 2 rad/s) for random and
-designed motions alike. All standard errors of that comparison are predicted by the same code (`tau_dyn.excitation.prediction`);
+designed motions alike. All standard errors of that comparison are predicted by the same code (`tau_dyn.excitation.information`);
 "worst" is the largest standard error relative to the parameter's value (of a small one, to a tenth of its unit's largest).
 
 Then the design is driven, with other draws than its own prediction: the true robot is simulated with controller and sensors

@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from scipy.linalg import eigh
+from thesis_6_3_parts.matrices import PRINTED, judge_character, solve_unconstrained
 
 from tau_dyn.modes import Record, RefinedModel, compress_subspace_data, refine
 from tau_dyn.modes.mechanical import Mechanical, SecondOrder, fit_mechanical
-from tau_dyn.modes.mechanical.mass_damping_stiffness import PRINTED, judge_character, solve_unconstrained
 from tau_dyn.modes.mechanical.structure import pack
 from tau_dyn.modes.state_space import simulate
 

@@ -27,7 +27,7 @@ def test_a_room_does_not_hide_the_function_of_its_name(name):
 
 def test_an_unknown_name_is_an_attribute_error():
     """A misspelt name says so."""
-    with pytest.raises(AttributeError, match="no attribute 'identfy'"):
+    with pytest.raises(AttributeError, match="No tau_dyn attribute identfy"):
         tau_dyn.identfy  # noqa: B018
 
 

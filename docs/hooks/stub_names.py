@@ -11,7 +11,7 @@ class StubNames(griffe.Extension):
     def on_package(self, *, pkg: griffe.Module, loader: griffe.GriffeLoader, **kwargs: Any) -> None:
         """Set what each package exports."""
         for package in [pkg, *(m for m in pkg.modules.values() if m.is_init_module)]:
-            if "attach_public_names" in package.members:
+            if "attach_stub" in package.members:
                 package.exports = [
                     name
                     for name, member in package.members.items()

@@ -19,7 +19,7 @@ from tau_dyn.effects import Motion, SymmetricFriction, TorqueOffset
 from tau_dyn.estimate import SufficientStatistics
 from tau_dyn.identify.regression import compute_columns
 from tau_dyn.mechanism import TreeMechanism, build_mechanism
-from tau_dyn.mechanism.samplewise import SamplewiseTree
+from tau_dyn.mechanism.tree import SamplewiseTree
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 

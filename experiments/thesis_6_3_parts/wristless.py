@@ -6,10 +6,10 @@ import numpy as np
 
 from tau_dyn.modes import Mode, Record, RefinedModel, compress_subspace_data, refine
 from tau_dyn.modes.mechanical import Mechanical, SecondOrder, fit_mechanical
-from tau_dyn.modes.mechanical.mass_damping_stiffness import PRINTED, Character, judge_character, solve_unconstrained
-from tau_dyn.modes.methods import realise_pulse_tests
+from tau_dyn.modes.methods import decompose_pulse_tests
 from tau_dyn.modes.state_space import simulate
 from tau_dyn.simulate import VibrationSensors, push_log, simulate_vibration_log
+from thesis_6_3_parts.matrices import PRINTED, Character, judge_character, solve_unconstrained
 from thesis_6_3_parts.printed import ORDER_TRACKER, ORDER_VISION
 from thesis_6_3_parts.robots import AXES, fit_percent, record, without_wrist
 
@@ -69,7 +69,7 @@ def pushed(axes: str, seed: int) -> list[Record]:
 
 def tracker_model(axes: str, order: int, seed: int) -> TrackerModel:
     train, test = pushed(axes, seed), pushed(axes, seed + 100)
-    refined = refine(realise_pulse_tests(train, order), train, direct=False)
+    refined = refine(decompose_pulse_tests(train).model(order, None), train, direct=False)
     simulated = [simulate(refined.model, r, np.zeros(order)) for r in test]
     return TrackerModel(
         axes, refined, test, simulated, fit_percent(np.vstack([r.y for r in test]), np.vstack(simulated))

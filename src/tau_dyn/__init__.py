@@ -9,7 +9,8 @@ tau = Feedforward.load("extended.yaml")(q, v, a)
 
 from importlib import import_module
 
-from tau_dyn.public_names import attach_public_names
+from lazy_loader import attach_stub
+
 from tau_dyn.version import __version__ as __version__
 
 # Loading a package binds its name here, once. Deleted, the name is that of the function, which the stub gives on first use.
@@ -17,4 +18,4 @@ for _package in ("calibrate", "diagnose", "identify", "simulate"):
     import_module(f"tau_dyn.{_package}")
     del globals()[_package]
 
-__getattr__, __dir__, __all__ = attach_public_names(__name__, __file__)
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -27,5 +27,5 @@ def test_a_name_loads_what_it_needs_alone():
     says = "import sys, tau_dyn.control; print([n for n in ('pinocchio', 'scipy') if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", says], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-    with pytest.raises(AttributeError, match="no attribute 'learning'"):
+    with pytest.raises(AttributeError, match="No tau_dyn.control attribute learning"):
         tau_dyn.control.learning  # noqa: B018

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tau_dyn.diagnose import Diagnosis, diagnose
+from tau_dyn.diagnose import diagnose
 from tau_dyn.diagnose.force_baseline import fit_baseline
 from tau_dyn.diagnose.loads import Load, LoadReport, find_loads
 from tau_dyn.estimate import Autoregression, RegressionRun
@@ -18,6 +18,7 @@ from tau_dyn.evidence import (
     TRAIN,
     CampaignChange,
     CampaignChannel,
+    Diagnosis,
     Finding,
     OutputErrors,
     Step,

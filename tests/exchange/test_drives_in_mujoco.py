@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.effects import EFFECTS
 from tau_dyn.exchange import build_mjcf
-from tau_dyn.exchange.price import compute_lost_force
+from tau_dyn.exchange.content import compute_lost_force
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot_from_urdf

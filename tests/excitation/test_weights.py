@@ -7,8 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.testing import assert_allclose
 
-from tau_dyn.excitation.information import Information
-from tau_dyn.excitation.prediction import Noise
+from tau_dyn.excitation.information import Information, Noise
 from tau_dyn.identify import build_model
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters

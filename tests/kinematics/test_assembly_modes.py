@@ -13,9 +13,9 @@ from tau_dyn.kinematics.assembly.equations import (
     Hexapod,
     bound_magnitudes,
     build_quadrics,
-    convert_to_points,
     convert_to_poses,
     draw_general_hexapod,
+    multiply_quaternions,
     normalise_hexapod,
     start_system,
 )
@@ -130,6 +130,13 @@ def test_bad_input_is_named(rng, change, message) -> None:
     """Five rods, nan and negative lengths are the user's faults."""
     with pytest.raises(InputError, match=message):
         find_assembly_modes(*change(*drawn(rng)[:3]))
+
+
+def convert_to_points(position, quaternion, rotation, gauge):
+    """Return homogeneous points (n, 8) of poses; the inverse of `convert_to_poses`."""
+    T = (position + rotation @ gauge.plate - gauge.base) / gauge.scale
+    pure = np.concatenate([np.zeros_like(T[:, :1]), T], axis=1)
+    return np.concatenate([quaternion, multiply_quaternions(pure, quaternion)], axis=1)
 
 
 def test_the_quadrics_are_the_rods_equations(rng) -> None:

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.kinematics.assembly import list_robot_modes
 from tau_dyn.kinematics.assembly.robot_modes import search_tree_modes
-from tau_dyn.mechanism import TreePose, build_rods, forward_kinematics, solve_both_forward
+from tau_dyn.mechanism import TreePose, build_rods, forward_kinematics
 from tau_dyn.robot import load_robot
 
 
@@ -83,7 +83,7 @@ def test_a_wrist_follows_both_modes_of_its_plate() -> None:
     q = moving.home + 0.05
     carts = [moving.actuated.index(j) for j in plain.actuated]
     modes = list_robot_modes(moving, q)
-    plates = solve_both_forward(build_rods(plain), q[carts])[0]
+    plates = build_rods(plain).both_forward(q[carts])[0]
     assert modes.tool.n_samples == 2 and not modes.proved and "no bound" in modes.why
     assert_allclose(modes.tool.position[0] - modes.tool.position[1], plates[0] - plates[1], atol=1e-9)
 

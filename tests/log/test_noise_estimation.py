@@ -7,7 +7,6 @@ from numpy.testing import assert_allclose
 from tau_dyn.log import (
     compute_edge_samples,
     compute_noise_gain,
-    compute_velocity_noise,
     differentiate,
     estimate_encoder_noise,
     estimate_quantisation_step,
@@ -31,7 +30,11 @@ def test_white_noise_is_found_in_a_moving_log(motion, rng, sigma, cutoff):
     q = motion(T)
     noisy = q + sigma * rng.standard_normal(T.size)
     assert_allclose(estimate_encoder_noise(noisy), sigma, rtol=0.03)
-    assert_allclose(compute_velocity_noise(noisy, RATE, cutoff), true_velocity_noise(noisy, q, cutoff), rtol=0.1)
+    assert_allclose(
+        estimate_encoder_noise(noisy) * compute_noise_gain(RATE, cutoff),
+        true_velocity_noise(noisy, q, cutoff),
+        rtol=0.1,
+    )
 
 
 @pytest.mark.parametrize("step", [5e-6, 2e-5, 1e-4])
@@ -41,7 +44,9 @@ def test_quantisation_counts_as_noise(motion, step):
     rounded = np.round(q / step) * step
     assert_allclose(estimate_quantisation_step(rounded), step, rtol=1e-6)
     assert_allclose(estimate_encoder_noise(rounded), step / np.sqrt(12), rtol=0.05)
-    assert_allclose(compute_velocity_noise(rounded, RATE, 60), true_velocity_noise(rounded, q, 60), rtol=0.15)
+    assert_allclose(
+        estimate_encoder_noise(rounded) * compute_noise_gain(RATE, 60), true_velocity_noise(rounded, q, 60), rtol=0.15
+    )
 
 
 def test_rest_knocks_and_a_resonance_do_not_hide_the_noise(rng):

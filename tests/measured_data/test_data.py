@@ -19,7 +19,7 @@ from raising import raises_code
 import tau_dyn as td
 from tau_dyn.cli import main
 from tau_dyn.log import ColumnMap
-from tau_dyn.measured_data import catalogue, fetch, fetch_data, find_set, list_sets
+from tau_dyn.measured_data import fetch, fetch_data, find_set, list_sets
 from tau_dyn.robot import load_robot
 
 NAMES = [one.name for one in list_sets()]
@@ -58,10 +58,10 @@ def test_every_set_has_source_licence_size_and_checksums(name):
         assert file.n_bytes > 0 and bool(file.address) == bool(file.sha256)
         if file.address:
             assert file.address.startswith("https://") and len(bytes.fromhex(file.sha256)) == 32
-    ColumnMap.load(catalogue.find_shared_file("columns", one.columns))
+    ColumnMap.load(fetch.find_shared_file("columns", one.columns))
     for robot in one.robots:
-        assert load_robot(catalogue.find_shared_file("robots", robot) if robot.endswith(".urdf") else robot).na >= 1
-    assert not one.controller or catalogue.find_shared_file("controllers", one.controller).is_file()
+        assert load_robot(fetch.find_shared_file("robots", robot) if robot.endswith(".urdf") else robot).na >= 1
+    assert not one.controller or fetch.find_shared_file("controllers", one.controller).is_file()
 
 
 @pytest.mark.parametrize("name", ["tx40", "kr300", "simple_pendulum", "so101", "xl330", "vibration"])
@@ -167,7 +167,7 @@ def test_without_a_network_the_sentence_names_the_address(data_folder, monkeypat
     """An address that nobody answers at is one sentence, and nothing is written."""
     pytest.importorskip("pooch")
     unreachable = _with_address("http://127.0.0.1:9/DATA_EMPS.mat")
-    monkeypatch.setattr(catalogue, "list_sets", lambda: (unreachable,))
+    monkeypatch.setattr(fetch, "list_sets", lambda: (unreachable,))
     with raises_code("download_failed", "127.0.0.1"):
         fetch_data("emps")
     assert not Path("emps").exists()
@@ -189,10 +189,10 @@ def test_a_download_from_an_address_arrives_byte_by_byte(data_folder, monkeypatc
         Thread(target=server.serve_forever, daemon=True).start()
         address = f"http://127.0.0.1:{server.server_port}/DATA_EMPS.mat"
         served = _with_address(address, hashlib.sha256(content).hexdigest())
-        monkeypatch.setattr(catalogue, "list_sets", lambda: (served,))
+        monkeypatch.setattr(fetch, "list_sets", lambda: (served,))
         assert (fetch_data("emps").folder / "DATA_EMPS.mat").read_bytes() == content
         monkeypatch.setattr(
-            catalogue, "list_sets", lambda: (replace(served, files=(replace(served.files[0], sha256="1" * 64),)),)
+            fetch, "list_sets", lambda: (replace(served, files=(replace(served.files[0], sha256="1" * 64),)),)
         )
         with raises_code("wrong_checksum", address):
             fetch_data("emps", "again")
@@ -205,7 +205,7 @@ class _QuietHandler(SimpleHTTPRequestHandler):
         """Write nothing."""
 
 
-def _with_address(address: str, sha256: str = "0" * 64) -> catalogue.DataSet:
+def _with_address(address: str, sha256: str = "0" * 64) -> fetch.DataSet:
     one = find_set("emps")
     return replace(one, files=(replace(one.files[0], address=address, sha256=sha256),))
 
@@ -213,7 +213,7 @@ def _with_address(address: str, sha256: str = "0" * 64) -> catalogue.DataSet:
 def _publish(monkeypatch, name: str, sha256: str) -> None:
     """Let the list have another checksum of the only file of a set."""
     changed = _with_address(find_set(name).files[0].address, sha256)
-    monkeypatch.setattr(catalogue, "list_sets", lambda: (changed,))
+    monkeypatch.setattr(fetch, "list_sets", lambda: (changed,))
 
 
 def _copy_of_xl330(folder: Path) -> None:

@@ -8,8 +8,7 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.mechanism import TreeMechanism, build_mechanism
-from tau_dyn.mechanism.samplewise import SamplewiseTree
-from tau_dyn.mechanism.tree import MAX_ONE_BY_ONE
+from tau_dyn.mechanism.tree import MAX_ONE_BY_ONE, SamplewiseTree
 
 KINDS = ["two_link", "turning", "block", "pendulum", "tx40", "ur5", "panda", "four_bar",
          "l1 simplified uniform", "d1 simplified point", "l1 complete uniform"]  # fmt: skip

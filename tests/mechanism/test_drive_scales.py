@@ -17,7 +17,6 @@ from tau_dyn.mechanism import (
     forward_kinematics,
     inverse_kinematics,
     jacobian,
-    measure_singularity,
 )
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
@@ -63,7 +62,12 @@ def test_kinematics_count_by_readings(pair) -> None:
     assert np.abs(jacobian(plain, q * s) * s - jacobian(scaled, q)).max() < 1e-9
     back = inverse_kinematics(scaled, b.poses, limits=False, start=None if build_kinematics(plain).legs else q)
     assert np.abs(back.q - q).max() < 1e-9
-    assert np.abs(measure_singularity(plain, q * s).parallel - measure_singularity(scaled, q).parallel).max() < 1e-9
+    assert (
+        np.abs(
+            build_kinematics(plain).singularity(q * s).parallel - build_kinematics(scaled).singularity(q).parallel
+        ).max()
+        < 1e-9
+    )
 
 
 def test_forces_scale_inversely_to_travel(pair) -> None:

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.mechanism import LoopSolver, Poses, TreePose, build_rods, forward_kinematics, solve_both_forward
+from tau_dyn.mechanism import LoopSolver, Poses, TreePose, build_rods, forward_kinematics
 from tau_dyn.mechanism.sliding_plate import solve_implicit_forward
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import load_robot
@@ -92,7 +92,7 @@ def test_trilateration_has_two_solutions(rng):
     robot = load_robot("gantry_tau", prototype="d1")
     rods = build_rods(robot)
     q = robot.home + rng.uniform(-0.3, 0.3, (50, 3))
-    both = solve_both_forward(rods, q)
+    both = rods.both_forward(q)
     for k in range(2):
         tool = Poses(both[:, k], forward_kinematics(rods, q).poses.rotation)
         assert np.abs(rods.gap(q, rods.plate_poses(tool))).max() < 1e-12

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.mechanism import TreeMechanism
-from tau_dyn.mechanism.samplewise import SamplewiseTree
+from tau_dyn.mechanism.tree import SamplewiseTree
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 EXTRA = {"simplified": 22.38, "complete": 15.0}

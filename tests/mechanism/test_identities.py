@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.mechanism import TreeMechanism, build_mechanism
-from tau_dyn.robot import load_robot, robot_from_urdf
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 SERIAL = ["two_link", "turning", "block", "tx40", "ur5", "panda"]
 LOOPED = ["four_bar", "l1 simplified uniform", "d1 simplified point", "l1 complete uniform", "l1 complete point"]
@@ -179,6 +179,6 @@ def test_a_robot_without_a_tool_has_no_tool_position(write) -> None:
     """Where no frame is named as the tool and the tree has two ends, asking for its position is an error."""
     ends = [write.rod(f"{name}_link", 1, 0.2) for name in "ab"]
     joints = [write.joint(name, "revolute", "base_link", f"{name}_link", "0 1 0") for name in "ab"]
-    fork = robot_from_urdf(write.text("fork", *ends, *joints, write.drive("a"), write.drive("b")), "fork")
+    fork = load_robot_from_urdf(write.text("fork", *ends, *joints, write.drive("a"), write.drive("b")), "fork")
     with raises_code("unsupported", "tool"):
         build_mechanism(fork).tool_position(np.zeros((1, 2)))

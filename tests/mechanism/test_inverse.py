@@ -16,12 +16,11 @@ from tau_dyn.mechanism import (
     Poses,
     RootChain,
     build_chains,
+    build_kinematics,
     build_rods,
     forward_kinematics,
-    get_home_configuration,
     inverse_kinematics,
     jacobian,
-    list_configurations,
     solve_all_configurations,
 )
 from tau_dyn.mechanism.chain_inverse import NewtonChain
@@ -76,7 +75,7 @@ def test_eight_configurations(arms, rng):
     robot = load_robot("gantry_tau", arms=arms)
     rods = build_rods(robot)
     poses = forward_kinematics(robot, robot.home + rng.uniform(-0.4, 0.4, (30, 3))).poses
-    solutions, signs = solve_all_configurations(rods, poses), list_configurations(rods)
+    solutions, signs = solve_all_configurations(rods, poses), rods.configurations
     assert solutions.shape == (30, 8, 3) and len(signs) == 8
     for k in range(8):
         assert np.abs(rods.gap(solutions[:, k], rods.plate_poses(poses))).max() < 1e-11
@@ -84,7 +83,7 @@ def test_eight_configurations(arms, rng):
             inverse_kinematics(rods, poses, configuration=signs[k], limits=False).q, solutions[:, k], atol=1e-11
         )
     assert len(np.unique(np.round(solutions[0], 6), axis=0)) == 8
-    home = int(np.flatnonzero((signs == get_home_configuration(rods)).all(axis=1))[0])
+    home = int(np.flatnonzero((signs == build_kinematics(rods).home_configuration).all(axis=1))[0])
     assert_allclose(inverse_kinematics(rods, poses, limits=False).q, solutions[:, home], atol=1e-11)
 
 
@@ -164,7 +163,7 @@ def test_beyond_a_singularity_is_another_branch(rng):
     home = forward_kinematics(robot, robot.home).poses
     turn = Rotation.from_rotvec(rng.uniform(-1.6, 1.6, (12, 3))).as_matrix()
     asked = Poses(np.repeat(home.position, 12, axis=0), turn @ home.rotation)
-    named = inverse_kinematics(rods, asked, configuration=get_home_configuration(rods), limits=False)
+    named = inverse_kinematics(rods, asked, configuration=build_kinematics(rods).home_configuration, limits=False)
     found = inverse_kinematics(rods, asked, limits=False)
     assert named.ok.all() and set(found.reason) == {"", "branch change"}
     back = forward_kinematics(rods, named.q).poses.rotation
@@ -212,7 +211,7 @@ def test_a_tree_is_solved_as_well(rng):
 def test_which_configuration_is_homes(name, arguments, signs):
     """A chain with two roots has a sign, -1 the smaller one; a leg has one root, a chain of several actuators none."""
     robot = load_robot(name, **arguments)
-    assert get_home_configuration(robot).tolist() == signs
+    assert build_kinematics(robot).home_configuration.tolist() == signs
 
 
 def test_redundant_actuators_stay_nearest_to_the_start(rng):
@@ -261,7 +260,7 @@ def test_what_forward_kinematics_reaches_is_never_given_up(name, arguments, rng)
     forward = forward_kinematics(robot, q)
     homes = np.flatnonzero(forward.ok)
     signs = [rods.nearest_configuration(forward.poses.take(slice(k, k + 1)), q[k]) for k in homes.tolist()]
-    homes = homes[(np.array(signs) == get_home_configuration(rods)).all(axis=1)]
+    homes = homes[(np.array(signs) == build_kinematics(rods).home_configuration).all(axis=1)]
     assert len(homes) > 20
     found = inverse_kinematics(robot, forward.poses.take(homes), limits=False)
     assert found.ok.all()

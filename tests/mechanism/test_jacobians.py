@@ -7,17 +7,14 @@ import warnings
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from raising import raises_code
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.mechanism import (
-    compute_acceleration_bias,
-    compute_inverse_jacobian,
+    build_kinematics,
     forward_kinematics,
     frames,
     get_rods,
     jacobian,
-    measure_singularity,
 )
 from tau_dyn.robot import load_robot
 
@@ -43,7 +40,7 @@ def test_velocity_and_acceleration_maps(name, rng):
     size = np.abs(J).max()
     assert_allclose(np.einsum("nij,nj->ni", J, v), twist_between(before, after, h)[:, :rows], atol=1e-6 * size)
     rates = [np.einsum("nij,nj->ni", jacobian(robot, q + s * h * v), v) for s in (-1, 1)]
-    bias = compute_acceleration_bias(robot, q, v)
+    bias = build_kinematics(robot).acceleration_bias(q, v)
     assert_allclose(bias, (rates[1] - rates[0]) / (2 * h), atol=1e-5 * max(size, np.abs(bias).max()))
 
 
@@ -51,11 +48,11 @@ def test_a_sample_without_numbers_leaves_the_acceleration_of_its_neighbours_alon
     """Of a tree with loops, not-a-number and positions beyond any robot give nan, and the others what they give alone."""
     robot = load_robot("h4")
     q, v = robot.home + 0.01 * rng.standard_normal((4, robot.na)), rng.standard_normal((4, robot.na))
-    alone = compute_acceleration_bias(robot, q[:1], v[:1])
+    alone = build_kinematics(robot).acceleration_bias(q[:1], v[:1])
     q[1, 0], q[2, 1], q[3, 2] = np.nan, 1e300, -1e300
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        together = compute_acceleration_bias(robot, q, v)
+        together = build_kinematics(robot).acceleration_bias(q, v)
         reason = forward_kinematics(robot, q).reason.tolist()
     assert_allclose(together[0], alone[0], rtol=1e-12)
     assert np.isnan(together[1:]).all() and reason == ["", "not a number", "out of reach", "out of reach"]
@@ -68,16 +65,14 @@ def test_rods_stay_closed(name, rng):
     rods = get_rods(robot)
     assert rods is not None
     q = robot.home + 0.03 * rng.standard_normal((10, robot.na))
-    total = compute_inverse_jacobian(robot, q) @ jacobian(robot, q) + rods.gap_by_q(
-        q, forward_kinematics(robot, q).plate
-    )
+    total = rods.closure_by_pose(q) @ jacobian(robot, q) + rods.gap_by_q(q, forward_kinematics(robot, q).plate)
     assert_allclose(total, 0.0, atol=1e-12)
 
 
 def test_singularities_show():
     """Rods that come into one plane lose hold of the plate; a rod across its guideway no longer moves it."""
     robot = load_robot("gantry_tau")
-    usual = measure_singularity(robot, robot.home)
+    usual = build_kinematics(robot).singularity(robot.home)
     assert usual.parallel[0] > 0.2 and usual.serial[0] > 0.5
     rods = get_rods(robot)
     assert rods is not None
@@ -87,13 +82,7 @@ def test_singularities_show():
     away = np.linspace(0, 3, 4000)[:, None] * np.array([1.0, -1.0, 0.0]) + robot.home  # carts apart until out of reach
     _, code = engine.forward(away)
     last = away[np.flatnonzero(code == 0)[-1]]
-    assert measure_singularity(robot, last).parallel[0] < 0.1 * usual.parallel[0]
-
-
-def test_a_tree_has_no_rods_to_open():
-    """The rods' rows exist for robots of rods only."""
-    with raises_code("unsupported"):
-        compute_inverse_jacobian(load_robot("linear_axis"), np.zeros((1, 1)))
+    assert build_kinematics(robot).singularity(last).parallel[0] < 0.1 * usual.parallel[0]
 
 
 def test_a_slide_on_a_turn_has_its_coriolis_acceleration(rng):

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.mechanism import GantryTauMechanism, TreeMechanism, build_mechanism
-from tau_dyn.mechanism.samplewise import SamplewiseTree
+from tau_dyn.mechanism.tree import SamplewiseTree
 from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 

@@ -12,10 +12,11 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[2] / "experiments"))
 from structures import DT, chain, refined, relative_error
+from thesis_6_3_parts.matrices import PRINTED, judge_character, solve_unconstrained
 
 from tau_dyn.modes.mechanical import fit_mechanical
-from tau_dyn.modes.mechanical.mass_damping_stiffness import PRINTED, judge_character, solve_unconstrained
 from tau_dyn.modes.mechanical.structure import OUTPUTS
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from tau_dyn.servo import cause_search, data as servo_data, fit
+from tau_dyn.servo.by_gain import RESONANCES_HZ, list_starts
 from tau_dyn.servo.cause_search import LoopSearch, TriedCause, search_causes
 from tau_dyn.servo.data import BASELINE, LOADS_ANEW, MAX_SETTLINGS, fit_coupled, fit_precisely, keep_kinds
 from tau_dyn.servo.fit import LoopPrior, _step
 from tau_dyn.servo.preparation import prepare_loop, read_loop_logs
-from tau_dyn.servo.starts import RESONANCES_HZ, list_starts
 from tau_dyn.servo.waves import SPRING_STEP_S
 
 from .arms import build_arm, build_law, build_truth, record

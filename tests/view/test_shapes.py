@@ -9,9 +9,8 @@ from tau_dyn.kinematics.solids import read_bodies
 from tau_dyn.mechanism import LoopSolver
 from tau_dyn.robot import list_robot_names, load_robot, load_robot_from_urdf
 from tau_dyn.view import Placer, build_furniture
-from tau_dyn.view.palette import CASING, ROLES
 from tau_dyn.view.scene import compute_outline
-from tau_dyn.view.shapes import build_visual_shapes, list_body_roles
+from tau_dyn.view.shapes import CASING, ROLES, build_visual_shapes, list_body_roles
 
 ENDS = '<visual><geometry><mesh filename="/etc/passwd"/></geometry></visual></link>'
 

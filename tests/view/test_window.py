@@ -12,8 +12,8 @@ pytest.importorskip("viser")
 from tau_dyn.log import Log
 from tau_dyn.robot import load_robot
 from tau_dyn.view import Viewer, build_playback
-from tau_dyn.view.palette import NAMED, escape_html, format_keys, format_legend
 from tau_dyn.view.results import Cloud, ErrorVectors, Findings, Uncertainty, ViewedFinding
+from tau_dyn.view.shapes import NAMED, escape_html, format_keys, format_legend
 
 
 @pytest.fixture(scope="module")

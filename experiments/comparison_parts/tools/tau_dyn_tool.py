@@ -29,7 +29,7 @@ def force(case):
 
 def servo(case):
     from tau_dyn.servo import diagnose_loop, identify_loop
-    from tau_dyn.servo.prediction import predict_positions
+    from tau_dyn.servo.prediction import simulate_coupled
     from tau_dyn.servo.records import InertialSpace, build_records
     from tau_dyn.servo.simulation import read_values
     from tau_dyn.simulate import build_servo_law, read_servo_law
@@ -45,7 +45,7 @@ def servo(case):
         columns |= {f"q_{j}": np.full(len(x["t"]), x["start"][k]) for k, j in enumerate(case.channels)}
         columns |= {key: x[key] for key in ("torque_enable", "input_volts") if key in x}
         records = build_records(model, law, [td.Log(x["t"], columns, name)])
-        q = predict_positions(InertialSpace.of(model), np.zeros(0), read_values(model, law), law, records)[0]
+        q = simulate_coupled(InertialSpace.of(model), np.zeros(0), read_values(model, law), law, records)[0].q
         out.append(np.stack([np.interp(x["t"], records[0].t, y) for y in q.T], axis=1))
     return out, describe(found, model)
 

@@ -41,9 +41,7 @@ from tau_dyn.cli import (
     modes,
     monitor,
     plan,
-    see,
     view,
-    workspace,
 )
 from tau_dyn.cli.arguments import Kind
 from tau_dyn.cli.execute import Call, Outcome
@@ -60,7 +58,7 @@ COMMANDS: dict[str, Callable[..., Outcome]] = {
     "identify": identify.identify,
     "diagnose": diagnose.diagnose,
     "modes": modes.modes,
-    "see": see.see,
+    "see": view.see,
     "calibrate": calibrate.calibrate,
     "plan-poses": plan.plan_poses,
     "plan-motion": plan.plan_motion,
@@ -78,7 +76,7 @@ COMMANDS: dict[str, Callable[..., Outcome]] = {
     "fk": kinematics.fk,
     "ik": kinematics.ik,
     "accuracy": accuracy.accuracy,
-    "workspace": workspace.workspace,
+    "workspace": kinematics.workspace,
     "robots": listings.robots,
     "causes": listings.causes,
     "data": listings.data,

@@ -1,11 +1,15 @@
-"""`tau-dyn fk` and `tau-dyn ik`: numbers on the command line or tables of poses, and one table out."""
+"""`tau-dyn fk` and `tau-dyn ik`: numbers on the command line or tables of poses, and one table out.
+
+`tau-dyn workspace`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter, Token
 
 from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome
@@ -108,3 +112,132 @@ def _build_outcome(table, robot_files: list[Path], poses: Path | None, out: Path
         named={"table": out},
         found=table,
     )
+
+
+_PLACES = Group("What is looked at")
+_DEMANDS = Group("What a pose must satisfy")
+_SPRINGS = Group("What gives way")
+
+
+def _read_stiffness(text: str) -> float:
+    """Return a stiffness, infinity for `rigid`.
+
+    Raises:
+        ValueError: It is no number above zero.
+    """
+    if text == "rigid":
+        return float("inf")
+    try:
+        value = float(text)
+        args.POSITIVE_LARGE(None, value)
+    except ValueError:
+        raise ValueError("write a number above zero or 'rigid'") from None
+    return value
+
+
+def _convert_stiffness(_: Any, tokens: Sequence[Token]) -> float:
+    return _read_stiffness(tokens[0].value)
+
+
+def workspace(
+    robot: args.RobotName,
+    /,
+    *,
+    resolution: Annotated[args.Positive | None, Parameter(group=_PLACES, metavar="M")] = None,
+    orientation: Annotated[
+        tuple[float, float, float] | None, Parameter(group=_PLACES, validator=args.FINITE, metavar="ROLL PITCH YAW")
+    ] = None,
+    section: Annotated[tuple[str, ...], Parameter(group=_PLACES, metavar="AXIS=M")] = (),
+    what: Annotated[args.Strings, Parameter(name=["--what", "--map"], group=_PLACES, metavar="NAME")] = (),
+    tilt: Annotated[args.Place | None, Parameter(group=_PLACES)] = None,
+    obstacles: Annotated[Path | None, Parameter(group=_DEMANDS, metavar="FILE.yaml")] = None,
+    tool_limit: Annotated[tuple[str, ...], Parameter(group=_DEMANDS, metavar="AXIS=LO:HI")] = (),
+    ball_angle: Annotated[args.Positive | None, Parameter(group=_DEMANDS, metavar="DEG")] = None,
+    clearance: Annotated[args.NotNegative, Parameter(group=_DEMANDS, metavar="M")] = 0.0,
+    no_collisions: Annotated[bool, Parameter(group=_DEMANDS)] = False,
+    condition: Annotated[args.Positive, Parameter(group=_DEMANDS, metavar="N")] = 1000.0,
+    border: Annotated[args.NotNegative, Parameter(group=_DEMANDS, metavar="M")] = 0.0,
+    rod_stiffness: Annotated[
+        float | None, Parameter(group=_SPRINGS, metavar="N/M", converter=_convert_stiffness)
+    ] = None,
+    actuator_stiffness: Annotated[args.Strings, Parameter(group=_SPRINGS, metavar="[JOINT=]VALUE")] = (),
+    load: Annotated[args.NotNegative | None, Parameter(group=_SPRINGS, metavar="N")] = None,
+    out: Annotated[
+        Path | None, args.build_destination("POINTS.csv", "Write the judged points with their reasons here", csv=True)
+    ] = None,
+    robot_options: args.RobotOptions = args.RobotOptions(),
+    output: args.Output = args.Output(),
+) -> Outcome:
+    """Where a robot's tool can be, why not elsewhere, and how stiff, fast and far from singular it is there.
+
+    Args:
+        resolution: Finest grid [m]; default a 60th of the workspace
+        orientation: Turn of the tool from home [deg]
+        section: Plane to judge and draw; default: through home
+        what: condition, manipulability, singularity, speed, force, stiffness, sag, resonance: what sections and --out hold
+        tilt: Place [m] whose tilt is asked; default home
+        obstacles: obstacles, safety zones, limits of the tool
+        tool_limit: Limits of the tool [m]
+        ball_angle: Of all ball joints; default the file's, else 45
+        clearance: Between the robot's own parts
+        no_collisions: Let the robot pass through itself
+        condition: Largest condition number
+        border: Distance to keep from the border
+        rod_stiffness: Of each rod with its joints; 'rigid' for none that yields (default: the file's)
+        actuator_stiffness: N/m or N m/rad between drive and link, or 'rigid' (default: the file's)
+        load: Weight of a load at the tool, whose sag is asked
+    """
+    with show_progress(output.quiet) as step:
+        step("loading")
+        import numpy as np
+
+        from tau_dyn.kinematics import Surroundings, add_limits, read_surroundings
+        from tau_dyn.kinematics.workspace import PoseRequirements, build_points_table, study_workspace
+
+        machine = robot_options.load(robot)
+        around = read_surroundings(obstacles) if obstacles else Surroundings()
+        demands = PoseRequirements(
+            ball_angle=None if ball_angle is None else float(np.deg2rad(ball_angle)),
+            surroundings=add_limits(around, list(tool_limit)),
+            collisions=not no_collisions,
+            clearance=clearance,
+            condition=condition,
+            border=border,
+        )
+        found = study_workspace(
+            machine,
+            demands=demands,
+            resolution=resolution,
+            turn_deg=orientation,
+            sections=list(section),
+            maps=list(what),
+            tilt_at=tilt,
+            rod_stiffness=rod_stiffness,
+            actuator_stiffness=_read_stiffnesses(actuator_stiffness),
+            load=load,
+            seed=output.seed,
+            progress=step,
+        )
+
+    def save(path: Path) -> None:
+        build_points_table(found).to_csv(path, index=False, float_format="%.9g")
+
+    return Outcome(
+        result=found.to_dict(),
+        warnings=[*machine.warnings, *found.warnings],
+        inputs=[*robot_options.list_files(robot), obstacles],
+        files={out: save},
+        named={"points": out},
+        found=found,
+    )
+
+
+def _read_stiffnesses(given: tuple[str, ...]) -> dict[str, float]:
+    found = {}
+    for text in given:
+        name, _, number = text.rpartition("=")
+        try:
+            found[name] = _read_stiffness(number)
+        except ValueError as fault:
+            raise InputError("bad_option", f"--actuator-stiffness {text!r}: {fault}, or JOINT=number") from None
+    return found

@@ -24,12 +24,12 @@ from .graph import Graph as Graph, Node as Node, evaluate_graph as evaluate_grap
 from .kinematics import KinematicsProgram as KinematicsProgram, build_kinematics as build_kinematics
 from .kinematics_c import write_kinematics_source as write_kinematics_source
 from .loops import Loops as Loops
-from .plant_c import write_plant_source as write_plant_source
 from .plant_equations import (
     Equations as Equations,
     build_equations as build_equations,
     list_unsupported_effects as list_unsupported_effects,
     trace_effect_bounds as trace_effect_bounds,
+    write_plant_source as write_plant_source,
 )
 from .program import ARGUMENTS as ARGUMENTS, Program as Program, build_program as build_program
 from .python_writer import (

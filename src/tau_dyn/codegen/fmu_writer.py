@@ -20,8 +20,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from tau_dyn.codegen.c_writer import escape_comment_line, fill_template, list_numbers
-from tau_dyn.codegen.plant_c import yield_plant_parts
-from tau_dyn.codegen.plant_equations import Equations
+from tau_dyn.codegen.plant_equations import Equations, yield_plant_parts
 from tau_dyn.version import __version__
 
 

@@ -14,9 +14,8 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 
 from tau_dyn.codegen.graph import Graph, Node
-from tau_dyn.codegen.loops import Loops, trace_frames
+from tau_dyn.codegen.loops import Loops, Tree, trace_frames
 from tau_dyn.codegen.tracing import ExpressionArray, as_expression_array, build_inputs
-from tau_dyn.codegen.tree import Tree
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import (
     Frames,

@@ -17,8 +17,7 @@ from typing import Any, Literal, NamedTuple
 
 from scipy.stats import norm
 
-from tau_dyn.compare.quantity import MeasuredQuantity
-from tau_dyn.compare.read import ComparedSide
+from tau_dyn.compare.read import ComparedSide, MeasuredQuantity
 from tau_dyn.compare.run import CircumstanceDifference, InputChange, list_differences, list_input_changes
 from tau_dyn.exceptions import InputError
 from tau_dyn.message_codes import format_warnings

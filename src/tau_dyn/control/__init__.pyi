@@ -8,19 +8,14 @@ from .interface.correction import (
     read_correction as read_correction,
     write_correction as write_correction,
 )
-from .interface.limits import CommandLimits as CommandLimits, check_motion as check_motion
 from .interface.rapid import build_waypoints as build_waypoints, format_rapid_motion as format_rapid_motion
 from .interface.reference import (
+    CommandLimits as CommandLimits,
     build_reference as build_reference,
+    check_motion as check_motion,
     count_samples_in_period as count_samples_in_period,
     read_reference as read_reference,
     write_reference as write_reference,
-)
-from .iterative.convergence_analysis import (
-    Convergence as Convergence,
-    analyse_convergence as analyse_convergence,
-    compute_frequency_condition as compute_frequency_condition,
-    require_convergence as require_convergence,
 )
 from .iterative.filters import (
     TimeShift as TimeShift,
@@ -37,14 +32,20 @@ from .iterative.laws import (
 )
 from .iterative.learned_outputs import MotorSide as MotorSide, Reference as Reference, ToolSide as ToolSide
 from .iterative.lifted_system import stack_controlled_actuators as stack_controlled_actuators
-from .iterative.trial_loop import LearningHistory as LearningHistory, learn as learn
+from .iterative.trial_loop import (
+    Convergence as Convergence,
+    LearningHistory as LearningHistory,
+    analyse_convergence as analyse_convergence,
+    compute_frequency_condition as compute_frequency_condition,
+    learn as learn,
+    require_convergence as require_convergence,
+)
 from .lead_through.lead_through import LeadThrough as LeadThrough
 from .lead_through.sensing import ForceSensor as ForceSensor
 from .lead_through.settings import LeadThroughSettings as LeadThroughSettings
 from .lead_through.stability import ForceLoop as ForceLoop
 from .motion.limits import MotionLimits as MotionLimits
-from .motion.plan import plan_motion as plan_motion
-from .motion.result import MotionPlan as MotionPlan
+from .motion.plan import MotionPlan as MotionPlan, plan_motion as plan_motion
 from .observers.complementary import ComplementaryToolObserver as ComplementaryToolObserver
 from .observers.kalman import KalmanToolObserver as KalmanToolObserver
 from .observers.tuning import (

@@ -1,21 +1,26 @@
 """The engines that torque, pose and vibration share: linear regressions, noise, base parameters, physics."""
 
-from .autoregression import Autoregression as Autoregression, fit_autoregression as fit_autoregression
+from .autoregression import (
+    REACH as REACH,
+    Autoregression as Autoregression,
+    PositionNoise as PositionNoise,
+    build_position_noise as build_position_noise,
+    compute_accelerations as compute_accelerations,
+    fit_autoregression as fit_autoregression,
+)
 from .base_parameters import (
     BaseParameters as BaseParameters,
     find_base as find_base,
     read_expression as read_expression,
 )
 from .covariance import BLOCK_S as BLOCK_S, Whitener as Whitener, assign_blocks as assign_blocks
-from .determined_combinations import (
-    DeterminedCombinations as DeterminedCombinations,
-    find_determined_combinations as find_determined_combinations,
-)
 from .estimate import (
     MAX_RELATIVE_STDERR as MAX_RELATIVE_STDERR,
+    DeterminedCombinations as DeterminedCombinations,
     Estimate as Estimate,
     ParameterSum as ParameterSum,
     combine_parameters as combine_parameters,
+    find_determined_combinations as find_determined_combinations,
 )
 from .instrumental_variables import (
     InstrumentalSolution as InstrumentalSolution,
@@ -24,26 +29,19 @@ from .instrumental_variables import (
     solve_instrumental_variables as solve_instrumental_variables,
 )
 from .least_squares import solve_least_squares as solve_least_squares
-from .linear_system import LinearSystem as LinearSystem, factor_system as factor_system
 from .nonlinear import (
     Descent as Descent,
     DescentRules as DescentRules,
     LeastSquaresProblem as LeastSquaresProblem,
-    NonlinearEstimate as NonlinearEstimate,
+    LinearSystem as LinearSystem,
     descend as descend,
-    fit_nonlinear as fit_nonlinear,
+    factor_system as factor_system,
 )
 from .physical_consistency import (
     InertialBody as InertialBody,
     PhysicalConstraints as PhysicalConstraints,
     pseudo_inertia as pseudo_inertia,
     solve_consistent as solve_consistent,
-)
-from .position_noise import (
-    REACH as REACH,
-    PositionNoise as PositionNoise,
-    build_position_noise as build_position_noise,
-    compute_accelerations as compute_accelerations,
 )
 from .regression import (
     ROUNDING as ROUNDING,

@@ -90,26 +90,6 @@ def compute_robust_weights(loss: str, distance: np.ndarray, m: int) -> np.ndarra
     return _weight(loss, distance, compute_tuning_constant(loss, m))
 
 
-def compute_loss(loss: str, distance: np.ndarray, m: int) -> np.ndarray:
-    """Return `rho` (N,) of measurements at distances (N,): the squared distance where nothing is amiss."""
-    if loss == "none":
-        return distance**2
-    c = compute_tuning_constant(loss, m)
-    if loss == "huber":
-        return np.where(distance < c, distance**2, 2 * c * distance - c**2)
-    return c**2 / 3 * (1 - (1 - np.minimum(distance / c, 1.0) ** 2) ** 3)
-
-
-def compute_loss_covariance_factor(loss: str, distance: np.ndarray, m: int) -> float:
-    """Return the covariance of a fit over that of the weights taken as fixed: a shifted parameter moves the weights too."""
-    if loss == "none":
-        return 1.0
-    c = compute_tuning_constant(loss, m)
-    w = _weight(loss, distance, c)
-    turned = float(np.mean(_slope(loss, distance, c) / m + (1 - 1 / m) * w))
-    return float(np.mean((distance * w) ** 2) / m * np.mean(w) / max(turned, 1e-3) ** 2)
-
-
 def estimate_distance_scale(distance: np.ndarray, m: int | np.ndarray) -> float:
     """Return by how much measurements scatter more than the noise says, from the median; wild ones do not move it.
 

@@ -1,10 +1,13 @@
 """A model back in the files of other programs: URDF, SDF, MJCF, FMU, and drives for BAM, mjlab and Isaac Lab."""
 
-from .content import Exported as Exported
+from .content import (
+    Exported as Exported,
+    compute_held_out_errors as compute_held_out_errors,
+    describe_price as describe_price,
+)
 from .drive_files import build_drive_files as build_drive_files
 from .fmu import ExportedFmu as ExportedFmu, build_fmu as build_fmu
 from .mjcf import build_mjcf as build_mjcf
-from .price import compute_held_out_errors as compute_held_out_errors, describe_price as describe_price
 from .randomisation import (
     RandomisationFiles as RandomisationFiles,
     build_randomisation as build_randomisation,

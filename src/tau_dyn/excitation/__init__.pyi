@@ -1,8 +1,8 @@
 """Motions designed for identification: the most information within the limits, and what they will tell before anything moves."""
 
 from .design import ExcitationDesign as ExcitationDesign, design_motion as design_motion
-from .information import CRITERIA as CRITERIA
-from .prediction import (
+from .information import (
+    CRITERIA as CRITERIA,
     InformationPrediction as InformationPrediction,
     Noise as Noise,
     estimate_log_noise as estimate_log_noise,

@@ -17,8 +17,14 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError, LoopClosureError, UnknownName
 from tau_dyn.excitation.bounds import Bounds
-from tau_dyn.excitation.information import CRITERIA, Information, compute_information_matrix
-from tau_dyn.excitation.prediction import InformationPrediction, Noise, predict
+from tau_dyn.excitation.information import (
+    CRITERIA,
+    Information,
+    InformationPrediction,
+    Noise,
+    compute_information_matrix,
+    predict,
+)
 from tau_dyn.excitation.search import MotionSearch, Series, Stopped
 from tau_dyn.model import Model
 from tau_dyn.simulate import (

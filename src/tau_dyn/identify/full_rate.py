@@ -1,7 +1,7 @@
 """Estimates at the statistical limit: full-rate equations, the noise's exact weights, instruments instead of noisy columns.
 
 **Equations** at a log's own rate, without the low-pass that the regression puts before decimation. Accelerations are second
-differences of the raw positions, so that the noise of an equation is known exactly (`estimate/position_noise.py`); positions
+differences of the raw positions, so that the noise of an equation is known exactly (`estimate/autoregression.py`); positions
 and speeds, whose noise matters little, come low-passed. An equation is left out where a sign is not sure, where a force is
 saturated or flagged, and within reach of a reversal of any joint: a jump of the acceleration there is no second difference of
 anything.

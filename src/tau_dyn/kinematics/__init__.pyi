@@ -1,16 +1,14 @@
 """What follows from a mechanism's kinematics: paths, workspace, accuracy, assembly modes."""
 
-from .collisions import (
-    PlacedSolid as PlacedSolid,
-    build_capsule as build_capsule,
-    build_standing_solid as build_standing_solid,
-    find_collisions as find_collisions,
-)
 from .dexterity import Rates as Rates
 from .obstacles import (
     Obstacle as Obstacle,
+    PlacedSolid as PlacedSolid,
     Surroundings as Surroundings,
     add_limits as add_limits,
+    build_capsule as build_capsule,
+    build_standing_solid as build_standing_solid,
+    find_collisions as find_collisions,
     read_surroundings as read_surroundings,
 )
 from .path_following import FollowedPath as FollowedPath, follow_path as follow_path

@@ -26,7 +26,6 @@ from .filtering import (
     compute_edge_samples as compute_edge_samples,
     compute_noise_gain as compute_noise_gain,
     compute_rest_speed as compute_rest_speed,
-    compute_velocity_noise as compute_velocity_noise,
     decimate as decimate,
     differentiate as differentiate,
     estimate_encoder_noise as estimate_encoder_noise,

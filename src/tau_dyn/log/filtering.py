@@ -196,21 +196,6 @@ def estimate_encoder_noise(q: ArrayLike) -> NDArray[np.float64]:
     return np.maximum([_white_level(column) for column in columns], floor).reshape(q.shape[1:])
 
 
-def compute_velocity_noise(q: ArrayLike, rate_hz: float, cutoff_hz: float, order: int = 4) -> NDArray[np.float64]:
-    """Return how much encoder noise is left in a filtered and differentiated position.
-
-    Args:
-        q: Measured positions (N, n) or (N,) [m or rad], evenly spaced and not filtered.
-        rate_hz: Sampling rate [Hz].
-        cutoff_hz: Cutoff of the zero-phase low-pass before differentiation [Hz].
-        order: Order of one of its runs.
-
-    Returns:
-        Standard deviation (n,) or () of the velocity [m/s or rad/s] that noise and quantisation alone cause.
-    """
-    return estimate_encoder_noise(q) * compute_noise_gain(rate_hz, cutoff_hz, order, derivatives=1)
-
-
 def compute_noise_gain(rate_hz: float, cutoff_hz: float, order: int = 4, derivatives: int = 1) -> float:
     """Return what `lowpass` and central differences make of white noise of 1 [1/s^derivatives]."""
     half_turns = (np.arange(4096) + 0.5) / 4096 * np.pi / 2  # pi f dt, from 0 to half the sampling rate

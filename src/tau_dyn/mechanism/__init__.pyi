@@ -54,22 +54,16 @@ from .mechanism import (
     SINGULAR as SINGULAR,
     Mechanism as Mechanism,
     build_kinematics as build_kinematics,
-    compute_acceleration_bias as compute_acceleration_bias,
-    compute_inverse_jacobian as compute_inverse_jacobian,
     compute_perpendicular_axes as compute_perpendicular_axes,
     find_all_solutions as find_all_solutions,
     forward_kinematics as forward_kinematics,
     get_cached as get_cached,
-    get_home_configuration as get_home_configuration,
     get_robot as get_robot,
     get_rods as get_rods,
     get_solver as get_solver,
     inverse_kinematics as inverse_kinematics,
     jacobian as jacobian,
-    list_configurations as list_configurations,
-    measure_singularity as measure_singularity,
     solve_all_configurations as solve_all_configurations,
-    solve_both_forward as solve_both_forward,
 )
 from .plate_on_legs import PlateOnLegs as PlateOnLegs, Rods as Rods, build_rods as build_rods
 from .poses import (

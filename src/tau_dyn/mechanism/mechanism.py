@@ -24,7 +24,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from tau_dyn.exceptions import InputError, LoopClosureError
-from tau_dyn.mechanism.kinematics import Kinematics, Singularity
+from tau_dyn.mechanism.kinematics import Kinematics
 from tau_dyn.mechanism.plate_on_legs import PlateOnLegs, build_rods
 from tau_dyn.mechanism.poses import ForwardResult, InverseResult, InverseSolutions, Poses, convert_from_quaternions
 from tau_dyn.mechanism.recognise import NotRods
@@ -109,11 +109,6 @@ def forward_kinematics(
     return build_kinematics(_as_machine(robot)).forward(q, start=start)
 
 
-def solve_both_forward(robot: Robot | Kinematics, q: np.ndarray) -> np.ndarray:
-    """Return both tool positions (N, 2, 3) [m] of a translating plate; see `Kinematics.both_forward`."""
-    return build_kinematics(robot).both_forward(q)
-
-
 def inverse_kinematics(
     robot: Robot | Kinematics | str | Path,
     poses: Poses | ArrayLike,
@@ -177,46 +172,9 @@ def solve_all_configurations(robot: Robot | Kinematics, poses: Poses) -> np.ndar
     return build_kinematics(robot).solutions(poses).q
 
 
-def list_configurations(robot: Robot | Kinematics) -> np.ndarray:
-    """Return the configurations by name (n, chains); see `Kinematics.configurations`."""
-    return build_kinematics(robot).configurations
-
-
-def get_home_configuration(robot: Robot | Kinematics) -> np.ndarray:
-    """Return home's configuration (chains,)."""
-    return build_kinematics(robot).home_configuration
-
-
 def jacobian(robot: Robot | Kinematics, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
     """Return the tool's twist per actuated velocity (N, 6 or 3, na); see `Kinematics.jacobian`."""
     return build_kinematics(robot).jacobian(q, poses)
-
-
-def compute_inverse_jacobian(robot: Robot | Kinematics, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
-    """Return `G_x`: how fast each gap opens per tool twist, (N, n rods, 6), or (N, n rods, 3) for a translating plate.
-
-    For the legs of a Stewart platform this is the inverse Jacobian but for the sign; rods on carts need `closure_by_q` too:
-    `G_q v = -G_x V`.
-
-    Raises:
-        InputError: The robot has no rods.
-    """
-    kinematics = build_kinematics(robot)
-    if kinematics.legs is None:
-        raise InputError("unsupported", f"{kinematics.robot.source}: has no rods; invert its Jacobian instead")
-    return kinematics.closure_by_pose(q, poses)
-
-
-def compute_acceleration_bias(
-    robot: Robot | Kinematics, q: np.ndarray, v: np.ndarray, poses: Poses | None = None
-) -> np.ndarray:
-    """Return the tool's acceleration (N, 6 or 3) at rest of the actuators, `dJ/dt v`; see `Kinematics.acceleration_bias`."""
-    return build_kinematics(robot).acceleration_bias(q, v, poses)
-
-
-def measure_singularity(robot: Robot | Kinematics, q: np.ndarray, poses: Poses | None = None) -> Singularity:
-    """Return how near the robot is to singularities of both kinds; of a tree, by its loops and by its tool's Jacobian."""
-    return build_kinematics(robot).singularity(q, poses)
 
 
 SINGULAR = 1e4

@@ -122,18 +122,6 @@ class SixRods:
         entries = {(k, c): (at.d[k][c] if c < 3 else at.moment[k][c - 3]) for k in range(6) for c in range(6)}
         return self._plan.factor(entries)
 
-    def solve(self, at: Rows, b: np.ndarray, factor: Factor | None = None) -> np.ndarray:
-        """Return the twists (6, N) for right sides (6, N); a sample that elimination spoils goes to LAPACK."""
-        factor = self.factor(at) if factor is None else factor
-        if factor is None:
-            return solve_with_lapack(build_dense(at), b)
-        x = factor.solve(b)
-        bad = ~(np.abs(x).max(axis=0) < np.inf)
-        if bad.any():
-            part = np.flatnonzero(bad)
-            x[:, part] = solve_with_lapack(build_dense(take_samples(at, part)), b[:, part])
-        return x
-
     def accurate(self, at: Rows, b: np.ndarray) -> np.ndarray:
         """Return the twists (6, ..., N), each sample checked for what elimination left."""
         factor = self.factor(at)

@@ -1,4 +1,13 @@
-"""Dynamics of any tree, all samples at once or one by one, and the choice of dynamics for a robot."""
+"""Dynamics of any tree, all samples at once or one by one, and the choice of dynamics for a robot.
+
+Any tree, with or without loops, through Pinocchio: `tau_a = G' tau_tree` (virtual work; passive joints frictionless).
+
+The regressor is Pinocchio's, projected by `G` and mapped to `robot.parameters`. Pinocchio's `rnea` and `crba` add drive
+inertia; its torque regressor does not, so we append those columns. Reference: Khalil & Dombre 2002, ch. 7 and 10.
+
+Forces inside come from the same virtual work: no drive holds the passive joints, so the loops' forces `lambda` do,
+`J_p' lambda = tau_p`; with them in place a recursion over the tree gives what each joint carries.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism.batched import BatchedTree, Partial, compute_body_wrench, iterate_blocks
 from tau_dyn.mechanism.frames import (
     FrameMotion,
@@ -21,11 +31,241 @@ from tau_dyn.mechanism.frames import (
 )
 from tau_dyn.mechanism.gantry_tau import GantryTauMechanism
 from tau_dyn.mechanism.loop_arrays import ClosedLoops
-from tau_dyn.mechanism.loops import LoopSolver, find_passive_pairs
-from tau_dyn.mechanism.mechanism import Mechanism
-from tau_dyn.mechanism.samplewise import SamplewiseTree
+from tau_dyn.mechanism.loops import Constraints, LoopSolver, compute_turning_rates, find_passive_pairs
+from tau_dyn.mechanism.mechanism import Mechanism, require_tool_frame
 from tau_dyn.mechanism.small_systems import measure_column_lengths
 from tau_dyn.robot import Robot
+
+
+class SamplewiseTree(Mechanism):
+    """Dynamics of a tree with loops, one sample after the other."""
+
+    equations = "tree"
+
+    def __init__(self, robot: Robot) -> None:
+        """Prepare Pinocchio's model with the robot's parameter values."""
+        super().__init__(robot)
+        self.model = robot.model_with(robot.parameters)
+        self.solver = LoopSolver(robot, self.model)
+        self.data = self.solver.data
+        self._map = self._parameter_map()
+        centres = np.array([inertia.lever for inertia in self.model.inertias])
+        self._unplaced = not np.isfinite(centres).all()  # a first moment without mass, which Pinocchio cannot hold
+        self._upper = np.triu(np.ones((self.model.nv, self.model.nv))) - 0.5 * np.eye(self.model.nv)  # crba's half
+        self._constraints = Constraints(self.model, self.data, robot.loops)
+        self._pairs = find_passive_pairs(robot, self.model)
+        self._sliding = [k for k, kind in enumerate(robot.joint_kinds) if kind == "prismatic"]
+        if robot.loops:
+            self._refuse_free_motion()
+        self._gravity_only = [p.name for p in robot.parameters if p.name.endswith(".gravity_mass")]
+
+    def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return `Y` (N, na, p); see `Mechanism.regressor`."""
+        q, v, a = self._checked(q, v, a)
+        names = self.robot.parameters.names
+        Y = np.zeros((len(q), self.robot.na, len(names)))
+        n_inertial = self._map.shape[1]
+        for k in range(len(q)):
+            state = self.solver.state(q[k], v[k], a[k])
+            tree = pin.computeJointTorqueRegressor(self.model, self.data, state.q, state.v, state.a)
+            tree = tree.reshape(self.model.nv, -1)  # eigenpy hands a single row out as a vector
+            Y[k, :, :n_inertial] = state.G.T @ tree @ self._map
+            for name in self._gravity_only:
+                Y[k, :, names.index(name)] = state.G.T @ self._weight(state.q, name.rsplit(".", 1)[0])
+        joints = range(self.robot.na)
+        Y[:, joints, [n_inertial + j for j in joints]] = a
+        return Y
+
+    def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return actuated forces (N, na); see `Mechanism.inverse_dynamics`."""
+        q, v, a = self._checked(q, v, a)
+        if self._unplaced:
+            return super().inverse_dynamics(q, v, a)
+        tau = np.empty_like(q)
+        for k in range(len(q)):
+            state = self.solver.state(q[k], v[k], a[k])
+            tau[k] = state.G.T @ (pin.rnea(self.model, self.data, state.q, state.v, state.a) + self._extra(state.q))
+        return tau
+
+    def mass_and_bias(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return `M` and `h` of one sample; see `Mechanism.mass_and_bias`."""
+        if self._unplaced:
+            rest = np.zeros((1, self.robot.na))
+            return self.inertia(rest + q)[0], self.inverse_dynamics(rest + q, rest + v, rest)[0]
+        state = self.solver.state(q, v, np.zeros(self.robot.na))
+        upper = self._upper * pin.crba(self.model, self.data, state.q).reshape(self.model.nv, -1)
+        half = state.G.T @ upper @ state.G
+        h = pin.rnea(self.model, self.data, state.q, state.v, state.g0) + self._extra(state.q)
+        return half + half.T, state.G.T @ h
+
+    def tool_position(self, q: np.ndarray) -> np.ndarray:
+        """Return the tool's position (N, 3) [m]; see `Mechanism.tool_position`."""
+        (q,) = self._checked(q)
+        frame, out = require_tool_frame(self.robot), np.empty((len(q), 3))
+        for k in range(len(q)):
+            pin.framesForwardKinematics(self.model, self.data, self.solver.close(q[k]))
+            out[k] = self.data.oMf[frame].translation
+        return out
+
+    def tool_jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Return the tool's velocity per actuated speed (N, 3, na); see `Mechanism.tool_jacobian`."""
+        (q,) = self._checked(q)
+        rest = np.zeros(self.robot.na)
+        out = np.empty((len(q), 3, self.robot.na))
+        for k in range(len(q)):
+            state = self.solver.state(q[k], rest, rest)
+            out[k] = self._tool_of_tree(state.q) @ state.G
+        return out
+
+    def cart_sensitivity(self, q: np.ndarray) -> np.ndarray:
+        """Return the tool's displacement per link's displacement (N, 3, na, 3); see `Mechanism.cart_sensitivity`.
+
+        A shifted link carries all that hangs on it along; what gap that leaves in the loops the passive joints close.
+        """
+        (q,) = self._checked(q)
+        passive, n_loops = self.solver.passive_v, len(self.robot.loops)
+        out = np.zeros((len(q), 3, self.robot.na, 3))
+        tool, ends = self._carried_by()
+        for k in range(len(q)):
+            full = self.solver.close(q[k])
+            jacobian = self._tool_of_tree(full)
+            if n_loops:
+                closing = -jacobian[:, passive] @ np.linalg.pinv(self._constraints.jacobian(full)[:, passive])
+            for i in range(self.robot.na):
+                out[k, :, i] = tool[i] * np.eye(3)
+                if n_loops:
+                    out[k, :, i] += np.einsum("xly,l->xy", closing.reshape(3, n_loops, 3), ends[i])
+        return out
+
+    def guide_force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return the force across each prismatic joint's axis (N, na, 3); see `Mechanism.guide_force`."""
+        q, v, a = self._checked(q, v, a)
+        out = np.zeros((*q.shape, 3))
+        for k in range(len(q) if self._sliding else 0):
+            state = self.solver.state(q[k], v[k], a[k])
+            outside = self._outside_forces(state.q, state.v, state.a)
+            pin.rnea(self.model, self.data, state.q, state.v, state.a, outside)
+            for i in self._sliding:
+                out[k, i] = self._across(self.model.getJointId(self.robot.actuated[i]))
+        return out
+
+    def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return what each joint's guide carries (N, na); see `Mechanism.guide_load`."""
+        q, v, a = self._checked(q, v, a)
+        load = np.sqrt(np.sum(self.guide_force(q, v, a) ** 2, axis=2))
+        hinges = [k for k in range(self.robot.na) if k not in self._sliding]
+        if hinges:
+            load[:, hinges] = np.abs(self.reducer_torque(q, v, a))[:, hinges]
+        return load
+
+    def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
+        """Return how fast passive bearings turn (N, n, 3, na); see `Mechanism.passive_rates` and `loops.py`."""
+        (q,) = self._checked(q)
+        rest = np.zeros(self.robot.na)
+        out = np.zeros((len(q), len(self._pairs), 3, self.robot.na))
+        for k in range(len(q) if self._pairs else 0):
+            state = self.solver.state(q[k], rest, rest)
+            out[k] = compute_turning_rates(
+                self._pairs, pin.computeJointJacobians(self.model, self.data, state.q)[3:], state.G
+            )
+        return tuple(pair.name for pair in self._pairs), out
+
+    def condition(self, q: np.ndarray) -> np.ndarray:
+        """Return the closure's conditioning (N,)."""
+        (q,) = self._checked(q)
+        return np.array([self.solver.condition(x) for x in q])
+
+    def _tool_of_tree(self, q: np.ndarray) -> np.ndarray:
+        """Return the tool's velocity per tree velocity (3, nv) at a tree's configuration (nq,)."""
+        frame = require_tool_frame(self.robot)
+        axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        jacobian = pin.computeFrameJacobian(self.model, self.data, q, frame, axes)
+        return jacobian.reshape(6, self.model.nv)[:3]  # eigenpy hands a single column out as a vector
+
+    def _carried_by(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return whether each actuated link carries the tool (na,), and each loop's end A (1), B (-1) or both (0) (na, loops)."""
+        ids = [self.model.getJointId(joint) for joint in self.robot.actuated]
+
+        def carried(frame: int) -> np.ndarray:
+            supports = self.model.supports[self.model.frames[frame].parentJoint].tolist()
+            return np.array([float(j in supports) for j in ids])
+
+        loops = [carried(loop.frame_a) - carried(loop.frame_b) for loop in self.robot.loops]
+        tool = self.robot.tool_frame
+        return carried(tool) if tool is not None else np.zeros(len(ids)), np.array(loops).reshape(-1, len(ids)).T
+
+    def _outside_forces(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> pin.StdVec_Force:
+        """Return the forces of loops and of mass that only gravity feels on every body, in joint frames, without moments.
+
+        Moments do not pass into the forces between bodies, which is all that is asked for here.
+        """
+        model, data = self.model, self.data
+        forces = np.zeros((model.njoints, 6))
+        tau = pin.rnea(model, data, q, v, a) + self._extra(q)
+        points = [(name.rsplit(".", 1)[0], self.robot.parameters[name].value) for name in self._gravity_only]
+        pushes = [(model.getFrameId(link), mass * model.gravity.linear) for link, mass in points]
+        if self.robot.loops:
+            passive = self.solver.passive_v
+            jacobian = self._constraints.jacobian(q)
+            multipliers = np.linalg.lstsq(jacobian[:, passive].T, tau[passive], rcond=1e-10)[0].reshape(-1, 3)
+            for loop, force in zip(self.robot.loops, multipliers, strict=True):
+                pushes += [(loop.frame_a, force), (loop.frame_b, -force)]
+        for frame, force in pushes:
+            joint = model.frames[frame].parentJoint
+            forces[joint, :3] += data.oMi[joint].rotation.T @ force
+        return pin.StdVec_Force([pin.Force(f) for f in forces])
+
+    def _across(self, joint: int) -> np.ndarray:
+        """Return the force (3,) across a slide's axis that lies beyond its own link, after `rnea` with outside forces."""
+        data, inertia = self.data, self.model.inertias[joint]
+        own = (inertia * data.a_gf[joint]).linear + np.cross(data.v[joint].angular, (inertia * data.v[joint]).linear)
+        for name in self._gravity_only:
+            frame = self.model.frames[self.model.getFrameId(name.rsplit(".", 1)[0])]
+            if frame.parentJoint == joint:
+                own = own - self.robot.parameters[name].value * data.oMi[joint].rotation.T @ self.model.gravity.linear
+        axis = np.asarray(data.joints[joint].S).reshape(6, -1)[:3, 0]
+        beyond = own - data.f[joint].linear
+        return data.oMi[joint].rotation @ (beyond - (beyond @ axis) * axis)
+
+    def _refuse_free_motion(self) -> None:
+        """Refuse a mechanism whose passive joints could move by themselves; a rod's spin, which nothing drives, is fine."""
+        free = self.solver.free_motions()
+        if not free.size:
+            return
+        state = self.solver.state(self.robot.home, np.zeros(self.robot.na), np.zeros(self.robot.na))
+        upper = self._upper * pin.crba(self.model, self.data, state.q).reshape(self.model.nv, -1)
+        M, weight = upper + upper.T, pin.computeGeneralizedGravity(self.model, self.data, state.q)
+        driven = np.abs(free.T @ M @ state.G).max() > 1e-6 * np.abs(state.G.T @ M @ state.G).max()
+        pulled = np.abs(free.T @ weight).max() > 1e-6 * max(np.abs(weight).max(), 1e-12)
+        if driven or pulled:
+            raise InputError(
+                "unsupported",
+                f"{self.robot.source}: loops and actuated joints ({', '.join(self.robot.actuated)}) leave "
+                f"{free.shape[1]} motion(s) of the passive joints free; name more actuated joints",
+            )
+
+    def _parameter_map(self) -> np.ndarray:
+        """Return the map from inertial parameters to Pinocchio's stacked `pi` (10 * (njoints - 1), n_inertial)."""
+        blocks = np.zeros((10 * (self.model.njoints - 1), sum(len(li.own) for li in self.robot.links)))
+        column = 0
+        for link in self.robot.links:
+            row = 10 * (link.joint_id - 1)
+            blocks[row : row + 10, column : column + len(link.own)] = link.map
+            column += len(link.own)
+        return blocks
+
+    def _extra(self, q: np.ndarray) -> np.ndarray:
+        """Return the tree forces of mass that only gravity feels (nv,)."""
+        tau = np.zeros(self.model.nv)
+        for name in self._gravity_only:
+            tau += self.robot.parameters[name].value * self._weight(q, name.rsplit(".", 1)[0])
+        return tau
+
+    def _weight(self, q: np.ndarray, link: str) -> np.ndarray:
+        """Return the tree forces (nv,) that hold 1 kg at a link's origin against gravity."""
+        frame = self.model.getFrameId(link)
+        jacobian = pin.computeFrameJacobian(self.model, self.data, q, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        return -jacobian[:3].T @ self.model.gravity.linear
 
 
 class _Load(NamedTuple):

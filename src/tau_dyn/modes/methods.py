@@ -151,13 +151,6 @@ def decompose_pulse_tests(records: Sequence[Record], *, delay: int = 0) -> EraFa
     return EraFactors(ready, scales, Realisation.of(np.stack([decay[:n] for decay in decays], axis=2)), delay)
 
 
-def realise_pulse_tests(
-    records: Sequence[Record], order: int, *, delay: int = 0, direct: bool | None = None
-) -> StateSpace:
-    """Return the model of pulse tests; see `decompose_pulse_tests`."""
-    return decompose_pulse_tests(records, delay=delay).model(order, direct)
-
-
 def _heard(decays: Sequence[np.ndarray]) -> int:
     """Return the samples in which the decays have lost nearly all their energy beyond the noise at their ends."""
     n = min(map(len, decays))
@@ -182,12 +175,6 @@ def _first_at_rest(record: Record) -> int:
 
 
 MARKOV = 400  # samples of the impulse response of an unstable model
-
-
-def compute_hankel_values(model: StateSpace) -> np.ndarray:
-    """Return the Hankel singular values (n,) of a stable model, largest first."""
-    controllable, observable = (compute_root(gramian) for gramian in compute_gramians(model))
-    return np.linalg.svd(observable.T @ controllable, compute_uv=False)
 
 
 def reduce_order(model: StateSpace, order: int) -> StateSpace:

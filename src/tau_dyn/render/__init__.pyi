@@ -1,6 +1,5 @@
 """Results -> terminal, page, notebook, JSON; reads results, computes nothing new."""
 
-from .json import render_json as render_json
 from .kinds import ExcitingMotion as ExcitingMotion, SimulatedLog as SimulatedLog
 from .notebook import render_notebook as render_notebook, tabulate as tabulate
 from .page import build_page as build_page, write_report as write_report

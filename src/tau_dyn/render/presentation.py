@@ -37,6 +37,8 @@ _KINDS = {
     "robot": "robot",
 }
 """Package of a result's class -> the file that presents it."""
+BADGES = {"good": "Ready to use", "care": "Use with care", "poor": "Not usable"}
+"""Verdicts on a model in a word or three."""
 ZOOM = "Drag across to zoom, double-click for the whole log. "
 """How a time view is used, in its note."""
 

@@ -58,8 +58,8 @@ from .formatting import (
     replace_minus_signs as replace_minus_signs,
     replace_plus_minus as replace_plus_minus,
     round_to_stderr as round_to_stderr,
+    to_plain as to_plain,
 )
-from .plain import to_plain as to_plain
 from .plots import (
     PlottedResponse as PlottedResponse,
     PlottedSegment as PlottedSegment,

@@ -30,7 +30,7 @@ from .floating_base import (
     ContactFrame as ContactFrame,
 )
 from .load import as_robot as as_robot, load_robot as load_robot, load_robot_from_urdf as load_robot_from_urdf
-from .packages import find_package as find_package, resolve_mesh as resolve_mesh
+from .packages import find_package as find_package, list_stock_robots as list_stock_robots, resolve_mesh as resolve_mesh
 from .robot import (
     INERTIAL as INERTIAL,
     NOT_GIVEN as NOT_GIVEN,
@@ -40,7 +40,6 @@ from .robot import (
     compute_inertia_matrix as compute_inertia_matrix,
     find_end_link as find_end_link,
 )
-from .stock import list_stock_robots as list_stock_robots
 from .visuals import (
     Mesh as Mesh,
     Visual as Visual,

@@ -19,8 +19,16 @@ from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.robot.floating_base import FLAT, POINT, ContactFrame
-from tau_dyn.robot.numbers import MAX_NUMBER, check_names, check_numbers, check_parents, check_tree, parse_numbers
-from tau_dyn.robot.rotations import build_rotation, combine_axes
+from tau_dyn.robot.numbers import (
+    MAX_NUMBER,
+    build_rotation,
+    check_names,
+    check_numbers,
+    check_parents,
+    check_tree,
+    combine_axes,
+    parse_numbers,
+)
 
 _DRAKE = ("http://drake.mit.edu", "https://drake.mit.edu")
 _OURS = "urn:tau_dyn"

@@ -25,8 +25,7 @@ from tau_dyn.files import format_yaml, read_bytes
 from tau_dyn.robot.dimensions import TableChanges, read_number
 from tau_dyn.robot.mjcf import convert_mjcf
 from tau_dyn.robot.numbers import check_depth, check_names
-from tau_dyn.robot.packages import find_package
-from tau_dyn.robot.stock import find_described_robot, list_stock_robots
+from tau_dyn.robot.packages import find_described_robot, find_package, list_stock_robots
 from tau_dyn.robot.xacro_evaluation import evaluate_xacro
 
 _LOG = "; this looks like a log; were robot and log exchanged?"

@@ -6,7 +6,7 @@ The base is placed in the world by three slides and three hinges, in this order,
 
 They are coordinates of one degree of freedom like all others, so every later step (tree, dynamics, regressor, saved model)
 reads one file. Nothing drives them: their generalised force is zero. The angles are singular at a pitch of 90 degrees.
-`legged/base_motion.py` turns logged quaternions and body velocities, Pinocchio's coordinates of a free flyer, into these.
+`legged/log_check.py` turns logged quaternions and body velocities, Pinocchio's coordinates of a free flyer, into these.
 """
 
 from __future__ import annotations

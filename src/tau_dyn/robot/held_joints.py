@@ -14,8 +14,7 @@ import pinocchio as pin
 from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.robot.numbers import MAX_NUMBER, parse_numbers
-from tau_dyn.robot.rotations import build_rotation, compute_rpy
+from tau_dyn.robot.numbers import MAX_NUMBER, build_rotation, compute_rpy, parse_numbers
 
 _NAMESPACES = {"drake": "http://drake.mit.edu", "tau_dyn": "urn:tau_dyn"}
 _TURNS = ("revolute", "continuous")

@@ -34,9 +34,9 @@ from tau_dyn.robot.floating_base import BASE_COORDINATES, free_base
 from tau_dyn.robot.held_joints import hold_joints
 from tau_dyn.robot.loop_file import add_loops, find_loop_file
 from tau_dyn.robot.numbers import MAX_NUMBER, check_inertia
+from tau_dyn.robot.packages import StockRobot, find_described_robot
 from tau_dyn.robot.robot import NO_DRIVE, NOT_GIVEN, LinkInertia, Loop, Robot, get_inertial_parameters
 from tau_dyn.robot.semantics import find_srdf, read_passive_joints
-from tau_dyn.robot.stock import StockRobot, find_described_robot
 
 _LOGGER = logging.getLogger(__name__)
 TOOL_NAMES = ("tool", "tool0", "tcp", "hand_tcp", "ee_link", "end_effector", "attachment_site", "flange")

@@ -17,8 +17,7 @@ from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
-from tau_dyn.robot.numbers import MAX_LEVELS, MAX_NUMBER, parse_numbers
-from tau_dyn.robot.rotations import build_rotation
+from tau_dyn.robot.numbers import MAX_LEVELS, MAX_NUMBER, build_rotation, parse_numbers
 
 _MAX_BYTES = 32 * 2**20  # of an included file, as of any robot file
 _MAX_INCLUDED = 100  # files

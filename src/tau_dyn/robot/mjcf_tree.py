@@ -15,8 +15,7 @@ import numpy as np
 from tau_dyn.exceptions import InputError
 from tau_dyn.robot.mjcf_bodies import BodyMass, Geom, bound_mass, read_inertial, read_shape, sum_shapes
 from tau_dyn.robot.mjcf_file import STILL, Item, MjcfFile, Transform, turn_about
-from tau_dyn.robot.numbers import MAX_LINKS
-from tau_dyn.robot.rotations import compute_rpy
+from tau_dyn.robot.numbers import MAX_LINKS, compute_rpy
 
 _GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2] Pinocchio's
 _SHOWN_GROUPS = 2  # up to which MuJoCo's viewer shows geoms; collision shapes are usually in group 3

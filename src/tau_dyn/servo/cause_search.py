@@ -14,10 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.effects import LOOP_CAUSES
-from tau_dyn.servo.by_gain import read_kind
+from tau_dyn.servo.by_gain import DELAYS, SPRING, TRY_ITERATIONS, free_causes, list_starts, read_kind, start_best
 from tau_dyn.servo.data import LoopData, fit_precisely, refit_again
 from tau_dyn.servo.fit import LoopFit, count_worth, fit_loop
-from tau_dyn.servo.starts import DELAYS, SPRING, TRY_ITERATIONS, free_causes, list_starts, start_best
 from tau_dyn.servo.unknowns import LIMITS, LoopUnknowns, measure_change
 
 MIN_SCORE = 5.0

@@ -19,7 +19,7 @@ from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot, compute_nominal_stderr
-from tau_dyn.servo.by_gain import compare_gains
+from tau_dyn.servo.by_gain import compare_gains, start_springs
 from tau_dyn.servo.data import LoopData, Mixing, fit_coupled
 from tau_dyn.servo.doubts import list_loop_warnings, list_unsettled
 from tau_dyn.servo.fit import LoopFit, fit_loop
@@ -27,7 +27,6 @@ from tau_dyn.servo.prediction import SimulatedMotion, simulate_coupled
 from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
 from tau_dyn.servo.records import LoopRecord, mask_unused
 from tau_dyn.servo.result import LoopIdentification, LoopParameter, build_position_errors
-from tau_dyn.servo.starts import start_springs
 from tau_dyn.servo.unknowns import JOINT_UNITS, get_unit
 from tau_dyn.simulate import SERVO_ENTRIES
 

@@ -41,27 +41,6 @@ UNSETTLED_RAD = 1e-4
 """Change of positions after the last sweep from which a window is told as not settled [rad]: a tenth of an encoder's step."""
 
 
-def predict_positions(
-    space: InertialSpace,
-    unknowns: np.ndarray,
-    values: Mapping[str, np.ndarray],
-    law: ServoLaw,
-    records: Sequence[LoopRecord],
-    step: float = FINE_STEP_S,
-) -> list[np.ndarray]:
-    """Return simulated positions (N, na) of each record, at its measured samples.
-
-    Args:
-        space: Inertial numbers.
-        unknowns: Their unknowns (K,).
-        values: Joint values and law entries (na,).
-        law: Says what differs by log.
-        records: Commands, starts and motions to begin with.
-        step: Longest step of the loops [s].
-    """
-    return [x.q for x in simulate_coupled(space, unknowns, values, law, records, step)]
-
-
 class SimulatedMotion(NamedTuple):
     """A log's motion, simulated, at its samples (N, na): positions of the measured side, the links' positions and speeds.
 
@@ -82,9 +61,18 @@ def simulate_coupled(
     values: Mapping[str, np.ndarray],
     law: ServoLaw,
     records: Sequence[LoopRecord],
-    step: float,
+    step: float = FINE_STEP_S,
 ) -> list[SimulatedMotion]:
-    """Return the motion of each record, joints coupled; see `predict_positions`."""
+    """Return the motion of each record at its measured samples, joints coupled.
+
+    Args:
+        space: Inertial numbers.
+        unknowns: Their unknowns (K,).
+        values: Joint values and law entries (na,).
+        law: Says what differs by log.
+        records: Commands, starts and motions to begin with.
+        step: Longest step of the loops [s].
+    """
     fine = FineRecords.of(records, step)
     relaxation = _Relaxation(space.build_mechanism(unknowns), fine.guesses, fine.dt, fine.every)
     out = fine.simulate(relaxation, values, law)

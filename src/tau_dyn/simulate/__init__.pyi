@@ -20,17 +20,15 @@ from .controllers import (
     Servo as Servo,
     read_law_file as read_law_file,
 )
-from .flexible import (
-    VibrationSensors as VibrationSensors,
-    push_log as push_log,
-    simulate_binary_log as simulate_binary_log,
-    simulate_vibration_log as simulate_vibration_log,
-)
 from .forces import SampledForces as SampledForces
 from .learning_plant import (
     LearningPlant as LearningPlant,
     Trial as Trial,
     Unrepeatable as Unrepeatable,
+    VibrationSensors as VibrationSensors,
+    push_log as push_log,
+    simulate_binary_log as simulate_binary_log,
+    simulate_vibration_log as simulate_vibration_log,
     square_path as square_path,
 )
 from .limits import (

@@ -25,7 +25,7 @@ A file that begins with `law: servo` holds a servo's law instead; see `servo_law
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from math import isfinite
 from pathlib import Path
@@ -37,6 +37,7 @@ from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
+from tau_dyn.simulate.servo_law import spread_over_joints
 from tau_dyn.simulate.trajectory import Trajectory
 
 Feedforward = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -301,26 +302,7 @@ def read_law_file(path: str | Path, robot: Robot) -> CascadeLaw:
 
 def _numbers(key: str, value: object, robot: Robot, where: str) -> np.ndarray:
     """Return one number a joint (na,)."""
-    joints = robot.actuated
-    if isinstance(value, Mapping):
-        for joint in value:
-            if joint not in joints:
-                raise UnknownName("actuated joint", str(joint), joints, f"{where}: {key}")
-        missing = [joint for joint in joints if joint not in value]
-        if missing:
-            raise InputError("file_format", f"{where}: {key} has no number for joint {missing[0]}")
-        row = [value[joint] for joint in joints]
-    elif isinstance(value, list):
-        if len(value) != len(joints):
-            raise InputError(
-                "wrong_shape",
-                f"{where}: {key} has {len(value)} number(s) for {len(joints)} joint(s); give one, or one a joint in the "
-                f"order {', '.join(joints)}",
-            )
-        row = value
-    else:
-        row = [value] * len(joints)
-    return np.array([_number(key, x, where) for x in row])
+    return np.array([_number(key, x, where) for x in spread_over_joints(key, value, robot.actuated, where)])
 
 
 def _number(key: str, value: object, where: str) -> float:

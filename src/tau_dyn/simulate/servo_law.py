@@ -318,26 +318,43 @@ def _read_supply(content: object, where: str) -> tuple[str, float]:
     return str(content["column"]), float(nominal)
 
 
-def _read_numbers(key: str, value: object, joints: tuple[str, ...], where: str) -> np.ndarray:
-    """Return one number a joint (na,)."""
+def spread_over_joints(
+    key: str, value: object, joints: tuple[str, ...], where: str, default: float = np.nan
+) -> list[Any]:
+    """Return an entry of a law file joint by joint: one for all, a list in the joints' order, or a mapping by name.
+
+    Args:
+        key: Name of the entry.
+        value: What the file holds.
+        joints: Actuated joints.
+        where: Begins sentences about the file.
+        default: Of joints that a mapping leaves out; nan where each must be named.
+
+    Raises:
+        InputError: A joint is unknown or has no entry, or the list has another length.
+    """
     if isinstance(value, Mapping):
         for joint in value:
             if joint not in joints:
                 raise UnknownName("actuated joint", str(joint), joints, f"{where}: {key}")
-        default = SERVO_ENTRIES[key].default
-        row = [value.get(joint, default) for joint in joints]
-        if missing := [j for j, x in zip(joints, row, strict=True) if isinstance(x, float) and np.isnan(x)]:
+        missing = [joint for joint in joints if joint not in value]
+        if missing and np.isnan(default):
             raise InputError("file_format", f"{where}: {key} has no number for joint {missing[0]}")
-    elif isinstance(value, list):
-        if len(value) != len(joints):
-            raise InputError(
-                "wrong_shape",
-                f"{where}: {key} has {len(value)} number(s) for {len(joints)} joint(s); give one, or one a joint in the "
-                f"order {', '.join(joints)}",
-            )
-        row = value
-    else:
-        row = [value] * len(joints)
+        return [value.get(joint, default) for joint in joints]
+    if not isinstance(value, list):
+        return [value] * len(joints)
+    if len(value) != len(joints):
+        raise InputError(
+            "wrong_shape",
+            f"{where}: {key} has {len(value)} number(s) for {len(joints)} joint(s); give one, or one a joint in the "
+            f"order {', '.join(joints)}",
+        )
+    return value
+
+
+def _read_numbers(key: str, value: object, joints: tuple[str, ...], where: str) -> np.ndarray:
+    """Return one number a joint (na,)."""
+    row = spread_over_joints(key, value, joints, where, SERVO_ENTRIES[key].default)
     for x in row:
         least = (
             "above zero"

@@ -10,9 +10,9 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.modes import ModeShape, ShapesOnRobot
-from tau_dyn.view.palette import NAMED, ROLES, escape_html, format_legend, format_panel, map_to_colours
 from tau_dyn.view.results import Cloud, Content, ErrorVectors, Findings, Uncertainty
 from tau_dyn.view.scene import Window, compute_link_pose
+from tau_dyn.view.shapes import NAMED, ROLES, escape_html, format_legend, format_panel, map_to_colours
 
 MEASURED, OWN = "measured", "robot file's springs"
 _REACH = 0.07

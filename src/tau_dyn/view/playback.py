@@ -11,8 +11,8 @@ from tau_dyn.exceptions import InputError, TauDynError
 from tau_dyn.log import Log
 from tau_dyn.mechanism import forward_kinematics
 from tau_dyn.robot import Robot
-from tau_dyn.view.palette import GHOST, ROLES, escape_html, format_keys
 from tau_dyn.view.scene import Placer, RobotFigure, Window
+from tau_dyn.view.shapes import GHOST, ROLES, escape_html, format_keys
 
 FRAMES_HZ = 30.0  # Hz, as screens and films
 _TRAIL = 2000

@@ -13,8 +13,7 @@ import pinocchio as pin
 
 from tau_dyn.mechanism import LoopSolver
 from tau_dyn.robot import Robot
-from tau_dyn.view.palette import NAMED, QUIET, Rgb
-from tau_dyn.view.shapes import Shape
+from tau_dyn.view.shapes import NAMED, QUIET, Rgb, Shape
 
 _MIN_LABEL_DISTANCE_M = 1e-3  # m; labels of joints nearer than this would cover each other
 ShapePoses = list[tuple[np.ndarray, np.ndarray]]

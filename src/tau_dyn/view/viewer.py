@@ -18,12 +18,11 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError, TauDynError
 from tau_dyn.robot import Robot, list_missing_meshes, read_visuals
-from tau_dyn.view.palette import format_panel
 from tau_dyn.view.panels import add_content
 from tau_dyn.view.playback import Playback, Player
 from tau_dyn.view.results import Content
 from tau_dyn.view.scene import JointFrames, Placer, RobotFigure, add_floor, compute_outline, convert_pose, light_scene
-from tau_dyn.view.shapes import build_furniture
+from tau_dyn.view.shapes import build_furniture, format_panel
 
 LOOPBACK = "127.0.0.1"
 FRAME = 1 / 30

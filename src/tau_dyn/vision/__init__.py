@@ -1,5 +1,5 @@
 """Camera vision: images of a chessboard plate in, measured poses with uncertainty out (needs OpenCV, the extra `vision`)."""
 
-from tau_dyn.public_names import attach_public_names
+from lazy_loader import attach_stub
 
-__getattr__, __dir__, __all__ = attach_public_names(__name__, __file__)
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from raising import raises_code
 
 from tau_dyn.control.iterative import LearningOptions, LearningStep, compute_learning_step
-from tau_dyn.control.iterative.law_choice import GAINS
+from tau_dyn.control.iterative.joint_learning import GAINS
 from tau_dyn.control.iterative.trial_response import compute_model_response, estimate_response
 from tau_dyn.modes import Actuator
 

@@ -6,7 +6,7 @@ from raising import raises_code
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.control.lead_through import ForceSensor
-from tau_dyn.control.lead_through.impedance import HandleImpedance, compute_tool_part, handle_part, limit_twist
+from tau_dyn.control.lead_through.lead_through import HandleImpedance, compute_tool_part, handle_part, limit_twist
 from tau_dyn.control.lead_through.sensing import ContactState, NormalEstimator, StiffnessWatch
 
 T = 0.004

@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 from scipy.interpolate import make_interp_spline
 
-from tau_dyn.control.motion.constraints import build_integration_constraints, compute_simpson_weights
 from tau_dyn.control.motion.coordinates import Along, JointPath
 from tau_dyn.control.motion.expressions import ForceLaw, build_force_law
+from tau_dyn.control.motion.transcription import build_integration_constraints, compute_simpson_weights
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 

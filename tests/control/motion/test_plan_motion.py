@@ -12,9 +12,8 @@ from raising import raises_code
 
 from tau_dyn.control import Feedforward
 from tau_dyn.control.motion import MotionLimits, MotionPlan, plan_motion
-from tau_dyn.control.motion.coordinates import Free, build_joint_line
-from tau_dyn.control.motion.nodes import Nodes
-from tau_dyn.control.motion.result import tighten_limits
+from tau_dyn.control.motion.coordinates import Free, Nodes, build_joint_line
+from tau_dyn.control.motion.plan import tighten_limits
 from tau_dyn.simulate import Trajectory
 
 sys.path.insert(0, str(Path(__file__).parent))

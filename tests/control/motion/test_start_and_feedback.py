@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.control.motion import MotionLimits, compute_feedback_margin, estimate_feedback_noise
-from tau_dyn.control.motion.nodes import compute_trapezoid
+from tau_dyn.control.motion.coordinates import compute_trapezoid
 from tau_dyn.simulate import CascadeController, CascadeLaw, Trajectory
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -9,13 +9,6 @@ from .correction import (
     require_same_motion as require_same_motion,
     write_correction as write_correction,
 )
-from .limits import (
-    CommandLimits as CommandLimits,
-    PerJoint as PerJoint,
-    broadcast_limit as broadcast_limit,
-    check_motion as check_motion,
-    list_exceeded_limits as list_exceeded_limits,
-)
 from .rapid import (
     MIN_MOVE_S as MIN_MOVE_S,
     build_waypoints as build_waypoints,
@@ -29,9 +22,14 @@ from .rapid import (
 )
 from .reference import (
     DEFAULT_PERIOD_S as DEFAULT_PERIOD_S,
+    CommandLimits as CommandLimits,
+    PerJoint as PerJoint,
+    broadcast_limit as broadcast_limit,
     build_reference as build_reference,
+    check_motion as check_motion,
     compute_digest as compute_digest,
     count_samples_in_period as count_samples_in_period,
+    list_exceeded_limits as list_exceeded_limits,
     read_reference as read_reference,
     write_reference as write_reference,
 )

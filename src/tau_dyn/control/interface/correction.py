@@ -14,8 +14,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tau_dyn.control.interface.limits import CommandLimits, check_motion
-from tau_dyn.control.interface.reference import DEFAULT_PERIOD_S, compute_digest, require_period
+from tau_dyn.control.interface.reference import (
+    DEFAULT_PERIOD_S,
+    CommandLimits,
+    check_motion,
+    compute_digest,
+    require_period,
+)
 from tau_dyn.control.iterative import LearningHistory, UpdateLaw
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes, write_whole

@@ -5,14 +5,6 @@ from .actuator_models import (
     fit_actuator_models as fit_actuator_models,
     read_actuators as read_actuators,
 )
-from .convergence_analysis import (
-    Convergence as Convergence,
-    FrequencyCondition as FrequencyCondition,
-    analyse_convergence as analyse_convergence,
-    build_iteration_operator as build_iteration_operator,
-    compute_frequency_condition as compute_frequency_condition,
-    require_convergence as require_convergence,
-)
 from .filters import (
     TimeShift as TimeShift,
     ZeroPhase as ZeroPhase,
@@ -21,8 +13,7 @@ from .filters import (
     design_band_stop as design_band_stop,
     design_low_pass as design_low_pass,
 )
-from .joint_learning import JointLearning as JointLearning
-from .law_choice import LawChoice as LawChoice
+from .joint_learning import JointLearning as JointLearning, LawChoice as LawChoice
 from .laws import (
     LearningLaw as LearningLaw,
     NormOptimalLaw as NormOptimalLaw,
@@ -38,11 +29,19 @@ from .learning_step import (
 from .lifted_system import (
     Operator as Operator,
     build_convolution as build_convolution,
-    build_lifted_matrix as build_lifted_matrix,
     build_signal_operator as build_signal_operator,
     compute_pulse_response as compute_pulse_response,
     stack_controlled_actuators as stack_controlled_actuators,
 )
-from .trial_forecast import Forecast as Forecast
-from .trial_loop import LearningHistory as LearningHistory, TrialPlant as TrialPlant, learn as learn
-from .trial_response import TrialResponse as TrialResponse
+from .trial_loop import (
+    Convergence as Convergence,
+    FrequencyCondition as FrequencyCondition,
+    LearningHistory as LearningHistory,
+    TrialPlant as TrialPlant,
+    analyse_convergence as analyse_convergence,
+    build_iteration_operator as build_iteration_operator,
+    compute_frequency_condition as compute_frequency_condition,
+    learn as learn,
+    require_convergence as require_convergence,
+)
+from .trial_response import Forecast as Forecast, TrialResponse as TrialResponse

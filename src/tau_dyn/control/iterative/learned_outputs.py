@@ -162,21 +162,10 @@ class LearnedOutput(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class MotorSide:
-    """Actuator positions: case 1, `F_r = F_u = 0`, `F_y = 1`.
+class OwnPositions:
+    """Actuator positions, each moved by its own correction alone: case 1, `F_r = F_u = 0`, `F_y = 1`."""
 
-    Attributes:
-        model: Controlled actuators from references to positions, (6.11); each moves itself alone.
-    """
-
-    model: StateSpace
     coupled: bool = False
-
-    @property
-    def dt(self) -> float:
-        """Step [s]."""
-        return self.model.dt
 
     def reference(self, motion: Reference) -> np.ndarray:
         """Return the actuators' references."""
@@ -189,6 +178,22 @@ class MotorSide:
     def commands(self, motion: Reference, correction: np.ndarray) -> np.ndarray:
         """Return references plus correction."""
         return motion.q + correction
+
+
+@dataclass(frozen=True, eq=False)
+class MotorSide(OwnPositions):
+    """Actuator positions with models of the controlled actuators.
+
+    Attributes:
+        model: Controlled actuators from references to positions, (6.11); each moves itself alone.
+    """
+
+    model: StateSpace
+
+    @property
+    def dt(self) -> float:
+        """Step [s]."""
+        return self.model.dt
 
     def operator(self, n: int) -> Operator:
         """Return `T_uy`."""

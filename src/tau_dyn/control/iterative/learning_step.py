@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.control.iterative.convergence_analysis import Convergence, FrequencyCondition, require_convergence
 from tau_dyn.control.iterative.joint_learning import JointLearning, LawOptions, learn_joint
 from tau_dyn.control.iterative.learned_outputs import Reference
+from tau_dyn.control.iterative.trial_loop import Convergence, FrequencyCondition, require_convergence
 from tau_dyn.exceptions import InputError
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.modes import Actuator

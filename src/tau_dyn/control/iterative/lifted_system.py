@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import block_diag, toeplitz
+from scipy.linalg import block_diag
 from scipy.sparse.linalg import LinearOperator
 
 from tau_dyn.modes import Actuator, StateSpace
@@ -31,12 +31,6 @@ def compute_pulse_response(model: StateSpace, n: int) -> np.ndarray:
     """Return the first `n` pulse response coefficients (n, p, m), the delay included."""
     late = model.markov(max(n - model.delay, 1))
     return np.concatenate([np.zeros((model.delay, *model.D.shape)), late])[:n]
-
-
-def build_lifted_matrix(pulses: np.ndarray) -> np.ndarray:
-    """Return the block matrix (p n, m n) of lower triangular Toeplitz matrices, (7.9), of coefficients (n, p, m)."""
-    n, p, m = pulses.shape
-    return np.block([[toeplitz(pulses[:, i, j], np.zeros(n)) for j in range(m)] for i in range(p)])
 
 
 def build_convolution(pulses: np.ndarray) -> Operator:

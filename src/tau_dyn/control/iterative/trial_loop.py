@@ -1,16 +1,185 @@
-"""Iterative learning control: repeat a motion, and add to its reference what the last error asks for (thesis chapter 7)."""
+r"""Iterative learning control: repeat a motion, and add to its reference what the last error asks for (thesis chapter 7).
+
+Will learning converge? Judged before anything moves (thesis 7.15 to 7.17, Figures 7.14 and 7.17).
+
+With `H = Q (I - L (F_u + F_y T_uy))` over a whole trial, corrections converge if and only if the spectral radius of H is below
+1, (7.15); they come closer to their limit in every single iteration if its largest singular value is, (7.16). Along a long
+trial the same is seen frequency by frequency: `|1 - L (F_u + F_y T_uy)| < 1 / |Q|` [Norrlof & Gunnarsson 2002]. Where that is
+broken, that frequency grows from trial to trial. A law that is stable but not monotone may do great harm before it converges:
+it is refused unless asked for.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
+from scipy.sparse.linalg import svds
 
-from tau_dyn.control.iterative.convergence_analysis import Convergence, analyse_convergence, require_convergence
 from tau_dyn.control.iterative.laws import UpdateLaw
 from tau_dyn.control.iterative.learned_outputs import Reference, TrialMeasurement
+from tau_dyn.control.iterative.lifted_system import Operator, make_operator
 from tau_dyn.exceptions import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyCondition:
+    """The frequency picture; responses over frequencies (F,).
+
+    Attributes:
+        frequency: [Hz].
+        left: `|1 - L (F_u + F_y T_uy)|` of each channel by itself (F, m).
+        bound: `1 / |Q|` of each channel (F, m).
+        growth: Largest singular value of the whole `Q (I - L ..)`, coupling included (F,).
+    """
+
+    frequency: np.ndarray
+    left: np.ndarray
+    bound: np.ndarray
+    growth: np.ndarray
+
+    @property
+    def worst(self) -> tuple[float, float]:
+        """Frequency [Hz] and size of the largest growth."""
+        k = int(np.argmax(self.growth))
+        return float(self.frequency[k]), float(self.growth[k])
+
+    @property
+    def fails(self) -> tuple[float, float] | None:
+        """Lowest and highest frequency [Hz] where an error grows; None where none does."""
+        bad = self.frequency[self.growth >= 1]
+        return (float(bad[0]), float(bad[-1])) if len(bad) else None
+
+
+@dataclass(frozen=True, eq=False)
+class Convergence:
+    """What is known before the first trial.
+
+    Attributes:
+        singular: Largest singular value of H, (7.16); one a channel where channels are apart, else one.
+        radius: Spectral radius of H, (7.15), or a bound above it where that is below 1 already.
+        picture: The frequency picture; None where the law varies along the trial.
+    """
+
+    singular: tuple[float, ...]
+    radius: float
+    picture: FrequencyCondition | None
+
+    @property
+    def monotone(self) -> bool:
+        """Whether every iteration brings the correction closer to its limit."""
+        return max(self.singular) < 1
+
+    @property
+    def stable(self) -> bool:
+        """Whether corrections converge at all."""
+        return self.radius < 1
+
+
+def analyse_convergence(law: UpdateLaw, motion: Reference, frequency: np.ndarray | None = None) -> Convergence:
+    """Return what (7.15), (7.16) and the frequency picture say of a law on a motion.
+
+    Raises:
+        InputError: Law and motion have different sampling steps.
+    """
+    if abs(law.side.dt - motion.dt) > 1e-9 * motion.dt:
+        raise InputError(
+            "mismatch",
+            f"the law is made for steps of {1000 * law.side.dt:g} ms, the motion has {1000 * motion.dt:g} ms",
+        )
+    if law.bound is not None:
+        return Convergence((law.bound,), law.bound, compute_frequency_condition(law, frequency))
+    H, m = build_iteration_operator(law, motion), law.side.reference(motion).shape[1]
+    blocks = [H] if law.side.coupled else [_block(H, k, motion.n) for k in range(m)]
+    singular = tuple(compute_largest_singular_value(b) for b in blocks)
+    radius = max(singular) if max(singular) < 1 else max(_radius(b, motion.weights() > 0) for b in blocks)
+    return Convergence(singular, radius, compute_frequency_condition(law, frequency))
+
+
+def build_iteration_operator(law: UpdateLaw, motion: Reference) -> Operator:
+    """Return H (m N, m N), on corrections as they are: zero where they are weighted with zero."""
+    Q, QL = law.operators(motion)
+    T = law.side.operator(motion.n)
+    on = np.tile(motion.weights() > 0, T.shape[1] // motion.n).astype(float)
+    kept = make_operator(T.shape, lambda x: on * np.ravel(x), lambda x: on * np.ravel(x))
+    return (Q - QL @ T) @ kept
+
+
+def compute_frequency_condition(law: UpdateLaw, frequency: np.ndarray | None = None) -> FrequencyCondition | None:
+    """Return the frequency picture, by default from 0.1 Hz to half the sampling rate."""
+    dt = law.side.dt
+    f = (
+        np.concatenate([np.linspace(0.1, 40, 800), np.linspace(40.2, 0.499 / dt, 300)])
+        if frequency is None
+        else frequency
+    )
+    f = f[f < 0.5 / dt]
+    pair = law.responses(f)
+    if pair is None:
+        return None
+    Q, L = pair
+    left = np.eye(Q.shape[-1]) - L @ law.side.response(f)
+    alone = np.abs(np.einsum("fii->fi", left))
+    with np.errstate(divide="ignore"):
+        bound = 1 / np.abs(np.einsum("fii->fi", Q))
+    whole = Q @ left
+    growth = np.linalg.svd(whole, compute_uv=False)[:, 0] if law.side.coupled else (alone / bound).max(axis=1)
+    return FrequencyCondition(f, left=alone, bound=bound, growth=growth)
+
+
+def require_convergence(found: Convergence, *, monotone: bool = True) -> None:
+    """Refuse a law that would not converge.
+
+    Raises:
+        InputError: It is unstable or, if asked for, not monotone; the message names the frequency where it fails.
+    """
+    if found.stable and (found.monotone or not monotone):
+        return
+    what = "learning would not converge" if not found.stable else "learning would converge, but not monotonically"
+    size = (
+        f"spectral radius {found.radius:.3f}"
+        if not found.stable
+        else f"largest singular value {max(found.singular):.3f}"
+    )
+    where = ""
+    if found.picture is not None and found.picture.fails:
+        f, growth = found.picture.worst
+        low, high = found.picture.fails
+        where = f"; an error at {f:.1f} Hz grows {growth:.2f} times in an iteration (above 1 from {low:.1f} to {high:.1f} Hz)"
+    raise InputError(
+        "unstable",
+        f"{what}: {size}{where}. Let Q forget there (lower cutoff, or a dip), or take a smaller gain or a better shift in L",
+    )
+
+
+def compute_largest_singular_value(H: Operator) -> float:
+    """Return the largest singular value of an operator."""
+    start = np.random.default_rng(0).standard_normal(H.shape[0])
+    return float(cast(Any, svds)(H, k=1, return_singular_vectors=False, v0=start, tol=1e-4)[0])
+
+
+def _block(H: Operator, k: int, n: int) -> Operator:
+    """Return the part of one channel that moves itself alone."""
+
+    def alone(product: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+        def through(x: np.ndarray) -> np.ndarray:
+            whole = np.zeros(H.shape[1])
+            whole[k * n : (k + 1) * n] = np.ravel(x)
+            return product(whole)[k * n : (k + 1) * n]
+
+        return through
+
+    return make_operator((n, n), alone(H.matvec), alone(H.rmatvec))
+
+
+def _radius(H: Operator, on: np.ndarray) -> float:
+    """Return the spectral radius; only samples with a weight `on` (N,) can have eigenvalues that are not zero."""
+    places = np.flatnonzero(np.tile(on, H.shape[0] // len(on)))
+    columns = np.zeros((H.shape[0], len(places)))
+    columns[places, np.arange(len(places))] = 1.0
+    return float(np.abs(np.linalg.eigvals((H @ columns)[places])).max())
 
 
 @dataclass(frozen=True, eq=False)

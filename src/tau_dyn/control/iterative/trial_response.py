@@ -8,6 +8,16 @@ with a delay, fitted to the first trial or given, is multiplied by a complex fac
 C has a prior (mean 1, variance from what P leaves of the first trial) and is updated with the changes, later ones counting more:
 a Gaussian posterior in bands that are as wide as a share of their frequency [Ljung 1999, 6.4; Pintelon & Schoukens 2012, 2.6].
 Coulomb friction makes the response depend on the size of a change; that part is in the residual, hence in the uncertainty.
+
+What the next trial's error will be: its mean, and a 95 % interval of its RMS from draws of what is not known.
+
+With the error e of a trial, part of which (n) does not repeat, and a change du of the command, the next trial has
+
+    e' = e - n - G du + n'
+
+G and n have the distributions that the trials gave (`TrialResponse`). The part of e that is n is not learnable and not repeated:
+given e it has at each frequency the mean `w e` and the variance `(1 - w) S`, `w = S / S_e` (Wiener). Coulomb friction may hold
+the drive: before a change has been seen, the upper end is at least the error as it is.
 """
 
 from __future__ import annotations
@@ -19,7 +29,7 @@ from typing import cast
 import numpy as np
 from scipy.fft import next_fast_len
 
-from tau_dyn.control.iterative.learned_outputs import Reference, TrialMeasurement
+from tau_dyn.control.iterative.learned_outputs import OwnPositions
 from tau_dyn.control.iterative.lifted_system import Operator, build_convolution
 from tau_dyn.modes import Actuator, Record, fit_actuators
 
@@ -125,33 +135,19 @@ class TrialResponse:
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredSide:
+class MeasuredSide(OwnPositions):
     """One drive's position with the response that its trials show.
 
     Attributes:
         found: The response.
-        coupled: False.
     """
 
     found: TrialResponse
-    coupled: bool = False
 
     @property
     def dt(self) -> float:
         """Step [s]."""
         return self.found.dt
-
-    def reference(self, motion: Reference) -> np.ndarray:
-        """Return the drive's reference (N, 1)."""
-        return motion.q
-
-    def estimate(self, trial: TrialMeasurement) -> np.ndarray:
-        """Return the measured position."""
-        return trial.q
-
-    def commands(self, motion: Reference, correction: np.ndarray) -> np.ndarray:
-        """Return reference plus correction."""
-        return motion.q + correction
 
     def operator(self, n: int) -> Operator:
         """Return G (N, N) as a convolution."""
@@ -293,3 +289,68 @@ def _compute_powers(found: TrialResponse, signals: Sequence[np.ndarray], full: s
         inside[full] = x[full]
         powers.append(found.bands.average(np.abs(found.transform(inside)) ** 2) * found.n / len(x[full]))
     return np.array(powers)
+
+
+_DRAWS = 400  # the ends of a 95 % interval then come from ten draws on each side
+_QUANTILES = (0.025, 0.5, 0.975)
+_SEED = 0  # the same trials give the same interval
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """One drive's next trial.
+
+    Attributes:
+        error: Its mean error (N,) [m or rad].
+        rms: Median of its RMS where learning acts fully [m or rad].
+        low: Lower end of the 95 % interval.
+        high: Upper end.
+    """
+
+    error: np.ndarray
+    rms: float
+    low: float
+    high: float
+
+    def widened(self, below: float, above: float) -> Forecast:
+        """Return the same with each end further from the median by a factor, on a scale of ratios."""
+        low, high = self.rms * (self.low / self.rms) ** below, self.rms * (self.high / self.rms) ** above
+        return Forecast(self.error, self.rms, low, high)
+
+    def score(self, rms: float) -> float:
+        """Return how far an outcome is from the median, in standard deviations of a lognormal distribution."""
+        end = self.high if rms > self.rms else self.low
+        return float(np.log(rms / self.rms) / max(abs(np.log(end / self.rms)) / 1.96, 1e-9))
+
+
+def forecast_trial(response: TrialResponse, error: np.ndarray, change: np.ndarray, full: slice) -> Forecast:
+    """Return the next trial's error.
+
+    Args:
+        response: From the trials so far.
+        error: Of the trial that the change starts from (N,) [m or rad].
+        change: Of the command (N,).
+        full: Where learning acts fully.
+    """
+    rng = np.random.default_rng(_SEED)
+    E, moved = response.transform(error), response.mean * response.transform(change)
+    size = np.maximum(response.bands.average(np.abs(E) ** 2), 1e-300)
+    w = np.minimum(response.noise / size, 1.0)
+    kept = (1 - w) * E
+    mean = response.restore(kept - moved)
+    power = (2 - w) * response.noise + response.bend * np.abs(moved) ** 2
+    spread = np.sqrt(power * response.length / response.n)[:, None] * _draw_white(rng, len(E))  # no trial is that long
+    unsure = (response.deviation * response.transform(change))[:, None] * response.bands.draw(rng, _DRAWS)
+    heavy = np.sqrt(response.freedom / rng.chisquare(response.freedom, _DRAWS)) if response.freedom else 1.0
+    drawn = (kept - moved)[:, None] + heavy * (spread + unsure)
+    signals = response.restore(drawn)[full]
+    low, middle, high = np.quantile(np.sqrt(np.mean(signals**2, axis=0)), _QUANTILES)
+    if not response.freedom:
+        high = max(float(high), float(np.sqrt(np.mean(error[full] ** 2))))
+    return Forecast(mean, float(middle), float(low), float(high))
+
+
+def _draw_white(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Return complex noise (n, draws) of unit variance."""
+    shape = (n, _DRAWS)
+    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)

@@ -1,5 +1,5 @@
 """Motions in the shortest time or with less effort, within the limits of the drives (needs casadi: `tau_dyn[motion]`)."""
 
-from tau_dyn.public_names import attach_public_names
+from lazy_loader import attach_stub
 
-__getattr__, __dir__, __all__ = attach_public_names(__name__, __file__)
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

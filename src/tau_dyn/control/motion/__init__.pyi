@@ -5,5 +5,4 @@ from .limits import (
     compute_feedback_margin as compute_feedback_margin,
     estimate_feedback_noise as estimate_feedback_noise,
 )
-from .plan import plan_motion as plan_motion
-from .result import Binding as Binding, MotionPlan as MotionPlan
+from .plan import Binding as Binding, MotionPlan as MotionPlan, plan_motion as plan_motion

@@ -6,10 +6,11 @@ from .kalman import (
     KalmanToolObserver as KalmanToolObserver,
     extend_model as extend_model,
 )
-from .observation import ToolObservation as ToolObservation, observe_tool as observe_tool
-from .observer_error import (
+from .observation import (
     ObserverError as ObserverError,
+    ToolObservation as ToolObservation,
     estimate_observer_error as estimate_observer_error,
+    observe_tool as observe_tool,
     scale_frequencies as scale_frequencies,
 )
 from .tuning import (

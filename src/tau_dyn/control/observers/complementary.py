@@ -95,7 +95,7 @@ class ComplementaryToolObserver:
         slow, fast = ([p[k].response(frequency, self.dt) for p in self.pairs()] for k in (0, 1))
         return _diagonal_responses(slow), _diagonal_responses(fast)
 
-    def standard_error(self, kinematic_noise: float, acceleration_noise: float) -> np.ndarray:
+    def standard_error(self, kinematic_noise: float | np.ndarray, acceleration_noise: float | np.ndarray) -> np.ndarray:
         """Return the estimate's standard deviation (m,) [m] from white noise of both sensors [m], [m/s^2].
 
         What the model of neither knows (deflection below the cutoff, the accelerometer's errors above) is not in it.

@@ -1,5 +1,5 @@
 """How far the tool may be from where it should be, for stated errors of actuators, rods and joints (thesis 4.3, Appendix A)."""
 
-from tau_dyn.public_names import attach_public_names
+from lazy_loader import attach_stub
 
-__getattr__, __dir__, __all__ = attach_public_names(__name__, __file__)
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

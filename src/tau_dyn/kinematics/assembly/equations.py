@@ -117,13 +117,6 @@ def convert_to_poses(x: np.ndarray, gauge: Gauge) -> tuple[np.ndarray, np.ndarra
     return T + gauge.base - R @ gauge.plate, e, R
 
 
-def convert_to_points(position: np.ndarray, quaternion: np.ndarray, rotation: np.ndarray, gauge: Gauge) -> np.ndarray:
-    """Return homogeneous points (n, 8) of poses; the inverse of `convert_to_poses`."""
-    T = (position + rotation @ gauge.plate - gauge.base) / gauge.scale
-    pure = np.concatenate([np.zeros_like(T[:, :1]), T], axis=1)
-    return np.concatenate([quaternion, multiply_quaternions(pure, quaternion)], axis=1)
-
-
 def multiply_quaternions(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return products (n, 4) of quaternions, scalar first."""
     return a[:, :1] * b + np.einsum("nk,kij,nj->ni", a[:, 1:], _LEFT, b)

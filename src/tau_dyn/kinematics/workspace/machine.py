@@ -12,8 +12,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.collisions import PlacedSolid, build_capsule, build_standing_solid, move_solid
 from tau_dyn.kinematics.dexterity import Rates
+from tau_dyn.kinematics.obstacles import PlacedSolid, build_capsule, build_standing_solid, move_solid
 from tau_dyn.kinematics.solids import Body, build_rod_body, measure_rod_radius, read_bodies
 from tau_dyn.mechanism import Frames, Kinematics, Poses, Rods, build_kinematics, compute_frames, get_rods, list_joints
 from tau_dyn.robot import Robot

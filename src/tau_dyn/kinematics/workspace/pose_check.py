@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.collisions import PlacedSolid, find_collisions, find_touched_obstacle
 from tau_dyn.kinematics.dexterity import compute_dexterity
-from tau_dyn.kinematics.obstacles import Surroundings
+from tau_dyn.kinematics.obstacles import PlacedSolid, Surroundings, find_collisions, find_touched_obstacle
 from tau_dyn.kinematics.solids import Body
 from tau_dyn.kinematics.workspace.lattice import INSIDE
 from tau_dyn.kinematics.workspace.machine import WorkspaceModel, get_travel

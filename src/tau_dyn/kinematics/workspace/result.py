@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.kinematics.collisions import PlacedSolid
+from tau_dyn.kinematics.obstacles import PlacedSolid
 from tau_dyn.kinematics.workspace.lattice import INSIDE, Lattice, Size
 from tau_dyn.kinematics.workspace.machine import WorkspaceModel, get_travel
 from tau_dyn.kinematics.workspace.pose_check import KINDS, PoseChecker, Reasons

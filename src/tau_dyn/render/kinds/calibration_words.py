@@ -8,10 +8,8 @@ import numpy as np
 
 from tau_dyn.calibrate import Calibration, CandidateModel
 from tau_dyn.calibrate.poses import CalibrationCampaign, compute_doubling_gain, compute_min_poses
+from tau_dyn.render.presentation import BADGES
 from tau_dyn.results import Level, Verdict, count, format_list, format_number, format_quantity
-
-BADGES = {"good": "Ready to use", "care": "Use with care", "poor": "Not usable"}
-"""Verdicts in a word or three."""
 
 NAMES = {
     "frames": "robot file",

@@ -17,10 +17,8 @@ from tau_dyn.render.kinds.parameter_rows import (
     build_parameter_table,
     compute_bar_scale,
 )
-from tau_dyn.render.presentation import ZOOM, flatten_rows, list_logs_used, present_kind, warn
+from tau_dyn.render.presentation import BADGES, ZOOM, flatten_rows, list_logs_used, present_kind, warn
 
-BADGES = {"good": "Ready to use", "care": "Use with care", "poor": "Not usable"}
-"""Verdicts in a word or three."""
 _MAX_COMBINATIONS = 4
 """Combinations of parameters that the screen lists."""
 _MAX_CURVES = 4

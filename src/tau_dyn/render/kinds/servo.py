@@ -7,11 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from tau_dyn import results as r
-from tau_dyn.render.presentation import ZOOM, flatten_rows, list_logs_used, pad_used, present_kind, warn
+from tau_dyn.render.presentation import BADGES, ZOOM, flatten_rows, list_logs_used, pad_used, present_kind, warn
 from tau_dyn.servo import LoopIdentification, LoopParameter
 
-BADGES = {"good": "Ready to use", "care": "Use with care", "poor": "Not usable"}
-"""Verdicts in a word or three."""
 GOOD_SHARE, POOR_SHARE = 0.3, 0.9
 """Held-out error over the command's own error below which a simulation is ready to use, and above which it adds nothing."""
 _MAX_VIEWS = 60  # stretches of time that a page holds
