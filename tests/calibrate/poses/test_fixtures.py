@@ -17,7 +17,7 @@ from raising import raises_code
 sys.path.insert(0, str(Path(__file__).parent))
 
 from tau_dyn.calibrate import fit_geometry_to_poses, read_poses
-from tau_dyn.calibrate.frames import DeviceFrames
+from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames
 from tau_dyn.calibrate.poses import CalibrationCampaign, FixtureSet, plan_campaign, read_fixtures
 from tau_dyn.calibrate.poses.automation import build_geometry
 from tau_dyn.calibrate.poses.campaign_files import run_campaign
@@ -89,6 +89,25 @@ def test_the_nominal_target_touches_and_comes_from_outside(plan: CalibrationCamp
             at = frames.measured(plan.tool(way[None]), poses.setup[[k]]).position[0]
             away = np.linalg.norm(at) - 0.05 if kind[k] == "sphere" else at[2]
             assert away == pytest.approx(0.05, abs=1e-6)
+
+
+def test_the_tool_stands_outside_of_what_it_touches(plan: CalibrationCampaign) -> None:
+    """The frame from which the probe sticks out is above every plane and hole, and outside of every ball."""
+    every, frames = plan.choice.design.poses, plan.choice.design.frames
+    bare = DeviceFrames(frames.device, (IDENTITY,), frames.kinds, frames.lengths)
+    at = bare.measured(plan.tool(every.q), np.column_stack([every.device, np.zeros(every.n, int)])).position
+    kind = np.array(every.kinds)[every.device]
+    assert at[(kind == "hole") | (kind == "plane"), 2].min() > -1e-6
+    assert np.linalg.norm(at[kind == "sphere"], axis=1).min() > 0.05 - 1e-6
+
+
+def test_too_few_measurements_are_uncertain_not_exact(plan: CalibrationCampaign) -> None:
+    """Ten touches cannot fix thirty dimensions: what they leave open counts as unknown, not as known without error."""
+    assert (
+        predict(plan.choice.design, plan.choice.index[:10]).rms
+        > 1e-3
+        > predict(plan.choice.design, plan.choice.index).rms
+    )
 
 
 def test_predicted_standard_errors_are_those_of_the_fit(tmp_path: Path) -> None:
@@ -164,7 +183,7 @@ def test_what_cannot_be_touched_is_refused_by_name(tmp_path: Path) -> None:
     with raises_code("no_solution", "hole A"):
         plan_campaign(load_robot("ur5"), read(tmp_path, far), 60, demands=FREE, candidates=100, runs=1)
     seat = {"box": {"centre": [1.75, -0.6, 0.3], "size": [0.3, 0.3, 0.4]}}
-    text = "target: [0, 0, -0.17]\nfixtures:\n  - {kind: distance, name: w, position: [4, -0.6, 0.2], noise: 50e-6}\n"
+    text = "target: [0, 0, -0.15]\nfixtures:\n  - {kind: distance, name: w, position: [4, -0.6, 0.2], noise: 50e-6}\n"
     only = read(tmp_path, text + "  - {kind: hole, name: A, position: [1.75, -0.6, 0.5], noise: 30e-6}\n")
     for name, works in (("A", True), ("bench", False)):
         around = build_surroundings({"obstacles": [seat | {"name": name}]}, "lab")
