@@ -1,7 +1,7 @@
 """Possible changes of a robot, and the forces that each adds: a few directions that a user would do something about.
 
 friction         of one joint: the model's Coulomb and viscous friction times 1 + size (without a model of it: N or N m)
-payload          a point mass at the tool, or at the last link's joint [kg]
+payload          a point mass at the tool, or at the last link's joint [kg], and how far from there along each axis [kg m]
 encoder_offset   of one joint: the forces of a position that is off [m or rad]
 delay            of all forces [s]
 """
@@ -22,6 +22,8 @@ from tau_dyn.robot import INERTIAL, LinkInertia
 _TYPICAL = {"friction": 0.3, "payload": 0.1, "encoder_offset": 0.02, "delay": 0.005}
 """Typical sizes: 30 % of a joint's friction; of the robot's mass; [m or rad]; [s]. They steady what a reference does not tell."""
 _FRICTION_SHARE = 0.05  # of a joint's rms force: typical Coulomb friction where the model has none
+_PAYLOAD_ARM_M = 0.1  # how far from the tool the centre of a payload typically is [m]
+_PAYLOAD_STEP_M = 1e-3  # of its distance, for a finite difference [m]
 _OFFSET_STEP = 1e-5  # of an encoder's offset, for a finite difference [m or rad]
 _MIN_EFFECT = 1e-6  # force of a typical size, relative to all forces, below which a robot does not feel it
 _LAWS = ("coulomb", "coulomb_pos", "coulomb_neg", "viscous", "viscous_pos", "viscous_neg")
@@ -30,6 +32,7 @@ _LAWS = ("coulomb", "coulomb_pos", "coulomb_neg", "viscous", "viscous_pos", "vis
 CAUSES = {
     "friction": ("friction_change", 1.0),
     "payload": ("payload", 1.0),
+    "payload_moment": ("payload", 1.0),
     "encoder_offset": ("joint_zero", -1.0),
     "delay": ("delay", 1.0),
 }
@@ -101,21 +104,45 @@ def _list_friction(model: Model, motion: Motion, forces: np.ndarray) -> list[tup
 
 
 def _list_payload(model: Model, motion: Motion, rigid: np.ndarray) -> list[tuple[Direction, np.ndarray]]:
-    """Return the forces of a point mass at the tool; nothing for a robot with several ends.
+    """Return the forces of a point mass at the tool and of its distance from there; nothing for a robot with several ends.
 
     Of a link whose centre and inertia follow its mass, as those of a plate that never turns, the mass alone changes.
     """
     body = find_end_link(model.robot)
     if body is None:
         return []
-    point = _describe_point(_find_tool(model, body)) if len(body.own) == len(INERTIAL) else np.eye(len(INERTIAL))[0]
+    whole = len(body.own) == len(INERTIAL)
+    tool = _find_tool(model, body)
+    point = _describe_point(tool) if whole else np.eye(len(INERTIAL))[0]
+    column = _add_body(model, body, point, motion) - rigid
+    masses = [link.map @ model.robot.parameters.select(link.names).values for link in model.robot.links]
+    typical = _TYPICAL["payload"] * float(sum(max(pi[0], 0.0) for pi in masses)) or 1.0
+    found = [(Direction("payload", "", "kg", typical), column)]
+    for axis in np.eye(3) if whole else ():
+        away = _add_body(model, body, _describe_point(tool + _PAYLOAD_STEP_M * axis), motion) - rigid
+        moment = Direction("payload_moment", "", "kg m", _PAYLOAD_ARM_M * typical)
+        found.append((moment, (away - column) / _PAYLOAD_STEP_M))
+    return found
+
+
+def _add_body(model: Model, body: LinkInertia, added: np.ndarray, motion: Motion) -> np.ndarray:
+    """Return the rigid-body forces (N, na) with inertial numbers (10,) added to a link."""
     parameters = model.robot.parameters
-    changed = {name: parameters[name].value + float(point[k]) for name, k in zip(body.names, body.own, strict=True)}
+    changed = {name: parameters[name].value + float(added[k]) for name, k in zip(body.names, body.own, strict=True)}
     heavier = build_mechanism(model.robot.with_parameters(parameters.with_values(changed)))
-    column = heavier.inverse_dynamics(motion.q, motion.v, motion.a) - rigid
-    masses = [link.map @ parameters.select(link.names).values for link in model.robot.links]
-    typical = _TYPICAL["payload"] * float(sum(max(pi[0], 0.0) for pi in masses))
-    return [(Direction("payload", "", "kg", typical or 1.0), column)]
+    return heavier.inverse_dynamics(motion.q, motion.v, motion.a)
+
+
+def list_named(directions: Sequence[Direction]) -> list[Direction]:
+    """Return the directions that a person is told of: each change once."""
+    return [d for d in directions if d.what != "payload_moment"]
+
+
+def group_payload(directions: Sequence[Direction]) -> tuple[int, ...]:
+    """Return the numbers of the directions that one body at the tool has, its mass first; none where no mass is watched for."""
+    mass = [k for k, d in enumerate(directions) if d.what == "payload"]
+    moments = [k for k, d in enumerate(directions) if d.what == "payload_moment"]
+    return (*mass, *moments) if mass and moments else ()
 
 
 def _find_tool(model: Model, body: LinkInertia) -> np.ndarray:

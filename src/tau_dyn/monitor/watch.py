@@ -39,7 +39,14 @@ from tau_dyn.monitor.change_detection import (
     ChangeDetector,
     DetectedChange,
 )
-from tau_dyn.monitor.directions import CAUSES, Direction, compute_direction_columns, list_felt
+from tau_dyn.monitor.directions import (
+    CAUSES,
+    Direction,
+    compute_direction_columns,
+    group_payload,
+    list_felt,
+    list_named,
+)
 from tau_dyn.parameters import Parameter
 from tau_dyn.results import Shown
 
@@ -90,6 +97,11 @@ class WatchResult(Shown):
         """The alarms as findings of the kind that `diagnose` gives."""
         return tuple(build_change_finding(change, self.directions, self.watched_s / 3600) for change in self.changes)
 
+    @property
+    def watched_for(self) -> list[Direction]:
+        """The changes watched for, each once."""
+        return list_named(self.directions)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's JSON result, without the entries that the command adds."""
         return {
@@ -99,7 +111,7 @@ class WatchResult(Shown):
             "threshold": None if np.isnan(self.threshold) else self.threshold,
             "watched_s": self.watched_s,
             "reference_s": self.reference_s,
-            "watched_for": [{"what": d.what, "joint": d.joint or None, "unit": d.unit} for d in self.directions],
+            "watched_for": [{"what": d.what, "joint": d.joint or None, "unit": d.unit} for d in self.watched_for],
             "not_felt": [{"what": d.what, "joint": d.joint or None} for d in self.unfelt],
             **format_warnings(self.warnings),
         }
@@ -255,7 +267,7 @@ class Watch:
         if not self.directions:
             self._chosen = list_felt(candidates, columns, forces)
             self.directions = tuple(candidates[k] for k in self._chosen)
-            self.unfelt = tuple(d for k, d in enumerate(candidates) if k not in self._chosen)
+            self.unfelt = tuple(list_named([d for k, d in enumerate(candidates) if k not in self._chosen]))
         X = made.columns(columns[:, :, self._chosen])
         e = made.passed(made.gate * (made.force - forces)) / made.weight
         t = piece.t[:: made.factor][: len(e)]
@@ -276,7 +288,8 @@ class Watch:
     def _add(self, block: _Block) -> None:
         """Learn from a block, or watch it."""
         if self.detector is None:
-            self.detector = ChangeDetector(np.array([d.typical for d in self.directions]), self._wanted, self.rate)
+            sizes = np.array([d.typical for d in self.directions])
+            self.detector = ChangeDetector(sizes, self._wanted, self.rate, group_payload(self.directions))
         if self._noise is None or self.detector.normal is None:
             self._learning.append(block)
             if len(self._learning) < self._wanted:
