@@ -20,9 +20,11 @@ from tau_dyn.evidence import (
     CampaignChannel,
     Diagnosis,
     Finding,
+    Gain,
     OutputErrors,
     Step,
     divide_every_log,
+    explain_misfit,
     select_campaign_changes,
 )
 from tau_dyn.identify import build_model, identify
@@ -99,6 +101,20 @@ def test_a_part_of_every_log_is_set_aside() -> None:
     parts = divide_every_log(CampaignChannel(**{**vars(channel), "parts": whole}), 0.1)
     for part in parts[:2]:
         assert 0.15 < np.mean(part == TEST) < 0.3 and np.any(part == TRAIN)
+
+
+@pytest.mark.parametrize(
+    ("missed", "taken_off", "is_doubted"), [(0.95, 0.06, True), (0.95, 0.97, False), (0.1, 0.06, False)]
+)
+def test_a_model_that_misses_the_force_claims_no_small_load(missed: float, taken_off: float, is_doubted: bool) -> None:
+    """6 % of the force beside 95 % that is missed is chance; beside 10 %, or if it is as large, it counts."""
+    channel, _ = build_campaigns()
+    y = np.concatenate([run.y[part == TEST] for run, part in zip(channel.runs, channel.parts, strict=True)])
+    after = missed * float(np.sqrt(np.mean(y**2)))
+    before = float(np.hypot(after, taken_off * after / missed))
+    why = explain_misfit(channel, [run.name for run in channel.runs], Gain(before, after, 0.0, (0.0, 0.0)))
+    assert bool(why) is is_doubted
+    assert not why or f"misses {100 * missed:.0f} %" in why
 
 
 @pytest.fixture(scope="module")

@@ -49,6 +49,7 @@ from tau_dyn.evidence import (
     compute_campaign_gain,
     confirm_campaign_change,
     divide_every_log,
+    explain_misfit,
     select_campaign_changes,
     solve_with_fallback,
 )
@@ -253,7 +254,7 @@ class _Study:
         test = confirm_campaign_change(self.carry(others), self.noise, columns)
         before, after = (self.regression(g, TEST).residuals(self.solve(g, TRAIN).theta) for g in (others, groups))
         gain = compute_campaign_gain(self.channel, group, before, after, rng, test)
-        why = self._doubt(found, change, gain, test.is_confirmed)
+        why = self._doubt(found, change, gain, test.is_confirmed) or explain_misfit(self.channel, group, gain)
         unloaded = [log for log in logs if all(log not in g for g in groups)]
         finding = Finding(
             PAYLOAD,

@@ -7,6 +7,7 @@ from .campaigns import (
     compute_campaign_gain as compute_campaign_gain,
     confirm_campaign_change as confirm_campaign_change,
     divide_every_log as divide_every_log,
+    explain_misfit as explain_misfit,
     select_campaign_changes as select_campaign_changes,
 )
 from .candidate_scan import (

@@ -21,6 +21,7 @@ from scipy import stats
 from tau_dyn.estimate import Autoregression
 from tau_dyn.evidence.confirmation import Confirmation, confirm_columns
 from tau_dyn.evidence.extended_fit import compute_gain
+from tau_dyn.evidence.lack_of_fit import MAX_MISSED_SHARE
 from tau_dyn.evidence.measurements import TEST, TRAIN, VALIDATION, Measurements, divide_training
 from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, WhiteResidual, compute_overdispersion
 from tau_dyn.evidence.result import DIFFERENCE_LEVEL, Gain
@@ -225,3 +226,24 @@ def compute_campaign_gain(
     if not any(mask.any() for mask in own.masks(TEST)):
         return Gain(0.0, 0.0, 0.0, (0.0, 0.0))
     return compute_gain(own, before, after, channel.outputs, rng, shown)
+
+
+def explain_misfit(channel: CampaignChannel, logs: Sequence[str], gain: Gain) -> str:
+    """Return why a change in some logs is not claimed next to a model that misses more there for other reasons; else nothing.
+
+    A model that misses more than `MAX_MISSED_SHARE` of the force lacks a force, and any other column takes part of it up. Of such
+    a model only a change is believed that exerts as much force in these logs as the model misses with it.
+
+    Args:
+        channel: The measurements.
+        logs: The logs.
+        gain: Of the change, in these logs.
+    """
+    runs = list(zip(channel.runs, channel.masks(TEST), strict=True))
+    forces = [run.y[mask] for run, mask in runs if run.name in logs]
+    force = float(np.sqrt(np.mean(np.concatenate(forces) ** 2))) if any(len(x) for x in forces) else 0.0
+    missed = gain.rms_after / force if force > 0 else 0.0
+    taken_off = np.sqrt(max(0.0, gain.rms_before**2 - gain.rms_after**2))
+    if missed <= MAX_MISSED_SHARE or taken_off >= gain.rms_after:
+        return ""
+    return f"the model misses {100 * missed:.0f} % of the force in these logs with it, more than the change exerts"

@@ -14,6 +14,8 @@ direction d since block k is tested by
 model has to be exact, and without a change `sqrt(T)` is Student's t with the reference's degrees of freedom. Each new block
 tests D directions over L lengths from 2 s to an hour. With N = 1800 blocks an hour, the threshold h follows from the rate r [1/h]
 by Bonferroni,  2 P(t > h) = r / (N D L);  the expected number of false alarms is at most r an hour, averaged over references.
+A change of several numbers at once, as the mass and the centre of a body, is named by the statistic of all of them less what
+Schwarz' criterion asks for each number beyond the first.
 Since when: the change-point's likelihood interval of Hansen 2000. Reference: Lorden 1971; Basseville & Nikiforov 1993, 5 and 8;
 Hansen 2000, Sample splitting and threshold estimation.
 """
@@ -132,6 +134,18 @@ class NormalState:
         unsure = np.einsum("de,ef,df->d", G, self.inverse, G)
         return s / known, np.sqrt(self.phi * (known + unsure)) / known
 
+    def compute_joint_statistic(
+        self, s: np.ndarray, G: np.ndarray, members: Sequence[int]
+    ) -> tuple[float, np.ndarray, np.ndarray]:
+        """Return the statistic of directions that change together, their sizes (k,) and standard errors (k,)."""
+        mine = list(members)
+        scatter = np.sqrt(np.outer(self.phi[mine], self.phi[mine]))
+        known = G[np.ix_(mine, mine)]
+        variance = scatter * (known + G[mine] @ self.inverse @ G[mine].T)
+        inverse = np.linalg.pinv(known)
+        statistic = float(s[mine] @ np.linalg.pinv(variance) @ s[mine])
+        return statistic, inverse @ s[mine], np.sqrt(np.diag(inverse @ variance @ inverse))
+
 
 @dataclass(eq=False)
 class ChangeDetector:
@@ -141,6 +155,7 @@ class ChangeDetector:
         sizes: Typical amounts of the directions (D,).
         reference_blocks: Blocks from which the normal state is learned, at the beginning and after each alarm.
         rate: False alarms an hour.
+        together: Directions that one change may move at once, that which names it first; empty without.
         changes: The changes found.
         trace: Time, log and the largest statistic's root over the threshold of each block.
         normal: The normal state; None while it is learned.
@@ -149,6 +164,7 @@ class ChangeDetector:
     sizes: np.ndarray
     reference_blocks: int
     rate: float = FALSE_ALARMS_PER_HOUR
+    together: tuple[int, ...] = ()
     changes: list[DetectedChange] = field(default_factory=list)
     trace: list[tuple[float, str, float]] = field(default_factory=list)
     normal: NormalState | None = None
@@ -224,9 +240,13 @@ class ChangeDetector:
         starts = np.arange(first, detected + 1)
         s, G = self._s[n] - self._s[starts], self._G[n] - self._G[starts]
         T = normal.compute_statistics(s, G)
+        whole = self._join_statistics(T, normal, s, G)
         k, d = (int(x) for x in np.unravel_index(int(np.argmax(T)), T.shape))
         near = np.flatnonzero(T[:, d] > T[k, d] - CHANGE_POINT_95)
         sizes, errors = normal.estimate_sizes(s[k], G[k])
+        if whole[k] and d == self.together[0]:
+            _, joint_sizes, joint_errors = normal.compute_joint_statistic(s[k], G[k], self.together)
+            sizes[d], errors[d] = joint_sizes[0], joint_errors[0]
         half = float(stats.t.isf(0.025, normal.dof)) * float(errors[d])
         begin, end = (self._blocks[first + int(x)] for x in (near[0], near[-1]))
         at, found = self._blocks[first + k], self._blocks[detected]
@@ -238,3 +258,23 @@ class ChangeDetector:
             d, at.t[0], at.log, (early, late), found.t[1], found.log, float(sizes[d]), float(errors[d]),
             (float(sizes[d]) - half, float(sizes[d]) + half), float(T[k, d]), chance, tuple(twins),
         )  # fmt: skip
+
+    def _join_statistics(self, T: np.ndarray, normal: NormalState, s: np.ndarray, G: np.ndarray) -> np.ndarray:
+        """Give the first of the directions that change together the statistic of all in T (K, D), where that is larger.
+
+        Returns:
+            Whether it is larger, for each start (K,).
+        """
+        whole = np.zeros(len(T), bool)
+        if not self.together:
+            return whole
+        first, *others = self.together
+        price = len(others) * np.log(np.arange(len(T), 0, -1) + 1.0)
+        joint = (
+            np.array([normal.compute_joint_statistic(a, b, self.together)[0] for a, b in zip(s, G, strict=True)])
+            - price
+        )
+        whole = joint > T[:, first]
+        T[:, first] = np.maximum(T[:, first], joint)
+        T[:, others] = 0.0
+        return whole

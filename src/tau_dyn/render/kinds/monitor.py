@@ -154,7 +154,7 @@ def _list_alarms(found: WatchResult) -> Iterator[r.Element]:
     ]
     if rows:
         yield r.ResultTable(columns, rows, on=r.On.ALL)
-    watched = r.format_list([d.words for d in found.directions], 20)
+    watched = r.format_list([d.words for d in found.watched_for], 20)
     yield r.Text(f"Watched: {watched}.", on=r.On.DRAWN)
     if found.unfelt:
         yield r.Text(f"This robot does not feel: {r.format_list([d.words for d in found.unfelt], 20)}.", on=r.On.DRAWN)
