@@ -6,7 +6,7 @@ from numpy.random import default_rng
 
 from tau_dyn.log import Log
 from tau_dyn.log.data_integrity import repair_log
-from tau_dyn.log.device_clock import find_device_clock
+from tau_dyn.log.update_rate import find_device_clock
 
 TICK = 1e-3
 JOINTS = ("a", "b", "c")

@@ -6,7 +6,7 @@ from numpy.random import default_rng
 
 from tau_dyn.log import Log, split_at_gaps
 from tau_dyn.log.data_integrity import repair_log
-from tau_dyn.log.short_gaps import fill_short_gaps
+from tau_dyn.log.resample import fill_short_gaps
 
 
 def build_log(lost: int, hertz: float = 0.5, noise: float = 1e-5) -> tuple[Log, np.ndarray]:

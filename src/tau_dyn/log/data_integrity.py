@@ -21,8 +21,8 @@ A lost sample gives s = 1, one inserted twice s = -1. `z` is the estimate of `s`
 `s` within 0.25 of a nonzero integer are events. What is not a lost sample (a knock, a rough motion) has no reason to prefer
 integers, so steps nearer to the half integers are counted as a control. Alarm: three events, and more than twice the control.
 
-**Scattered stamps** (`device_clock.py`). Stamps of a logger that follow the device's even clock loosely are replaced by that
-clock. **Short gaps** (`short_gaps.py`) are filled where the rows around tell what is missing.
+**Scattered stamps** (`update_rate.py`). Stamps of a logger that follow the device's even clock loosely are replaced by that
+clock. **Short gaps** (`resample.py`) are filled where the rows around tell what is missing.
 
 **Forces that drop out.** A missing measurement is often written as zero or as the value before. A zero run is a stretch of
 exact zeros whose two neighbours are six typical steps off, on the same side: a force that passes through zero changes its
@@ -40,13 +40,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tau_dyn.log.check_motion import find_moving_samples
-from tau_dyn.log.device_clock import find_device_clock
 from tau_dyn.log.filtering import estimate_quantisation_step
 from tau_dyn.log.log import Log
-from tau_dyn.log.resample import examine_clock, find_true_runs, interpolate
-from tau_dyn.log.short_gaps import fill_short_gaps
+from tau_dyn.log.resample import examine_clock, fill_short_gaps, find_true_runs, interpolate
 from tau_dyn.log.signal_checks import FrozenStretch, find_constant_runs, find_frozen_force, find_frozen_positions
-from tau_dyn.log.update_rate import UpdateRate, find_update_rates, sample_at_updates
+from tau_dyn.log.update_rate import UpdateRate, find_device_clock, find_update_rates, sample_at_updates
 from tau_dyn.message_codes import CodedWarning, RepairedWarning
 from tau_dyn.results import count
 
