@@ -7,6 +7,7 @@ from .change_detection import (
     ChangeDetector as ChangeDetector,
     DetectedChange as DetectedChange,
 )
+from .directions import Direction as Direction
 from .fleet import (
     MIN_UNITS as MIN_UNITS,
     Fleet as Fleet,
@@ -27,7 +28,6 @@ from .payload import (
 from .watch import (
     MIN_REFERENCE_S as MIN_REFERENCE_S,
     REFERENCE_S as REFERENCE_S,
-    Direction as Direction,
     Watch as Watch,
     WatchResult as WatchResult,
     watch_logs as watch_logs,
