@@ -132,8 +132,15 @@ def _settle(
     start = np.zeros(n + len(places) + len(frames.with_length))
     if not len(start) or poses.n * 3 < len(start):
         return frames, float(np.sum(left(start) ** 2))
-    how = {"method": "lm"} if noise is None else {"method": "trf", "loss": "soft_l1", "f_scale": noise}
-    end = least_squares(left, start, x_scale=1.0, max_nfev=_MAX_EVALUATIONS * len(start), **how)
+    end = least_squares(
+        left,
+        start,
+        method="lm" if noise is None else "trf",
+        loss="linear" if noise is None else "soft_l1",
+        f_scale=1.0 if noise is None else noise,
+        x_scale=1.0,
+        max_nfev=_MAX_EVALUATIONS * len(start),
+    )
     return move(end.x), float(2 * end.cost)
 
 

@@ -109,15 +109,11 @@ class _Gap:
             x[moved] = part
             return self.follow(x)
 
-        end = least_squares(
-            lambda part: self.measure(place(part)),
-            start[moved],
-            lambda part: self.differentiate(place(part), moved),
-            xtol=1e-15,
-            ftol=1e-15,
-            gtol=1e-15,
-            max_nfev=_MAX_EVALUATIONS,
-        )
+        def slope(part: np.ndarray) -> np.ndarray:
+            return self.differentiate(place(part), moved)
+
+        stop = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15, "max_nfev": _MAX_EVALUATIONS}
+        end = least_squares(lambda x: self.measure(place(x)), start[moved], jac=slope, **stop)  # pyright: ignore[reportArgumentType]
         x = place(end.x)
         return x if np.abs(self.measure(x)).max() < _CLOSED else None
 
