@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -162,8 +163,8 @@ def record(model: Model, kind: str, seed: int, seconds: float, load: float, name
     return Log(t, columns | {f"tau_{j}": tau[:, k] for k, j in enumerate(robot.actuated)}, name)
 
 
-def judge(found: Diagnosis, loaded: str, load: float) -> tuple[bool, str]:
-    """Return whether a diagnosis is right, and a line about it."""
+def judge(found: Diagnosis, loaded: str, load: float, logs: Sequence[str]) -> tuple[bool, str]:
+    """Return whether a diagnosis of training logs is right, and a line about it; a finding without logs concerns them all."""
     payloads = [f for f in found.findings if f.cause == "payload" and f.status != "suspected"]
     bodies = [
         f for f in found.findings if f.cause in ("link_mass", "force_scale", "drive_gain") and f.status != "suspected"
@@ -173,7 +174,7 @@ def judge(found: Diagnosis, loaded: str, load: float) -> tuple[bool, str]:
     text = f"bodies: {text}; other causes: {', '.join(causes) or '-'}"
     if not load:
         return not payloads and not bodies, f"{len(payloads)} payloads; {text}"
-    if len(payloads) != 1 or payloads[0].logs != (loaded,):
+    if len(payloads) != 1 or (payloads[0].logs or tuple(logs)) != (loaded,):
         return False, f"payloads {[(f.logs, f.status) for f in found.findings if f.cause == 'payload']}; {text}"
     mass = payloads[0].parameters[0]
     away = (mass.value - load) / (mass.stderr or np.inf)
@@ -194,12 +195,14 @@ def run_set(
     logs = [record(model, kind, 3 * seed + k, seconds, load * (k == which), names[k]) for k in range(3)]
     if against == "logs":
         out = seed % 2
+        train = names[: 3 - out]
         found = diagnose(robot, logs[: 3 - out], holdout=logs[3 - out :], seed=seed)
     else:
         path = folder / f"{kind}{seed}.yaml"
         diagnose(robot, logs[:1], holdout=logs[1:2], seed=seed).extended_model.save(path)
+        train = names[2:]
         found = diagnose(robot, logs[2:], model=path, seed=seed)
-    return judge(found, names[which], load)
+    return judge(found, names[which], load, train)
 
 
 def main() -> None:
