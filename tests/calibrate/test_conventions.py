@@ -16,6 +16,7 @@ from tau_dyn.calibrate.conventions.search import is_far_beyond
 from tau_dyn.calibrate.models import RodFamily, Spec, TreeFamily, get_family
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
+from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import build_rods
 from tau_dyn.message_codes import get_code
 from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
@@ -204,3 +205,42 @@ def test_a_tool_that_turns_about_one_axis_is_placed_by_its_positions() -> None:
     nominal = geometry.forward(geometry.parameters.values, q)
     found = measure_misfit(poses, nominal.poses, nominal.ok, turns=True)
     assert found.position < 2e-3 and found.rotation is not None and found.rotation < 2e-3
+
+
+def _invert(poses: PoseSet) -> PoseSet:
+    """Return the device in the target's frame."""
+    assert poses.rotation is not None
+    back = np.swapaxes(poses.rotation, 1, 2)
+    return replace(poses, position=-np.einsum("nij,nj->ni", back, poses.position), rotation=back)
+
+
+def test_held_out_positions_of_inverse_poses_are_refused(robot: Robot) -> None:
+    """The inverse of a position needs its orientation, which these held-out poses do not have."""
+    held = replace(_invert(measure(robot, 2)).without_rotation(), source="held.csv")
+    with pytest.raises(InputError, match="held.csv has no orientations.*inverse") as fault:
+        calibrate(robot, _invert(measure(robot, 2)), held)
+    assert fault.value.code == "mismatch"
+
+
+def test_held_out_distances_follow_the_joints_of_the_training_poses(robot: Robot) -> None:
+    """A joint that counts the other way does so in the file of distances as well, whose numbers stay distances."""
+    arm, rng = build_tree_geometry(robot), np.random.default_rng(6)
+    wire = replace(TRACKER, kinds=("distance",), lengths=(0.1,))
+    q = rng.uniform(-1.3, 1.3, (30, 4))
+    distances = simulate_poses(
+        arm, arm.parameters.values, q, rng, noise=NOISE, frames=wire, turned=False, device=np.zeros(30, int)
+    )
+    train, held = (replace(poses, q=poses.q * [1, -1, 1, 1]) for poses in (measure(robot, 3, size=1e-4), distances))
+    found = calibrate(robot, train, replace(held, devices=("wire",)))
+    assert "joint_sign" in {f.cause for f in found.findings}
+    assert found.errors(found.chosen).position_size.rms < 3 * NOISE[0]
+
+
+def test_each_file_may_write_its_orientations_its_own_way(robot: Robot) -> None:
+    """Euler angles that are read anew in one file do not touch the quaternions of the other."""
+    train, held = measure(robot, 4), measure(robot, 4, 30)
+    angles = Rotation.from_matrix(train.rotation).as_euler("xyz")
+    written = replace(train, angles=angles, rotation=Rotation.from_rotvec(angles).as_matrix())
+    found = calibrate(robot, written, held)
+    assert any(get_code(w) == "poses_reread" for w in found.warnings)
+    assert found.errors(found.chosen).position_size.rms < 4 * NOISE[0]

@@ -197,8 +197,12 @@ def _reread(
     found = find_reading(geometry, poses, limits, lambda some: _measure_left(robot, some, options))
     said += [found.describe(poses.source)] if found else []
     if found and holdout is not None:
-        meant = found.apply(holdout)
-        written, read = (measure_as_written(geometry, some, limits).value for some in (holdout, meant))
+        meant = found.apply_alike(holdout)
+        written, read = (
+            (measure_as_written(geometry, some, limits).value for some in (holdout, meant))
+            if holdout.measures_poses
+            else (1.0, 0.0)  # distances and touches show no convention by themselves
+        )
         if written < read:
             said.append(
                 f"{holdout.source} follows the documented convention, unlike {poses.source}, and is read as written"

@@ -10,11 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations, product
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.measured import POSITION, PoseSet
+from tau_dyn.exceptions import InputError
 
 _MAX_ROW_SHIFT = 2
 """Rows by which joints and poses may be shifted: a header or a first pose counted in one table only makes one, rarely two."""
@@ -34,6 +36,7 @@ class PoseReading:
         words: What the file does, as a clause.
         apply: Returns the poses as they are meant.
         unit: Metres of the unit of the file's positions.
+        acts_on: What it changes: `joints`, `positions`, `orientations`, or `poses`, whose two parts depend on each other.
     """
 
     cause: str
@@ -41,6 +44,7 @@ class PoseReading:
     words: str
     apply: Callable[[PoseSet], PoseSet]
     unit: float = 1.0
+    acts_on: Literal["joints", "positions", "orientations", "poses"] = "positions"
 
     @property
     def place(self) -> tuple[str, tuple[str, ...]]:
@@ -55,6 +59,26 @@ def apply_reading(reading: Reading, poses: PoseSet) -> PoseSet:
     """Return the poses as a reading takes them."""
     for change in reading:
         poses = change.apply(poses)
+    return poses
+
+
+def apply_reading_alike(reading: Reading, poses: PoseSet) -> PoseSet:
+    """Return other poses, such as held-out ones, as a reading takes them where they have what it changes.
+
+    Raises:
+        InputError: They have positions without the orientations by which the reading changes those.
+    """
+    for change in reading:
+        if not poses.measures_poses and change.acts_on != "joints":
+            continue
+        if poses.rotation is None and change.acts_on == "poses":
+            raise InputError(
+                "mismatch",
+                f"{poses.source} has no orientations, and its positions cannot be read as those of the training poses: "
+                f"{change.words}; measure both alike",
+            )
+        if poses.rotation is not None or change.acts_on != "orientations":
+            poses = change.apply(poses)
     return poses
 
 
@@ -83,7 +107,7 @@ def list_readings(poses: PoseSet, joints: Sequence[str], units: Sequence[str], *
 def _reverse(joints: Sequence[str], k: int) -> PoseReading:
     sign = np.where(np.arange(len(joints)) == k, -1.0, 1.0)
     words = f"the sign of {joints[k]} is reversed: it counts the other way than the robot file"
-    return PoseReading("joint_sign", (joints[k],), words, _scale_joints(sign))
+    return PoseReading("joint_sign", (joints[k],), words, _scale_joints(sign), acts_on="joints")
 
 
 def _scale_joints(factor: np.ndarray) -> Callable[[PoseSet], PoseSet]:
@@ -96,17 +120,20 @@ def _list_joint_changes(joints: Sequence[str], units: Sequence[str]) -> list[Pos
     for k in np.flatnonzero(turning).tolist():
         for turn in (90, -90, 180):
             words = f"the zero of {joints[k]} is {turn:d} degrees away from the robot file's"
-            changes.append(PoseReading("joint_zero", (joints[k],), words, _shift_joint(numbers == k, np.deg2rad(turn))))
+            zero = _shift_joint(numbers == k, np.deg2rad(turn))
+            changes.append(PoseReading("joint_zero", (joints[k],), words, zero, acts_on="joints"))
     for a, b in combinations(range(len(joints)), 2):
         order = np.where(numbers == a, b, np.where(numbers == b, a, numbers))
         words = f"the columns of {joints[a]} and {joints[b]} are exchanged"
-        changes.append(PoseReading("columns_exchanged", (joints[a], joints[b]), words, _order_joints(order)))
+        pair = (joints[a], joints[b])
+        changes.append(PoseReading("columns_exchanged", pair, words, _order_joints(order), acts_on="joints"))
     for own, unit, factor in ((turning, "degrees", np.pi / 180), (~turning, "millimetres", 1e-3)):
         for some in _unit_groups(np.flatnonzero(own).tolist()):
             who = "joint positions" if len(some) == own.sum() else f"positions of {joints[some[0]]}"
             scale = np.where(np.isin(numbers, some), factor, 1.0)
             where: tuple[str, ...] = () if len(some) == own.sum() else (joints[some[0]],)
-            changes.append(PoseReading("joint_unit", where, f"{who} are in {unit}", _scale_joints(scale)))
+            words = f"{who} are in {unit}"
+            changes.append(PoseReading("joint_unit", where, words, _scale_joints(scale), acts_on="joints"))
     return changes
 
 
@@ -182,15 +209,26 @@ def _list_shifts(poses: PoseSet) -> list[PoseReading]:
 def _list_orientation_changes(poses: PoseSet) -> list[PoseReading]:
     """Return other meanings of the orientation's columns."""
     changes = [
-        PoseReading("quaternion_order", (), "the quaternion's order is w x y z instead of x y z w", _roll_quaternion),
+        PoseReading(
+            "quaternion_order",
+            (),
+            "the quaternion's order is w x y z instead of x y z w",
+            _roll_quaternion,
+            acts_on="orientations",
+        ),
         PoseReading(
             "inverse_poses",
             (),
             "the poses are inverse: the device in the target's frame, or base and tool exchanged",
             _invert,
+            acts_on="poses",
         ),
         PoseReading(
-            "inverse_poses", ("orientation",), "the orientations alone are inverse (conjugate quaternions)", _transpose
+            "inverse_poses",
+            ("orientation",),
+            "the orientations alone are inverse (conjugate quaternions)",
+            _transpose,
+            acts_on="orientations",
         ),
     ]
     if poses.angles is not None:
@@ -200,6 +238,8 @@ def _list_orientation_changes(poses: PoseSet) -> list[PoseReading]:
 
 def _roll_quaternion(poses: PoseSet) -> PoseSet:
     assert poses.rotation is not None
+    if poses.angles is not None:  # held-out poses that are written otherwise
+        return poses
     return replace(
         poses,
         rotation=Rotation.from_quat(np.roll(Rotation.from_matrix(poses.rotation).as_quat(), -1, axis=1)).as_matrix(),
@@ -233,10 +273,12 @@ ANGLE_KINDS = {
 
 def _read_angles(kind: str, unit: str) -> PoseReading:
     def apply(poses: PoseSet) -> PoseSet:
-        assert poses.angles is not None
+        if poses.angles is None:  # held-out poses that are written otherwise
+            return poses
         return replace(poses, rotation=turn_by_angles(poses.angles, ANGLE_KINDS[kind], degrees=unit == "deg"))
 
-    return PoseReading("", (), f"the three columns of the orientation are {kind} in {unit}", apply)
+    words = f"the three columns of the orientation are {kind} in {unit}"
+    return PoseReading("", (), words, apply, acts_on="orientations")
 
 
 def turn_by_angles(angles: np.ndarray, sequence: str, *, degrees: bool) -> np.ndarray:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.calibrate.conventions.readings import Reading, apply_reading, list_readings
+from tau_dyn.calibrate.conventions.readings import Reading, apply_reading, apply_reading_alike, list_readings
 from tau_dyn.calibrate.conventions.rigid_fit import UNREACHED, Misfit, measure_misfit
 from tau_dyn.calibrate.geometry import Geometry, Predicted
 from tau_dyn.calibrate.measured import PoseSet
@@ -68,6 +68,14 @@ class FoundReading:
     def apply(self, poses: PoseSet) -> PoseSet:
         """Return poses as the file means them."""
         return apply_reading(self.reading, poses)
+
+    def apply_alike(self, poses: PoseSet) -> PoseSet:
+        """Return other poses in the convention of the file, where they have what it is about.
+
+        Raises:
+            InputError: They lack the orientations that it needs.
+        """
+        return apply_reading_alike(self.reading, poses)
 
     def compute_gain(self, seed: int = 0) -> Gain:
         """Return what it gains, with the robot file's dimensions; the interval is by bootstrap over poses."""
