@@ -114,4 +114,4 @@ def test_a_robot_whose_loops_cannot_close(tmp_path, capsys):
     file = tmp_path / "short.urdf"
     file.write_text(text)
     assert main(["fk", str(file), "--q", "0", "0", "0"]) == 2
-    assert "cannot be closed" in capsys.readouterr().err
+    assert "out of reach" in capsys.readouterr().err
