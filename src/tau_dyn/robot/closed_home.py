@@ -19,7 +19,7 @@ from tau_dyn.robot.robot import Robot
 
 _CLOSED = 1e-9  # [m] largest gap of a closed loop
 _ALIKE = 1e-4  # [rad or m] difference of joint positions below which two closures are one
-_STARTS = 30  # at random, as a chain of six passive joints with four assembly modes closes from each tenth
+_STARTS = 30  # at random; a chain of six passive joints with four assembly modes closes from each tenth
 _NEWTON_STEPS = 30  # as many as the solver of loops takes
 _MAX_STEP = 0.5  # [m or rad] of a passive joint in one step of Newton's method
 _BLIND = 1e-9  # of the largest singular value, below which a step does not go
@@ -172,7 +172,7 @@ def _with_home(gap: _Gap, found: list[np.ndarray], moved: list[int]) -> Robot:
     others = f"; {len(found) - 1} other closures were found" if len(found) > 2 else ""
     others = "; one other closure was found" if len(found) == 2 else others
     sentence = (
-        f"{robot.source}: its loops do not close from the file's zeros; home is taken at {listed}{more}{others}; "
+        f"{robot.source}: its loops do not close from the file's home; one is taken at {listed}{more}{others}; "
         "<tau_dyn:home joint=.. value=../> in the file chooses another"
     )
     said = CodedWarning("home_searched", sentence)
