@@ -82,7 +82,7 @@ def _find_place(poses: PoseSet, base: Poses, own: np.ndarray, frames: DeviceFram
         targets=rows.campaigns if by_campaign else rows.targets,
     )
     at, shown = base.take(own), len(KINDS[kind].axes) + bool(KINDS[kind].length)
-    ok = np.isfinite(at.position).all(axis=1)
+    ok = np.isfinite(at.position.sum(axis=1))
     found = _place_robustly(some, at, ok, shown, frames.tool, noise)
     if found is None:
         raise InputError(
