@@ -17,10 +17,13 @@ from tau_dyn.calibrate import PoseSet, calibrate, fit_geometry_to_poses, read_po
 from tau_dyn.calibrate.device_noise import _measure_scatter, weigh_devices
 from tau_dyn.calibrate.fit_problem import Problem
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
+from tau_dyn.calibrate.geometry import Predicted
 from tau_dyn.calibrate.measured import KINDS, number_alike
 from tau_dyn.calibrate.measured.kinds import project_columns
 from tau_dyn.calibrate.model_selection import Options
 from tau_dyn.calibrate.models import get_family
+from tau_dyn.calibrate.new_places import find_new_places
+from tau_dyn.calibrate.starting_frames import place_alone
 from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
 from tau_dyn.calibrate.unknowns import collect
 from tau_dyn.exceptions import InputError
@@ -265,3 +268,20 @@ def test_a_tracker_at_a_new_place_is_refused() -> None:
     trackers = replace(held, kinds=("pose",), devices=("tracker",))
     with pytest.raises(InputError, match="device tracker is not among"):
         number_alike(train, trackers)
+
+
+def test_each_row_of_a_new_place_is_judged_by_the_others() -> None:
+    """The leverage formula gives what a place fitted without the row predicts there, of six distances with four unknowns."""
+    robot, train, held = measure_elsewhere(6)
+    fitted = calibrate(robot, train, held).fit
+    poses = number_alike(fitted.poses, held)
+    base, target = fitted.predict(poses).base, fitted.frames.tool
+    [place] = find_new_places(poses, base, 3, fitted.frames, SIGMA)
+    assert place.kept.all()
+    for k in range(poses.n):
+        others = np.arange(poses.n) != k
+        known = Predicted(base.take(others), np.ones(5, bool), np.full(5, ""))
+        without = place_alone(place.poses.take(others), known, target)
+        seen, lengths = without.measured(base, place.poses.setup), without.lengths_of(place.poses.setup)
+        left = place.poses.compute_position_residuals(seen, lengths)[k]
+        assert np.allclose(place.residuals[k], left, atol=0.02 * np.linalg.norm(left))

@@ -9,6 +9,7 @@ from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.mechanism.loops import LoopSolver
 from tau_dyn.message_codes import get_code
 from tau_dyn.robot import Robot, load_robot_from_urdf
+from tau_dyn.robot.closed_home import _Gap
 
 CRANK, ROD = 0.35, 0.7
 
@@ -90,3 +91,22 @@ def test_loops_that_no_position_closes_are_refused() -> None:
     robot = load_robot_from_urdf(write_five_bar(2.2), "five bar")
     with pytest.raises(LoopClosureError, match="cannot be closed at home"):
         close(robot)
+
+
+def test_joints_that_follow_a_drive_move_the_loops_along() -> None:
+    """The gaps' derivative by a drive holds what its followers do: central differences agree."""
+    follower = (
+        '<link name="e_link"/><joint name="e" type="revolute"><parent link="c2_link"/><child link="e_link"/><axis xyz="0 1 0"/>'
+        '<limit lower="-3" upper="3" velocity="8" effort="200"/><mimic joint="c1" multiplier="0.5" offset="0.1"/></joint></robot>'
+    )
+    text = (
+        write_five_bar(0.5).replace('<parent link="c2_link"/>', '<parent link="e_link"/>').replace("</robot>", follower)
+    )
+    robot = load_robot_from_urdf(text, "five bar")
+    gap, every = _Gap(robot), [int(k) for k in (*robot.passive_v, *robot.active_v)]
+    assert close(robot)[0] < 1e-10 and len(every) == robot.model.nv - 1
+    x, step = gap.follow(np.random.default_rng(3).uniform(-1, 1, robot.model.nv)), 1e-6
+    slope = gap.differentiate(x, every)
+    for k, joint in enumerate(every):
+        moved = [gap.measure(gap.follow(x + sign * step * np.eye(robot.model.nv)[joint])) for sign in (1, -1)]
+        assert np.allclose(slope[:, k], (moved[0] - moved[1]) / (2 * step), atol=1e-8)

@@ -307,7 +307,7 @@ class GeometryFit(Brief):
         return out
 
     def _compute_columns_at(self, place: NewPlace, base: Poses) -> np.ndarray:
-        """Return prediction columns (n, 6, f) at a new place, without what a change of the place explains."""
+        """Return prediction columns (n, 6, f) at a new place, with the place refitted to them."""
         setup, u = place.poses.setup, self.unknowns
         seen, twist = (
             place.frames.measured(base, setup),

@@ -36,7 +36,7 @@ class PoseReading:
         words: What the file does, as a clause.
         apply: Returns the poses as they are meant.
         unit: Metres of the unit of the file's positions.
-        acts_on: What it changes: `joints`, `positions`, `orientations`, or `poses`, whose two parts depend on each other.
+        acts_on: What it changes: `joints`, `positions`, `orientations`, or `poses` (positions by orientations).
     """
 
     cause: str
@@ -63,7 +63,7 @@ def apply_reading(reading: Reading, poses: PoseSet) -> PoseSet:
 
 
 def apply_reading_alike(reading: Reading, poses: PoseSet) -> PoseSet:
-    """Return other poses, such as held-out ones, as a reading takes them where they have what it changes.
+    """Return held-out poses with those changes of a reading that apply to them.
 
     Raises:
         InputError: They have positions without the orientations by which the reading changes those.

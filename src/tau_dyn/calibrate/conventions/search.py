@@ -70,10 +70,10 @@ class FoundReading:
         return apply_reading(self.reading, poses)
 
     def apply_alike(self, poses: PoseSet) -> PoseSet:
-        """Return other poses in the convention of the file, where they have what it is about.
+        """Return held-out poses in the convention of the file.
 
         Raises:
-            InputError: They lack the orientations that it needs.
+            InputError: They have no orientations and the convention needs them.
         """
         return apply_reading_alike(self.reading, poses)
 
