@@ -1,12 +1,13 @@
 """Are dimensions found as exactly as they can be from distances, pins, planes, balls, cameras on the tool?
 
-    python experiments/measurements.py [--what distance hole plane sphere trackers hand_eye wire_and_tracker]
-                                       [--sets 20] [--seed 0] [--out DIR]
+    python experiments/measurements.py [--what distance hole plane sphere trackers hand_eye wire_and_tracker encoders
+                                       encoders_and_tracker] [--sets 20] [--seed 0] [--out DIR]
 
 In: nothing; a six-axis arm and a UR5, or the L1 Gantry-Tau where its three axes can do it, each with three dimensions off by
-0.3 to 1 mm (mrad), devices and fixtures anywhere, the target anywhere on the tool. Joint positions that touch a fixture come from
-Newton's method on the true robot. Out: `measurements.csv`, a row a set; for each kind the error of the determined parameters over
-the Cramer-Rao bound at the true noise, the coverage of 95 % intervals, and other causes that were confirmed.
+0.3 to 1 mm (mrad), devices and fixtures anywhere, the target anywhere on the tool. Encoders of passive joints, with zeros that
+nobody knows: a planar five-bar and a Delta. Joint positions that touch a fixture come from Newton's method on the true robot.
+Out: `measurements.csv`, a row a set; for each kind the error of the determined parameters over the Cramer-Rao bound at the true
+noise, the coverage of 95 % intervals, and other causes that were confirmed.
 """
 
 from __future__ import annotations
@@ -16,17 +17,21 @@ import time
 import traceback
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
+from changed_loads import write_fivebar
 from pose_files import DIMENSIONS, N_OFF, ROBOTS, StudiedRobot, build_machine, draw_frame
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate import Calibration, GeometryFit, PoseSet, calibrate, fit_geometry_to_poses
 from tau_dyn.calibrate.fit_problem import FitState, Problem, WeightedProblem
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
-from tau_dyn.calibrate.measured import KINDS, find_directions
+from tau_dyn.calibrate.measured import ENCODERS, KINDS, PassiveEncoders, find_directions, predict_measured
+from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.files import write_whole
+from tau_dyn.robot import load_robot
 
 STUDIES = {
     # kind of each device, its noise [m], poses of each, robots
@@ -37,7 +42,14 @@ STUDIES = {
     "trackers": (("pose",) * 2, (2e-5, 6e-5), 60, ("six", "l1")),
     "hand_eye": (("hand_eye",), (1e-4,), 80, ("six", "ur5")),
     "wire_and_tracker": (("pose", "distance"), (2e-5, 5e-5), 60, ("ur5", "l1")),
+    "encoders": (("angle",) * 2, (2e-5,) * 2, 60, ("fivebar", "delta_tree")),
+    "encoders_and_tracker": (("pose", "angle", "angle"), (2e-5, 1e-5, 1e-5), 60, ("fivebar", "delta_tree")),
 }
+PASSIVE = {"fivebar": ("elbow1", "elbow2"), "delta_tree": ("rod1a_yaw", "rod1a_pitch")}
+"""Joints with encoders; their noise is that of the arc at the tool's distance [m]."""
+SHOWN_PLACES = {"fivebar": np.array([1.0, 0.0, 1.0]), "delta_tree": np.zeros(3)}
+"""Along which axes of the tool frame the target may be anywhere: the others show too little, and the fit keeps them at zero."""
+ZERO_RAD = 0.3  # up to which zeros of encoders are off
 HAND_EYE_RAD = 5e-4  # noise of a camera on the tool
 OFFSETS_M = {"distance": 0.35, "sphere": 0.0127}
 NEWTON_STEPS = 30
@@ -47,10 +59,14 @@ CLOSED_M = 1e-10
 def draw_devices(machine: StudiedRobot, kinds: tuple[str, ...], rng: np.random.Generator) -> DeviceFrames:
     """Return devices around the robot, fixtures where it can touch them, and a target on the tool."""
     geometry = machine.geometry
-    tool = Frame(draw_frame(rng, 1.0).rotation, rng.uniform(-0.1, 0.1, 3))
+    shown = SHOWN_PLACES[get_name(machine)] if set(kinds) & set(ENCODERS) else np.ones(3)
+    tool = Frame(draw_frame(rng, 1.0).rotation, shown * rng.uniform(-0.1, 0.1, 3))
     device = []
     for kind in kinds:
         turn = draw_frame(rng, 1.0).rotation if kind in ("pose", "plane", "hand_eye") else np.eye(3)
+        if kind in ENCODERS:
+            device.append(Frame(np.eye(3), np.zeros(3)))
+            continue
         if kind in ("pose", "distance", "hand_eye"):
             device.append(Frame(turn, turn @ rng.uniform(-2.0, 2.0, 3)))
             continue
@@ -60,7 +76,9 @@ def draw_devices(machine: StudiedRobot, kinds: tuple[str, ...], rng: np.random.G
         )
         shift = OFFSETS_M["sphere"] * np.array([0.0, 0.0, 1.0]) if kind == "sphere" else np.zeros(3)
         device.append(Frame(turn, shift - at.position[0]))
-    lengths = tuple(OFFSETS_M.get(kind, 0.0) for kind in kinds)
+    lengths = tuple(
+        rng.uniform(-ZERO_RAD, ZERO_RAD) if kind in ENCODERS else OFFSETS_M.get(kind, 0.0) for kind in kinds
+    )
     return DeviceFrames(tuple(device), (tool,), kinds, lengths)
 
 
@@ -108,16 +126,19 @@ def measure(
     """Return what all devices measure of a robot with parameters `theta`, the rows in an order by chance."""
     q, position, device = [], [], []
     for k, (kind, sigma) in enumerate(zip(frames.kinds, noise, strict=True)):
-        if kind in ("pose", "distance", "hand_eye"):
+        if kind in ("pose", "distance", "hand_eye", *ENCODERS):
             own = machine.robot.home + machine.reach * rng.uniform(-1, 1, (n, machine.robot.na))
         else:
             own = reach_fixture(machine, theta, frames, k, n, sigma, rng)
-        seen = frames.measured(machine.geometry.forward(theta, own).poses, np.full(n, k)).position
+        rows = describe_devices(machine, frames, own, np.full(n, k))
+        seen = frames.measured(predict_measured(machine.geometry, theta, rows, own).poses, np.full(n, k)).position
         value = np.zeros((n, 3))
         if kind == "pose":
             value = seen + sigma * rng.standard_normal((n, 3))
         elif kind == "distance":
             value[:, 0] = np.linalg.norm(seen, axis=1) + frames.lengths[k] + sigma * rng.standard_normal(n)
+        elif kind in ENCODERS:
+            value[:, 0] = seen[:, 0] + frames.lengths[k] * rows.length_factors + sigma * rng.standard_normal(n)
         q.append(own)
         position.append(value)
         device.append(np.full(n, k))
@@ -127,10 +148,39 @@ def measure(
         turn = Rotation.from_rotvec(HAND_EYE_RAD * rng.standard_normal((n, 3))).as_matrix()
         return PoseSet(q[0], seen.position + noise[0] * rng.standard_normal((n, 3)), turn @ seen.rotation)
     order = rng.permutation(n * len(noise))
+    rows = describe_devices(machine, frames, np.vstack(q)[order], np.concatenate(device)[order])
+    return replace(rows, position=np.vstack(position)[order])
+
+
+def describe_devices(machine: StudiedRobot, frames: DeviceFrames, q: np.ndarray, device: np.ndarray) -> PoseSet:
+    """Return rows at joint positions (N, na) by their devices' numbers (N,), without measured values."""
+    joints = iter(PASSIVE.get(get_name(machine), ()))
+    names = tuple(next(joints) if kind in ENCODERS else f"{kind} {k + 1}" for k, kind in enumerate(frames.kinds))
+    used = [name for name, kind in zip(names, frames.kinds, strict=True) if kind in ENCODERS]
+    radius = PassiveEncoders.of(machine.robot, used).arc_radius if used else 1.0
     return PoseSet(
-        np.vstack(q)[order], np.vstack(position)[order], device=np.concatenate(device)[order],
-        devices=tuple(f"{kind} {k + 1}" for k, kind in enumerate(frames.kinds)), kinds=frames.kinds, source="measurements",
-    )  # fmt: skip
+        q,
+        np.zeros((len(q), 3)),
+        device=device,
+        devices=names,
+        kinds=frames.kinds,
+        arc_radius=radius,
+        source="measurements",
+    )
+
+
+def get_name(machine: StudiedRobot) -> str:
+    """Return the study's name of a robot with encoders."""
+    return "delta_tree" if machine.robot.na > 2 else "fivebar"
+
+
+def build_studied_robot(name: str) -> StudiedRobot:
+    """Return a robot of the study; those with encoders as trees with loops."""
+    if name not in PASSIVE:
+        return build_machine(name)
+    with TemporaryDirectory() as folder:
+        robot = write_fivebar(Path(folder)) if name == "fivebar" else load_robot("delta")
+    return StudiedRobot(robot, build_tree_geometry(robot), 0.4 if name == "fivebar" else 0.3, False)
 
 
 def compute_bound(fitted: GeometryFit, theta: np.ndarray, frames: DeviceFrames, noise: tuple[float, ...]) -> np.ndarray:
@@ -176,7 +226,8 @@ def compare_with_truth(
 def study(what: str, name: str, number: int, seed: int) -> dict[str, object]:
     """Return the row of one set."""
     kinds, noise, n, _ = STUDIES[what]
-    machine, rng = build_machine(name), np.random.default_rng([seed, number, ROBOTS.index(name), sum(map(ord, what))])
+    place = ROBOTS.index(name) if name in ROBOTS else len(ROBOTS) + list(PASSIVE).index(name)
+    machine, rng = build_studied_robot(name), np.random.default_rng([seed, number, place, sum(map(ord, what))])
     geometry, frames = machine.geometry, draw_devices(machine, kinds, rng)
     theta = geometry.parameters.values.copy()
     plain = fit_geometry_to_poses(
@@ -187,7 +238,8 @@ def study(what: str, name: str, number: int, seed: int) -> dict[str, object]:
     for k in rng.choice(places, N_OFF, replace=False):
         theta[k] += rng.choice((-1, 1)) * rng.uniform(0.3e-3, 1e-3)
     train, held = (measure(machine, theta, frames, noise, n, rng) for _ in range(2))
-    found: Calibration = calibrate(machine.robot, train, held, "auto" if machine.turns else "nonparallel")
+    model = "complete" if name in PASSIVE else "auto" if machine.turns else "nonparallel"
+    found: Calibration = calibrate(machine.robot, train, held, model)
     fitted = found.fit
     row: dict[str, object] = {"what": what, "robot": name, "number": number, "model": found.chosen.name}
     row |= {"square": 0.0, "total": 0, "inside": 0, "weights": ""}

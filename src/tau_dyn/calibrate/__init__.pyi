@@ -11,6 +11,7 @@ from .geometry_fit import (
     fit_geometry_to_poses as fit_geometry_to_poses,
 )
 from .measured import (
+    PassiveEncoders as PassiveEncoders,
     PoseErrors as PoseErrors,
     PoseSet as PoseSet,
     join_pose_sets as join_pose_sets,

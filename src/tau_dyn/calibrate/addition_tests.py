@@ -20,7 +20,7 @@ from scipy import stats
 from tau_dyn.calibrate.conventions import measure_misfit
 from tau_dyn.calibrate.fit_problem import compute_actuated_positions, compute_size_slope
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.measured import PoseSet
+from tau_dyn.calibrate.measured import PoseSet, measured_by_joint, measured_by_parameter
 from tau_dyn.calibrate.models import Family, Spec
 
 _MIN_RELATIVE_MISFIT = 0.01
@@ -172,8 +172,13 @@ def _build_columns(rest: _ProjectedResidual, family: Family, spec: Spec, hint: A
     poses, a = rest.fitted.poses, family.joints.index(hint.joints[0])
     phase = 2 * np.pi * poses.q[:, [a]] / hint.period
     q = compute_actuated_positions(poses, rest.fitted.state.slack)
-    slope = rest.fitted.geometry.tool_by_joint(rest.fitted.theta, q, rest.fitted.state.base)[:, :, a : a + 1]
+    slope = _by_joint(rest.fitted, q, a)
     return rest.twists(slope * np.hstack([np.sin(phase), np.cos(phase)])[:, None])
+
+
+def _by_joint(fitted: GeometryFit, q: np.ndarray, a: int) -> np.ndarray:
+    """Return how what was measured moves by one actuated joint (N, 6, 1)."""
+    return measured_by_joint(fitted.geometry, fitted.theta, fitted.poses, q, fitted.state.base)[:, :, a : a + 1]
 
 
 def _list_taken(spec: Spec, addition: str) -> tuple[str, ...]:
@@ -241,7 +246,7 @@ def _build_plain_columns(rest: _ProjectedResidual, family: Family, spec: Spec, a
     q = compute_actuated_positions(fitted.poses, fitted.state.slack)
     if addition == "backlash":
         a = family.joints.index(joint)
-        slope = fitted.geometry.tool_by_joint(fitted.theta, q, fitted.state.base)[:, :, a : a + 1]
+        slope = _by_joint(fitted, q, a)
         return rest.twists(slope * (-0.5 * fitted.poses.approach[:, None, a : a + 1]))
     return _build_new_columns(rest, family, spec.plus(addition, (joint,)))
 
@@ -255,7 +260,7 @@ def _build_new_columns(rest: _ProjectedResidual, family: Family, spec: Spec) -> 
     names = larger.parameters.names
     theta = np.array([old.get(p.name, p.value) for p in larger.parameters])
     new = [k for k, name in enumerate(names) if name not in old]
-    columns = rest.twists(larger.tool_by_parameter(theta, q, fitted.state.base)[:, :, new])
+    columns = rest.twists(measured_by_parameter(larger, theta, fitted.poses, q, fitted.state.base)[:, :, new])
     touches = np.repeat(fitted.poses.touches, fitted.sigma.shape[1])
     whitened = np.where(fitted.state.ok[:, None], fitted.residuals / fitted.sigma, 0.0).ravel()
     slope = compute_size_slope(larger, q) if touches.any() else np.zeros(len(theta))
@@ -270,7 +275,7 @@ def _periodic(rest: _ProjectedResidual, family: Family, joint: str, addition: st
     if span <= 0 or rest.left <= 4:
         return None
     q = compute_actuated_positions(fitted.poses, fitted.state.slack)
-    slope = fitted.geometry.tool_by_joint(fitted.theta, q, fitted.state.base)[:, :, a : a + 1]
+    slope = _by_joint(fitted, q, a)
     frequencies = np.arange(1 / (_MAX_RELATIVE_PERIOD * span), 1 / _MIN_PERIOD_M, 1 / (_OVERSAMPLED * span))
     gains = np.concatenate(
         [_reductions(rest, slope, x, part) for part in np.array_split(frequencies, len(frequencies) // 300 + 1)]

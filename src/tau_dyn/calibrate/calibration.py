@@ -19,7 +19,14 @@ from tau_dyn.calibrate.causes import (
 from tau_dyn.calibrate.conventions import FoundReading, find_reading, measure_as_written
 from tau_dyn.calibrate.device_noise import weigh_devices
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.measured import PoseSet, check_units, estimate_measurement_noise, number_alike
+from tau_dyn.calibrate.measured import (
+    PoseSet,
+    check_units,
+    estimate_measurement_noise,
+    join_pose_sets,
+    number_alike,
+    read_encoders_as_meant,
+)
 from tau_dyn.calibrate.model_selection import (
     CandidateModel,
     Options,
@@ -47,9 +54,9 @@ from tau_dyn.robot import Robot
 
 _ENOUGH_TO_SPLIT = 40  # poses; with fewer, a held-out part is too small for an rms error
 _HELD_OUT = 0.25  # share of the poses
-_TOUCHES_ALONE = (
-    "{}: holes, planes and balls at unknown places do not show how large the robot is; its size is that of the robot file, and "
-    "angles and ratios of lengths are calibrated; measure one distance as well (distance_tool)"
+_SIZE_UNDETERMINED = (
+    "{}: {} do not show how large the robot is; its size is that of the robot file, and angles and ratios of lengths are "
+    "calibrated; measure one distance as well (distance_tool)"
 )
 _MAX_RELATIVE_MISFIT = 0.05
 """What a fit misses, over how far the poses spread, above which the two do not belong together."""
@@ -109,10 +116,13 @@ def calibrate(
     options = Options(tuple(fix), tuple(free), residual, robust, device, tool, seed, prior=tuple(prior))
     progress("checking conventions of the pose file")
     poses, holdout, reading, reread = _reread(robot, poses, holdout, options)
+    poses, turned = read_encoders_as_meant(robot, poses)
+    reread = (*reread, *turned)
+    if holdout is not None:
+        holdout, turned = read_encoders_as_meant(robot, holdout)
+        reread = (*reread, *turned)
     poses, said = drop_duplicate_poses(poses)
-    said = (
-        (*said, CodedWarning("size_undetermined", _TOUCHES_ALONE.format(poses.source))) if poses.touches.all() else said
-    )
+    said = (*said, *_check_size(robot, poses))
     measured = estimate_measurement_noise(poses, accuracy)
     holdout = None if holdout is None else number_alike(poses, holdout)
     family = get_family(robot, poses)
@@ -183,6 +193,15 @@ def calibrate(
     return replace(found, findings=suspect_all(found.findings)) if misses or within else found
 
 
+def _check_size(robot: Robot, poses: PoseSet) -> tuple[str, ...]:
+    """Return a warning where nothing that was measured shows the robot's size: touches, or angles between turning drives."""
+    if not poses.hides_size(robot.position_units):
+        return ()
+    told = {"holes, planes and balls at unknown places": poses.touches, "angles of passive joints": poses.of_encoders}
+    what = " and ".join(words for words, rows in told.items() if rows.any())
+    return (CodedWarning("size_undetermined", _SIZE_UNDETERMINED.format(poses.source, what)),)
+
+
 def _reread(
     robot: Robot, poses: PoseSet, holdout: PoseSet | None, options: Options
 ) -> tuple[PoseSet, PoseSet | None, FoundReading | None, tuple[str, ...]]:
@@ -191,6 +210,8 @@ def _reread(
     if holdout is not None and poses.rotation is None and holdout.rotation is not None:
         said.append(_describe_unused_orientation(poses, holdout))
         holdout = holdout.without_rotation()
+    if poses.of_encoders.any():
+        return _reread_beside_encoders(robot, poses, holdout, options)
     if not poses.measures_poses:
         return poses, holdout, None, tuple(said)
     geometry, limits = get_family(robot, poses).build(Spec("frames")), (robot.lower, robot.upper)
@@ -214,6 +235,24 @@ def _reread(
     for one in (poses, *([holdout] if holdout is not None else [])):
         check_units(one)
     return poses, holdout, found, tuple(said)
+
+
+def _reread_beside_encoders(
+    robot: Robot, poses: PoseSet, holdout: PoseSet | None, options: Options
+) -> tuple[PoseSet, PoseSet | None, FoundReading | None, tuple[str, ...]]:
+    """Return what `_reread` does, found by what was measured of the tool; encoders follow how the joints count."""
+    tool, encoders = poses.split_encoders()
+    if tool is None:
+        return poses, holdout, None, ()
+    held, beside = (None, None) if holdout is None else holdout.split_encoders()
+    tool, held, found, said = _reread(robot, tool, held, options)
+
+    def join(tool: PoseSet | None, encoders: PoseSet) -> PoseSet:
+        encoders = found.apply_alike(encoders) if found else encoders
+        parts = [part for part in (tool, encoders) if part is not None and part.n]
+        return replace(join_pose_sets(parts), source=parts[0].source, sha256=parts[0].sha256)
+
+    return join(tool, encoders), None if beside is None else join(held, beside), found, said
 
 
 def _see_from_tool(

@@ -57,7 +57,8 @@ def cross_validate(fitted: GeometryFit, seed: int = 0, parts: Sequence[np.ndarra
         if rotation is not None and errors.rotation is not None:
             rotation[part] = errors.rotation
     relative = poses.relative_errors(6)
-    return PoseErrors(position, rotation, relative, poses.configuration, numbers=poses.numbers)
+    of_tool = ~poses.of_encoders
+    return PoseErrors(position, rotation, relative, poses.configuration, numbers=poses.numbers, of_tool=of_tool)
 
 
 def _without(fitted: GeometryFit, rest: np.ndarray) -> GeometryFit:
@@ -88,7 +89,7 @@ def compare_paired(small: PoseErrors, large: PoseErrors, seed: int = 0) -> Gain:
     ratio = 100 * (1 - np.sqrt(b[draws].sum(axis=1) / np.maximum(a[draws].sum(axis=1), 1e-300)))
     low, high = np.percentile(ratio, [2.5, 97.5])
     percent = 100 * (1 - float(np.sqrt(b.sum() / max(float(a.sum()), 1e-300))))
-    before, after = (float(np.sqrt(x.squared_distance().mean())) for x in (small, large))
+    before, after = (float(np.sqrt(x.squared_distance()[x.counted].mean())) for x in (small, large))
     turned = [None if e.orientation_size is None or not e.oriented else e.orientation_size.rms for e in (small, large)]
     return Gain(before, after, percent, (float(low), float(high)), p, *turned)
 
@@ -108,7 +109,7 @@ def is_worse_in_order(small: GeometryFit, large: GeometryFit) -> bool:
 
 def compute_rms_interval(unseen: PoseErrors, seed: int = 0) -> tuple[float, float]:
     """Return the 95 % interval of the rms position error [m], by bootstrap over poses."""
-    squares = unseen.squared_distance()
+    squares = unseen.squared_distance()[unseen.counted]
     draws = np.random.default_rng(seed).integers(0, len(squares), (_DRAWS, len(squares)))
     low, high = np.percentile(np.sqrt(squares[draws].mean(axis=1)), [2.5, 97.5])
     return float(low), float(high)

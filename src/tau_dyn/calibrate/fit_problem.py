@@ -28,7 +28,7 @@ import numpy as np
 
 from tau_dyn.calibrate.frames import DeviceFrames, compute_rotation_between
 from tau_dyn.calibrate.geometry import KNOWN_BEFOREHAND, Closure, Geometry
-from tau_dyn.calibrate.measured import PoseSet
+from tau_dyn.calibrate.measured import PoseSet, measured_by_joint, measured_by_parameter, predict_measured
 from tau_dyn.calibrate.unknowns import Identifiability, Unknowns, find_identifiable
 from tau_dyn.estimate import (
     DescentRules,
@@ -50,7 +50,7 @@ class FitState(NamedTuple):
     Attributes:
         theta: The geometry's parameters (p,).
         frames: Device and target.
-        base: Predicted tool poses in the robot's base frame (N).
+        base: Predicted tool poses in the robot's base frame (N); of an encoder its arc or travel along x.
         ok: Whether they were found (N,).
         slack: Backlash of the actuated joints (na,) [m or rad].
     """
@@ -85,7 +85,9 @@ class Problem:
         if self.kind not in KINDS:
             raise UnknownName("kind of residual", self.kind, KINDS)
         if self.kind != "forward" and not self.poses.measures_poses:
-            raise InputError("unsupported", f"{self.poses.source}: distances and touches need the forward residual")
+            raise InputError(
+                "unsupported", f"{self.poses.source}: distances, touches and encoders need the forward residual"
+            )
         if self.kind != "forward" and self.geometry.orients and self.poses.rotation is None:
             raise InputError(
                 "missing_column",
@@ -106,6 +108,7 @@ class Problem:
         numbers = np.tile(self.blocks, (self.poses.n, 1))
         if self.kind == "forward":
             numbers[:, 0] = self.poses.numbers
+            numbers[self.poses.of_encoders, 1:] = 0
         return numbers
 
     @cached_property
@@ -123,7 +126,8 @@ class Problem:
 
     def place(self, theta: np.ndarray, frames: DeviceFrames, slack: np.ndarray, start: Poses | None) -> FitState:
         """Return the state at these values, tool poses searched from `start`."""
-        found = self.geometry.forward(theta, compute_actuated_positions(self.poses, slack), start)
+        q = compute_actuated_positions(self.poses, slack)
+        found = predict_measured(self.geometry, theta, self.poses, q, start)
         return FitState(theta, frames, found.poses, found.ok, slack)
 
     def moved(self, state: FitState, step: np.ndarray) -> FitState:
@@ -161,10 +165,10 @@ class Problem:
         slack = -0.5 * self.poses.approach[:, None] * self.unknowns.plays  # half of it to each side
         if self.kind == "forward":
             q = compute_actuated_positions(self.poses, state.slack)
-            own = self.geometry.tool_by_parameter(state.theta, q, at)
+            own = measured_by_parameter(self.geometry, state.theta, self.poses, q, at)
             play = np.zeros((len(q), 6, q.shape[1]))
             if self.unknowns.plays:
-                play = self.geometry.tool_by_joint(state.theta, q, at) * slack
+                play = measured_by_joint(self.geometry, state.theta, self.poses, q, at) * slack
             moved, split = state.frames.carried(at, np.concatenate([own, play], axis=2), self.poses.setup), own.shape[2]
             length = state.frames.length_columns(self.poses, seen.position)
             twist = np.concatenate([moved[:, :, :split], device, tool, length, moved[:, :, split:]], axis=2)
@@ -291,6 +295,7 @@ class WeightedProblem:
         noise: Standard deviation of each block of residuals.
         trust: Of the prior of each free unknown (f,), in units of 1 / scale.
         homeless: Which free unknowns have no nominal value, or none that counts (f,).
+        weights: Of the poses (N,) where they stay; by the residuals of each state unless given.
     """
 
     problem: Problem
@@ -298,6 +303,7 @@ class WeightedProblem:
     noise: tuple[float, ...]
     trust: np.ndarray
     homeless: np.ndarray
+    weights: np.ndarray | None = None
 
     @classmethod
     def of(cls, problem: Problem, robust: str, noise: tuple[float, ...]) -> WeightedProblem:
@@ -338,7 +344,9 @@ class WeightedProblem:
     def whiten(self, state: FitState) -> tuple[np.ndarray, np.ndarray]:
         """Return residuals (N, m) in units of the noise and weights (N,); poses without prediction weigh nothing."""
         r = np.where(state.ok[:, None], self.problem.residuals(state) / self.sigma, 0.0)
-        return r, np.where(state.ok, compute_robust_weights(self.robust, np.linalg.norm(r, axis=1), r.shape[1]), 0.0)
+        w = self.weights
+        w = compute_robust_weights(self.robust, np.linalg.norm(r, axis=1), r.shape[1]) if w is None else w
+        return r, np.where(state.ok, w, 0.0)
 
     def columns(self, state: FitState, w: np.ndarray) -> np.ndarray:
         """Return whitened derivatives by the free unknowns (N, m, f) at weights (N,)."""
@@ -387,8 +395,9 @@ class WeightedProblem:
             if self.robust == "none":
                 ratio = np.sqrt(float(np.sum(r[used][:, cut] ** 2)) / left)
             else:
-                distance = np.linalg.norm(r[used][:, cut], axis=1)
-                ratio = estimate_distance_scale(distance, numbers[used]) * np.sqrt(n / left)
+                told = used & (numbers > 0)
+                distance = np.linalg.norm(r[told][:, cut], axis=1)
+                ratio = estimate_distance_scale(distance, numbers[told]) * np.sqrt(n / left)
             out.append(max(float(s * ratio), _MIN_NOISE))
         return tuple(out)
 
@@ -456,7 +465,8 @@ def descend_near(weighted: WeightedProblem, state: FitState, max_steps: int) -> 
 def reset_unidentifiable(weighted: WeightedProblem, state: FitState, found: Identifiability) -> FitState:
     """Return the state with parameters that cannot be told at their nominal values, the others making up for it.
 
-    The target's place among them: left adrift along what nobody sees, it would take dimensions with it.
+    The target's place among them: left adrift along what nobody sees, it would take dimensions with it. Poses keep their weights:
+    on the way their residuals may grow for a while, and robust weights would give all of them up.
     """
     u = weighted.problem.unknowns
     tool = u.n_geometry + u.n_device
@@ -465,7 +475,7 @@ def reset_unidentifiable(weighted: WeightedProblem, state: FitState, found: Iden
     own = found.dropped[(~weighted.homeless | place)[found.dropped]]
     trust, homeless = weighted.trust.copy(), weighted.homeless.copy()
     homeless[own], trust[own] = False, _UNIDENTIFIABLE_PRIOR_WEIGHT
-    held = replace(weighted, trust=trust, homeless=homeless)
+    held = replace(weighted, trust=trust, homeless=homeless, weights=weighted.whiten(state)[1])
     if not np.any(held.deviation(state)[own]):
         return state
     for _ in range(_FULL_STEPS):  # whole steps get along a curved valley where a falling sum would not

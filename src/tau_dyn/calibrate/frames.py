@@ -5,6 +5,7 @@
 with `(R_D, p_D)` the robot's base in the device's frame (X_DB) and `(R_T, p_T)` the target in the tool frame (thesis (5.3)).
 Rotations change on their manifold: `R_D <- Exp(d) R_D`, `R_T <- R_T Exp(d)`. Campaigns may each have frames of their own.
 A device that tells a distance, or a fixture that the target touches, has such a frame too; what its numbers do not show stays.
+An encoder of a passive joint has none: both are the identity.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.measured import KINDS, PoseSet, find_directions
+from tau_dyn.calibrate.measured import ENCODERS, KINDS, PoseSet, find_directions
 from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter
 
@@ -47,7 +48,7 @@ class DeviceFrames:
         device: The robot's base frame in the device's.
         tool: The target in the tool frame.
         kinds: What each device tells, a name of `KINDS`; all poses unless given.
-        lengths: Offset of distances or radius of a ball of each device [m]; zeros unless given.
+        lengths: Offset of distances or radius of a ball of each device [m], zero of an encoder [rad or m]; zeros unless given.
     """
 
     device: tuple[Frame, ...] = (IDENTITY,)
@@ -97,6 +98,7 @@ class DeviceFrames:
         two[:, :3, :3] = rd @ base.rotation
         two[:, 3:, 3:] = measured.rotation
         first, second = split_setup(setup)
+        two[self._of_encoders(first)] = 0.0
         return _spread(one, first, len(self.device)), _spread(two, second, len(self.tool))
 
     @property
@@ -105,18 +107,19 @@ class DeviceFrames:
         return tuple(k for k, kind in enumerate(self.kinds) if KINDS[kind].length)
 
     def lengths_of(self, setup: np.ndarray) -> np.ndarray:
-        """Return the offset or the radius of each pose's device (N,) [m]."""
+        """Return the offset or the radius of each pose's device (N,) [m], or an encoder's zero [rad or m]."""
         if not self.lengths:
             return np.zeros(len(setup))
         return np.array(self.lengths)[np.minimum(split_setup(setup)[0], len(self.lengths) - 1)]
 
     def length_columns(self, poses: PoseSet, seen: np.ndarray) -> np.ndarray:
-        """Return minus the residuals' derivative (N, 6, k) by each offset or radius, at predicted positions (N, 3) [m]."""
+        """Return minus the residuals' derivative (N, 6, k) by each offset, radius or zero, at predicted positions (N, 3) [m]."""
         out = np.zeros((poses.n, 6, len(self.with_length)))
         if out.size:
             u, number = find_directions(poses.kinds, poses.device, seen), split_setup(poses.setup)[0]
             for column, k in enumerate(self.with_length):
                 out[number == k, :3, column] = -KINDS[self.kinds[k]].sign * u[number == k]
+            out *= poses.length_factors[:, None, None]
         return out
 
     def moved(self, device: np.ndarray, tool: np.ndarray, lengths: np.ndarray | None = None) -> DeviceFrames:
@@ -158,7 +161,8 @@ class DeviceFrames:
                 rows += [Parameter(f"{label}.{a}", float(v), u) for a, v, u in zip(AXES, values, units, strict=True)]
         for k in self.with_length:
             label = "device" if k == 0 else f"device_{k + 1}"
-            rows.append(Parameter(f"{label}.{KINDS[self.kinds[k]].length}", self.lengths[k], "m"))
+            kind = KINDS[self.kinds[k]]
+            rows.append(Parameter(f"{label}.{kind.length}", self.lengths[k], kind.unit))
         return rows
 
     def of_each(self, setup: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -169,7 +173,16 @@ class DeviceFrames:
             return np.array([f.rotation for f in frames])[index], np.array([f.translation for f in frames])[index]
 
         device, tool = split_setup(setup)
-        return *pick(self.device, device), *pick(self.tool, tool)
+        rotation, translation = pick(self.tool, tool)
+        encoders = self._of_encoders(device)
+        rotation[encoders], translation[encoders] = np.eye(3), 0.0
+        return *pick(self.device, device), rotation, translation
+
+    def _of_encoders(self, device: np.ndarray) -> np.ndarray:
+        """Tell which poses (N,) an encoder measured, by their devices' numbers."""
+        if not set(self.kinds) & set(ENCODERS):
+            return np.zeros(len(device), bool)
+        return np.array([kind in ENCODERS for kind in self.kinds])[np.minimum(device, len(self.kinds) - 1)]
 
 
 def split_setup(setup: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -95,6 +95,18 @@ class Geometry(Protocol):
         """Return the tool's twist per actuated joint (N, 6, na), loops kept closed."""
         ...
 
+    def passive(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+        """Return the positions (N, k) of passive joints that close the loops, nan where they cannot be closed."""
+        ...
+
+    def passive_by_parameter(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+        """Return how passive joints move per parameter (N, k, p), loops kept closed."""
+        ...
+
+    def passive_by_joint(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+        """Return how passive joints move per actuated joint (N, k, na), loops kept closed."""
+        ...
+
     def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure | None:
         """Return how far tool poses (N) leave the loops open (thesis (5.1)), None where the mechanism has no such residual."""
         ...
@@ -144,6 +156,14 @@ class GeometryDefaults(Brief):
     def position_units(self) -> tuple[str, ...]:
         """Units of `q`."""
         return self.robot.position_units
+
+    def passive(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+        """Refuse."""
+        raise InputError(
+            "unsupported", f"{', '.join(joints)}: encoders of passive joints need a robot as a tree with loops"
+        )
+
+    passive_by_parameter = passive_by_joint = passive
 
     def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure | None:
         """Return None; use forward residuals."""
@@ -215,6 +235,18 @@ class ConstrainedGeometry(GeometryDefaults):
     def tool_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
         """Return the tool's twist per actuated joint (N, 6, na)."""
         return self.geometry.tool_by_joint(self.full(theta), q, poses)
+
+    def passive(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+        """Return the positions of passive joints (N, k)."""
+        return self.geometry.passive(self.full(theta), q, joints)
+
+    def passive_by_parameter(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+        """Return how passive joints move per parameter (N, k, r)."""
+        return self.geometry.passive_by_parameter(self.full(theta), q, joints) @ self.matrix
+
+    def passive_by_joint(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+        """Return how passive joints move per actuated joint (N, k, na)."""
+        return self.geometry.passive_by_joint(self.full(theta), q, joints)
 
     def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure | None:
         """Return how far tool poses leave the loops open."""

@@ -22,7 +22,14 @@ from tau_dyn.calibrate.fit_problem import (
 )
 from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames, compute_mean_rotation
 from tau_dyn.calibrate.geometry import Geometry
-from tau_dyn.calibrate.measured import PoseErrors, PoseSet, compute_pose_errors, measure_spread
+from tau_dyn.calibrate.measured import (
+    PoseErrors,
+    PoseSet,
+    compute_pose_errors,
+    measure_spread,
+    measured_by_parameter,
+    predict_measured,
+)
 from tau_dyn.calibrate.new_places import NewPlace, find_new_places
 from tau_dyn.calibrate.starting_frames import estimate_campaign_frames, estimate_initial_frames
 from tau_dyn.calibrate.unknowns import Identifiability, Unknowns, collect, find_identifiable
@@ -83,6 +90,7 @@ def compute_structural_rank(problem: Problem) -> int:
         device=number // (len(poses.campaigns) * len(several)) % len(poses.devices),
         devices=poses.devices,
         kinds=poses.kinds,
+        arc_radius=poses.arc_radius,
         approach=np.sign(rng.standard_normal(q.shape)),
     )
     wide = replace(problem, poses=many)
@@ -186,7 +194,10 @@ class GeometryFit(Brief):
         """Rms distance from their middle [m] of the measured positions, of the predicted ones where others were measured."""
         if self.poses.as_poses().measures_poses:
             return self.poses.as_poses().spread
-        return measure_spread(self.state.base.position[self.state.ok])
+        if not self.poses.of_encoders.any():
+            return measure_spread(self.state.base.position[self.state.ok])
+        tool = self.geometry.forward(self.theta, compute_actuated_positions(self.poses, self.state.slack))
+        return measure_spread(tool.poses.position[tool.ok])
 
     @property
     def numbers(self) -> np.ndarray:
@@ -231,7 +242,8 @@ class GeometryFit(Brief):
 
     def predict(self, poses: PoseSet) -> FitState:
         """Return where this fit expects the tool at other poses' joints, in the robot's base frame."""
-        found = self.geometry.forward(self.theta, compute_actuated_positions(poses, self.state.slack))
+        q = compute_actuated_positions(poses, self.state.slack)
+        found = predict_measured(self.geometry, self.theta, poses, q)
         return FitState(self.theta, self.frames, found.poses, found.ok, self.state.slack)
 
     def seen(self, poses: PoseSet, state: FitState | None = None) -> Poses:
@@ -259,7 +271,8 @@ class GeometryFit(Brief):
         for place in self._find_new_places(poses, state.base):
             position[place.own] = place.residuals
         relative = poses.relative_errors(6, self.poses)
-        return PoseErrors(position, None, relative, poses.configuration, errors.oriented, poses.numbers)
+        of_tool = ~poses.of_encoders
+        return PoseErrors(position, None, relative, poses.configuration, errors.oriented, poses.numbers, of_tool)
 
     def _is_known(self, poses: PoseSet) -> np.ndarray:
         """Tell which poses (N,) were measured by devices that the fitted poses show."""
@@ -283,7 +296,8 @@ class GeometryFit(Brief):
     def model_error(self, q: np.ndarray) -> np.ndarray:
         """Return the standard deviation (N,) [m] of the predicted position from the parameters' uncertainty alone."""
         at, base = np.zeros((len(q), 2), int), self.geometry.forward(self.theta, q).poses
-        columns = self._compute_columns(q, base, at)[:, :3, self.unknowns.free]
+        twist = self.geometry.tool_by_parameter(self.theta, q, base)
+        columns = self._compute_columns(twist, base, at)[:, :3, self.unknowns.free]
         return np.sqrt(np.maximum(np.einsum("nif,fg,nig->n", columns, self.cov, columns), 0.0))
 
     def compute_prediction_columns(self, poses: PoseSet, base: Poses) -> np.ndarray:
@@ -296,7 +310,8 @@ class GeometryFit(Brief):
         known, u = self._is_known(poses), self.unknowns
         own, at = self._keep_known(poses, known), base.take(known)
         seen = self.frames.measured(at, own.setup)
-        columns = self._compute_columns(own.q, at, own.setup)
+        twist = measured_by_parameter(self.geometry, self.theta, own, own.q, at)
+        columns = self._compute_columns(twist, at, own.setup)
         first = u.n_geometry + u.n_device + u.n_tool
         columns[:, :, first : first + u.n_length] = self.frames.length_columns(own, seen.position)
         out = np.zeros((poses.n, 6, int(u.free.sum())))
@@ -319,12 +334,17 @@ class GeometryFit(Brief):
         columns = place.poses.project_columns(seen, columns[:, :, u.free])
         return np.concatenate([place.remove(columns[:, :3]), np.zeros_like(columns[:, 3:])], axis=1)
 
-    def _compute_columns(self, q: np.ndarray, base: Poses, setup: np.ndarray) -> np.ndarray:
-        """Return the derivative (N, 6, P) of the target's pose in the device's frame by all unknowns; none by lengths."""
-        twist = self.geometry.tool_by_parameter(self.theta, q, base)
+    def _compute_columns(self, twist: np.ndarray, base: Poses, setup: np.ndarray) -> np.ndarray:
+        """Return the derivative (N, 6, P) of the target's pose in the device's frame by all unknowns, but not by lengths.
+
+        Args:
+            twist: Of the tool in the base's axes by the geometry's parameters (N, 6, p).
+            base: Tool poses (N).
+            setup: Device and target of each (N, 2).
+        """
         device, tool = self.frames.columns(base, self.frames.measured(base, setup), setup)
         moved = self.frames.carried(base, twist, setup)
-        rest = np.zeros((len(q), 6, self.unknowns.n_length + len(self.state.slack)))
+        rest = np.zeros((len(twist), 6, self.unknowns.n_length + len(self.state.slack)))
         return np.concatenate([moved, device, tool, rest], axis=2)
 
 
@@ -432,10 +452,10 @@ def _starting_state(
         start = start.state
     if start is not None:
         base = start.base if len(start.base.position) == poses.n else None
-        found = geometry.forward(start.theta, compute_actuated_positions(poses, start.slack), base)
+        found = predict_measured(geometry, start.theta, poses, compute_actuated_positions(poses, start.slack), base)
         return FitState(start.theta, start.frames, found.poses, found.ok, start.slack)
     theta = geometry.parameters.values
-    found = geometry.forward(theta, poses.q)
+    found = predict_measured(geometry, theta, poses, poses.q)
     if frames is None:
         n, kinds = len(poses.frame_kinds), poses.frame_kinds
         known = DeviceFrames((IDENTITY,) * n, kinds=kinds, lengths=(0.0,) * n)

@@ -321,7 +321,27 @@ class ArmGeometry(GeometryDefaults):
     def tool_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return the tool's twist per parameter (N, 6, p)."""
         at = self._place(theta, q)
-        slopes, columns = self.tree.tool_by_joint(at.own, at.real), [self.tree.tool_by_parameter(at.own, at.real)]
+        return self._chain(at, self.tree.tool_by_parameter(at.own, at.real), self.tree.tool_by_joint(at.own, at.real))
+
+    def passive(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+        """Return the positions of passive joints (N, k)."""
+        at = self._place(theta, q)
+        return self.tree.passive(at.own, at.real, joints)
+
+    def passive_by_parameter(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+        """Return how passive joints move per parameter (N, k, p)."""
+        at = self._place(theta, q)
+        own = self.tree.passive_by_parameter(at.own, at.real, joints)
+        return self._chain(at, own, self.tree.passive_by_joint(at.own, at.real, joints))
+
+    def passive_by_joint(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+        """Return how passive joints move per actuated joint's encoder (N, k, na)."""
+        at = self._place(theta, q)
+        return self.tree.passive_by_joint(at.own, at.real, joints) @ self._by_position(at) @ at.moved.by_encoder
+
+    def _chain(self, at: _PlacedArm, own: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        """Return derivatives per parameter (N, d, p) from those by the tree's (N, d, t) and by joints' positions (N, d, na)."""
+        columns = [own]
         through, encoders = slopes @ self._by_position(at), iter(at.moved.columns)
         for law in self.laws:
             if isinstance(law, GravityLaw):

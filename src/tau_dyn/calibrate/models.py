@@ -379,6 +379,8 @@ class TreeFamily(Family):
 
 def get_family(robot: Robot, poses: PoseSet) -> Family:
     """Return the models that a robot's mechanism offers."""
+    if poses.of_encoders.any():  # passive joints are those of the tree
+        return TreeFamily(robot, poses)
     try:
         return RodFamily(build_rods(robot), poses)
     except NotRods:

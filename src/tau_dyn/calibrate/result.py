@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -89,8 +89,12 @@ class Calibration(Shown):
         """
         if self.measured.position is None:
             return None
-        stated, model = self.at().position_stderr, self.fit.model_error(self.at().q)
-        share = self.at().numbers / 3
+        at, encoders = self.at(), self.at().of_encoders
+        if encoders.all():
+            return None
+        at = at.take(~encoders)
+        stated, model = at.position_stderr, self.fit.model_error(at.q)
+        share = at.numbers / 3
         noise = 3 * self.measured.position**2 * float(np.mean(share))
         if self.measured.source == "columns" and stated is not None:
             noise = float(np.mean(np.sum(stated**2, axis=1) * share))
@@ -139,7 +143,7 @@ class Calibration(Shown):
     def locate_errors(self, model: CandidateModel) -> tuple[np.ndarray, np.ndarray]:
         """Return where unseen errors stand and a model's errors there, (N, 3) each [m] in the robot's base frame.
 
-        Of a distance or a touch, where the target was is known from the chosen model alone.
+        Of a distance or a touch, where the target was is known from the chosen model alone. Errors of encoders are nan.
         """
         at, fitted = self.at(), self.fit
         base = fitted.predict(at).base
@@ -149,15 +153,19 @@ class Calibration(Shown):
         sees = np.array([kind == "pose" for kind in known.kinds])[at.device]
         measured = np.einsum("nji,nj->ni", turn, known.position - shift)
         predicted = base.position + np.einsum("nij,nj->ni", base.rotation, arm)
-        error = self.errors(model).position
+        error = np.where(at.of_encoders[:, None], np.nan, self.errors(model).position)
         from_camera = -np.einsum("nij,nj->ni", turn @ base.rotation @ target_turn, error)  # off the other way
         error = np.where(at.from_tool[:, None], from_camera, error)
         return np.where(sees[:, None], measured, predicted), np.einsum("nji,nj->ni", turn, error)
 
     def _errors_at_poses(self) -> dict[str, object]:
-        """Return where unseen errors stand and every model's errors there [m], in the robot's base frame: what a viewer draws."""
-        models = {m.name: self.locate_errors(m)[1] for m in self.models}
-        return {"points": self.locate_errors(self.chosen)[0], "models": models}
+        """Return where unseen errors stand and every model's errors there [m], in the robot's base frame: what a viewer draws.
+
+        Errors of encoders stand nowhere.
+        """
+        of_tool = ~self.at().of_encoders
+        models = {m.name: self.locate_errors(m)[1][of_tool] for m in self.models}
+        return {"points": self.locate_errors(self.chosen)[0][of_tool], "models": models}
 
     def _model(self, model: CandidateModel) -> dict[str, object]:
         return {
@@ -232,7 +240,10 @@ def list_correlated_pairs(fitted: GeometryFit) -> list[dict[str, object]]:
 
 
 def build_frame_rows(fitted: GeometryFit) -> list[dict[str, object]]:
-    """Return device and target as translation [m] and unit quaternion `x y z w`; of a distance or a ball also its length [m]."""
+    """Return device and target as translation [m] and unit quaternion `x y z w`; of a distance or a ball also its length [m].
+
+    An encoder has neither, but a zero [rad or m].
+    """
     rows, targets, devices = [], fitted.poses.targets, fitted.poses.devices
     each = len(fitted.poses.campaigns) if len(devices) > 1 else len(fitted.frames.device)
     for owner, frames in (("device", fitted.frames.device), ("tool", fitted.frames.tool)):
@@ -249,22 +260,34 @@ def build_frame_rows(fitted: GeometryFit) -> list[dict[str, object]]:
                 }
             )
     for k in fitted.frames.with_length:
-        rows[k][KINDS[fitted.frames.kinds[k]].length] = fitted.frames.lengths[k]
+        kind = KINDS[fitted.frames.kinds[k]]
+        rows[k] |= {kind.length: fitted.frames.lengths[k], "unit": kind.unit}
     return rows
 
 
-def build_device_rows(found: Calibration) -> list[dict[str, object]]:
-    """Return name, kind, number of fitted measurements and estimated standard error [m] of each device or fixture.
+def build_device_rows(found: Calibration) -> list[dict[str, Any]]:
+    """Return name, kind, number of fitted measurements, estimated standard error and its unit of each device or fixture.
 
-    Places that the held-out measurements alone show have none.
+    Places that the held-out measurements alone show have no standard error. Of an encoder of an angle it is in rad, and
+    `arc_radius` [m] is the radius at which its errors count as arcs.
     """
     fitted, known = found.fit, found.at()
     poses, errors = fitted.poses, fitted.poses.device_errors or (1.0,) * len(fitted.poses.devices)
     noise = [error * fitted.noise[0] if fitted.kind == "forward" else None for error in errors]
-    return [
-        {"name": name, "kind": kind, "n": int(np.sum(poses.device == k)), "noise": noise[k] if k < len(noise) else None}
-        for k, (name, kind) in enumerate(zip(known.devices, known.kinds, strict=True))
-    ]
+    rows: list[dict[str, Any]] = []
+    for k, (name, kind) in enumerate(zip(known.devices, known.kinds, strict=True)):
+        own, turns = noise[k] if k < len(noise) else None, kind == "angle"
+        rows.append(
+            {
+                "name": name,
+                "kind": kind,
+                "n": int(np.sum(poses.device == k)),
+                "noise": own / known.arc_radius if turns and own is not None else own,
+                "unit": "rad" if turns else "m",
+                **({"arc_radius": known.arc_radius} if turns else {}),
+            }
+        )
+    return rows
 
 
 def turn_rows(fitted: GeometryFit) -> list[dict[str, object]]:

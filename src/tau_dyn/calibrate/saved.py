@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.calibrate.compensation import Compensation, build_compensation
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.geometry import Geometry, Predicted, expand_constraints
-from tau_dyn.calibrate.measured import KINDS, PoseSet
+from tau_dyn.calibrate.measured import ENCODERS, KINDS, PoseSet
 from tau_dyn.calibrate.models import Spec, get_family
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.calibrate.rod_geometry import RodGeometry
@@ -165,7 +165,9 @@ def _built(content: Mapping[str, Any]) -> CalibratedRobot:
     travel = np.array(content["travel"], float).T
     additions = {str(k): tuple(str(j) for j in v) for k, v in content["model"]["additions"].items()}
     spec = Spec(str(content["model"]["structure"]), additions)
-    family = get_family(robot, PoseSet(travel, np.zeros((2, 3)), approach=np.ones(travel.shape)))
+    kinds = tuple(str(kind) for kind in content["frames"].get("kinds", ()))
+    known = tuple(kind for kind in kinds if kind in ENCODERS)[:1] or ("pose",)  # with encoders the robot is a tree
+    family = get_family(robot, PoseSet(travel, np.zeros((2, 3)), kinds=known, approach=np.ones(travel.shape)))
     geometry = family.build(spec)
     given = {row["name"]: float(row["value"]) for row in content["parameters"]}
     missing = [name for name in geometry.parameters.names if name not in given]
@@ -178,7 +180,6 @@ def _built(content: Mapping[str, Any]) -> CalibratedRobot:
     frames = DeviceFrames(device, tool)
     if not frames.device or not frames.tool:
         raise InputError("file_format", "frames needs a device and a tool at least")
-    kinds = tuple(str(kind) for kind in content["frames"].get("kinds", ()))
     lengths = tuple(float(x) for x in content["frames"].get("lengths", ()))
     if set(kinds) - set(KINDS) or {len(kinds), len(lengths)} - {0, len(frames.device)}:
         raise InputError(
@@ -294,6 +295,7 @@ def _write(path: str | Path, kind: str, content: dict[str, Any], robot: Robot) -
         "source": robot.source,
         "arguments": {k: str(v) for k, v in robot.arguments.items()},
         "actuated": list(robot.actuated),
+        "tool": robot.tool,
         "sha256": robot.sha256,
     }
     content = {kind: _FORMAT, **content, "robot": about, "urdf": robot.urdf}
@@ -319,6 +321,7 @@ def _load_robot(content: Mapping[str, Any]) -> Robot:
         content["urdf"],
         str(about.get("source", "robot")),
         actuated=actuated,
+        tool=str(about.get("tool") or "") or None,
         arguments=arguments,
         sha256=str(about.get("sha256", "")),
     )

@@ -22,7 +22,7 @@ from tau_dyn.calibrate.frames import (
     split_setup,
 )
 from tau_dyn.calibrate.geometry import Predicted
-from tau_dyn.calibrate.measured import KINDS, PoseSet
+from tau_dyn.calibrate.measured import ENCODERS, KINDS, PoseSet
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Poses
 
@@ -149,6 +149,9 @@ def _place_device(poses: PoseSet, nominal: Predicted, own: np.ndarray, kind: str
     known = nominal.poses.position[own]
     if len(known) < 3:
         return DeviceFrames((IDENTITY,), ())
+    if kind in ENCODERS:
+        zero = float(np.median(poses.position[own, 0] - known[:, 0])) / float(poses.length_factors[own][0])
+        return DeviceFrames((IDENTITY,), (), (kind,), (zero,))
     if kind == "hole":
         return DeviceFrames((Frame(np.eye(3), -known.mean(axis=0)),), ())
     if kind == "plane":

@@ -98,6 +98,38 @@ class TreeGeometry(GeometryDefaults):
         """Return the tool's twist per actuated joint (N, 6, na), loops kept closed."""
         return self.tree.twists(self._numbers(theta), require_positions(self.shape.robot, q), ())[1]
 
+    def passive(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+        """Return the positions (N, k) of passive joints that close the loops, nan where they cannot be closed."""
+        closed = self.tree.loops.close(self._numbers(theta), require_positions(self.shape.robot, q))
+        return np.where(closed.ok[:, None], closed.x[self.shape.passive[self._find_passive(joints)]].T, np.nan)
+
+    def passive_by_parameter(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+        """Return how passive joints move per parameter (N, k, p), loops kept closed."""
+        return self._passive_rates(theta, q, self.knobs, joints)[0]
+
+    def passive_by_joint(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+        """Return how passive joints move per actuated joint (N, k, na), loops kept closed."""
+        return self._passive_rates(theta, q, (), joints)[1]
+
+    def _passive_rates(
+        self, theta: np.ndarray, q: np.ndarray, knobs: Sequence[Knob], joints: Sequence[str]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        q = require_positions(self.shape.robot, q)
+        return self.tree.passive_rates(self._numbers(theta), q, knobs, self._find_passive(joints))
+
+    def _find_passive(self, joints: Sequence[str]) -> list[int]:
+        """Return where joints stand among the passive ones (k,).
+
+        Raises:
+            UnknownName: One is actuated or does not exist.
+        """
+        column = {j.v: name for j, name in zip(self.shape.joints, self.shape.names, strict=True)}
+        names = [column[v] for v in self.shape.passive.tolist()]
+        for joint in joints:
+            if joint not in names:
+                raise UnknownName("passive joint", joint, names)
+        return [names.index(joint) for joint in joints]
+
     def left_open(self, theta: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Return the largest distance (N,) [m] between points that should coincide, where loops are over-constrained."""
         return self.tree.loops.close(self._numbers(theta), require_positions(self.shape.robot, q)).open

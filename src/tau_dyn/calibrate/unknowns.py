@@ -19,7 +19,7 @@ from scipy import linalg
 
 from tau_dyn.calibrate.frames import DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
-from tau_dyn.calibrate.measured import KINDS
+from tau_dyn.calibrate.measured import ENCODERS, KINDS
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.parameters import Parameter
 from tau_dyn.results import Brief
@@ -225,6 +225,7 @@ def collect(
     play = [Parameter(f"{joint}.backlash", 0.0, unit, free=False) for joint, unit in joints]
     rows = (*geometry.parameters, *own, *play)
     kinds = frames.kinds or ("pose",) * len(frames.device)
+    tool = tool and not set(kinds) <= set(ENCODERS)
     may = [*geometry.parameters.free, *(device and axis in KINDS[kind].axes for kind in kinds for axis in range(6))]
     target = [tool and geometry.orients] * 3 + [tool and geometry.orients and turned] * 3
     n_length = len(frames.with_length)

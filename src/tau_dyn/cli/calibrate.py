@@ -24,6 +24,7 @@ def calibrate(
     *,
     holdout: Annotated[args.Paths, Parameter(metavar="POSES.csv")] = (),
     columns: args.ColumnMapFile = None,
+    encoders: Annotated[args.Strings, Parameter(metavar="JOINT")] = (),
     model: Annotated[str, Parameter(metavar="NAME")] = "auto",
     residual: Literal["forward", "closure", "inverse"] = "forward",
     robust: Literal["none", "huber", "biweight"] = "none",
@@ -44,6 +45,7 @@ def calibrate(
         poses: Q_J of every actuated joint and x_tool y_tool z_tool [qx_tool ..] in the measuring device's frame, or
             distance_tool, hole, plane, sphere
         holdout: Poses used for nothing but the final errors (without any, a quarter of many poses, or cross-validation)
+        encoders: Passive joints of loops whose positions q_J were measured, beside or instead of the tool
         model: auto; frames, ideal, nonparallel, complete or paths, as the robot offers them; with +periodic, +piecewise,
             +compliant, +backlash, +gravity, +eccentric, +coupling:j3/j2 (a share) or coupling:j3=-j2 (all), each perhaps
             with joints: nonparallel+periodic:cart2
@@ -65,13 +67,17 @@ def calibrate(
         )
     with show_progress(output.quiet) as step:
         step("loading")
-        from tau_dyn.calibrate import calibrate as calibrate_robot, read_poses, save_calibration
+        from tau_dyn.calibrate import PassiveEncoders, calibrate as calibrate_robot, read_poses, save_calibration
         from tau_dyn.kinematics import read_positions
         from tau_dyn.robot import read_annotations
 
         machine = robot_options.load(robot)
         wanted = None if correct is None else read_positions(args.read_columns(correct), machine, str(correct))
-        reading = {"columns": columns, "mimics": read_annotations(machine.urdf, machine.source).mimics}
+        reading = {
+            "columns": columns,
+            "mimics": read_annotations(machine.urdf, machine.source).mimics,
+            "encoders": PassiveEncoders.of(machine, encoders) if encoders else None,
+        }
         measured = read_poses(poses, machine.actuated, **reading)
         held, hashes, warnings = _read_held_out(holdout, poses, machine, reading)
         found = calibrate_robot(

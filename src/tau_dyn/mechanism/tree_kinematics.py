@@ -38,6 +38,7 @@ from tau_dyn.mechanism.tree_geometry import (
     compute_dimensions_at,
     compute_open_rates,
     get_shape,
+    propagate_passive,
     propagate_twists,
 )
 from tau_dyn.mechanism.tree_inverse import find_tree_solutions, solve_tree_inverse
@@ -87,6 +88,26 @@ class TreeDimensions:
         at = compute_frames(numbers.joints, closed.x)
         found = compute_open_rates(self.shape, numbers, knobs, at, closed.x, q.T)
         by_parameter, by_joint = propagate_twists(self.shape, found, closed.inverse, numbers.gain)
+        by_parameter[~closed.ok] = by_joint[~closed.ok] = np.nan
+        return by_parameter, by_joint
+
+    def passive_rates(
+        self, numbers: TreeNumbers, q: np.ndarray, knobs: Sequence[Knob], rows: Sequence[int]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return how passive joints move per parameter (N, k, p) and per actuated joint (N, k, na), loops kept closed.
+
+        Args:
+            numbers: The tree.
+            q: Actuated positions (N, na).
+            knobs: The parameters.
+            rows: Which of `shape.passive` (k,).
+        """
+        closed = self.loops.close(numbers, q)
+        at = compute_frames(numbers.joints, closed.x)
+        found = compute_open_rates(self.shape, numbers, knobs, at, closed.x, q.T)
+        by_parameter, by_joint = (
+            rates[:, rows] for rates in propagate_passive(self.shape, found, closed.inverse, numbers.gain)
+        )
         by_parameter[~closed.ok] = by_joint[~closed.ok] = np.nan
         return by_parameter, by_joint
 

@@ -1,5 +1,12 @@
 """What was measured for calibration: poses, distances and touches, how they are read, and how far predictions are from them."""
 
+from .encoders import (
+    PassiveEncoders as PassiveEncoders,
+    measured_by_joint as measured_by_joint,
+    measured_by_parameter as measured_by_parameter,
+    predict_measured as predict_measured,
+    read_encoders_as_meant as read_encoders_as_meant,
+)
 from .errors import (
     ErrorSize as ErrorSize,
     MeasurementNoise as MeasurementNoise,
@@ -7,7 +14,7 @@ from .errors import (
     compute_pose_errors as compute_pose_errors,
     estimate_measurement_noise as estimate_measurement_noise,
 )
-from .kinds import KINDS as KINDS, TOUCHES as TOUCHES, find_directions as find_directions
+from .kinds import ENCODERS as ENCODERS, KINDS as KINDS, TOUCHES as TOUCHES, find_directions as find_directions
 from .pose_set import (
     PoseSet as PoseSet,
     join_pose_sets as join_pose_sets,

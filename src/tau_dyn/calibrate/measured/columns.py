@@ -45,11 +45,11 @@ _TRIPLES = (
 )
 
 
-def name_pose_columns(table: Table, joints: Sequence[str]) -> Table:
+def name_pose_columns(table: Table, joints: Sequence[str], passive: Sequence[str] = ()) -> Table:
     """Return a table with the columns of foreign names under ours, and a warning that names them."""
     cells, found = dict(table.cells), {}
     groups = (
-        ((f"q_{joint}" for joint in joints), _find_joint),
+        *(([f"q_{joint}" for joint in some], _find_joint) for some in (joints, passive)),
         (("x_tool", "y_tool", "z_tool"), _find_by(_PLACE, 0)),
         (("qx_tool", "qy_tool", "qz_tool", "qw_tool"), _find_by(_QUATERNION, 1)),
         (ANGLES, _find_angle),

@@ -37,6 +37,8 @@ class PoseErrors(Brief):
         configuration: Which poses have the same joint positions (N,), None where all differ; such poses are no independent ones.
         oriented: Whether the model predicts orientation, so that it counts in comparisons.
         numbers: Independent numbers of each position (N,); three unless given.
+        of_tool: Which rows are errors of the tool (N,), all unless given; the others are arcs of passive joints, which count in
+            sizes only where there is nothing else.
     """
 
     position: np.ndarray
@@ -45,6 +47,13 @@ class PoseErrors(Brief):
     configuration: np.ndarray | None = None
     oriented: bool = True
     numbers: np.ndarray | None = None
+    of_tool: np.ndarray | None = None
+
+    @property
+    def counted(self) -> np.ndarray:
+        """Rows that count in sizes (N,)."""
+        every = np.ones(len(self.position), bool)
+        return every if self.of_tool is None or not self.of_tool.any() else self.of_tool
 
     @property
     def distance(self) -> np.ndarray:
@@ -59,7 +68,7 @@ class PoseErrors(Brief):
     @property
     def position_size(self) -> ErrorSize:
         """Mean, rms and largest positioning error [m]."""
-        return _size(self.distance)
+        return _size(self.distance[self.counted])
 
     @property
     def orientation_size(self) -> ErrorSize | None:
@@ -81,8 +90,8 @@ class PoseErrors(Brief):
 
     def score(self, noise: tuple[float, float]) -> np.ndarray:
         """Return squared errors of each configuration in units of the noise [m, rad]; unpredicted ones as the worst."""
-        parts = [np.sum((self._weighted(k) / noise[k]) ** 2, axis=1) for k in (0, 1)]
-        squares = _with_worst(parts[0] + parts[1])
+        place, turn = (np.sum((self._weighted(k) / noise[k]) ** 2, axis=1) for k in (0, 1))
+        squares = _with_worst(place + np.nan_to_num(turn))  # encoders have no orientation
         return squares if self.configuration is None else np.bincount(self.configuration, squares)
 
     def squared_distance(self) -> np.ndarray:
@@ -114,8 +123,10 @@ def compute_pose_errors(
         rotation = np.full_like(poses.position, np.nan)
         ok = np.isfinite(predicted).all(axis=(1, 2))
         rotation[ok] = compute_rotation_between(poses.rotation[ok], predicted[ok])
+        rotation[poses.of_encoders] = np.nan
     position = poses.compute_position_residuals(seen, lengths)
-    return PoseErrors(position, rotation, poses.relative_errors(6), poses.configuration, own, poses.numbers)
+    relative, of_tool = poses.relative_errors(6), ~poses.of_encoders
+    return PoseErrors(position, rotation, relative, poses.configuration, own, poses.numbers, of_tool)
 
 
 def _with_worst(squares: np.ndarray) -> np.ndarray:
@@ -174,9 +185,9 @@ def estimate_measurement_noise(poses: PoseSet, accuracy: tuple[float, ...] = ())
 def _from_repeats(poses: PoseSet) -> MeasurementNoise:
     """Return the pooled standard deviation of poses measured several times with the same joints, in one campaign.
 
-    Touches repeat without scatter, whatever their noise.
+    Touches repeat without scatter, whatever their noise. Encoders count where nothing of the tool was measured.
     """
-    poses = poses.take(~poses.touches)
+    poses = poses.take(~poses.touches & ~(poses.of_encoders & (not poses.of_encoders.all())))
     rows = np.column_stack([poses.configuration, poses.setup])
     _, group = np.unique(rows, axis=0, return_inverse=True)
     group = group.ravel()

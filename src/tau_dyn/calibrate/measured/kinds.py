@@ -6,8 +6,11 @@ r"""What a device or a fixture tells of the target: its place, its distance, or 
     hole      p = 0: a pin stands in a hole, at any attitude
     plane     p_z = 0: a probe touches a plane
     sphere    |p| = radius: a probe touches a ball
+    angle     an encoder of a passive joint of a loop, r (psi + zero): the arc at the radius r
+    travel    the same of a passive slide
 
-`p` is the target in the frame of the device or fixture. One number is told along one direction `u`: `p / |p|`, or z of a plane.
+`p` is the target in the frame of the device or fixture; of an encoder the joint's arc or travel along x. One number is told along
+one direction `u`: `p / |p|`, z of a plane, or x of an encoder.
 Its residual is a vector along `u`, and derivatives are projected onto `u`. So all kinds have three coordinates a pose, and noise
 that is equal along all axes needs no other treatment. Reference: Hollerbach, Khalil & Gautier 2016, 6.2 (partial poses).
 """
@@ -30,12 +33,14 @@ class MeasurementKind(NamedTuple):
         axes: Which numbers of the frame it shows: x, y, z, rx, ry, rz.
         length: Name of the length that it needs, '' where it needs none.
         sign: Of that length in the residual.
+        unit: Of that length.
     """
 
     numbers: int
     axes: tuple[int, ...]
     length: str = ""
     sign: float = 0.0
+    unit: str = "m"
 
 
 KINDS = {
@@ -45,9 +50,13 @@ KINDS = {
     "hole": MeasurementKind(3, (0, 1, 2)),
     "plane": MeasurementKind(1, (2, 3, 4)),
     "sphere": MeasurementKind(1, (0, 1, 2), "radius", 1.0),
+    "angle": MeasurementKind(1, (), "zero", -1.0, "rad"),
+    "travel": MeasurementKind(1, (), "zero", -1.0),
 }
 TOUCHES = ("hole", "plane", "sphere")
 """Kinds whose reading is always zero."""
+ENCODERS = ("angle", "travel")
+"""Kinds that measure a joint and not the tool."""
 
 
 def find_directions(kinds: Sequence[str], device: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -63,6 +72,8 @@ def find_directions(kinds: Sequence[str], device: np.ndarray, seen: np.ndarray) 
         own = device == number
         if name == "plane":
             out[own, 2] = 1.0
+        elif name in ENCODERS:
+            out[own, 0] = 1.0
         elif KINDS[name].numbers == 1:
             out[own] = seen[own] / np.maximum(np.linalg.norm(seen[own], axis=1, keepdims=True), 1e-300)
     return out

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tau_dyn.calibrate.measured.kinds import (
+    ENCODERS,
     KINDS,
     TOUCHES,
     compute_position_residuals,
@@ -35,16 +36,16 @@ class PoseSet(Brief):
 
     Attributes:
         q: Actuated positions (N, na) [m or rad].
-        position: Of the tool or target in the device's frame (N, 3) [m]; a distance stands in the first coordinate, and what
-            touches is at zero.
-        rotation: Rotation matrices (N, 3, 3), None where only positions were measured.
+        position: Of the tool or target in the device's frame (N, 3) [m]; a distance, or an encoder's arc or travel, stands in
+            the first coordinate, and what touches is at zero.
+        rotation: Rotation matrices (N, 3, 3), None where only positions were measured; of an encoder the identity.
         names: What each pose is called in messages (N,), such as `poses.csv, line 12`.
         campaign: Which measuring campaign each pose belongs to (N,), from 0; frames may have moved in between.
         campaigns: Names of the campaigns.
         target: Which target on the tool each pose was measured at (N,), from 0.
         targets: Names of the targets.
         device: Which device or fixture each pose was measured by (N,), from 0.
-        devices: Names of the devices and fixtures.
+        devices: Names of the devices and fixtures; of an encoder that of its joint.
         kinds: What each of them tells, a name of `KINDS`.
         device_errors: Standard error of each of them over that of all (devices,); ones unless estimated.
         approach: From which side each actuated joint came (N, na): +1, -1, or 0 where nobody knows.
@@ -52,6 +53,7 @@ class PoseSet(Brief):
         rotation_stderr: Of the measured orientation about each axis (N,) [rad], None where none are stated.
         angles: Three numbers of the orientation as written (N, 3), which `rotation` takes for rotation vectors; None where four
             numbers or none are given.
+        arc_radius: Radius at which angles of passive joints count as arcs [m].
         source: File, for messages.
         sha256: Hash of the file, '' where there is none.
         warnings: What was doubtful.
@@ -73,6 +75,7 @@ class PoseSet(Brief):
     position_stderr: np.ndarray | None = None
     rotation_stderr: np.ndarray | None = None
     angles: np.ndarray | None = None
+    arc_radius: float = 1.0
     source: str = "poses"
     sha256: str = ""
     warnings: tuple[str, ...] = ()
@@ -157,9 +160,29 @@ class PoseSet(Brief):
         """Independent numbers of each measured position (N,): 3, or 1 of a distance, a plane or a ball."""
         return np.array([KINDS[kind].numbers for kind in self.kinds])[self.device]
 
+    @property
+    def of_encoders(self) -> np.ndarray:
+        """Whether an encoder of a passive joint measured each row (N,), and not the tool."""
+        return np.array([kind in ENCODERS for kind in self.kinds])[self.device]
+
+    def hides_size(self, position_units: Sequence[str]) -> bool:
+        """Tell whether nothing measured shows the robot's size: touches, or angles between drives that turn.
+
+        Args:
+            position_units: Of the actuated joints, `m` or `rad` each.
+        """
+        turns = set(position_units) == {"rad"}
+        sizeless = [kind in TOUCHES or (kind == "angle" and turns) for kind in self.kinds]
+        return bool(np.all(np.array(sizeless)[self.device]))
+
+    @property
+    def length_factors(self) -> np.ndarray:
+        """What a unit of the device's length is in each measurement (N,) [m]: the radius of an angle's arc, or 1."""
+        return np.array([self.arc_radius if kind == "angle" else 1.0 for kind in self.kinds])[self.device]
+
     def count_numbers(self, m: int) -> np.ndarray:
         """Return the independent numbers of each pose (N,) of `m` coordinates, 3 or 6."""
-        return self.numbers + (m - 3)
+        return self.numbers + np.where(self.of_encoders, 0, m - 3)
 
     @property
     def from_tool(self) -> np.ndarray:
@@ -190,9 +213,10 @@ class PoseSet(Brief):
 
         Args:
             seen: The target's predicted poses in the frames of the devices (N).
-            lengths: Offset or radius of each measurement (N,) [m].
+            lengths: Offset or radius of each measurement (N,) [m], or the zero of an encoder [rad or m].
         """
-        return compute_position_residuals(self.kinds, self.device, self.position, self.expect(seen).position, lengths)
+        seen, lengths = self.expect(seen), lengths * self.length_factors
+        return compute_position_residuals(self.kinds, self.device, self.position, seen.position, lengths)
 
     def project_columns(self, seen: Poses, columns: np.ndarray) -> np.ndarray:
         """Return derivatives (N, 6, p) of what was measured from those of the target's pose, predicted at `seen` (N)."""
@@ -245,6 +269,21 @@ class PoseSet(Brief):
         if self.device_errors:
             out *= np.array(self.device_errors)[self.device, None]
         return out
+
+    def split_encoders(self) -> tuple[PoseSet | None, PoseSet]:
+        """Return what was measured of the tool, None where nothing was, and what encoders of passive joints measured."""
+        rows = self.of_encoders
+        if rows.all():
+            return None, self
+        own = np.array([kind not in ENCODERS for kind in self.kinds])
+        tool = self.take(~rows)
+        tool = replace(
+            tool,
+            device=np.cumsum(own)[tool.device] - 1,
+            devices=tuple(name for name, keep in zip(self.devices, own, strict=True) if keep),
+            kinds=tuple(kind for kind, keep in zip(self.kinds, own, strict=True) if keep),
+        )
+        return tool, replace(self.take(rows), warnings=())
 
     def with_devices_of(self, known: PoseSet) -> PoseSet:
         """Return the set with the devices, and how exact they are, of another whose numbers it follows.
@@ -377,9 +416,10 @@ def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
         devices=devices,
         kinds=tuple(kinds[name] for name in devices),
         approach=np.concatenate([s.approach for s in sets]),
-        position_stderr=_join_stated([s.position_stderr for s in sets]),
-        rotation_stderr=_join_stated([s.rotation_stderr for s in sets]),
-        angles=_join_stated([s.angles for s in sets]),
+        position_stderr=_join_stated(sets, "position_stderr"),
+        rotation_stderr=_join_stated(sets, "rotation_stderr"),
+        angles=_join_stated(sets, "angles"),
+        arc_radius=next((s.arc_radius for s in sets if s.of_encoders.any()), 1.0),
         source=", ".join(s.source for s in sets),
         warnings=tuple(w for s in sets for w in s.warnings),
     )
@@ -391,7 +431,15 @@ def _join_words(parts: Sequence[tuple[np.ndarray, tuple[str, ...]]]) -> tuple[np
     return np.concatenate([np.array([names.index(name) for name in words])[number] for number, words in parts]), names
 
 
-def _join_stated(parts: Sequence[np.ndarray | None]) -> np.ndarray | None:
-    """Return the standard errors of several files; None unless all state them."""
+def _join_stated(sets: Sequence[PoseSet], name: str) -> np.ndarray | None:
+    """Return numbers that files state of each row; None unless all do. Encoders state none, and count as the median."""
+    parts = [getattr(one, name) for one in sets]
     known = [part for part in parts if part is not None]
-    return np.concatenate(known) if len(known) == len(parts) else None
+    if not known or any(part is None and not one.of_encoders.all() for part, one in zip(parts, sets, strict=True)):
+        return None
+    middle = np.median(np.concatenate(known), axis=0)
+    rows = [
+        np.broadcast_to(middle, (one.n, *middle.shape)) if part is None else part
+        for part, one in zip(parts, sets, strict=True)
+    ]
+    return np.concatenate(rows)

@@ -10,8 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.measured.columns import ANGLES, name_pose_columns, read_angles
+from tau_dyn.calibrate.measured.encoders import PassiveEncoders
 from tau_dyn.calibrate.measured.kinds import TOUCHES
-from tau_dyn.calibrate.measured.pose_set import PoseSet
+from tau_dyn.calibrate.measured.pose_set import PoseSet, join_pose_sets
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import ColumnMap, Table, compute_mapped_columns, format_names, is_blank, read_table
 from tau_dyn.message_codes import CodedWarning
@@ -32,6 +33,7 @@ def read_poses(
     *,
     columns: ColumnMap | str | Path | None = None,
     mimics: Mapping[str, Mimic] | None = None,
+    encoders: PassiveEncoders | None = None,
 ) -> PoseSet:
     """Read measured poses from CSV or Parquet, with the columns `q_J`, `x_tool y_tool z_tool` and maybe `qx_tool` .. `qw_tool`.
 
@@ -42,13 +44,15 @@ def read_poses(
     came, and without them the order of the file does.
 
     A row may give something else than a position: `distance_tool` [m] from the point that `device` names, or the name of what
-    the target touches in a column `hole`, `plane` or `sphere`. Places on the way of a plan (`pose` 0) are left out.
+    the target touches in a column `hole`, `plane` or `sphere`. Passive joints with encoders are read from their columns `q_J`,
+    beside or instead of these. Places on the way of a plan (`pose` 0) are left out.
 
     Args:
         path: File.
         actuated: Actuated joints of the robot, in its order.
         columns: Map for foreign columns, or the path of one; its `couplings` undo coupled transmissions.
         mimics: Joints that follow others in the robot file; a column that they lack is computed.
+        encoders: Passive joints that have encoders; an empty cell was not read.
 
     Raises:
         InputError: Columns are missing, cells are no numbers, or quaternions no orientations.
@@ -57,35 +61,60 @@ def read_poses(
     if columns is not None:
         table = _rename_columns(table, columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns))
     table = _follow_mimics(table, mimics or {})
-    table = name_pose_columns(table, actuated)
-    _check_columns(table, actuated)
-    table = _leave_out_ways(table)
+    passive = () if encoders is None else tuple(encoders.kinds)
+    table = name_pose_columns(table, actuated, passive)
+    _check_columns(table, actuated, passive)
+    table = _leave_out_ways(table, passive)
     q = np.column_stack([_numbers(table, f"q_{joint}") for joint in actuated])
-    position, device, devices, kinds = _read_measurements(table)
     campaign, campaigns = _number_words(table, "campaign")
     target, targets = _number_words(table, "target")
-    (stated, said), (turned, more) = _read_position_stderr(table, kinds), _read_stated(table, (ROTATION_STDERR,))
-    rotation, angles, how = (None, None, "") if set(kinds) - {"pose"} else _read_orientation(table)
-    poses = PoseSet(
+    rows = PoseSet(
         q=q,
-        position=position,
-        rotation=rotation,
+        position=np.zeros((len(q), 3)),
         names=tuple(table.where(k) for k in range(table.n_rows)),
         campaign=campaign,
         campaigns=campaigns,
         target=target,
         targets=targets,
+        approach=_approach(table, actuated, q),
+        source=table.name,
+        sha256=table.sha256,
+        warnings=table.warnings,
+    )
+    if encoders is None:
+        return _read_tool(table, rows)
+    readings = {joint: table.numbers(f"q_{joint}", gaps=True) for joint in passive}
+    read = np.any([np.isfinite(values) for values in readings.values()], axis=0)
+    of_tool = np.flatnonzero(_find_tool_rows(table) | ~read)
+    sets = [_read_tool(table.take_rows(of_tool), rows.take(of_tool))] if len(of_tool) else []
+    bare = replace(rows, warnings=() if sets else rows.warnings)
+    if sets and sets[0].rotation is not None:
+        bare = replace(bare, rotation=np.repeat(np.eye(3)[None], len(q), axis=0))
+    sets += [
+        encoders.measure(joint, values, replace(bare, warnings=() if k else bare.warnings))
+        for k, (joint, values) in enumerate(readings.items())
+        if np.isfinite(values).any()
+    ]
+    return replace(join_pose_sets(sets), source=table.name, sha256=table.sha256)
+
+
+def _read_tool(table: Table, rows: PoseSet) -> PoseSet:
+    """Return the rows (N) with what a device or a fixture tells of the tool."""
+    position, device, devices, kinds = _read_measurements(table)
+    (stated, said), (turned, more) = _read_position_stderr(table, kinds), _read_stated(table, (ROTATION_STDERR,))
+    rotation, angles, how = (None, None, "") if set(kinds) - {"pose"} else _read_orientation(table)
+    poses = replace(
+        rows,
+        position=position,
+        rotation=rotation,
         device=device,
         devices=devices,
         kinds=kinds,
-        approach=_approach(table, actuated, q),
         position_stderr=stated,
         rotation_stderr=None if turned is None or rotation is None else turned[:, 0],
         angles=angles,
-        source=table.name,
-        sha256=table.sha256,
         warnings=(
-            *table.warnings,
+            *rows.warnings,
             *([CodedWarning("columns_read", f"{table.name}: {how}")] if how else []),
             *said,
             *more,
@@ -96,14 +125,22 @@ def read_poses(
     return poses
 
 
-def _leave_out_ways(table: Table) -> Table:
-    """Return the table without the places of a plan where nothing is measured: `pose` 0 and no measurement."""
-    if "pose" not in table.cells:
-        return table
+def _find_tool_rows(table: Table) -> np.ndarray:
+    """Tell in which rows (N,) something of the tool is measured."""
     given = np.zeros(table.n_rows, bool)
     for name in (*POSITION, DISTANCE, *TOUCHES):
         if name in table.cells:
             given |= [not is_blank(cell) for cell in table.cells[name]]
+    return given
+
+
+def _leave_out_ways(table: Table, passive: Sequence[str]) -> Table:
+    """Return the table without the places of a plan where nothing is measured: `pose` 0 and no measurement."""
+    if "pose" not in table.cells:
+        return table
+    given = _find_tool_rows(table)
+    for joint in passive:
+        given |= [not is_blank(cell) for cell in table.cells[f"q_{joint}"]]
     on_the_way = np.array([str(cell).strip() in ("0", "0.0") for cell in table.cells["pose"]], bool) & ~given
     return table.take_rows(np.flatnonzero(~on_the_way)) if on_the_way.any() else table
 
@@ -190,9 +227,9 @@ def _follow_mimics(table: Table, mimics: Mapping[str, Mimic]) -> Table:
     return replace(table, cells=cells)
 
 
-def _check_columns(table: Table, actuated: Sequence[str]) -> None:
-    other = any(name in table.cells for name in (DISTANCE, *TOUCHES))
-    wanted = [*(f"q_{joint}" for joint in actuated), *(() if other else POSITION)]
+def _check_columns(table: Table, actuated: Sequence[str], passive: Sequence[str]) -> None:
+    other = bool(passive) or any(name in table.cells for name in (DISTANCE, *TOUCHES))
+    wanted = [*(f"q_{joint}" for joint in (*actuated, *passive)), *(() if other else POSITION)]
     missing = [name for name in wanted if name not in table.cells]
     if missing:
         raise InputError(

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from tau_dyn.calibrate.geometry import Geometry
-from tau_dyn.calibrate.measured import TOUCHES, PoseSet
+from tau_dyn.calibrate.measured import ENCODERS, TOUCHES, PoseSet
 from tau_dyn.calibrate.models import get_family
 from tau_dyn.calibrate.poses.camera import Camera
 from tau_dyn.calibrate.poses.campaign_files import (
@@ -199,7 +199,8 @@ def plan_campaign(
     demands = demands if demands is not None else PoseRequirements()
     safety = safety if safety is not None else Safety()
     machine = build_machine(robot)
-    geometry = build_geometry(robot, model)
+    device = device.find_joints(robot) if isinstance(device, FixtureSet) else device
+    geometry = build_geometry(robot, model, encoders=isinstance(device, FixtureSet) and device.has_encoders)
     device = _device_for(geometry, device)
     reach = find_reachable(machine, demands, safety, wanted=candidates, seed=seed, progress=progress)
     reach = _predictable(reach, geometry)
@@ -255,6 +256,9 @@ def _find_candidates(
     if isinstance(device, Fixture):
         others = tuple(o for o in around.obstacles if o.name != device.obstacle)
         around = replace(around, obstacles=others)
+        if device.kind in ENCODERS:
+            every = np.arange(reach.n)
+            return MeasurablePoses(reach.q, reach.q, reach.tool, device.covariance(reach.tool), every, {})
         if device.kind in TOUCHES:
             own = safety.apply(replace(demands, surroundings=around))
             return find_touches(device, geometry, reach, check, own, safety)
@@ -273,13 +277,13 @@ def _name_reasons(fixtures: Sequence[Fixture], parts: Sequence[MeasurablePoses])
     }
 
 
-def build_geometry(robot: Robot, model: str | None = None) -> Geometry:
-    """Return what is to be calibrated of a robot: a named model, or all its dimensions.
+def build_geometry(robot: Robot, model: str | None = None, *, encoders: bool = False) -> Geometry:
+    """Return what is to be calibrated of a robot: a named model, or all its dimensions; with encoders as a tree with loops.
 
     Raises:
         UnknownName: No such model.
     """
-    home = PoseSet(robot.home[None], np.zeros((1, 3)))
+    home = PoseSet(robot.home[None], np.zeros((1, 3)), kinds=ENCODERS[:1] if encoders else ("pose",))
     family = get_family(robot, home)
     largest = "complete" if "complete" in family.structures else family.structures[-1]
     return family.build(family.spec(model if model is not None else largest))

@@ -125,10 +125,12 @@ def format_tour_csv(
 ) -> str:
     """Return a tour as CSV: `pose` (from 1; 0 on the way) and `q_J` [m or rad] of every joint.
 
-    With `cells` (k) further columns name the device or fixture of each pose, and `distance_tool` is left to be filled in.
+    With `cells` (k) further columns name the device or fixture of each pose. `distance_tool` and `q_J` of passive joints with
+    encoders are left to be filled in.
     """
     stated = [column for column in ("device", *TOUCHES, "target") if any(column in row for row in cells)]
     more = ["distance_tool", *stated] if "device" in stated else stated
+    more += sorted({column for row in cells for column in row if column.startswith("q_")})
     head = ",".join(["pose", *(f"q_{joint}" for joint in actuated), *more])
     rows = [
         ",".join([str(int(p) + 1), *(f"{x:.9g}" for x in row), *(own.get(column, "") for column in more)])

@@ -85,9 +85,9 @@ def predict(design: PoseDesign, index: np.ndarray) -> CalibrationPrediction:
     )
 
 
-_TOUCHES_ALONE = (
-    "holes, planes and balls at unknown places do not show how large the robot is; the accuracy is that of its shape, at the "
-    "size of the robot file; plan one distance as well (kind: distance)"
+_SIZE_UNDETERMINED = (
+    "touches at unknown places and angles of passive joints do not show how large the robot is; the accuracy is that of its "
+    "shape, at the size of the robot file; plan one distance as well (kind: distance)"
 )
 MIN_DOUBLING_GAIN = 0.03
 """Share by which twice as many poses must make the held-out error smaller to be worth it."""
@@ -274,8 +274,8 @@ def choose_from(
     trace = [search.value(picked[: k + 1]) for k in range(len(picked))]
     made = predict(design, best)
     said = _warnings(design, made, n, gain, target)
-    if design.poses.touches.all():
-        said = (CodedWarning("size_undetermined", _TOUCHES_ALONE), *said)
+    if design.poses.hides_size(design.geometry.position_units):
+        said = (CodedWarning("size_undetermined", _SIZE_UNDETERMINED), *said)
     at_random = float(
         np.median([predict(design, rng.choice(design.n, len(best), replace=False)).rms for _ in range(9)])
     )

@@ -22,7 +22,7 @@ from tau_dyn.calibrate.fit_problem import FitState, Problem, get_blind_limit
 from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.measured import PoseSet
+from tau_dyn.calibrate.measured import PoseSet, predict_measured
 from tau_dyn.calibrate.unknowns import STRUCTURAL, Identifiability, Unknowns, collect, find_identifiable
 from tau_dyn.estimate import DescentRules, LinearSystem, descend, factor_system
 from tau_dyn.exceptions import InputError
@@ -193,7 +193,8 @@ def build_design(
     if poses.shows_frames:
         shifts, _, good = _slopes(geometry, frames, unknowns, _without_values(there), geometry.orients)
     else:
-        shifts, good = _target_slopes(geometry, frames, unknowns, there, sized=not poses.touches.all())
+        sized = not poses.hides_size(geometry.position_units)
+        shifts, good = _target_slopes(geometry, frames, unknowns, there, sized=sized)
     shifts = shifts[good] * scales
     kept = slopes[:, :, found.kept] * scales[found.kept]
     told = shifts[:, :, found.kept]
@@ -224,7 +225,7 @@ def _slopes(
 ) -> tuple[np.ndarray, Poses, np.ndarray]:
     """Return derivatives of the measured numbers by the free unknowns (N, m, f), tool poses, and where they exist."""
     theta = geometry.parameters.values
-    predicted = geometry.forward(theta, poses.q)
+    predicted = predict_measured(geometry, theta, poses, poses.q)
     seen = frames.measured(predicted.poses, poses.setup)
     if poses.measures_poses:
         poses = replace(poses, position=seen.position, rotation=seen.rotation if turned else None)

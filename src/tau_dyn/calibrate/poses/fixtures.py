@@ -13,6 +13,9 @@ Files have lengths in m, places about right in the robot's base frame, normals o
       - {kind: hole, name: A, position: [0.6, 0.1, 0.2], normal: [0, 0, 1], noise: 30e-6, obstacle: table}
       - {kind: plane, name: plate, position: [0.5, 0.3, 0.2], normal: [0, 0, 1], noise: 20e-6}
       - {kind: sphere, name: ball, position: [0.4, -0.3, 0.3], radius: 0.0127, noise: 20e-6, target: [0.02, 0, 0.1]}
+      - {kind: encoder, name: elbow, noise: 50e-6}
+
+An encoder of a passive joint is read wherever the robot stands; its noise is in rad, or m of a slide.
 """
 
 from __future__ import annotations
@@ -26,9 +29,17 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.calibrate.frames import DeviceFrames, Frame
+from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames, Frame
 from tau_dyn.calibrate.geometry import Geometry
-from tau_dyn.calibrate.measured import KINDS, TOUCHES, PoseSet, find_directions
+from tau_dyn.calibrate.measured import (
+    ENCODERS,
+    KINDS,
+    TOUCHES,
+    PassiveEncoders,
+    PoseSet,
+    find_directions,
+    predict_measured,
+)
 from tau_dyn.calibrate.measured.kinds import project_columns
 from tau_dyn.calibrate.poses.camera import FilePart, build_target_frame
 from tau_dyn.calibrate.poses.devices import SEEN, transform_to_base, transform_to_device
@@ -39,8 +50,9 @@ from tau_dyn.files import read_yaml
 from tau_dyn.kinematics.workspace import PoseRequirements, get_travel
 from tau_dyn.log import format_names
 from tau_dyn.mechanism import Poses
+from tau_dyn.robot import Robot
 
-PLANNED = ("distance", *TOUCHES)
+PLANNED = ("distance", *TOUCHES, "encoder")
 """Kinds of fixtures in a file."""
 _STEPS = 40  # of Newton's method; it needs about eight
 _MAX_STEP = 0.3  # [m or rad] of a joint; longer ones leave the neighbourhood
@@ -57,11 +69,12 @@ class Fixture:
     """A device that tells a distance, or a thing that the target touches; a `MeasuringDevice`.
 
     Attributes:
-        kind: A name of `PLANNED`.
-        label: What the user calls it.
+        kind: A name of `PLANNED`, or `angle` or `travel` of an encoder whose joint is known.
+        label: What the user calls it; of an encoder its joint.
         pose: It in the robot's base frame, z out of a plane or a hole.
         on_tool: The target in the tool frame.
-        noise: Standard deviation of the distance, or of each coordinate in which the target is not where it touches [m].
+        noise: Standard deviation of the distance, or of each coordinate in which the target is not where it touches [m]; of an
+            encoder [rad or m], or of its arc [m] where its joint is known.
         radius: Of a ball [m].
         obstacle: The obstacle to which it belongs, which its touches may come near.
     """
@@ -77,7 +90,7 @@ class Fixture:
     @property
     def name(self) -> str:
         """Its name as `read_poses` forms it."""
-        return self.label if self.kind == "distance" else f"{self.kind} {self.label}"
+        return f"{self.kind} {self.label}" if self.kind in TOUCHES else self.label
 
     @property
     def frames(self) -> DeviceFrames:
@@ -97,6 +110,8 @@ class Fixture:
     @property
     def cells(self) -> dict[str, str]:
         """Cells of a measurement file that name it, by column."""
+        if self.kind in ENCODERS:
+            return {f"q_{self.label}": ""}
         return {"device" if self.kind == "distance" else self.kind: self.label}
 
     def reasons(self, tool: Poses) -> np.ndarray:
@@ -126,14 +141,43 @@ class FixtureSet:
 
     Attributes:
         fixtures: All of them.
+        arc_radius: Radius at which angles of passive joints count as arcs [m].
     """
 
     fixtures: tuple[Fixture, ...]
+    arc_radius: float = 1.0
+
+    def find_joints(self, robot: Robot) -> FixtureSet:
+        """Return the set with the encoders on joints of a robot.
+
+        Raises:
+            InputError: A joint is driven, or the robot has no loops; or UnknownName, there is no such joint.
+        """
+        names = [fixture.label for fixture in self.fixtures if fixture.kind == "encoder"]
+        if not names:
+            return self
+        known = PassiveEncoders.of(robot, names)
+        target = next((one.on_tool for one in self.fixtures if one.kind != "encoder"), IDENTITY)
+
+        def find_joint(one: Fixture) -> Fixture:
+            kind = known.kinds[one.label]
+            arc = known.arc_radius if kind == "angle" else 1.0
+            return replace(
+                one, kind=kind, noise=arc * one.noise, on_tool=target
+            )  # a target more would be one unknown more
+
+        found = (find_joint(one) if one.kind == "encoder" else one for one in self.fixtures)
+        return FixtureSet(tuple(found), known.arc_radius)
 
     @property
     def name(self) -> str:
         """Their names."""
         return format_names([fixture.name for fixture in self.fixtures])
+
+    @property
+    def has_encoders(self) -> bool:
+        """Whether passive joints have encoders."""
+        return any(fixture.kind in ENCODERS for fixture in self.fixtures)
 
     @cached_property
     def _targets(self) -> tuple[list[Frame], np.ndarray]:
@@ -161,6 +205,7 @@ class FixtureSet:
             device=number,
             devices=tuple(fixture.name for fixture in self.fixtures),
             kinds=tuple(fixture.kind for fixture in self.fixtures),
+            arc_radius=self.arc_radius,
         )
 
     def get_cells(self, poses: PoseSet) -> list[dict[str, str]]:
@@ -187,10 +232,11 @@ class FixtureSet:
                     f"a robot whose dimensions are off by their usual size does not reach {name} from a chosen pose",
                     f"another place for {name}, or dimensions that are known better",
                 )
-        seen = self.frames.measured(geometry.forward(theta, q).poses, poses.setup).position
-        read = np.array([fixture.kind == "distance" for fixture in self.fixtures])[poses.device]
+        seen = self.frames.measured(predict_measured(geometry, theta, poses, q).poses, poses.setup).position
+        read = ~poses.touches
         position = np.zeros((poses.n, 3))
-        position[read, 0] = np.linalg.norm(seen[read], axis=1) + off[read, 0]
+        told = np.where(poses.of_encoders, seen[:, 0], np.linalg.norm(seen, axis=1))
+        position[read, 0] = told[read] + off[read, 0]
         errors = tuple(float(x) for x in noise / noise[0]) if len(noise) > 1 else ()
         return replace(poses, q=q, position=position, device_errors=errors, source="simulated measurement")
 
@@ -291,7 +337,7 @@ def _is_behind(fixture: Fixture, tool: np.ndarray) -> np.ndarray:
 
 
 def read_fixtures(path: str | Path) -> FixtureSet:
-    """Read devices that tell distances, and fixtures that the target touches.
+    """Read devices that tell distances, fixtures that the target touches, and encoders of passive joints.
 
     Raises:
         InputError: Something is missing or no number; the message names the place.
@@ -316,13 +362,15 @@ _KEYS = {
     "hole": ("normal", "obstacle"),
     "plane": ("normal", "obstacle"),
     "sphere": ("radius", "obstacle"),
+    "encoder": (),
 }
 """Keys of each kind besides kind, name, position, noise and target."""
 
 
 def _read_fixture(content: Any, where: str, target: np.ndarray) -> Fixture:
     kind = str(content.get("kind")) if isinstance(content, Mapping) else ""
-    part = FilePart(content, where, {"kind", "name", "position", "noise", "target", *_KEYS.get(kind, ())})
+    placed = set() if kind == "encoder" else {"position", "target"}
+    part = FilePart(content, where, {"kind", "name", "noise", *placed, *_KEYS.get(kind, ())})
     if kind not in PLANNED:
         part.fault(f"kind must be one of {', '.join(PLANNED)}, not '{kind}'")
     label = str(part.content.get("name", ""))
@@ -332,6 +380,8 @@ def _read_fixture(content: Any, where: str, target: np.ndarray) -> Fixture:
     for key in needed.get(kind, ("noise",)):
         if key not in part.content:
             part.fault(f"'{key}' is missing")
+    if kind == "encoder":
+        return Fixture(kind, label, IDENTITY, IDENTITY, part.number("noise", 0.0, low=1e-9))
     place, rotation = part.numbers("position", 3), np.eye(3)
     if kind in ("plane", "hole"):
         rotation = _turn_outwards(part, part.numbers("normal", 3, default=(0.0, 0.0, 1.0)))

@@ -175,7 +175,8 @@ def compute_tool_error(fitted: GeometryFit, design: PoseDesign, frames: DeviceFr
     )
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
     b = b @ align(a, b).rotation.T
-    size = float(np.sum(a * b) / np.sum(b * b)) if design.poses.touches.all() else 1.0
+    hidden = design.poses.hides_size(design.geometry.position_units)
+    size = float(np.sum(a * b) / np.sum(b * b)) if hidden else 1.0
     return float(np.sqrt(np.mean(np.sum((a - size * b) ** 2, axis=1))))
 
 
@@ -204,21 +205,25 @@ def require_accuracy(choice: PoseChoice, rehearsal: MonteCarloCalibration, requi
             f"{choice.n} poses will bring {1e3 * made.rms:.3g} mm, not the {1e3 * required:.3g} mm asked for",
             _remedy(choice, required),
         )
-    if rehearsal.achieved > _MAX_ERROR_RATIO * (made.rms + 3 * made.scatter / np.sqrt(max(len(rehearsal.after), 1))):
+    expected = made.rms + 3 * made.scatter / np.sqrt(max(len(rehearsal.after), 1))
+    missed = rehearsal.achieved > _MAX_ERROR_RATIO * expected
+    untold = float(np.sqrt(sum(shift**2 for _, shift in design.untold)))
+    asked = untold > expected if required is None else max((s for _, s in design.untold), default=0.0) > required
+    if design.untold and asked and (missed or required is not None):
+        name, shift = max(design.untold, key=lambda row: row[1])
+        raise CannotAnswer(
+            "not_identifiable",
+            f"no candidate tells {name}, and an error of its usual size leaves {1e3 * shift:.3g} mm "
+            "elsewhere in the workspace",
+            "candidates over the whole workspace: another place for the device, fewer obstacles, or one more device",
+        )
+    if missed:
         raise CannotAnswer(
             "not_accurate_enough",
             f"simulated calibrations reach {1e3 * rehearsal.achieved:.3g} mm where "
             f"{1e3 * made.rms:.3g} mm were predicted, so errors of the usual "
             "size are too large for one step from the nominal dimensions",
             "measure the dimensions better beforehand, or take more poses",
-        )
-    if design.untold and required is not None and design.untold[0][1] > required:
-        name, shift = max(design.untold, key=lambda row: row[1])
-        raise CannotAnswer(
-            "not_identifiable",
-            f"no candidate tells {name}, and an error of its usual size leaves {1e3 * shift:.3g} mm "
-            "elsewhere in the workspace",
-            "candidates over the whole workspace: another place for the device, or fewer obstacles",
         )
     if len(rehearsal.after) and rehearsal.achieved >= float(np.sqrt(np.mean(rehearsal.before**2))):
         raise CannotAnswer(

@@ -4,6 +4,7 @@ from .closure import (
     ClosedConfigurations as ClosedConfigurations,
     TreeClosure as TreeClosure,
     compute_open_rates as compute_open_rates,
+    propagate_passive as propagate_passive,
     propagate_twists as propagate_twists,
 )
 from .dimensions import (

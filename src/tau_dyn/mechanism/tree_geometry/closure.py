@@ -133,13 +133,25 @@ def propagate_twists(
         gain: Of the actuated joints (na,).
     """
     by_active = _samples_first(shape.gather(found.tool_by_position))
-    by_parameter = _samples_first(found.tool_by_parameter)
-    moving = _samples_first(found.position_by_parameter)
+    by_parameter = _samples_first(found.tool_by_parameter) + by_active @ _samples_first(found.position_by_parameter)
+    by_encoder = by_active * gain
     if shape.n_loops:
-        follows = _samples_first(found.tool_by_position[:, shape.passive]) @ inverse
-        by_active = by_active - follows @ _samples_first(shape.gather(found.gap_by_position))
-        by_parameter = by_parameter - follows @ _samples_first(found.gap_by_parameter)
-    return by_parameter + by_active @ moving, by_active * gain
+        by_passive = _samples_first(found.tool_by_position[:, shape.passive])
+        own, driven = propagate_passive(shape, found, inverse, gain)
+        by_parameter, by_encoder = by_parameter + by_passive @ own, by_encoder + by_passive @ driven
+    return by_parameter, by_encoder
+
+
+def propagate_passive(
+    shape: TreeShape, found: OpenRates, inverse: np.ndarray, gain: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return how passive joints move per parameter (N, passive, p) and per encoder's position (N, passive, na), loops closed.
+
+    `dx_p = -J_p^+ (dc/dtheta dtheta + J_a dx_a)`. Arguments are those of `propagate_twists`.
+    """
+    by_active = _samples_first(shape.gather(found.gap_by_position))
+    by_parameter = _samples_first(found.gap_by_parameter) + by_active @ _samples_first(found.position_by_parameter)
+    return -inverse @ by_parameter, -inverse @ by_active * gain
 
 
 def _places(shape: TreeShape, numbers: TreeNumbers, at: Frames) -> list[np.ndarray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,14 +45,17 @@ def present_calibration(found: Calibration, *, poses: Sequence[tuple[str, str]] 
     facts = [("model", found.chosen.name), ("seed", str(found.seed)), ("residual", found.fit.kind)]
     both, several = r.On.PRINTED, len(found.at().devices) > 1
     findings = [r.Chapter("findings", "Errors of the robot file", lambda: _list_findings(found), both)]
+    of_tool = [
+        r.Chapter("space", "Errors in space", lambda: _build_space(found)),
+        r.Chapter("left", "Residuals by joint", lambda: _build_residuals(found)),
+    ]
     sections = [
         *warn([r.end_sentence(r.capitalise(text)) for text in found.warnings]),
         r.Chapter("error", "Error before and after", lambda: _build_errors(found), r.On.DRAWN),
         r.Chapter("gain", "Error by model", lambda: _build_gain(found), both),
         *([r.Chapter("devices", "Devices and fixtures", lambda: _build_devices(found), both)] if several else []),
         *(findings if found.findings else []),
-        r.Chapter("space", "Errors in space", lambda: _build_space(found)),
-        r.Chapter("left", "Residuals by joint", lambda: _build_residuals(found)),
+        *([] if found.at().of_encoders.all() else of_tool),
         r.Chapter("geometry", "Geometry", lambda: _build_geometry(found), r.On.DRAWN),
         r.Chapter("blind", "Not identifiable", lambda: _build_blind(found), both),
         r.Chapter("sensitivity", "Sensitivity", lambda: _build_sensitivity(found)),
@@ -67,7 +70,7 @@ def present_calibration(found: Calibration, *, poses: Sequence[tuple[str, str]] 
 def _build_errors(found: Calibration) -> Iterator[r.Element]:
     before, after = (found.errors(m) for m in (found.models[0], found.chosen))
     key = r.build_key(measured="robot file, device and target placed", predicted="calibrated")
-    position = _draw_errors(before.distance, after.distance, "position error", "mm")
+    position = _draw_errors(before.distance[before.counted], after.distance[after.counted], "position error", "mm")
     yield r.Figures([position], "wide-chart", key, on=r.On.DRAWN)
     if before.angle is not None and after.angle is not None:
         yield r.Figures([_draw_errors(before.angle, after.angle, "orientation error", "mrad")], "wide-chart")
@@ -127,23 +130,28 @@ def _build_gain(found: Calibration) -> Iterator[r.Element]:
 
 def _build_devices(found: Calibration) -> Iterator[r.Element]:
     """Yield a line a device or fixture: what it measures, how exactly, and how well it is predicted."""
-    at, errors = found.at(), found.errors(found.chosen).distance
+    at, errors, rows = found.at(), found.errors(found.chosen).distance, build_device_rows(found)
 
-    def left(name: str) -> str:
-        own = errors[at.device == at.devices.index(name)]
-        return format_length(float(np.sqrt(np.nanmean(own**2)))) if len(own) else ""
+    def format_error(row: Mapping[str, Any], value: float) -> str:
+        return format_angle(value) if row["unit"] == "rad" else format_length(value)
+
+    def left(row: Mapping[str, Any]) -> str:
+        own = errors[at.device == at.devices.index(row["name"])]
+        return format_error(row, float(np.sqrt(np.nanmean(own**2))) / row.get("arc_radius", 1.0)) if len(own) else ""
 
     yield r.tabulate_things(
-        build_device_rows(found),
+        rows,
         r.Column("device", cell=lambda row: str(row["name"])),
         r.Column("measures", style="quiet", cell=lambda row: words.MEASURED_KINDS[str(row["kind"])]),
         r.Column("fitted", "number", cell=lambda row: str(row["n"])),
-        r.Column("noise", "number", cell=lambda row: format_length(row["noise"]) if row["noise"] else ""),
-        r.Column("held out, rms", "number", "strong", cell=lambda row: left(str(row["name"]))),
+        r.Column("noise", "number", cell=lambda row: format_error(row, row["noise"]) if row["noise"] else ""),
+        r.Column("held out, rms", "number", "strong", cell=left),
         on=r.On.PRINTED,
     )
+    arc = next((row["arc_radius"] for row in rows if "arc_radius" in row), None)
     yield r.explain(
         "Standard error of one measured number, estimated from the residuals. Measurements are weighed by it."
+        + ("" if arc is None else f" In sums, errors of angles count as arcs of radius {format_length(arc)}.")
     )
 
 
@@ -340,6 +348,9 @@ def _format_interval(row: dict[str, Any]) -> str:
 def _list_frame(row: dict[str, Any]) -> list[str]:
     name = f"{'device' if row['frame'] == 'device' else 'target'}, campaign {row['campaign']}"
     name = row["device"] or (f"target {row['target']}" if row["target"] else name)
+    if "zero" in row:
+        zero = r.replace_minus_signs(f"{row['zero']:.6f}")
+        return [name, f"zero {zero} {row['unit']}", ""]
     length = next((f"{key} {row[key]:.5f} m" for key in ("offset", "radius") if key in row), "")
     place, turn = ", ".join(f"{x:.5f}" for x in row["translation"]), ", ".join(f"{x:.6f}" for x in row["quaternion"])
     return [name, f"{r.replace_minus_signs(place)} m", length or f"quaternion {r.replace_minus_signs(turn)}"]

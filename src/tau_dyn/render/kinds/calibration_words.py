@@ -41,6 +41,8 @@ MEASURED_KINDS = {
     "hole": "pin in a hole",
     "plane": "plane touched",
     "sphere": "ball touched",
+    "angle": "angle of a passive joint",
+    "travel": "travel of a passive joint",
 }
 """What devices and fixtures measure, in words."""
 
@@ -67,6 +69,8 @@ def describe_headline(found: Calibration) -> str:
     """Return the one sentence above everything."""
     before, after = found.errors(found.models[0]).position_size, found.errors(found.chosen).position_size
     text = f"The calibrated robot is {format_length(after.mean)} off on average"
+    if found.at().of_encoders.all():
+        text = f"The calibrated robot misses the encoders of its passive joints by arcs of {format_length(after.mean)} on average"
     if found.chosen is not found.models[0]:
         text += f", {format_length(before.mean)} before"
     turned = found.errors(found.chosen).orientation_size
