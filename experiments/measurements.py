@@ -42,11 +42,15 @@ STUDIES = {
     "trackers": (("pose",) * 2, (2e-5, 6e-5), 60, ("six", "l1")),
     "hand_eye": (("hand_eye",), (1e-4,), 80, ("six", "ur5")),
     "wire_and_tracker": (("pose", "distance"), (2e-5, 5e-5), 60, ("ur5", "l1")),
-    "encoders": (("angle",) * 2, (2e-5,) * 2, 60, ("fivebar", "delta_tree")),
-    "encoders_and_tracker": (("pose", "angle", "angle"), (2e-5, 1e-5, 1e-5), 60, ("fivebar", "delta_tree")),
+    "encoders": ((), (), 60, ("fivebar", "delta_tree")),
+    "encoders_and_tracker": (("pose",), (2e-5,), 60, ("fivebar", "delta_tree")),
 }
-PASSIVE = {"fivebar": ("elbow1", "elbow2"), "delta_tree": ("rod1a_yaw", "rod1a_pitch")}
-"""Joints with encoders; their noise is that of the arc at the tool's distance [m]."""
+PASSIVE = {
+    "fivebar": ("elbow1", "elbow2"),
+    "delta_tree": tuple(f"rod{k}a_{turn}" for k in (1, 2, 3) for turn in ("yaw", "pitch")),
+}
+"""Joints with encoders: on a Delta both turns of a rod of each arm."""
+ARC_NOISE_M = 1e-5  # of the arc at the tool's distance
 SHOWN_PLACES = {"fivebar": np.array([1.0, 0.0, 1.0]), "delta_tree": np.zeros(3)}
 """Along which axes of the tool frame the target may be anywhere: the others show too little, and the fit keeps them at zero."""
 ZERO_RAD = 0.3  # up to which zeros of encoders are off
@@ -226,6 +230,8 @@ def compare_with_truth(
 def study(what: str, name: str, number: int, seed: int) -> dict[str, object]:
     """Return the row of one set."""
     kinds, noise, n, _ = STUDIES[what]
+    n_encoders = len(PASSIVE.get(name, ()))
+    kinds, noise = (*kinds, *("angle",) * n_encoders), (*noise, *(ARC_NOISE_M,) * n_encoders)
     place = ROBOTS.index(name) if name in ROBOTS else len(ROBOTS) + list(PASSIVE).index(name)
     machine, rng = build_studied_robot(name), np.random.default_rng([seed, number, place, sum(map(ord, what))])
     geometry, frames = machine.geometry, draw_devices(machine, kinds, rng)
