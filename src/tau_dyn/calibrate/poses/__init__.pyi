@@ -1,5 +1,10 @@
 """Which poses to measure for a calibration, how accurate it will be, and how to get there, before any is measured."""
 
+from .alignment import (
+    CameraCorrection as CameraCorrection,
+    choose_picture_pose as choose_picture_pose,
+    find_camera_correction as find_camera_correction,
+)
 from .automation import CalibrationCampaign as CalibrationCampaign, plan_campaign as plan_campaign
 from .camera import Camera as Camera, read_camera as read_camera, read_tracker as read_tracker
 from .campaign_files import (
