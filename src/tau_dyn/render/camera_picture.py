@@ -18,7 +18,7 @@ from tau_dyn.render.pictures import encode_png, outline_solid
 from tau_dyn.render.sketch import compute_hull
 
 _BLUE, _GREEN, _RED, _GREY = (46, 124, 214), (30, 170, 70), (214, 48, 48), (128, 128, 128)
-_NEAR = 0.05  # [m] before the camera, where lines are cut off
+_MIN_DEPTH_M = 0.05  # before the camera, where lines are cut off
 _DASH = 12.0  # [px] of the axes
 
 Line = tuple[np.ndarray, tuple[int, int, int], int]
@@ -82,7 +82,7 @@ def _outline(camera: Camera, points: np.ndarray, colour: tuple[int, int, int]) -
     local = _to_camera(camera, points)
     if len(points) == 2:
         yield from _cut(camera, local, colour, 3)
-    elif (local[:, 2] > _NEAR).all():
+    elif (local[:, 2] > _MIN_DEPTH_M).all():
         flat = camera.project(local[None])[0]
         around = compute_hull(flat)
         if around is not None:
@@ -92,17 +92,17 @@ def _outline(camera: Camera, points: np.ndarray, colour: tuple[int, int, int]) -
 def _cut(camera: Camera, ends: np.ndarray, colour: tuple[int, int, int], wide: int) -> Iterator[Line]:
     """Yield a line between two points (2, 3) [m] in the camera's frame, cut off where it comes too near."""
     a, b = ends if ends[0, 2] >= ends[1, 2] else ends[::-1]
-    if a[2] <= _NEAR:
+    if a[2] <= _MIN_DEPTH_M:
         return
-    if b[2] < _NEAR:
-        b = a + (b - a) * (a[2] - _NEAR) / (a[2] - b[2])
+    if b[2] < _MIN_DEPTH_M:
+        b = a + (b - a) * (a[2] - _MIN_DEPTH_M) / (a[2] - b[2])
     yield camera.project(np.array([a, b])[None])[0], colour, wide
 
 
 def _pattern(camera: Camera, at: Poses, colour: tuple[int, int, int]) -> Iterator[Line]:
     """Yield the lines of a pattern's grid at a pose (1) in the camera's frame, and a square about its first corner."""
     corners = camera.place_corners(at)[0]
-    if (corners[:, 2] <= _NEAR).any():
+    if (corners[:, 2] <= _MIN_DEPTH_M).any():
         return
     pattern = camera.pattern
     grid = camera.project(corners[None])[0].reshape(pattern.rows, pattern.columns, 2)

@@ -18,7 +18,7 @@ from tau_dyn.calibrate.frames import Frame
 from tau_dyn.calibrate.poses import Camera, CameraCorrection, choose_picture_pose, find_camera_correction
 from tau_dyn.calibrate.poses.alignment import compute_camera_covariance
 from tau_dyn.calibrate.poses.camera import CameraPattern, build_camera_frame, build_target_frame
-from tau_dyn.calibrate.poses.devices import transform_to_device
+from tau_dyn.calibrate.poses.devices import transform_to_base, transform_to_device
 from tau_dyn.kinematics.workspace import build_machine
 from tau_dyn.mechanism import Poses
 from tau_dyn.render import draw_camera_picture
@@ -82,6 +82,21 @@ def test_standard_errors_are_the_scatter(tmp_path: Path) -> None:
     assert 0.5 < np.sqrt(np.mean(np.square(rows))) < 2.0
 
 
+def test_the_covariance_is_that_of_noisy_corners() -> None:
+    """Cameras placed from noisy corners scatter as predicted, in place, turn and both together."""
+    eye, tool = camera((4.0, 0.3, 1.2), pixel_noise=0.02, **TILTED), at((1.6, -0.8, 0.4))
+    seen, base = transform_to_device(eye.frames, tool), transform_to_base(eye.frames, tool)
+    many = seen.take(np.zeros(600, int))
+    pixels = eye.project(eye.place_corners(many))
+    found = eye.locate(pixels + eye.pixel_noise * np.random.default_rng(0).standard_normal(pixels.shape), many)
+    rotation = base.rotation[0] @ np.swapaxes(found.rotation, 1, 2)
+    place = base.position[0] - np.einsum("nij,nj->ni", rotation, found.position)
+    shift = (place - eye.pose.translation) @ eye.pose.rotation
+    turn = Rotation.from_matrix(eye.pose.rotation.T @ rotation).as_rotvec()
+    root = np.linalg.inv(np.linalg.cholesky(compute_camera_covariance(eye, tool)[0]))
+    assert np.allclose(np.cov((np.hstack([shift, turn]) @ root.T).T), np.eye(6), atol=0.2)
+
+
 def test_it_holds_for_a_turning_arm(tmp_path: Path) -> None:
     """On a six-axis arm the joints at which the picture is taken tell where the plate is; at other joints the move is another."""
     machine = build_machine(six_axes())
@@ -104,16 +119,16 @@ def test_it_holds_for_a_turning_arm(tmp_path: Path) -> None:
 
 def test_a_plate_seen_squarely_has_two_tilts(tmp_path: Path) -> None:
     """Small and nearly square to the sight, both tilts give one picture: the nearer to the wanted place is taken and doubted."""
-    nearly = build_target_frame(np.array([0.1, 0, 0]), np.array([1.0, 0.1, 0]), UP)
+    nearly = build_target_frame(np.array([0.1, 0, 0]), np.array([1.0, 0.05, 0]), UP)
     wanted, tool = camera((5.5, -0.6, 0.7), pattern=CameraPattern(9, 6, 0.02), on_tool=nearly), at(tuple(MIDDLE))
-    shift, turn = np.array([0.01, 0.0, 0.0]), np.deg2rad([0.0, 1.2, 0.0])
+    shift, turn = np.array([0.01, 0.0, 0.0]), np.deg2rad([0.0, 0.5, 0.0])
     warned = 0
-    for seed in range(3):
+    for seed in range(5):
         photograph(displace(wanted, shift, turn), tool, tmp_path / "p.png", seed, Photography(noise=8.0))
         found = find_camera_correction(wanted, tool, tmp_path / "p.png")
         warned += any("two answers" in said for said in found.warnings)
         assert np.rad2deg(np.linalg.norm(found.turn - turn)) < 3
-    assert warned == 3
+    assert warned >= 4
 
 
 def test_a_wrong_focal_length_is_doubted(tmp_path: Path) -> None:

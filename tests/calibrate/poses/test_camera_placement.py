@@ -12,7 +12,7 @@ import pytest
 from raising import raises_code
 
 sys.path.insert(0, str(Path(__file__).parent))
-from pose_rigs import UP, camera, l1
+from pose_rigs import UP, camera, l1, six_axes
 
 from tau_dyn.calibrate.poses import Camera, Safety, placement, plan_campaign, read_camera
 from tau_dyn.calibrate.poses.automation import build_geometry
@@ -169,7 +169,30 @@ def test_the_robot_keeps_away_from_the_camera() -> None:
     assert not here.is_free(tool[0]) and not here.is_free(tool[0] + [0, 0, 0.9 * CLEARANCE])
     start, end = machine.rods.base_points(here.reach.q)[:, 0], tool
     assert not here.is_free((0.5 * (start + end))[3])
-    assert here.is_free(np.array([5.5, -0.6, 0.7]))
+    front_of_it = np.array([5.5, -0.6, 0.7])
+    assert here.is_free(front_of_it)
+    rack = {"obstacles": [{"name": "rack", "sphere": {"centre": front_of_it.tolist(), "radius": 0.2}}]}
+    assert not replace(here, around=build_surroundings(rack, "test")).is_free(front_of_it)
+
+
+def test_an_arm_drawn_in_meshes_keeps_away_too() -> None:
+    """Where a robot file has no solids, lines from joint to joint stand for the arm."""
+    here = site(six_axes(), camera(), wanted=50)
+    start, end = here.bones
+    elbow = 0.5 * (start + end)[np.argmax(np.linalg.norm(end - start, axis=1))]
+    arm = elbow[None] + 0.8 * CLEARANCE * np.eye(3)
+    far = np.linalg.norm(here.reach.tool.position - elbow, axis=1) > 0.5
+    seldom = here.take(np.flatnonzero(far))  # the tool stays away
+    assert not any(seldom.is_free(place) for place in arm) and seldom.is_free(elbow + [0, 0, 3.0])
+
+
+def test_too_few_poses_are_uncertain() -> None:
+    """Two poses leave directions open, so their error is large, for a fit that weights by covariance as well."""
+    for weighted in (False, True):
+        here = site(l1(), camera(steady=True), weighted=weighted)
+        design = here.build_design(here.camera, np.arange(here.reach.n))
+        few, many = predict_rms(design, np.array([3, 90])), predict_rms(design, np.arange(0, 200, 8))
+        assert few > 10 * many
 
 
 def test_a_plan_chooses_the_place_and_drives_around_the_camera() -> None:

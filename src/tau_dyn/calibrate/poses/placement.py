@@ -43,7 +43,7 @@ _REFINED = 5  # of them are improved
 _STEPS = 40  # steps of each
 _SPREAD = (0.25, 0.01)
 """First and last standard deviation of a step, as a share of the ranges and of the workspace's size."""
-_LOOKED_AT = 300
+_LOOKED_AT = 600
 """Poses in reach that the search looks at; the last choice looks at all."""
 _NOISE = (1e-4, 1e-4)  # [m], [rad] of the design before a camera's covariance is known
 _DIGITS = 3  # places and directions are rounded to millimetres, as a file states them and a person measures them

@@ -183,9 +183,9 @@ def describe_placement(found: CameraPlacement) -> str:
     towards = "direction as given"
     if found.look_at is not None:
         towards = f"looking at {_format_point(found.look_at)} m"
-    before = f"as given {given.seen}"
+    before = f"as given {given.seen} in view"
     if given.seen:
-        before += f", {100 * given.plate:.2g} %"
+        before += f", plate {100 * given.plate:.2g} %"
     before += ", too few to calibrate" if isnan(given.rms) else f", {format_length(given.rms)}"
     return (
         f"camera at {_format_point(place)} m, {towards}: {found.chosen.seen} poses in view "
