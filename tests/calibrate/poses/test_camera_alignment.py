@@ -161,6 +161,18 @@ def test_the_pose_of_the_picture_is_the_one_that_tells_most() -> None:
     tool = at((0.9, -0.6, 0.7), (2.0, -0.6, 0.8), (1.5, -0.5, 0.7))
     spread = np.trace(compute_camera_covariance(eye, tool)[:, :3, :3], axis1=1, axis2=2)
     assert choose_picture_pose(eye, tool) == int(np.argmin(spread)) == 1
+    edge = at((0.9, -0.6, 0.7), (2.4, -1.1, 0.6))  # nearer, and at the picture's border
+    spread = np.trace(compute_camera_covariance(eye, edge)[:, :3, :3], axis1=1, axis2=2)
+    assert int(np.argmin(spread)) == 1 and choose_picture_pose(eye, edge) == 0
+
+
+def test_an_upside_down_picture_is_named(tmp_path: Path) -> None:
+    """A camera mounted head down takes a picture that is turned by half a turn: the move says so, with a warning."""
+    wanted, tool = camera((4.0, -0.2, 1.0), **TILTED), at((1.6, -0.6, 0.7))
+    turn = np.array([0.0, 0.0, np.deg2rad(175.0)])
+    photograph(displace(wanted, np.zeros(3), turn), tool, tmp_path / "p.png")
+    found = find_camera_correction(wanted, tool, tmp_path / "p.png")
+    assert found.turn[2] == pytest.approx(turn[2], abs=0.01) and "upside down" in found.warnings[0]
 
 
 def test_the_picture_lies_over_what_the_camera_takes(tmp_path: Path) -> None:
@@ -170,6 +182,14 @@ def test_the_picture_lies_over_what_the_camera_takes(tmp_path: Path) -> None:
     tool = machine.kinematics.forward(q[None]).poses
     png = cv2.imdecode(np.frombuffer(draw_camera_picture(wanted, machine, q, tool), np.uint8), cv2.IMREAD_UNCHANGED)
     assert png.shape == (960, 1280, 4) and (png[..., 3] == 0).mean() > 0.8
+    start, end = (
+        machine.rods.base_points(q[None])[0, 0],
+        machine.rods.plate_points(machine.rods.plate_poses(tool))[0, 0],
+    )
+    for share in (0.3, 0.6):  # along the first rod, as a pinhole sees it
+        x, y, z = wanted.pose.rotation.T @ (start + share * (end - start) - wanted.pose.translation)
+        u, v = round(1400 * x / z + 639.5), round(1400 * y / z + 479.5)
+        assert (png[v - 2 : v + 3, u - 2 : u + 3, 0] > 200).any()  # blue
     image = photograph(wanted, tool, tmp_path / "p.png")
     ok, corners = cv2.findChessboardCornersSB(image, (9, 6))
     assert ok
