@@ -11,6 +11,11 @@ Accuracy is the mean distance between the calibrated and the true tool at 400 ot
 distance between the model and measured positions, the camera's own error included; ours of that kind is given as well.
 
     python experiments/automated_calibration.py --runs 20 --seed 1
+    python experiments/automated_calibration.py --places --runs 20 --seed 1
+
+`--places`: the camera may stand in a box before L1, or anywhere around a UR5 with a small plate on its flange. Compared are the
+camera as given, the place with the largest share of the workspace in view, the one with the largest plate of those that see all
+of it (thesis 5.5), and the place with the smallest predicted error. Each is planned, then calibrated on simulated robots.
 """
 
 from __future__ import annotations
@@ -26,14 +31,17 @@ import numpy as np
 
 from tau_dyn.calibrate import PoseSet, fit_geometry_to_poses
 from tau_dyn.calibrate.frames import Frame
-from tau_dyn.calibrate.poses import CalibrationCampaign, plan_campaign
+from tau_dyn.calibrate.poses import CalibrationCampaign, Safety, plan_campaign
+from tau_dyn.calibrate.poses.automation import build_geometry
 from tau_dyn.calibrate.poses.camera import Camera, CameraPattern, build_camera_frame, build_target_frame
 from tau_dyn.calibrate.poses.campaign_files import run_campaign
 from tau_dyn.calibrate.poses.design import refine
 from tau_dyn.calibrate.poses.devices import transform_to_device
 from tau_dyn.calibrate.poses.monte_carlo import draw_robot
+from tau_dyn.calibrate.poses.placement import Goal, build_camera_site, compute_plate_share, place_camera
+from tau_dyn.calibrate.poses.reachable import find_reachable
 from tau_dyn.kinematics.obstacles import build_surroundings
-from tau_dyn.kinematics.workspace import PoseRequirements
+from tau_dyn.kinematics.workspace import PoseRequirements, build_machine
 from tau_dyn.robot import load_robot
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -44,6 +52,9 @@ LAB = {
         {"name": "wall", "half_space": {"point": [0, -2.2, 0], "normal": [0, 1, 0]}},
     ]
 }
+
+
+PLACES_HEAD = "robot,place,x_m,y_m,z_m,in_view_percent,plate_percent,poses,predicted_mm,simulated_mm,search_s"
 
 
 def camera() -> Camera:
@@ -139,13 +150,64 @@ def study(made: CalibrationCampaign, runs: int, seed: int, *, weighed: bool) -> 
             )
 
 
+def arm_camera() -> Camera:
+    """Return a camera beside a UR5 and a plate on its flange."""
+    return Camera(
+        pose=build_camera_frame(np.array([2.0, 0.0, 0.5]), np.array([0.0, 0.0, 0.3]), UP),
+        on_tool=build_target_frame(np.array([0.0, 0.0, 0.05]), UP, np.array([1.0, 0.0, 0.0])),
+        pattern=CameraPattern(8, 5, 0.02),
+        focal=(1400.0, 1400.0),
+        image=(1280, 960),
+        centre=(639.5, 479.5),
+    )
+
+
+def compare_places(name: str, eye: Camera, demands: PoseRequirements, n: int, runs: int, seed: int) -> list[str]:
+    """Return rows of predicted and simulated accuracy with the camera as given and at three chosen places, and print them."""
+    robot, wanted = load_robot(name), {"gantry_tau": 1000, "ur5": 4000}[name]
+    machine, geometry = build_machine(robot), build_geometry(robot)
+    reach = find_reachable(machine, demands, Safety(), wanted=wanted, seed=seed)
+    places = np.random.default_rng(seed).choice(reach.n, 400, replace=False)
+    site = build_camera_site(
+        replace(eye, steady=not geometry.orients), geometry, reach, demands, workspace=reach.q[places]
+    )
+    rows = []
+    goals: dict[str, Goal | None] = {"given": None, "most in view": "view", "largest plate": "plate", "error": "error"}
+    for label, goal in goals.items():
+        start = time.process_time()
+        chosen = replace(eye, places=None) if goal is None else place_camera(site, n, goal=goal, seed=seed).camera
+        spent = time.process_time() - start
+        made = plan_campaign(robot, chosen, n, demands=demands, candidates=wanted, runs=runs, seed=seed)
+        seen, _ = site.find_seen(replace(chosen, steady=not geometry.orients))
+        share, plate = len(seen) / site.reach.n, compute_plate_share(chosen, seen, site)
+        place = chosen.pose.translation
+        predicted, simulated = 1e3 * made.choice.predicted.rms, 1e3 * made.rehearsal.achieved
+        rows.append(
+            f"{name},{label},{place[0]:.3f},{place[1]:.3f},{place[2]:.3f},{100 * share:.0f},{100 * plate:.2f},"
+            f"{n},{predicted:.3f},{simulated:.3f},{spent:.0f}"
+        )
+        print(rows[-1], flush=True)
+    return rows
+
+
 def main() -> None:
     """Run the study."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--n", type=int, default=50, help="poses, as many as the thesis fitted")
+    parser.add_argument("--places", action="store_true", help="compare places of the camera")
+    parser.add_argument("--out", type=Path, help="write the rows of --places here")
     given = parser.parse_args()
+    if given.places:
+        lab = PoseRequirements(surroundings=build_surroundings(LAB, "the lab"))
+        front = replace(camera(), places=np.array([[2.5, 7.0], [-2.0, 1.5], [-0.3, 2.5]]))
+        around = replace(arm_camera(), places=np.array([[-3.0, 3.0], [-3.0, 3.0], [0.0, 2.0]]))
+        rows = compare_places("gantry_tau", front, lab, given.n, given.runs, given.seed)
+        rows += compare_places("ur5", around, PoseRequirements(), given.n, given.runs, given.seed)
+        if given.out:
+            given.out.write_text("\n".join([PLACES_HEAD, *rows]) + "\n", encoding="utf-8")
+        return
     for weighted in (False, True):
         made = plan(given.n, given.seed, weighted=weighted)
         study(made, given.runs, given.seed, weighed=weighted)

@@ -9,8 +9,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tau_dyn.calibrate.poses import read_progress
+from tau_dyn.calibrate.poses import placement, read_camera, read_progress
 from tau_dyn.cli import main
+from tau_dyn.kinematics.workspace import build_machine
+from tau_dyn.robot import load_robot
+from tau_dyn.vision import Pattern
+from tau_dyn.vision.pattern import render
 
 CAMERA = """
 camera: {position: [5.5, -0.6, 0.7], look_at: [1.75, -0.6, 0.7], image: [1280, 960], focal: 1400}
@@ -120,3 +124,91 @@ def test_what_cannot_be_answered_ends_with_three(tmp_path: Path, capsys: pytest.
     camera = ["--camera", str(tmp_path / "camera.yaml")]
     assert main([*SMALL, *camera, "--obstacles", str(tmp_path / "inside.yaml")]) == 2
     assert "inside the obstacle 'rack'" in capsys.readouterr().err
+
+
+CHOOSE = "choose: {position: [[3, 6.5], [-2, 1], [0, 2]]}"
+
+
+@pytest.fixture
+def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fewer places and steps than a user waits for."""
+    for name, value in (("_DRAWN_POWER", 4), ("_REFINED", 1), ("_STEPS", 10)):
+        monkeypatch.setattr(placement, name, value)
+
+
+def test_a_camera_is_placed_and_set_up(
+    short_search: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The place chosen is written, drawn, and planned with; a photograph taken from it needs no move."""
+    cv2 = pytest.importorskip("cv2")
+    monkeypatch.chdir(tmp_path)
+    Path("camera.yaml").write_text(CAMERA.replace("pattern: {", "pattern: {columns: 9, rows: 6, ") + CHOOSE)
+    outputs = ["--save-camera", "new.yaml", "--picture", "wanted.png", "--json", "r.json"]
+    assert main([*SMALL, "--n", "12", "--camera", "camera.yaml", *outputs]) == 0
+    result, said = json.loads(Path("r.json").read_text()), capsys.readouterr().out
+    found = result["placement"]
+    assert found["chosen"]["predicted_rms"] < found["given"]["predicted_rms"] and found["poses"] == 12
+    assert result["predicted"]["position"]["rms"] == pytest.approx(found["chosen"]["predicted_rms"], rel=0.05)
+    new = read_camera("new.yaml")
+    assert np.allclose(new.pose.translation, found["position"]) and "poses in view" in said
+    at = [str(x) for x in result["picture"]["at"]]
+    assert " ".join(f"{x:g}" for x in result["picture"]["at"]) in " ".join(said.split())
+
+    tool = build_machine(load_robot("gantry_tau")).kinematics.forward(np.array([result["picture"]["at"]])).poses
+    seen = new.frames.measured(tool, np.zeros(1, int))
+    printed, numbers = seen.rotation[0] @ np.diag([1.0, -1, -1]), np.array([1400, 1400, 639.5, 479.5, 0, 0, 0, 0, 0])
+    image = render(Pattern(9, 6, 0.04), printed, seen.position[0], numbers, (1280, 960), np.random.default_rng(0))
+    cv2.imwrite("photo.png", image)
+    given = ["plan-poses", "gantry_tau", "--camera", "new.yaml", "--taken", "photo.png", "--at", *at]
+    assert main([*given, "--picture", "over.png", "--json", "c.json"]) == 0
+    found = json.loads(Path("c.json").read_text())["correction"]
+    assert (np.abs(found["shift"]["value"]) < 4.5 * np.array(found["shift"]["stderr"])).all()
+    assert "move the camera" in capsys.readouterr().out and cv2.imread("over.png").shape == (960, 1280, 3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--picture", "p.png"], "--camera"),
+        (["--camera", "camera.yaml", "--picture", "p.jpg"], ".png"),
+        (["--camera", "camera.yaml", "--save-camera", "new.yaml"], "choose"),
+        (["--camera", "camera.yaml", "--taken", "photo.png"], "--at"),
+        (["--camera", "camera.yaml", "--at", "0.5", "0.5", "0.5"], "--picture or --taken"),
+        (["--camera", "camera.yaml", "--taken", "photo.png", "--at", "0.5", "nan", "0.5"], "--at"),
+        (["--camera", "camera.yaml", "--taken", "photo.png", "--at", "0.5"], "cart1, cart2, cart3"),
+        (["--camera", "camera.yaml", "--taken", "photo.png", "--at", "9", "0.5", "0.5"], "do not close"),
+        (["--camera", "free.yaml", "--taken", "photo.png", "--at", "0.5", "0.5", "0.5"], "--save-camera"),
+        (["--camera", "empty.yaml"], "empty range"),
+        (["--camera", "unknown.yaml"], "'where' is not known"),
+        (["--camera", "free.yaml", "--n", "3"], "at least 8"),
+    ],
+)
+def test_faulty_set_ups_are_one_sentence(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Options that lack another, and ranges that are none, end with status 2, one line, and no file."""
+    monkeypatch.chdir(tmp_path)
+    texts = {
+        "camera": "", "free": CHOOSE, "empty": CHOOSE.replace("[-2, 1]", "[1, -2]"), "unknown": "choose: {where: 1}",
+    }  # fmt: skip
+    for name, text in texts.items():
+        Path(f"{name}.yaml").write_text(CAMERA + text)
+    assert main([*SMALL, *arguments]) == 2
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert message in said and "Traceback" not in said
+    assert len(list(tmp_path.iterdir())) == len(texts)
+
+
+def test_a_camera_that_sees_nothing_from_anywhere_ends_with_three(
+    short_search: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Behind the plate no place sees the pattern: status 3, the reason, and what would help."""
+    (tmp_path / "c.yaml").write_text(CAMERA + "choose: {position: [[-6, -4], [-2, 1], [0, 2]]}")
+    result = tmp_path / "r.json"
+    assert main([*SMALL, "--n", "12", "--camera", str(tmp_path / "c.yaml"), "--json", str(result)]) == 3
+    assert json.loads(result.read_text())["code"] == "not_visible"
+    assert "from behind" in capsys.readouterr().err

@@ -30,7 +30,18 @@ from tau_dyn.version import __version__
 
 _TWICE = "two outputs are to be written to one file; give each its own"
 
-_OUTPUTS = ("json", "report", "out", "propose", "save_cameras", "rapid", "resume", "corrected")
+_OUTPUTS = (
+    "json",
+    "report",
+    "out",
+    "propose",
+    "save_cameras",
+    "save_camera",
+    "picture",
+    "rapid",
+    "resume",
+    "corrected",
+)
 """Arguments that name files to write."""
 
 

@@ -152,6 +152,8 @@ _DEVICE = Group(
     "What measures (default: everything seen with 0.1 mm and 0.1 mrad)", validator=validators.MutuallyExclusive()
 )
 _DEMANDS = Group("Where the robot may go")
+_PICTURES = Group("Setting the camera up")
+_DIGITS = 4  # decimals of the positions in a picture, as a person types them
 Count = int | Literal["auto"]
 
 
@@ -168,6 +170,80 @@ def _read_count(_: Any, tokens: Sequence[Token]) -> Count:
     except ValueError:
         raise ValueError(f"write {args.POSITIVE_WHOLE.words}, or auto") from None
     return value
+
+
+@Parameter(name="*", group=_PICTURES)
+@dataclass(frozen=True, kw_only=True)
+class CameraSetup:
+    """Where a camera should stand, and pictures that help to bring it there.
+
+    Attributes:
+        save_camera: Write the camera's file with the place chosen here; `choose` in it says what may be chosen
+        picture: Write what the camera should see here, lines to lay over the live picture
+        at: Actuated positions of the robot in the picture (default: the chosen pose that shows the camera's place best)
+        taken: A picture that the camera took at these positions; says how to move and turn the camera, plans nothing
+    """
+
+    save_camera: Annotated[Path | None, Parameter(metavar="CAMERA.yaml")] = None
+    picture: Annotated[Path | None, Parameter(metavar="FILE.png")] = None
+    at: Annotated[args.Finites, Parameter(metavar="Q")] = ()
+    taken: Annotated[Path | None, Parameter(metavar="IMAGE")] = None
+
+    def check(self, camera: Path | None) -> None:
+        """Refuse options that do not belong together.
+
+        Raises:
+            InputError: There is no camera, or no positions of a picture.
+        """
+        given = {"--save-camera": self.save_camera, "--picture": self.picture, "--taken": self.taken, "--at": self.at}
+        named = next((name for name, value in given.items() if value), None)
+        if named and camera is None:
+            raise InputError("bad_option", f"{named} needs a camera: give --camera FILE.yaml")
+        if self.picture is not None and self.picture.suffix != ".png":
+            raise InputError("bad_option", f"--picture {self.picture}: a picture's name ends in .png")
+        if self.taken is not None and not self.at:
+            raise InputError("bad_option", "--taken needs --at, the actuated positions at which the picture was taken")
+        if self.at and not (self.picture or self.taken):
+            raise InputError("bad_option", "--at belongs to a picture: give --picture or --taken as well")
+
+    def require_plan(self, resume: Path) -> None:
+        """Refuse outputs of a new plan where a progress file is there.
+
+        Raises:
+            InputError: A picture or a camera's place is asked for.
+        """
+        if self.picture or self.save_camera:
+            raise InputError(
+                "bad_option",
+                f"{resume} exists, so nothing is planned; leave out --resume, or --picture and --save-camera",
+            )
+
+    def check_device(self, device: Any) -> None:
+        """Refuse to write the place of a camera that stands.
+
+        Raises:
+            InputError: It does.
+        """
+        if self.save_camera is not None and device.places is None:
+            raise InputError(
+                "bad_option",
+                "--save-camera writes a chosen place; say with `choose` in the camera's file what may be chosen",
+            )
+
+    def read_positions(self, robot):
+        """Return actuated positions (na,), none where none are given.
+
+        Raises:
+            InputError: Their number is not the robot's.
+        """
+        import numpy as np
+
+        if self.at and len(self.at) != robot.na:
+            raise InputError(
+                "bad_option",
+                f"--at has {len(self.at)} positions; the robot has {robot.na}: {', '.join(robot.actuated)}",
+            )
+        return np.array(self.at)
 
 
 def plan_poses(
@@ -195,6 +271,7 @@ def plan_poses(
     ] = None,
     rapid: Annotated[Path | None, Parameter(metavar="FILE.mod")] = None,
     resume: Annotated[Path | None, Parameter(metavar="FILE.json")] = None,
+    setup: CameraSetup = CameraSetup(),
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
@@ -221,8 +298,12 @@ def plan_poses(
     """
     import numpy as np
 
+    setup.check(camera)
+    if setup.taken is not None:
+        return _align(robot, robot_options, camera, setup)
     demands = _build_demands(obstacles, no_collisions)
     if resume is not None and resume.exists():
+        setup.require_plan(resume)
         return _go_on(robot, robot_options, resume, demands, out, rapid)
     with show_progress(output.quiet) as step:
         step("loading")
@@ -231,6 +312,7 @@ def plan_poses(
         machine = robot_options.load(robot)
         readers = ((camera, read_camera), (tracker, read_tracker), (fixtures, read_fixtures))
         device = next((read(path) for path, read in readers if path is not None), None)
+        setup.check_device(device)
         plan = plan_campaign(
             machine,
             device,
@@ -249,14 +331,89 @@ def plan_poses(
     files = _build_files(out, plan.csv, rapid, plan.rapid)
     if resume is not None:
         files[resume] = lambda path: plan.progress().save(path)
+    if camera is not None and setup.save_camera is not None and plan.placement is not None:
+        files[setup.save_camera] = plan.placement.format_file(camera)
+    shown, lines = {}, []
+    if setup.picture is not None:
+        shown, line, files[setup.picture] = _draw_wanted(machine, plan, setup)
+        lines.append(line)
 
     return Outcome(
-        result=plan.to_dict(),
+        result=plan.to_dict() | shown,
+        lines=lines,
         warnings=[*machine.warnings, *plan.warnings],
         inputs=[*robot_options.list_files(robot), camera, tracker, fixtures, obstacles],
         found=plan,
         files=files,
-        named={"places": out, "RAPID": rapid, "progress": resume},
+        named={
+            "places": out,
+            "RAPID": rapid,
+            "progress": resume,
+            "camera": setup.save_camera,
+            "picture": setup.picture,
+        },
+    )
+
+
+def _draw_wanted(machine, plan, setup: CameraSetup) -> tuple[dict[str, Any], str, Any]:
+    """Return the pose of the picture that the camera should take, for the result and in words, and what writes it."""
+    import numpy as np
+
+    from tau_dyn.calibrate.poses import choose_picture_pose
+    from tau_dyn.render import draw_camera_picture
+
+    q = setup.read_positions(machine)
+    if not len(q):
+        tool = plan.tool(plan.choice.q)
+        q = np.round(plan.choice.q[choose_picture_pose(plan.device, tool)], _DIGITS)
+    model = plan.check.machine
+    png = draw_camera_picture(plan.device, model, q, _place_tool(model, q))
+    at = " ".join(f"{x:g}" for x in q)
+    line = f"{', '.join(machine.actuated)} in the picture: --at {at}"
+    return {"picture": {"at": q}}, line, lambda path: path.write_bytes(png)
+
+
+def _place_tool(machine, q):
+    """Return the tool's pose (1) at actuated positions (na,).
+
+    Raises:
+        InputError: The robot cannot be there.
+    """
+    found = machine.kinematics.forward(q[None])
+    if not found.ok.all():
+        raise InputError("unreachable", f"--at: the robot's loops do not close at {' '.join(f'{x:g}' for x in q)}")
+    return found.poses
+
+
+def _align(robot: str, options: args.RobotOptions, camera: Path | None, setup: CameraSetup) -> Outcome:
+    """Compare a picture that the camera took with what it should see."""
+    from tau_dyn.calibrate.poses import find_camera_correction, read_camera
+    from tau_dyn.kinematics.workspace import build_machine
+    from tau_dyn.render import draw_camera_picture
+    from tau_dyn.vision import read_image
+
+    assert camera is not None and setup.taken is not None
+    machine, wanted = options.load(robot), read_camera(camera)
+    if wanted.places is not None:
+        raise InputError(
+            "bad_option",
+            f"{camera}: `choose` leaves the place open; give the file written by --save-camera with --taken",
+        )
+    q = setup.read_positions(machine)
+    model = build_machine(machine)
+    tool = _place_tool(model, q)
+    found = find_camera_correction(wanted, tool, setup.taken)
+    files: dict[Path, Any] = {}
+    if setup.picture is not None:
+        png = draw_camera_picture(wanted, model, q, tool, taken=read_image(setup.taken), found=found.target)
+        files[setup.picture] = lambda path: path.write_bytes(png)
+    return Outcome(
+        result={"at": q, "correction": found.to_dict()},
+        warnings=[*machine.warnings, *found.warnings],
+        inputs=[*options.list_files(robot), camera, setup.taken],
+        lines=found.describe(),
+        files=files,
+        named={"picture": setup.picture},
     )
 
 

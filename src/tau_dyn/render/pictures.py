@@ -188,7 +188,7 @@ def draw_space(picture: SpacePicture) -> Markup:
     machine = space.machine
     solids = machine.solids(machine.robot.home[None], machine.home)
     outlines = [
-        (_outline_solid(s), body.rod >= 0, body.joint == 0) for s, body in zip(solids, machine.bodies, strict=True)
+        (outline_solid(s), body.rod >= 0, body.joint == 0) for s, body in zip(solids, machine.bodies, strict=True)
     ]
     walls = [points for o in space.judge.demands.surroundings.obstacles for points in _obstacle(o)]
     box = compute_box_corners(space.lower, space.upper)
@@ -265,7 +265,7 @@ def encode_png(picture: np.ndarray) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(raw, 9)) + chunk(b"IEND", b"")
 
 
-def _outline_solid(solid: PlacedSolid) -> np.ndarray:
+def outline_solid(solid: PlacedSolid) -> np.ndarray:
     """Return points whose hull is a solid's outline (m, 3); of a rod its two ends."""
     shape, turn, place = solid.shape, solid.rotation[0], solid.position[0]
     if isinstance(shape, Capsule):
@@ -289,7 +289,7 @@ def _outline_solid(solid: PlacedSolid) -> np.ndarray:
 def _obstacle(o: Obstacle) -> list[np.ndarray]:
     if isinstance(o.shape, HalfSpace):
         return []
-    return [_outline_solid(PlacedSolid(o.shape, o.placement.rotation[None], o.placement.translation[None]))]
+    return [outline_solid(PlacedSolid(o.shape, o.placement.rotation[None], o.placement.translation[None]))]
 
 
 def _skeleton(found: Study) -> list[np.ndarray]:

@@ -6,6 +6,7 @@ from .cameras import (
     read_cameras as read_cameras,
     write_cameras as write_cameras,
 )
+from .detect import read_image as read_image
 from .measure import (
     CameraPoseTable as CameraPoseTable,
     Positions as Positions,

@@ -44,7 +44,7 @@ def test_slope_of_the_picture_is_its_derivative() -> None:
     """Moving and turning the pattern a little moves its corners as the slope says."""
     eye, step = camera(), 1e-7
     start = transform_to_device(eye.frames, SPREAD)
-    slope = eye._slope(start)
+    slope = eye.compute_slope(start)
     for k in range(6):
         twist = np.zeros((len(start.position), 6))
         twist[:, k] = step

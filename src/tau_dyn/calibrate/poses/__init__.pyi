@@ -1,7 +1,12 @@
 """Which poses to measure for a calibration, how accurate it will be, and how to get there, before any is measured."""
 
+from .alignment import (
+    CameraCorrection as CameraCorrection,
+    choose_picture_pose as choose_picture_pose,
+    find_camera_correction as find_camera_correction,
+)
 from .automation import CalibrationCampaign as CalibrationCampaign, plan_campaign as plan_campaign
-from .camera import read_camera as read_camera, read_tracker as read_tracker
+from .camera import Camera as Camera, read_camera as read_camera, read_tracker as read_tracker
 from .campaign_files import (
     format_rapid_module as format_rapid_module,
     format_tour_csv as format_tour_csv,
@@ -16,5 +21,6 @@ from .choice import (
 )
 from .devices import MeasuringDevice as MeasuringDevice, UniformDevice as UniformDevice
 from .fixtures import Fixture as Fixture, FixtureSet as FixtureSet, read_fixtures as read_fixtures
+from .placement import CameraPlacement as CameraPlacement, list_bones as list_bones
 from .reachable import Safety as Safety
 from .tour import PathCheck as PathCheck

@@ -27,6 +27,7 @@ from tau_dyn.calibrate.poses.design import build_design
 from tau_dyn.calibrate.poses.devices import MeasuringDevice, UniformDevice
 from tau_dyn.calibrate.poses.fixtures import Fixture, FixtureSet, find_touches
 from tau_dyn.calibrate.poses.monte_carlo import MonteCarloCalibration, require_accuracy, simulate_calibrations
+from tau_dyn.calibrate.poses.placement import CameraPlacement, build_camera_site, place_camera
 from tau_dyn.calibrate.poses.reachable import (
     WANTED,
     MeasurablePoses,
@@ -45,6 +46,8 @@ from tau_dyn.robot import Robot
 _NOISE = (1e-4, 1e-4)
 _MAX_ERROR_RATIO = 0.8
 """Share of the predicted error below which another way to fit is worth a sentence."""
+_MIN_CHOICE = 2.0
+"""Candidates in view for each pose measured, below which a chosen camera place deserves more candidates."""
 _PLACES = 400
 """Places of the workspace at which accuracy is judged."""
 
@@ -63,6 +66,7 @@ class CalibrationCampaign:
         tour: Their order, and places on the way.
         check: Judges positions and moves.
         warnings: Sentences.
+        placement: Where the camera should stand, None where nothing of it was to be chosen.
     """
 
     robot: Robot
@@ -74,6 +78,7 @@ class CalibrationCampaign:
     tour: Tour
     check: PathCheck
     warnings: tuple[str, ...]
+    placement: CameraPlacement | None = None
 
     @property
     def cells(self) -> tuple[dict[str, str], ...]:
@@ -129,6 +134,7 @@ class CalibrationCampaign:
             "reachable": self.reachable.n,
             "visible": len(self.visible.index),
             "not_visible": self.visible.reasons,
+            **({"placement": self.placement.to_dict()} if self.placement else {}),
             **self.choice.to_dict(),
             "rehearsal": self.rehearsal.to_dict(),
             "tour": {
@@ -204,10 +210,27 @@ def plan_campaign(
     device = _device_for(geometry, device)
     reach = find_reachable(machine, demands, safety, wanted=candidates, seed=seed, progress=progress)
     reach = _predictable(reach, geometry)
+    fitted: dict[str, Any] = {
+        "workspace": _thinned(reach.q, seed),
+        "fix": fix,
+        "free": free,
+        "device": "device" not in known,
+        "tool": "tool" not in known,
+        "weighted": weighted,
+    }
+    placement = None
+    if isinstance(device, Camera) and device.places is not None:
+        site = build_camera_site(device, geometry, reach, demands, **fitted)
+        placement = place_camera(site, n, criterion=criterion, seed=seed, progress=progress)
+        device = placement.camera
     devices: Sequence[MeasuringDevice] = device.fixtures if isinstance(device, FixtureSet) else (device,)
     fixtures = [one for one in devices if isinstance(one, Fixture)]
     touched = {fixture.obstacle for fixture in fixtures if fixture.kind in TOUCHES}
     check = PathCheck(machine, safety.apply(demands, touched)) if touched else reach.check
+    if placement is not None and not placement.stays:
+        around = demands.surroundings
+        walls = replace(around, obstacles=(*around.obstacles, placement.build_obstacle()))
+        check = PathCheck(machine, safety.apply(replace(demands, surroundings=walls)))
     parts = []
     for one in devices:
         progress(f"looking for poses that {one.name} measures")
@@ -223,12 +246,7 @@ def plan_campaign(
         device.build_pose_set(q, number) if isinstance(device, FixtureSet) else q,
         np.concatenate([p.noise for p in parts]),
         frames=device.frames,
-        workspace=_thinned(reach.q, seed),
-        fix=fix,
-        free=free,
-        device="device" not in known,
-        tool="tool" not in known,
-        weighted=weighted,
+        **fitted,
     )
     choice = choose_from(design, n, criterion=criterion, target=required, seed=seed)
     said = _weighing(choice)
@@ -239,8 +257,9 @@ def plan_campaign(
     progress("ordering poses")
     tour = _tour(choice, start[choice.index], robot, reach, check)
     visible = Visible(np.concatenate([p.index for p in parts]), _name_reasons(fixtures, parts))
-    warnings = (*reach.warnings, *choice.warnings, *said, *_restarted(rehearsal), *_left_out(tour))
-    return CalibrationCampaign(robot, device, reach, visible, choice, rehearsal, tour, check, warnings)
+    few = _few_in_view(visible, choice) if placement is not None else ()
+    warnings = (*reach.warnings, *choice.warnings, *said, *few, *_restarted(rehearsal), *_left_out(tour))
+    return CalibrationCampaign(robot, device, reach, visible, choice, rehearsal, tour, check, warnings, placement)
 
 
 def _find_candidates(
@@ -344,6 +363,16 @@ def _weighing(choice: PoseChoice) -> tuple[str, ...]:
     return (
         f"the device measures unevenly: a fit that weighs poses by its covariance (`--weighted`, `refine`) would bring "
         f"{1e3 * better:.3g} mm instead of {1e3 * choice.predicted.rms:.3g} mm",
+    )
+
+
+def _few_in_view(visible: Visible, choice: PoseChoice) -> tuple[str, ...]:
+    """Return that a camera which sees a small part of the workspace leaves few candidates, where it does."""
+    if len(visible.index) > _MIN_CHOICE * choice.n:
+        return ()
+    return (
+        f"from its chosen place the camera sees {len(visible.index)} candidates, of which {choice.n} are measured; more "
+        "`--candidates` give more to choose from there",
     )
 
 

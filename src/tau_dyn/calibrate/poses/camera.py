@@ -12,6 +12,9 @@ Files have lengths in m, angles in degrees, places in the robot's base frame; or
     camera: {position: [5.5, -0.6, 0.8], look_at: [1.7, -0.6, 0.7], image: [1280, 960], focal: 1400, noise: 0.2}
     pattern: {columns: 8, rows: 6, square: 0.04, position: [0, 0, 0], normal: [1, 0, 0], up: [0, 0, 1]}
     limits: {distance: [0.5, 6], incidence: 60, margin: 5}
+    choose: {position: [[3, 7], [-2, 1], [0.2, 2]]}
+
+`choose` says what the tool may choose: a place within ranges of x, y and z, and the direction; or `choose: direction` alone.
 
     tracker: {position: [5, -0.6, 1], noise: 10e-6, noise_per_metre: 5e-6}
     reflector: {position: [0, 0, 0], normal: [1, 0, 0], orientation_noise: 50e-6}
@@ -26,6 +29,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
+import yaml
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.frames import Frame, compute_mean_rotation
@@ -87,6 +91,9 @@ class Camera(StandingDevice):
         margin: What corners keep from the picture's edge [px].
         steady: Whether the pattern keeps its orientation, so that positions alone are measured.
         name: For messages.
+        up: What is upwards in the picture (3,), in the robot's base frame.
+        places: Lowest and highest x, y, z of its place (3, 2) [m] where place and direction are to be chosen, None where
+            the camera stands; equal ones leave the direction alone to be chosen.
     """
 
     pose: Frame
@@ -101,6 +108,8 @@ class Camera(StandingDevice):
     margin: float = 5.0
     steady: bool = False
     name: str = "camera"
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    places: np.ndarray | None = None
 
     @property
     def turned(self) -> bool:
@@ -129,20 +138,24 @@ class Camera(StandingDevice):
 
     def covariance(self, tool: Poses) -> np.ndarray:
         """Return the covariance of the pattern's measured pose (N, 6, 6), of a steady one's position (N, 3, 3)."""
-        slope = self._slope(transform_to_device(self.frames, tool))
+        slope = self.compute_slope(transform_to_device(self.frames, tool))
         slope = slope[:, :, :3] if self.steady else slope
         return self.pixel_noise**2 * np.linalg.inv(np.swapaxes(slope, 1, 2) @ slope)
 
     def measure(self, tool: Poses, rng: np.random.Generator) -> Poses:
         """Return the pattern's pose as located in noisy pictures."""
         at = transform_to_device(self.frames, tool)
-        pixels = self.project(_points(at, self.pattern.corners))
+        pixels = self.project(self.place_corners(at))
         pixels = pixels + self.pixel_noise * rng.standard_normal(pixels.shape)
         found = self.locate(pixels, at)
         if not self.steady:
             return found
         turn = np.broadcast_to(compute_mean_rotation(found.rotation), found.rotation.shape)
         return self.locate(pixels, Poses(found.position, turn), turns=False)
+
+    def place_corners(self, at: Poses) -> np.ndarray:
+        """Return the corners (N, K, 3) [m] of patterns at poses (N), in the same frame."""
+        return _points(at, self.pattern.corners)
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Return pixels (N, K, 2) of points (N, K, 3) [m] in the camera's frame."""
@@ -161,8 +174,8 @@ class Camera(StandingDevice):
         position, rotation = start.position.copy(), start.rotation.copy()
         for _ in range(_STEPS):
             here = Poses(position, rotation)
-            gap = (pixels - self.project(_points(here, self.pattern.corners))).reshape(len(pixels), -1, 1)
-            slope = self._slope(here)[:, :, : 6 if turns else 3]
+            gap = (pixels - self.project(self.place_corners(here))).reshape(len(pixels), -1, 1)
+            slope = self.compute_slope(here)[:, :, : 6 if turns else 3]
             turned = np.swapaxes(slope, 1, 2)
             try:
                 step = np.linalg.solve(turned @ slope, turned @ gap)[:, :, 0]
@@ -178,9 +191,9 @@ class Camera(StandingDevice):
                 break
         return Poses(position, rotation)
 
-    def _slope(self, at: Poses) -> np.ndarray:
+    def compute_slope(self, at: Poses) -> np.ndarray:
         """Return the corners' derivative by the pattern's twist (N, 2 K, 6)."""
-        points = _points(at, self.pattern.corners)
+        points = self.place_corners(at)
         x, y, z = points[..., 0], points[..., 1], points[..., 2]
         by_point = np.zeros((*points.shape[:2], 2, 3))
         by_point[..., 0, 0], by_point[..., 0, 2] = self.focal[0] / z, -self.focal[0] * x / z**2
@@ -230,15 +243,17 @@ def read_camera(path: str | Path) -> Camera:
     Raises:
         InputError: Something is missing or no number; the message names the place.
     """
-    root = FilePart(read_yaml(path), str(path), {"camera", "pattern", "limits"})
+    root = FilePart(read_yaml(path), str(path), {"camera", "pattern", "limits", "choose"})
     camera = root.part("camera", {"position", "look_at", "up", "image", "focal", "centre", "noise"})
     pattern = root.part("pattern", {"columns", "rows", "square", "border", "position", "normal", "up"})
     limits = root.part("limits", {"distance", "incidence", "margin"}, needed=False)
     image = camera.numbers("image", 2, low=1)
     focal = camera.numbers("focal", 2, low=1e-6, alone=True)
     centre = camera.numbers("centre", 2, default=tuple((image - 1) / 2))
+    pose = camera.framed(build_camera_frame, "look_at")
+    up = camera.numbers("up", 3, default=UP)
     return Camera(
-        pose=camera.framed(build_camera_frame, "look_at"),
+        pose=pose,
         on_tool=pattern.framed(build_target_frame, "normal"),
         pattern=CameraPattern(
             int(pattern.whole("columns", 8)),
@@ -253,7 +268,38 @@ def read_camera(path: str | Path) -> Camera:
         distance=limits.pair("distance", (0.3, 10.0)),
         incidence=np.deg2rad(limits.number("incidence", 60.0, low=1e-3, high=90.0)),
         margin=limits.number("margin", 5.0, low=0.0),
+        up=(float(up[0]), float(up[1]), float(up[2])),
+        places=_read_places(root, pose.translation),
     )
+
+
+def _read_places(root: FilePart, place: np.ndarray) -> np.ndarray | None:
+    """Return where the camera may stand (3, 2) [m], None where nothing is to be chosen."""
+    if "choose" not in root.content:
+        return None
+    if root.content["choose"] == "direction":
+        return np.column_stack([place, place])
+    if not isinstance(root.content["choose"], Mapping):
+        root.fault(
+            "choose must be `direction`, or hold the ranges of x, y and z in which the camera may stand, such as "
+            f"{{position: [[3, 7], [-2, 1], [0.2, 2]]}}, not {root.content['choose']}"
+        )
+    ranges = root.part("choose", {"position"})
+    return np.array(ranges.ranges("position", 3))
+
+
+def format_camera_file(path: str | Path, position: np.ndarray, look_at: np.ndarray | None) -> str:
+    """Return a camera's file with another place and direction, and without what was to be chosen.
+
+    Args:
+        path: File in which everything else stands.
+        position: The camera's place (3,) [m].
+        look_at: Point (3,) [m] at which it looks; None where place and direction stay.
+    """
+    content: Any = {key: value for key, value in read_yaml(path).items() if key != "choose"}
+    if look_at is not None:
+        content["camera"] = {**content["camera"], "position": position.tolist(), "look_at": look_at.tolist()}
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
 
 
 def read_tracker(path: str | Path) -> Tracker:
@@ -342,6 +388,17 @@ class FilePart:
         if not low < high:
             self.fault(f"{key} is inverted: {low:g} is not below {high:g}")
         return float(low), float(high)
+
+    def ranges(self, key: str, n: int) -> list[tuple[float, float]]:
+        """Return `n` pairs of a lower and an upper limit, which may be equal."""
+        value: Any = self.content.get(key)
+        if not isinstance(value, list) or len(value) != n:
+            self.fault(f"{key} must hold {n} ranges, each a lower and an upper limit, not {value}")
+        pairs = [FilePart({key: pair}, self.where, {key}).numbers(key, 2) for pair in value]
+        for low, high in pairs:
+            if low > high:
+                self.fault(f"{key} has an empty range: {low:g} is above {high:g}")
+        return [(float(low), float(high)) for low, high in pairs]
 
     def framed(self, make: Any, towards: str) -> Frame:
         """Return the frame that a function makes of a position, a direction and `up`."""

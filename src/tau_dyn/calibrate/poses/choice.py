@@ -256,7 +256,7 @@ def choose_from(
     seed: int = 0,
 ) -> PoseChoice:
     """Choose among candidates whose information is known already; arguments as in `choose_poses`."""
-    _check_numbers(design, n, gain, target)
+    require_numbers(design, n, gain, target)
     blocks = design.whitened()
     search = PoseExchange(blocks, build_criterion(criterion, design))
     first = search if criterion in SMOOTH else PoseExchange(blocks, build_criterion("determinant", design))
@@ -282,7 +282,14 @@ def choose_from(
     return PoseChoice(design, best, criterion, (*trace, search.value(best)), tuple(curve), made, at_random, said)
 
 
-def _check_numbers(design: PoseDesign, n: int | Literal["auto"], gain: float, target: float | None) -> None:
+def require_numbers(
+    design: PoseDesign, n: int | Literal["auto"], gain: float = MIN_DOUBLING_GAIN, target: float | None = None
+) -> None:
+    """Refuse numbers with which no poses can be chosen; arguments as in `choose_poses`.
+
+    Raises:
+        InputError: Too few candidates or poses, or a gain or an accuracy that is none.
+    """
     least = compute_min_poses(design)
     if design.n < least:
         have = "1 candidate pose is" if design.n == 1 else f"{design.n} candidate poses are"

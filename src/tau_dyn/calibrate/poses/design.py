@@ -117,17 +117,21 @@ class PoseDesign:
         """Return the standard deviation by which a fit weighs each number (N, m): all of a device alike, by block."""
         return _mean_sigma(self.noise, self.poses.device)
 
-    def covariance(self, index: np.ndarray) -> np.ndarray:
-        """Return the covariance (r, r), in scales, of what a fit to these candidates estimates."""
+    def covariance(self, index: np.ndarray, prior: float = 0.0) -> np.ndarray:
+        """Return the covariance (r, r), in scales, of what a fit to these candidates estimates.
+
+        `prior` is the singular value that every parameter has before any pose; it keeps sets that lack rank comparable.
+        """
+        before = prior**2 * np.eye(self.slopes.shape[2])
         if self.weighted:
             own = np.linalg.solve(np.linalg.cholesky(self.noise[index]), self.slopes[index])
-            return np.linalg.pinv(np.einsum("nir,nis->rs", own, own), rcond=1e-14, hermitian=True)
+            return np.linalg.pinv(np.einsum("nir,nis->rs", own, own) + before, rcond=1e-14, hermitian=True)
         sigma = self.sigma()[index]
         weighed = self.slopes[index] / sigma[:, :, None]
         spread = self.noise[index] / (sigma[:, :, None] * sigma[:, None])
-        blind = get_blind_limit(self.poses) ** 2 * np.eye(
-            weighed.shape[2]
-        )  # a set that lacks rank is uncertain, not exact
+        blind = (
+            get_blind_limit(self.poses) ** 2 * np.eye(len(before)) + before
+        )  # a lack of rank is uncertain, not exact
         a = np.einsum("nir,nis->rs", weighed, weighed) + blind
         b = np.einsum("nir,nij,njs->rs", weighed, spread, weighed, optimize=True) + blind
         back = np.linalg.pinv(a, rcond=1e-14, hermitian=True)

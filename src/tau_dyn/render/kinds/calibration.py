@@ -408,6 +408,8 @@ def present_campaign(plan: CalibrationCampaign) -> r.Presentation:
 
 
 def _build_curve(plan: CalibrationCampaign) -> Iterator[r.Element]:
+    if plan.placement is not None:
+        yield r.Text(words.describe_placement(plan.placement), on=r.On.ALL)
     yield r.Text(words.describe_rehearsal(plan), on=r.On.ALL)
     curve = plan.choice.curve
     step = max(1, -(-len(curve) // _MAX_PLANS))

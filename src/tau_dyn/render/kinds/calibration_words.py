@@ -7,7 +7,7 @@ from math import isnan
 import numpy as np
 
 from tau_dyn.calibrate import Calibration, CandidateModel
-from tau_dyn.calibrate.poses import CalibrationCampaign, compute_doubling_gain, compute_min_poses
+from tau_dyn.calibrate.poses import CalibrationCampaign, CameraPlacement, compute_doubling_gain, compute_min_poses
 from tau_dyn.render.presentation import BADGES
 from tau_dyn.results import Level, Verdict, count, format_list, format_number, format_quantity
 
@@ -179,6 +179,27 @@ def describe_plan_inputs(plan: CalibrationCampaign) -> str:
     seen = f"{len(plan.visible.index)} of {plan.reachable.n} poses in reach are seen by the {plan.device.name}"
     why = f" (mostly not: {next(iter(plan.visible.reasons))})" if plan.visible.reasons else ""
     return f"{seen}{why}; {known}"
+
+
+def describe_placement(found: CameraPlacement) -> str:
+    """Return where the camera should stand, what it sees from there, and what it sees as given."""
+    place, given = found.camera.pose.translation, found.given
+    towards = "direction as given"
+    if found.look_at is not None:
+        towards = f"looking at {_format_point(found.look_at)} m"
+    before = f"as given {given.seen} in view"
+    if given.seen:
+        before += f", plate {100 * given.plate:.2g} %"
+    before += ", too few to calibrate" if isnan(given.rms) else f", {format_length(given.rms)}"
+    return (
+        f"camera at {_format_point(place)} m, {towards}: {found.chosen.seen} poses in view "
+        f"({100 * found.chosen.share:.0f} %), plate {100 * found.chosen.plate:.2g} % of the picture, predicted RMS error "
+        f"{format_length(found.chosen.rms)} with {found.n} poses; {before}"
+    )
+
+
+def _format_point(point: np.ndarray) -> str:
+    return f"({', '.join(f'{x:.3f}' for x in point)})"
 
 
 def describe_rehearsal(plan: CalibrationCampaign) -> str:
