@@ -134,8 +134,8 @@ def see(
         pattern: Inner corners of the chessboard, columns x rows, or five-squares
         square: Side of a square [m]; it gives the scale
         second: Images of a second camera at the same moments
-        positions: Robot positions q_J, with a column image (file names) or in the images' order; with --times a log with t
-        times: Times t [s] of images of a moving robot, with a column image or in the images' order
+        positions: Robot positions q_J, with a column image (file names), in the images' order, or with --times a log with t
+        times: Times t [s] of images of a moving robot, as positions
         extra: More images of the (first) camera, such as with the plate held by hand, to find its lens
         second_extra: The same for the second camera
         lens: Brown (k1 k2 p1 p2), brown3 (and k3), radial (k1 k2) or none

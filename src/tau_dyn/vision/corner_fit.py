@@ -24,11 +24,10 @@ _MIN_BLUR_PX, _MAX_BLUR_PX = 0.3, 4.0  # [px] standard deviation of the blur
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 """Gauss-Legendre over the correlation: exact to 1e-5 up to 0.8, edges that meet at 37 degrees."""
 _MAX_CORRELATION = 0.9  # edges that meet at 26 degrees
-_PARAMETERS = (
-    11  # corner, two directions, two blurs, grey value, gradient, contrast, correlation beyond that of round blur
-)
-_KNOWN_BLUR = np.delete(np.eye(_PARAMETERS), [4, 5, 10], axis=1)
-_ONE_BLUR = np.insert(_KNOWN_BLUR, 4, np.isin(np.arange(_PARAMETERS), [4, 5]), axis=1)
+_N_PARAMETERS = 11
+"""Corner, two directions, two blurs, grey value, gradient, contrast, and correlation beyond that of a round blur."""
+_KNOWN_BLUR = np.delete(np.eye(_N_PARAMETERS), [4, 5, 10], axis=1)
+_ONE_BLUR = np.insert(_KNOWN_BLUR, 4, np.isin(np.arange(_N_PARAMETERS), [4, 5]), axis=1)
 """Columns of the parameters that are fitted where the blur is known, and where it is round."""
 
 
@@ -74,7 +73,7 @@ def fit_corners(
         each_edge: Whether the blur of each corner may have any covariance, rather than being round.
     """
     n = len(grey)
-    basis = _KNOWN_BLUR if blur is not None else np.eye(_PARAMETERS) if each_edge else _ONE_BLUR
+    basis = _KNOWN_BLUR if blur is not None else np.eye(_N_PARAMETERS) if each_edge else _ONE_BLUR
     size = basis.shape[1]
     theta = np.column_stack([start, directions, np.full((n, 2), 0.8), grey.mean(1), np.zeros((n, 4))])
     shape = _model(theta, at, crossing, blur)[1][..., 9]
@@ -132,7 +131,7 @@ def estimate_blur(fit: CornerFit, crossing: np.ndarray) -> np.ndarray:
 def _model(
     theta: np.ndarray, at: np.ndarray, crossing: np.ndarray, blur: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return grey values (n, w) and their derivatives (n, w, 11), in the order of `_PARAMETERS`."""
+    """Return grey values (n, w) and their derivatives (n, w, 11), in the order of `_N_PARAMETERS`."""
     d = at[None] - theta[:, None, :2]
     b = theta[:, 9, None]
     normals = [np.column_stack([-np.sin(theta[:, k]), np.cos(theta[:, k])]) for k in (2, 3)]
@@ -149,7 +148,7 @@ def _model(
     w, by_x, by_rho = _blur_wedges(x[0], x[1], rho, crossing[:, None])
     of_x = [b * slope for slope in by_x]
     of_rho = np.where(crossing[:, None], 0.0, b * by_rho * np.sin(turn)[:, None])
-    out = np.empty((*d.shape[:2], _PARAMETERS))
+    out = np.empty((*d.shape[:2], _N_PARAMETERS))
     for axis in (0, 1):
         across = sum(slope * n[:, axis, None] / width for slope, n, width in zip(of_x, normals, s, strict=True))
         out[..., axis] = -across - theta[:, 7 + axis, None]

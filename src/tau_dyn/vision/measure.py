@@ -20,8 +20,8 @@ from tau_dyn.vision.bundle import Views
 from tau_dyn.vision.cameras import Cameras, check_lens
 from tau_dyn.vision.images import Detection
 from tau_dyn.vision.motion import (
-    ClockOffset,
     ImageTimes,
+    LogOffset,
     compute_velocity,
     estimate_clock_offset,
     list_uncovered,
@@ -81,7 +81,7 @@ class CameraPoseTable:
     time: np.ndarray | None = None
     velocity: np.ndarray | None = None
     joint_velocity: np.ndarray | None = None
-    clock: ClockOffset | None = None
+    clock: LogOffset | None = None
 
     @property
     def n(self) -> int:
@@ -267,7 +267,7 @@ class _Robot:
     v: np.ndarray | None
     time: np.ndarray
     velocity: np.ndarray
-    clock: ClockOffset | None
+    clock: LogOffset | None
     refused: dict[str, str]
     warnings: tuple[str, ...]
 

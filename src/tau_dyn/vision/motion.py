@@ -27,7 +27,7 @@ from scipy.optimize import minimize_scalar
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Table, read_table
 
-_MAX_DEGREE = 3
+_MAX_DEGREE = 3  # an arm turned by half a radian is a cubic to half a percent
 _MIN_ROWS_A_TERM = 2.0  # images for each coefficient of `f`, in each coordinate
 _MIN_IMAGES = 12  # fewer leave no error to judge by
 _MIN_SHARE_INSIDE = 0.7  # of the images that must fall into the log
@@ -35,6 +35,9 @@ _GRID_SHARE = 0.08
 """Step of the first search, in the time in which joints move by their spread: the fit's valley is some ten steps wide."""
 _MAX_GRID = 20_000  # offsets tried first; bounds the time to a few seconds
 _MIN_ADVANTAGE = 6.0  # log-likelihood [nats] by which another offset must be worse: odds of 400 to 1
+_MAX_UNEXPLAINED = 0.25
+"""Share of the plate's motion (rms, degrees of freedom taken off) that `f` may leave. An arm that turns by radians leaves 0.2
+with degree 1, and 0.005 with 3; the best of all offsets of another motion's log leaves 0.36 or more (40 images)."""
 _CANDIDATES = 6  # local optima of the first search that are refined
 _MAX_GAP_STEPS, _MIN_GAP_S = 8.0, 0.05
 """A gap of a log is longer than this many of its usual steps and this time [s]: nothing tells where the joints were."""
@@ -84,7 +87,7 @@ class JointLog:
 
 
 @dataclass(frozen=True, eq=False)
-class ClockOffset:
+class LogOffset:
     """The offset between the clocks of images and log, and what the plate did.
 
     Attributes:
@@ -146,7 +149,7 @@ def read_image_names(table: Table) -> tuple[str, ...] | None:
     return images
 
 
-def estimate_clock_offset(t: np.ndarray, position: np.ndarray, weight: np.ndarray, log: JointLog) -> ClockOffset:
+def estimate_clock_offset(t: np.ndarray, position: np.ndarray, weight: np.ndarray, log: JointLog) -> LogOffset:
     """Return the offset between the clock of images and that of a log.
 
     Args:
@@ -172,8 +175,8 @@ def estimate_clock_offset(t: np.ndarray, position: np.ndarray, weight: np.ndarra
     tried = [fit.refine(grid[k], step) for k in peaks]
     tried.sort(key=lambda found: -found[0])
     gain, value, degree = tried[0]
-    stderr, dependence, velocity = fit.measure(value, degree)
-    if gain / dependence < 2 * _MIN_ADVANTAGE:
+    stderr, dependence, velocity, unexplained = fit.measure(value, degree)
+    if gain / dependence < 2 * _MIN_ADVANTAGE or unexplained > _MAX_UNEXPLAINED:
         raise CannotAnswer(
             "poor_excitation",
             f"the plate's motion does not follow the joints of {log.source} at any offset between the clocks",
@@ -187,7 +190,7 @@ def estimate_clock_offset(t: np.ndarray, position: np.ndarray, weight: np.ndarra
             f"the images do not tell the offset between their clock and that of {log.source}: {which} fit alike",
             "move to and fro through the same places, at speeds that do not repeat, and take 50 images or more",
         )
-    return ClockOffset(value, stderr, degree, velocity)
+    return LogOffset(value, stderr, degree, velocity)
 
 
 def _find_peaks(gain: np.ndarray) -> list[int]:
@@ -267,8 +270,13 @@ class _OffsetFit:
             found.append((-float(best.fun), float(best.x), degree))
         return max(found)
 
-    def measure(self, offset: float, degree: int) -> tuple[float, float, np.ndarray]:
-        """Return the offset's standard error [s], how many times dependent errors widen its variance, and velocities (n, 3)."""
+    def measure(self, offset: float, degree: int) -> tuple[float, float, np.ndarray, float]:
+        """Return what a fit says.
+
+        Returns:
+            The offset's standard error [s], how many times dependent errors widen its variance, velocities (n, 3), and the share
+            of the plate's motion that is not explained.
+        """
         inside = self.log.is_covered(self.t + offset)
         x, y = self._build_rows(offset, degree, inside)
         weights, *_ = np.linalg.lstsq(x, y, rcond=None)
@@ -285,7 +293,9 @@ class _OffsetFit:
         dependence = max(1.0, _sum_covariances(score[np.argsort(self.t[inside])]) / max(information, 1e-300))
         velocity = np.full((len(self.t), 3), np.nan)
         velocity[inside] = slope
-        return float(np.sqrt(dependence / max(information, 1e-300))), dependence, velocity
+        spread = y - x[:, :1] @ (x[:, :1].T @ y) / (x[:, :1].T @ x[:, :1])
+        share = np.sqrt((residual**2).sum() / free / max(float((spread**2).sum()) / (len(x) - 1), 1e-300))
+        return float(np.sqrt(dependence / max(information, 1e-300))), dependence, velocity, float(share)
 
     def _build_rows(self, offset: float, degree: int, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         w = self.weight[inside, None]

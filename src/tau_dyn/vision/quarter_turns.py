@@ -24,11 +24,11 @@ _PAIRS = 30  # moments that propose a place of the cameras to each other; more r
 _SCALE = 0.05
 """Disagreement [rad, and share of the distance] that rough cameras leave; a wrong turn is off by 1.6."""
 _MAX_COST = 8.0  # of a moment whose tilt was found wrongly
-_CLEAR = np.radians(30)
+_MIN_MARGIN_RAD = np.radians(30)
 """Angle by which one turn must be smaller than the others: the plate turned by less than 30 degrees, or by more than 60."""
 _MAX_STEP = 0.6
 """Sum of steps of robot positions [rad or m] between neighbours: a plate on turning joints turns by no more than that."""
-_SAME = np.radians(5)
+_MAX_STILL_ANGLE_RAD = np.radians(5)
 """Angle between orientations of a plate that only translates."""
 
 
@@ -88,8 +88,11 @@ def follow_turns(rotation: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.nd
     pairs, far = _list_neighbours(q, n)
     angles = _measure_turns(rotation, pairs)
     order = np.sort(angles, axis=1)
-    still = bool(_measure_turns(rotation, np.column_stack([np.zeros(n, int), np.arange(n)])).min(axis=1).max() < _SAME)
-    clear = (order[:, 1] - order[:, 0] > _CLEAR) & (still | ~far)
+    still = bool(
+        _measure_turns(rotation, np.column_stack([np.zeros(n, int), np.arange(n)])).min(axis=1).max()
+        < _MAX_STILL_ANGLE_RAD
+    )
+    clear = (order[:, 1] - order[:, 0] > _MIN_MARGIN_RAD) & (still | ~far)
     links = np.zeros((n, n))
     links[pairs[clear, 0], pairs[clear, 1]] = 1
     group = connected_components(links, directed=False)[1]

@@ -35,8 +35,9 @@ _RING = 0.35  # of a side that must be white around the plate
 _REACH = 0.38  # of a square's side that the window of a corner reaches, each way
 _MAX_WINDOW_PX = 14  # [px]
 _MOVED = 0.08  # of a side, at least 1.5 px: farther from the sides' crossing, the fit went elsewhere
-_MAX_BLUR = 0.06
-"""Standard deviation of the blur, of a side: motion by a fifth of a side. Beyond, less than 88 % of 95 % intervals hold."""
+_MAX_BLUR = 0.15  # standard deviation of the blur, of a side: more and edges merge with the next ones
+_MAX_MOTION_BLUR = 0.06
+"""Standard deviation of the blur by motion, of a side: a fifth of a side. Beyond, less than 88 % of 95 % intervals hold."""
 _UNEVEN = 0.06  # of a side that corners may be off the plane's picture; a lens of k1 = -0.3 bends a plate by 0.03
 
 _GRID = np.array([(c, r) for r in range(4) for c in range(4)], float)
@@ -336,11 +337,16 @@ def _measure(image: np.ndarray, grid: np.ndarray) -> Detection:
     fit = fit_corners(grey, at, corners - middle, _directions(cells), crossing, blur=blur)
     found = fit.place + middle
     moved = np.linalg.norm(found - corners, axis=1)
-    width = float(np.sqrt(np.linalg.eigvalsh(blur)[-1]))
-    if width > _MAX_BLUR * side:
+    narrow, wide = np.linalg.eigvalsh(blur)
+    if np.sqrt(wide - narrow) > _MAX_MOTION_BLUR * side:
         return Detection(
             None,
-            f"edges are blurred by {width:.1f} px where a square has {side:.0f}; shorten the exposure, or move slower",
+            f"the plate moved by {np.sqrt(12 * (wide - narrow)):.1f} px during the exposure, where a square has {side:.0f}; "
+            "shorten the exposure, or move slower",
+        )
+    if np.sqrt(narrow) > _MAX_BLUR * side:
+        return Detection(
+            None, f"edges are blurred by {np.sqrt(narrow):.1f} px where a square has {side:.0f}; focus the camera"
         )
     if not np.all(moved < max(_MOVED * side, 1.5)) or not np.all(fit.contrast < 0):
         return Detection(None, "a corner of the five squares is not sharp: partly hidden, blurred or reflecting")
@@ -371,5 +377,8 @@ def _why_not(image: np.ndarray, sides: int) -> str:
     if sides == len(_SIDES):
         return "20 sides as of five squares are seen, but not white between and around them: another pattern, or glare"
     if sides >= 15:
-        return f"only {sides} of the 20 sides of five squares are seen: partly hidden, in glare, or another pattern"
-    return "no five squares found: not in the image, partly hidden, blurred, too small, or without a white rim"
+        return (
+            f"only {sides} of the 20 sides of five squares are sharp: partly hidden, in glare, moved during the exposure, or "
+            "another pattern"
+        )
+    return "no five squares found: not in the image, partly hidden, blurred by focus or motion, too small, or without a white rim"
