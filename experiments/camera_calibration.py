@@ -17,8 +17,8 @@ The plate of the thesis with five squares of 100 mm (as large as the chessboard)
 poses of known cameras next to the chessboard's, at rest and blurred by motion; shares found in clutter and dim light, behind a
 bar and in rooms without it; and a moving L1, images and joints by two clocks, read from files as a user's are.
 
-    python experiments/camera_calibration.py --squares 120 --seed 1
-    python experiments/camera_calibration.py --found 100 --seed 1
+    python experiments/camera_calibration.py --squares 60 --seed 1
+    python experiments/camera_calibration.py --found 30 --seed 1
     python experiments/camera_calibration.py --moving 60 --seed 1
 """
 
@@ -294,7 +294,7 @@ def squares_table(n: int, seed: int) -> None:
                     pattern, r, t, NUMBERS[0], tuple(SIZE), rng, background=room, photography=photography, motion=motion
                 )
                 found = read_corners(image, pattern)
-                if found.corners is not None:
+                if found.corners is not None and found.stderr is not None and np.isfinite(found.stderr).all():
                     truth, turned = turn_alike(pattern, found.corners, r, project(pattern.points @ r.T + t, NUMBERS[0]))
                     seen.append((found.corners, found.stderr, truth, turned, t))
             corners, stderr, truth, rotation, position = (np.array(a) for a in zip(*seen, strict=True))
@@ -410,6 +410,7 @@ def moving_table(n: int, seed: int) -> None:
                 times=ImageTimes(moments + offset, None, "times"),
                 positions=Positions(tuple(joints), curve(log), None, "log", JointLog(log, curve(log), "log")),
             )
+        assert table.clock is not None
         index = [int(name[:3]) for name in table.names]
         off = table.position - truth[index]
         held = np.mean(np.abs(off) < 1.96 * table.stderr[:, :3])

@@ -176,8 +176,8 @@ WARNING_CODES: dict[str, MessageCode] = {
         "`<tau_dyn:home>` in the robot file where another assembly mode is meant",
     ),
     "quarter_turn": MessageCode(
-        "a plate of five squares looks the same after a quarter turn: one turn, common to all poses, is a convention",
-        "none where the target's frame is unknown; else a chessboard",
+        "five squares look the same after a quarter turn: one turn is a convention",
+        "none if the target's frame is unknown",
     ),
     "frame_undetermined": MessageCode(
         "training poses leave open where the device or the target is, so a move cannot be tested",

@@ -127,19 +127,19 @@ def see(
     ] = None,
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """Measured poses from images of a patterned plate on the robot, taken by one camera or two; lenses are found along.
+    """Measured poses from images of a plate on the robot, by one camera or two; lenses are found along.
 
     Args:
         images: Images of the (first) camera, or folders of them
         pattern: Inner corners of the chessboard, columns x rows, or five-squares
         square: Side of a square [m]; it gives the scale
         second: Images of a second camera at the same moments
-        positions: Robot positions q_J, with a column image (file names), in the images' order, or with --times a log with t
+        positions: Robot positions q_J, with a column image or in the images' order; with --times a log with t
         times: Times t [s] of images of a moving robot, as positions
-        extra: More images of the (first) camera, such as with the plate held by hand, to find its lens
+        extra: Images to find the lens only, with the plate held by hand
         second_extra: The same for the second camera
         lens: Brown (k1 k2 p1 p2), brown3 (and k3), radial (k1 k2) or none
-        cameras: Cameras known from before, with their uncertainty
+        cameras: Known cameras, with uncertainty
         save_cameras: Write the cameras found here
     """
     with show_progress(output.quiet) as step:
