@@ -199,7 +199,7 @@ LOGS = (
     Reader("image_positions", ".csv", of(seed_motions.positions()), TABLE, by_name("vision.measure", "read_positions")),
     Reader("cloud", ".csv", lambda f: [seeds.csv_of(seeds.poses())], TABLE, by_name("view.results", "read_cloud")),
     Reader("image", ".png", lambda f: seeds.images(), (*BINARY, mutate_records.integers),
-           by_name("vision.detect", "read_image"), needs=("cv2",)),
+           by_name("vision.images", "read_image"), needs=("cv2",)),
     Reader("mcap", ".mcap", lambda f: recordings.mcaps(), mutate_records.MCAP * 3 + BINARY, _recording, 2, needs=("mcap_ros2",)),
     Reader("bag1", ".bag", lambda f: recordings.bags1(), mutate_records.BAG * 3 + BINARY, _recording, 2, needs=_BAG),
     Reader("bag2", ".db3", lambda f: recordings.bags2("sqlite3")[:1], mutate_records.DATABASE * 3 + BINARY, _recording, 6,

@@ -175,6 +175,10 @@ WARNING_CODES: dict[str, MessageCode] = {
         "the loops do not close from the robot file's zeros, and a home was searched for",
         "`<tau_dyn:home>` in the robot file where another assembly mode is meant",
     ),
+    "quarter_turn": MessageCode(
+        "five squares look the same after a quarter turn: one turn is a convention",
+        "none if the target's frame is unknown",
+    ),
     "frame_undetermined": MessageCode(
         "training poses leave open where the device or the target is, so a move cannot be tested",
         "train on poses that turn every joint",

@@ -241,7 +241,7 @@ def _readers() -> dict[str, Callable[[Path], object]]:
     from tau_dyn.cli.arguments import read_columns
     from tau_dyn.compare import read_side
     from tau_dyn.view import read_cloud, read_result
-    from tau_dyn.vision.detect import read_image
+    from tau_dyn.vision.images import read_image
 
     return {
         "compare": read_side,

@@ -115,5 +115,5 @@ def test_noise_is_of_what_is_left_by_the_unknowns():
     left = np.array([[[0.3, -0.1], [0.2, 0.4], [-0.3, 0.1], [0.0, -0.2]]])
     plates, known = Plates(np.zeros((1, 3)), np.eye(3)[None]), SimpleNamespace(n=1)
     bundle: Any = SimpleNamespace(residuals=left, plates=plates, cameras=known)
-    views: Any = SimpleNamespace(corners=left, camera=np.zeros(1, int))
+    views: Any = Views(left, np.zeros(1, int), np.zeros(1, int))
     np.testing.assert_allclose(_noise(bundle, views, known), 2 * np.sqrt(np.mean(left**2)))

@@ -116,6 +116,7 @@ def see(
     square: Annotated[args.Positive, Parameter(metavar="M")],
     second: Annotated[args.Strings, Parameter(metavar="IMAGES")] = (),
     positions: Annotated[Path | None, Parameter(metavar="Q.csv")] = None,
+    times: Annotated[Path | None, Parameter(metavar="TIMES.csv")] = None,
     extra: Annotated[args.Strings, Parameter(group=_CAMERAS, metavar="IMAGES")] = (),
     second_extra: Annotated[args.Strings, Parameter(group=_CAMERAS, metavar="IMAGES")] = (),
     lens: Annotated[str, Parameter(group=_CAMERAS, metavar="MODEL")] = "brown",
@@ -126,18 +127,19 @@ def see(
     ] = None,
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """Measured poses from images of a chessboard plate on the robot, taken by one camera or two; lenses are found along.
+    """Measured poses from images of a plate on the robot, by one camera or two; lenses are found along.
 
     Args:
         images: Images of the (first) camera, or folders of them
-        pattern: Inner corners of the chessboard, columns x rows
+        pattern: Inner corners of the chessboard, columns x rows, or five-squares
         square: Side of a square [m]; it gives the scale
         second: Images of a second camera at the same moments
-        positions: Robot positions q_J, with a column image (file names) or in the images' order
-        extra: More images of the (first) camera, such as with the plate held by hand, to find its lens
+        positions: Robot positions q_J, with a column image or in the images' order; with --times a log with t
+        times: Times t [s] of images of a moving robot, as positions
+        extra: Images to find the lens only, with the plate held by hand
         second_extra: The same for the second camera
         lens: Brown (k1 k2 p1 p2), brown3 (and k3), radial (k1 k2) or none
-        cameras: Cameras known from before, with their uncertainty
+        cameras: Known cameras, with uncertainty
         save_cameras: Write the cameras found here
     """
     with show_progress(output.quiet) as step:
@@ -148,6 +150,7 @@ def see(
             parse_pattern,
             read_cameras,
             read_positions,
+            read_times,
         )
 
         table = measure_poses_from_images(
@@ -158,13 +161,14 @@ def see(
             extra=list(extra) or None,
             second_extra=list(second_extra) or None,
             positions=read_positions(positions) if positions else None,
+            times=read_times(times) if times else None,
             lens=lens,
             progress=step,
         )
     return Outcome(
         result=table.to_dict(),
         warnings=table.warnings,
-        inputs=[*table.inputs, positions, cameras],
+        inputs=[*table.inputs, positions, times, cameras],
         show=lambda console, written: _show(console, table, written),
         files={out: table.to_csv(), save_cameras: format_cameras_text(table.cameras)},
         named={"poses": out, "cameras": save_cameras},
@@ -184,9 +188,18 @@ def _show(console, table, written: dict[str, str]) -> None:
     console.print(
         f"standard error of a pose: {np.median(size):.3g} mm and {np.median(turn):.2g} deg (median), "
         f"largest {size.max():.3g} mm; "
-        f"{common:.3g} mm of it common to all poses, through the cameras",
+        f"{common:.3g} mm of it common to all poses, through the cameras{'' if table.clock is None else ' and the clock'}",
         markup=False,
     )
+    if table.clock is not None:
+        console.print(
+            f"clock: time of the log = time of the images {table.clock.value:+.6g} ± {table.clock.stderr:.2g} s "
+            "(± standard error)",
+            markup=False,
+        )
+    if table.speed is not None and np.isfinite(table.speed).any():
+        median, top = np.nanmedian(table.speed), np.nanmax(table.speed)
+        console.print(f"speed of the plate: {median:.3g} m/s (median), largest {top:.3g}", markup=False)
     for c in range(table.cameras.n):
         f, stderr = table.cameras.intrinsics[c, 0], table.cameras.stderr[9 * c]
         k1 = table.cameras.intrinsics[c, 4]

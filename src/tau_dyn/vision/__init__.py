@@ -1,4 +1,4 @@
-"""Camera vision: images of a chessboard plate in, measured poses with uncertainty out (needs OpenCV, the extra `vision`)."""
+"""Camera vision: images of a patterned plate in, measured poses with uncertainty out (needs OpenCV, the extra `vision`)."""
 
 from lazy_loader import attach_stub
 

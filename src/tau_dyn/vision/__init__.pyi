@@ -1,4 +1,4 @@
-"""Camera vision: images of a chessboard plate in, measured poses with uncertainty out (needs OpenCV, the extra `vision`)."""
+"""Camera vision: images of a patterned plate in, measured poses with uncertainty out (needs OpenCV, the extra `vision`)."""
 
 from .cameras import (
     Cameras as Cameras,
@@ -6,12 +6,9 @@ from .cameras import (
     read_cameras as read_cameras,
     write_cameras as write_cameras,
 )
-from .detect import read_image as read_image
-from .measure import (
-    CameraPoseTable as CameraPoseTable,
-    Positions as Positions,
-    measure_poses_from_images as measure_poses_from_images,
-    read_positions as read_positions,
-)
+from .images import read_image as read_image
+from .measure import CameraPoseTable as CameraPoseTable, measure_poses_from_images as measure_poses_from_images
+from .motion import ImageTimes as ImageTimes, read_times as read_times
 from .pattern import Pattern as Pattern, parse_pattern as parse_pattern
+from .robot_positions import Positions as Positions, read_positions as read_positions
 from .solution import solve as solve

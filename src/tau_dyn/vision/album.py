@@ -11,8 +11,10 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.vision.cameras import Cameras
-from tau_dyn.vision.detect import Detection, find_corners, read_image
+from tau_dyn.vision.detect import find_corners
+from tau_dyn.vision.images import Detection, read_image
 from tau_dyn.vision.pattern import Pattern
+from tau_dyn.vision.squares import find_squares
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 
@@ -163,8 +165,37 @@ def _detect(
                 "one camera gives images of one size",
             )
         size = here
-        out.append(find_corners(image, pattern))
+        out.append(find_corners(image, pattern) if pattern.kind == "chessboard" else find_squares(image, pattern))
+    if len(paths) >= MIN_BACKGROUND_IMAGES and any(d.several for d in out):
+        progress(f"{what}: background")
+        out = _choose_moving(paths, out)
     return out, size
+
+
+MIN_BACKGROUND_IMAGES = 10
+"""Images of which the median is the background (thesis 5.5): a moving plate is at no place in half of them."""
+_MAX_STILL_CHANGE = 6.0  # grey values: means over a plate change less where nothing moves, in steady light
+
+
+def _choose_moving(paths: list[Path], found: list[Detection]) -> list[Detection]:
+    """Return detections in which, of several plates, the one that differs from the background was taken."""
+    some = np.linspace(0, len(paths) - 1, MIN_BACKGROUND_IMAGES).astype(int)
+    background = np.median([read_image(paths[k]) for k in some], axis=0)
+    out = list(found)
+    for k, d in enumerate(found):
+        if d.several:
+            change = np.abs(read_image(paths[k]) - background)
+            moving = [plate for plate in d.several if _average_over(change, plate) > _MAX_STILL_CHANGE]
+            if len(moving) == 1:
+                which = next(i for i, plate in enumerate(d.several) if plate is moving[0])
+                out[k] = Detection(moving[0], stderr=d.several_stderr[which])
+    return out
+
+
+def _average_over(image: np.ndarray, plate: np.ndarray) -> float:
+    """Return the mean of an image over the box about a plate's corners (n, 2)."""
+    (u0, v0), (u1, v1) = np.floor(plate.min(axis=0)).astype(int), np.ceil(plate.max(axis=0)).astype(int)
+    return float(image[v0 : v1 + 1, u0 : u1 + 1].mean())
 
 
 def check_some(seen: Album, pattern: Pattern) -> None:

@@ -33,15 +33,22 @@ class Views(NamedTuple):
         corners: (v, n, 2) [px].
         camera: Which camera saw each view (v,).
         plate: Which plate each view shows (v,), from 0 without gaps.
+        spread: Standard deviation of each corner in units of its camera's noise (v, n); None for one each.
     """
 
     corners: np.ndarray
     camera: np.ndarray
     plate: np.ndarray
+    spread: np.ndarray | None = None
 
     def take(self, mask: np.ndarray) -> Views:
         """Return some views (mask or index), plates numbered anew."""
-        return Views(self.corners[mask], self.camera[mask], np.unique(self.plate[mask], return_inverse=True)[1])
+        plate = np.unique(self.plate[mask], return_inverse=True)[1]
+        return Views(self.corners[mask], self.camera[mask], plate, None if self.spread is None else self.spread[mask])
+
+    def scale(self, residuals: np.ndarray) -> np.ndarray:
+        """Return residuals (v, n, 2) over the corners' spread."""
+        return residuals if self.spread is None else residuals / self.spread[..., None]
 
 
 class Plates(NamedTuple):
@@ -219,7 +226,8 @@ def _normal(
         of_place = np.concatenate([-by_point @ _cross(turned), by_point], axis=-1)
         of_plate = np.concatenate([by_world, -by_world @ _cross(about)], axis=-1)
         rows = np.concatenate([by_numbers, of_place, of_plate, residual[..., None]], axis=-1)
-        rows = (rows / noise[views.camera][:, None, None, None]).reshape(len(views.camera), -1, 22)
+        deviation = noise[views.camera][:, None] * (1.0 if views.spread is None else views.spread)
+        rows = (rows / deviation[..., None, None]).reshape(len(views.camera), -1, 22)
         squares = np.ascontiguousarray(np.swapaxes(rows, 1, 2)) @ rows  # (v, 22, 22)
     full, e, b, gb = _gathered(squares, views, cameras, len(plates.position))
     a, ga, cost = full[:-1, :-1][np.ix_(index, index)], full[:-1, -1][index], 0.5 * float(full[-1, -1])

@@ -2,51 +2,43 @@
 
 OpenCV finds the chessboard (Duda & Frese 2018, else its older detector). The order in which it returns the corners depends on
 detector and version and may be upside down; it is settled here by the colours of the squares, so that a pose never flips. Then a
-blurred crossing of two edges is fitted to the grey values about each corner, by Gauss-Newton with step limits for all at once:
-
-    I(p) = a + g . d + b erf(n1 . d / (sqrt 2 s)) erf(n2 . d / (sqrt 2 s)),   d = p - corner,  n_i = (-sin a_i, cos a_i)
-
-A detector's own guess stems from a neighbourhood that blur and perspective pull to one side; the crossing is symmetric about the
-corner, so its fit is not.
+blurred crossing of two edges is fitted to the grey values about each corner (`corner_fit.py`). A detector's own guess stems from
+a neighbourhood that blur and perspective pull to one side; the crossing is symmetric about the corner, so its fit is not.
 """
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-from types import ModuleType
-from typing import NamedTuple
-
 import numpy as np
 from scipy import optimize
-from scipy.special import erf
 
-from tau_dyn.exceptions import InputError
-from tau_dyn.files import read_bytes
+from tau_dyn.vision.corner_fit import fit_corners
+from tau_dyn.vision.images import Detection, import_opencv
 from tau_dyn.vision.pattern import Pattern
 from tau_dyn.vision.solution import apply, estimate_homography
 
 _REACH = 0.38  # of a square's side that the window reaches, each way
 _MAX_WINDOW_PX = 8  # [px]
 _MOVED = 1.5  # [px] farther from the detector's guess, the fit went elsewhere
-_ROOT = np.sqrt(2 / np.pi)
 
 
-def refine(image: np.ndarray, corners: np.ndarray, pattern: Pattern) -> np.ndarray:
-    """Return corners (n, 2) [px] fitted to an image, the given ones where the fit fails."""
+def refine(image: np.ndarray, corners: np.ndarray, pattern: Pattern) -> tuple[np.ndarray, np.ndarray]:
+    """Return corners (n, 2) and their standard errors (n,) [px] fitted to an image; the given ones and nan where that fails."""
     grid = corners.reshape(pattern.rows, pattern.columns, 2)
     half = int(np.clip(_REACH * _side(grid), 2, _MAX_WINDOW_PX))
     middle = corners.round().astype(int)
     inside = np.all((middle >= half) & (middle < np.array(image.shape[::-1]) - half), axis=1)
-    out = corners.copy()
+    out, stderr = corners.copy(), np.full(len(corners), np.nan)
     if inside.any():
         dv, du = (a.ravel() for a in np.mgrid[-half : half + 1, -half : half + 1])
         at = middle[inside]
         grey = image[at[:, 1, None] + dv, at[:, 0, None] + du].astype(float)
-        found = _fit(grey, np.column_stack([du, dv]), corners[inside] - at, _directions(grid)[inside])
-        good = np.linalg.norm(found + at - corners[inside], axis=1) < _MOVED
-        out[np.flatnonzero(inside)[good]] = (found + at)[good]
-    return out
+        crossing = np.ones(len(at), bool)
+        fit = fit_corners(grey, np.column_stack([du, dv]), corners[inside] - at, _directions(grid)[inside], crossing)
+        found = fit.place + at
+        good = np.linalg.norm(found - corners[inside], axis=1) < _MOVED
+        out[np.flatnonzero(inside)[good]] = found[good]
+        stderr[np.flatnonzero(inside)[good]] = fit.stderr[good]
+    return out, stderr
 
 
 def _side(grid: np.ndarray) -> float:
@@ -59,119 +51,11 @@ def _directions(grid: np.ndarray) -> np.ndarray:
     return np.stack([np.arctan2(d[..., 1], d[..., 0]).ravel() for d in (along, down)], axis=-1)
 
 
-def _fit(grey: np.ndarray, at: np.ndarray, start: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Return corners (n, 2) about the windows' middles from grey values (n, w) at offsets (w, 2); nan where nothing fits."""
-    n = len(grey)
-    theta = np.column_stack([start, directions, np.full(n, 0.8), grey.mean(1), np.zeros((n, 2)), np.zeros(n)])
-    value, jacobian = _model(theta, at)
-    pattern = jacobian[..., 8]
-    theta[:, 8] = ((grey - grey.mean(1, keepdims=True)) * pattern).sum(1) / np.maximum((pattern**2).sum(1), 1e-9)
-    limit = np.array([0.5, 0.5, 0.2, 0.2, 0.3, np.inf, np.inf, np.inf, np.inf])
-    for _ in range(15):
-        value, jacobian = _model(theta, at)
-        normal = np.einsum("nwi,nwj->nij", jacobian, jacobian)
-        normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(9) + 1e-12 * np.eye(9)
-        step = np.linalg.solve(normal, np.einsum("nwi,nw->ni", jacobian, grey - value)[..., None])[..., 0]
-        step = np.clip(step, -limit, limit)
-        theta = theta + step
-        theta[:, 4] = theta[:, 4].clip(0.3, 4.0)
-        if np.abs(step[:, :2]).max() < 1e-4:
-            break
-    still = np.abs(step[:, :2]).max(axis=1) < 5e-3
-    return np.where(still[:, None], theta[:, :2], np.nan)
-
-
-def _model(theta: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return grey values (n, w) and their derivatives (n, w, 9) by corner, directions, blur, light, gradient, contrast."""
-    d = at[None] - theta[:, None, :2]
-    s, b = theta[:, 4, None], theta[:, 8, None]
-    f, df, x, across = [], [], [], []
-    for column in (2, 3):
-        sin, cos = np.sin(theta[:, column, None]), np.cos(theta[:, column, None])
-        x.append((-sin * d[..., 0] + cos * d[..., 1]) / s)
-        across.append((-(cos * d[..., 0] + sin * d[..., 1]), -sin, cos))
-        f.append(erf(x[-1] / np.sqrt(2)))
-        df.append(_ROOT * np.exp(-0.5 * x[-1] ** 2) / s)
-    one, two = b * df[0] * f[1], b * df[1] * f[0]
-    out = np.empty((*d.shape[:2], 9))
-    for axis in (0, 1):
-        out[..., axis] = -(one * across[0][1 + axis] + two * across[1][1 + axis]) - theta[:, 6 + axis, None]
-        out[..., 6 + axis] = d[..., axis]
-    out[..., 2], out[..., 3] = one * across[0][0], two * across[1][0]
-    out[..., 4] = -(one * x[0] + two * x[1])
-    out[..., 5], out[..., 8] = 1.0, f[0] * f[1]
-    value = theta[:, 5, None] + (theta[:, None, 6:8] * d).sum(-1) + b * f[0] * f[1]
-    return value, out
-
-
 _CONTRAST = 25.0  # grey values between dark and light below which an image is of no use
 _MIN_SQUARE_PX = 6.0  # [px] side of a square
 _UNEVEN = 0.25  # of a square that corners may be off the plane's picture, the lens accounted for
 _MAX_BENDING = 0.5
 """Largest distortion `k` at the image's corners that is tried: a lens of 120 degrees; a fisheye needs another model."""
-
-
-_MAX_FILE_BYTES = 1 << 30  # bytes of one file
-_MAX_PIXELS = 1 << 28  # the largest cameras have 1.5e8
-
-
-def import_opencv() -> ModuleType:
-    """Return OpenCV, which only this room needs.
-
-    Raises:
-        InputError: It is not installed.
-    """
-    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_MAX_PIXELS))  # a small PNG may declare gigabytes
-    try:
-        import cv2
-    except ImportError as fault:
-        raise InputError(
-            "missing_package", "reading images needs OpenCV; install it with: pip install 'tau_dyn[vision]'"
-        ) from fault
-    return cv2
-
-
-def read_image(path: Path) -> np.ndarray:
-    """Return grey values (height, width) uint8; 16-bit images are scaled to their own range.
-
-    Raises:
-        InputError: Not readable, or not an image.
-    """
-    cv2 = import_opencv()
-    try:
-        data = np.frombuffer(read_bytes(path, _MAX_FILE_BYTES), np.uint8)
-    except OSError as fault:
-        raise InputError("cannot_read", f"{path}: cannot be read ({fault.strerror or fault})") from fault
-    try:
-        image = (
-            cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
-            if data.size
-            else None
-        )
-    except cv2.error:
-        image = None
-    if image is None:
-        raise InputError("damaged_file", f"{path}: not an image that can be read; give PNG, JPEG, TIFF or BMP")
-    if image.size > _MAX_PIXELS:  # where OpenCV was there before us
-        raise InputError("file_format", f"{path}: {image.shape[1]}x{image.shape[0]} pixels; that is no photograph")
-    if image.dtype != np.uint8:
-        top = max(float(np.nanmax(image)), 1e-9)
-        image = np.clip(255.0 * image / top, 0, 255).astype(np.uint8)
-    return image
-
-
-class Detection(NamedTuple):
-    """What was found in an image.
-
-    Attributes:
-        corners: (n, 2) [px] in the pattern's order, None where the pattern was not found.
-        reason: Why not, '' where it was.
-        other: Size of another pattern that is in the image, '' where none is.
-    """
-
-    corners: np.ndarray | None
-    reason: str = ""
-    other: str = ""
 
 
 def find_corners(image: np.ndarray, pattern: Pattern) -> Detection:
@@ -188,7 +72,8 @@ def find_corners(image: np.ndarray, pattern: Pattern) -> Detection:
     corners = _in_order(image, corners, pattern)
     if corners is None:
         return Detection(None, "black and white do not alternate as on a chessboard")
-    return _checked(refine(image, corners, pattern), pattern, image)
+    refined, stderr = refine(image, corners, pattern)
+    return _checked(refined, pattern, image)._replace(stderr=stderr)
 
 
 def _search(image: np.ndarray, pattern: Pattern) -> np.ndarray | None:

@@ -4,20 +4,31 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.log import format_names, read_table
+from tau_dyn.exceptions import CannotAnswer
+from tau_dyn.log import format_names
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.vision.album import Album, Images, check_cameras, check_some, read_album
 from tau_dyn.vision.bundle import Views
 from tau_dyn.vision.cameras import Cameras, check_lens
+from tau_dyn.vision.images import Detection
+from tau_dyn.vision.motion import (
+    ImageTimes,
+    LogOffset,
+    compute_velocity,
+    estimate_clock_offset,
+    list_uncovered,
+)
 from tau_dyn.vision.pattern import Pattern
+from tau_dyn.vision.quarter_turns import follow_turns
+from tau_dyn.vision.robot_positions import Positions, match_rows
 from tau_dyn.vision.solution import CameraSolution, solve
 
 POSE = ("x_tool", "y_tool", "z_tool", "qx_tool", "qy_tool", "qz_tool", "qw_tool")
@@ -38,7 +49,7 @@ class CameraPoseTable:
         position: (N, 3) [m].
         rotation: (N, 3, 3).
         covariance: (N, 6, 6) of position [m] and rotation vector about the camera's axes [rad].
-        own: The part of it from the pose's own corners; the rest is common to all poses, through the cameras.
+        own: The part of it from the pose's own corners; the rest is common to all poses, through cameras and clock.
         seen_by: How many cameras saw each (N,).
         joints: Names of actuated joints, where robot positions were given.
         q: Robot positions (N, na).
@@ -47,6 +58,11 @@ class CameraPoseTable:
         refused: Image -> why it was not used.
         warnings: What was doubtful.
         inputs: Files read.
+        time: When each pose was measured (N,) [s], by the clock of the log of robot positions where one was given, else of the
+            images; nan without times.
+        velocity: Of the pattern's middle (N, 3) [m/s], nan without times.
+        joint_velocity: (N, na), of poses from a log of robot positions.
+        clock: The offset between images and log, where one was estimated.
     """
 
     names: tuple[str, ...]
@@ -62,6 +78,10 @@ class CameraPoseTable:
     refused: dict[str, str]
     warnings: tuple[str, ...] = ()
     inputs: tuple[Path, ...] = ()
+    time: np.ndarray | None = None
+    velocity: np.ndarray | None = None
+    joint_velocity: np.ndarray | None = None
+    clock: LogOffset | None = None
 
     @property
     def n(self) -> int:
@@ -79,19 +99,30 @@ class CameraPoseTable:
         return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
 
     @property
+    def speed(self) -> np.ndarray | None:
+        """Speed of the pattern's middle (N,) [m/s]; None without times."""
+        return None if self.velocity is None else np.linalg.norm(self.velocity, axis=1)
+
+    @property
     def common_stderr(self) -> np.ndarray:
-        """Standard errors of positions (N,) [m] that stem from the cameras and so are alike in all poses."""
+        """Standard errors of positions (N,) [m] that stem from cameras and clock and so are alike in all poses."""
         common = np.diagonal(self.covariance - self.own, axis1=1, axis2=2)[:, :3]
         return np.sqrt(common.sum(axis=1).clip(0))
 
     def to_csv(self) -> str:
-        """Return the table as text: image, q_J, pose, standard errors."""
+        """Return the table as text: image, time, q_J, v_J, pose, standard errors, speed; what was not measured has no column."""
+        columns = {f"q_{j}": self.q[:, k] for k, j in enumerate(self.joints)}
+        if self.joint_velocity is not None:
+            columns |= {f"v_{j}": self.joint_velocity[:, k] for k, j in enumerate(self.joints)}
+        rows = np.hstack([self.position, self.quaternion, self.stderr])
+        columns |= dict(zip((*POSE, *STDERR), rows.T, strict=True))
+        if self.time is not None and self.speed is not None:
+            columns = {"t": self.time} | columns | {"speed_tool": self.speed}
         out = io.StringIO()
         write = csv.writer(out, lineterminator="\n")
-        write.writerow(["image", *(f"q_{j}" for j in self.joints), *POSE, *STDERR])
-        rows = np.hstack([self.q, self.position, self.quaternion, self.stderr])
-        for name, row in zip(self.names, rows, strict=True):
-            write.writerow([escape_formula(name), *(f"{v:.9g}" for v in row)])
+        write.writerow(["image", *columns])
+        for name, *row in zip(self.names, *columns.values(), strict=True):
+            write.writerow([escape_formula(name), *(f"{v:.9g}" if np.isfinite(v) else "" for v in row)])
         return out.getvalue()
 
     def to_dict(self) -> dict[str, Any]:
@@ -104,96 +135,30 @@ class CameraPoseTable:
             "position_stderr_common": {"median": float(np.median(self.common_stderr)), "unit": "m"},
             "rotation_stderr": {"median": float(np.median(np.linalg.norm(self.stderr[:, 3:], axis=1))), "unit": "rad"},
             "refused": [{"image": name, "why": why} for name, why in self.refused.items()],
-            "poses": [
-                {
-                    "image": name,
-                    "position": self.position[k],
-                    "quaternion": self.quaternion[k],
-                    "stderr": self.stderr[k],
-                    "cameras": int(self.seen_by[k]),
-                }
-                for k, name in enumerate(self.names)
-            ],
+            **(
+                {"clock_offset": {"value": self.clock.value, "stderr": self.clock.stderr, "unit": "s"}}
+                if self.clock is not None
+                else {}
+            ),
+            "poses": [self._describe(k) for k in range(self.n)],
         }
 
-
-@dataclass(frozen=True, eq=False)
-class Positions:
-    """Robot positions, by image name where the file has a column `image`, else by order.
-
-    Attributes:
-        joints: Names of actuated joints.
-        q: (N, na).
-        images: File names (N,), None where the order counts.
-        source: File.
-    """
-
-    joints: tuple[str, ...]
-    q: np.ndarray
-    images: tuple[str, ...] | None
-    source: str
-
-    def of(self, names: Sequence[str]) -> np.ndarray:
-        """Return the rows (n, na) that belong to images, nan where an image has none.
-
-        Raises:
-            InputError: Rows cannot be matched to images.
-        """
-        if self.images is None:
-            if len(names) != len(self.q):
-                raise InputError(
-                    "missing_column",
-                    f"{self.source} has {len(self.q)} rows for {len(names)} images and no column image that says which belong "
-                    "together; add one with the file names of the (first) camera's images",
-                )
-            return self.q
-        twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
-        if twice:
-            raise InputError(
-                "duplicate_name",
-                f"two images are called {twice}, so {self.source} cannot say which is meant; give them names of their own",
-            )
-        row = {name: k for k, name in enumerate(self.images)}
-        unknown = [name for name in self.images if name not in set(names)]
-        if len(unknown) == len(self.images):
-            raise InputError(
-                "mismatch",
-                f"{self.source}, column image: {unknown[0]} and all others are not among the images, such as {names[0]}",
-            )
-        if unknown:
-            raise InputError(
-                "mismatch", f"{self.source}, column image: {format_names(unknown[:5])} not among the images given"
-            )
-        return np.array([self.q[row[n]] if n in row else np.full(self.q.shape[1], np.nan) for n in names]).reshape(
-            len(names), -1
-        )
-
-
-def read_positions(path: str | Path) -> Positions:
-    """Read robot positions: columns `q_J`, and maybe `image` with file names.
-
-    Raises:
-        InputError: No column q_J, a cell that is no number, or an image named twice.
-    """
-    table = read_table(path)
-    columns = [name for name in table.cells if name.startswith("q_") and len(name) > 2]
-    if not columns:
-        raise InputError(
-            "missing_column",
-            f"{table.name} has no column q_<joint>; robot positions need one for each actuated joint; "
-            f"it has {format_names(table.cells)}",
-        )
-    q = np.column_stack([table.numbers(name) for name in columns])
-    images = None
-    if "image" in table.cells:
-        images = tuple(Path(str(cell).strip()).name for cell in table.cells["image"])
-        twice = next((name for k, name in enumerate(images) if name in images[:k]), None)
-        if twice:
-            raise InputError(
-                "duplicate_name",
-                f"{table.name}, column image: {twice} stands there twice; every image is of one position",
-            )
-    return Positions(tuple(name[2:] for name in columns), q, images, table.name)
+    def _describe(self, k: int) -> dict[str, Any]:
+        """Return what a result file holds of a pose."""
+        moving = {}
+        if self.time is not None and self.speed is not None:
+            moving = {
+                "time": float(self.time[k]),
+                "speed": float(self.speed[k]) if np.isfinite(self.speed[k]) else None,
+            }
+        return {
+            "image": self.names[k],
+            "position": self.position[k],
+            "quaternion": self.quaternion[k],
+            "stderr": self.stderr[k],
+            "cameras": int(self.seen_by[k]),
+            **moving,
+        }
 
 
 def measure_poses_from_images(
@@ -205,47 +170,115 @@ def measure_poses_from_images(
     extra: Images | None = None,
     second_extra: Images | None = None,
     positions: Positions | None = None,
+    times: ImageTimes | None = None,
     lens: str = "brown",
     progress: Callable[[str], None] = lambda step: None,
 ) -> CameraPoseTable:
-    """Measure poses of a chessboard plate with one camera or two.
+    """Measure poses of a plate with one camera or two.
 
     Args:
         images: The (first) camera's images, or a folder.
-        pattern: The chessboard.
+        pattern: The pattern on the plate.
         second: The second camera's images of the same moments.
         cameras: Known from before, with covariance; without them the images tell the cameras too.
         extra: Images of the (first) camera that serve to find the cameras only, such as with the plate held by hand.
         second_extra: The second camera's.
-        positions: The robot's positions, by image name or order.
+        positions: The robot's positions, by image name or order, or a log of them with times of its own.
+        times: When the (first) camera's images were taken, while the robot moved.
         lens: `brown` (k1 k2 p1 p2), `radial` (k1 k2), `brown3` (and k3) or `none`; unused where cameras are given.
         progress: Told what is being done.
 
     Raises:
         InputError: Files that are no images, of mixed sizes, or none that shows the pattern.
-        CannotAnswer: Too few images, or images that do not tell the cameras' numbers.
+        CannotAnswer: Too few images, images that do not tell the cameras' numbers, or a log whose clock they do not tell.
     """
     check_lens(lens)
     seen = read_album(images, second, extra, second_extra, pattern, progress)
+    if times is not None:
+        seen = _refuse_blurred(seen)
     check_some(seen, pattern)
     if cameras is not None:
         check_cameras(cameras, seen)
-    views, labels = _views(seen)
+    stamps = _list_times(seen, times)
+    views, labels = _views(seen, weigh=times is not None or pattern.turns > 1)
     progress("adjusting the bundle")
     solved = solve(views, pattern, seen.sizes, lens=lens, known=cameras)
-    return _table(seen, solved, labels, positions)
+    return _build_table(seen, solved, labels, pattern, positions, stamps)
 
 
-def _views(seen: Album) -> tuple[Views, list[tuple[int, int]]]:
-    """Return all corners found, and camera and index of the image of each view."""
+def _list_times(seen: Album, times: ImageTimes | None) -> dict[int, float]:
+    """Return the time of each moment [s]; empty without times."""
+    if times is None:
+        return {}
+    t = match_rows(times.t[:, None], times.images, _list_usual(seen), times.source)[:, 0]
+    return {moment: float(value) for moment, value in zip(seen.moments[0], t, strict=False) if np.isfinite(value)}
+
+
+def _list_usual(seen: Album) -> list[str]:
+    """Return the names of the first camera's images that are no extra ones."""
+    return [path.name for path, aside in zip(seen.paths[0], seen.extra[0], strict=True) if not aside]
+
+
+def _refuse_blurred(seen: Album) -> Album:
+    """Return the album without images of which a corner could not be fitted: the plate moved too far during the exposure."""
+
+    def judge(found: Detection) -> Detection:
+        lost = 0 if found.stderr is None else int(np.isnan(found.stderr).sum())
+        if not lost:
+            return found
+        return Detection(None, f"{lost} corners are not sharp enough to be fitted; shorten the exposure or move slower")
+
+    return replace(seen, found=[[judge(d) for d in of] for of in seen.found])
+
+
+def _views(seen: Album, weigh: bool) -> tuple[Views, list[tuple[int, int]]]:
+    """Return all corners found, weighed by what their grey values state or alike, and camera and image of each view."""
     labels = [(c, k) for c, of in enumerate(seen.found) for k, d in enumerate(of) if d.corners is not None]
     corners = np.array([seen.found[c][k].corners for c, k in labels])
     moment = np.array([seen.moments[c][k] for c, k in labels])
-    return Views(corners, np.array([c for c, _ in labels]), np.unique(moment, return_inverse=True)[1]), labels
+    camera = np.array([c for c, _ in labels])
+    views = Views(corners, camera, np.unique(moment, return_inverse=True)[1])
+    if weigh:
+        stderr = np.array([seen.found[c][k].stderr for c, k in labels])
+        usual = np.array(
+            [np.median(stderr[camera == c]) if np.any(camera == c) else 1.0 for c in range(len(seen.found))]
+        )
+        views = views._replace(spread=stderr / usual[camera][:, None])
+    return views, labels
 
 
-def _table(
-    seen: Album, solved: CameraSolution, labels: list[tuple[int, int]], positions: Positions | None
+@dataclass(frozen=True, eq=False)
+class _Robot:
+    """What is known of the robot and of the time at each plate.
+
+    Attributes:
+        joints: Names of actuated joints.
+        q: Positions (k, na), nan where unknown.
+        v: Velocities (k, na), where positions are a log.
+        time: (k,) [s], nan where unknown.
+        velocity: Of the plates (k, 3) [m/s].
+        clock: The offset between images and log.
+        refused: Image -> why it has no position.
+        warnings: What was doubtful.
+    """
+
+    joints: tuple[str, ...]
+    q: np.ndarray
+    v: np.ndarray | None
+    time: np.ndarray
+    velocity: np.ndarray
+    clock: LogOffset | None
+    refused: dict[str, str]
+    warnings: tuple[str, ...]
+
+
+def _build_table(
+    seen: Album,
+    solved: CameraSolution,
+    labels: list[tuple[int, int]],
+    pattern: Pattern,
+    positions: Positions | None,
+    stamps: dict[int, float],
 ) -> CameraPoseTable:
     refused = {
         seen.name(c, k): d.reason for c, of in enumerate(seen.found) for k, d in enumerate(of) if d.corners is None
@@ -253,33 +286,61 @@ def _table(
     refused |= {seen.name(*labels[v]): why for v, why in solved.left_out.items()}
     kept = [labels[v] for v in solved.used]
     plates, names, extra, seen_by = _plates(seen, solved, kept)
-    q, joints, warned = _robot(seen, positions, plates, names, extra, kept)
-    keep = np.flatnonzero(~extra & (np.isfinite(q).all(axis=1) if joints else True))
+    moments = [seen.moments[kept[v][0]][kept[v][1]] for v in plates]
+    robot = _find_robot(seen, positions, moments, names, extra, stamps, solved)
+    refused |= robot.refused
+    known = np.isfinite(robot.q).all(axis=1) if robot.joints else np.ones(len(names), bool)
+    keep = np.flatnonzero(~extra & known & (np.isfinite(robot.time) if stamps else True))
     if not len(keep):
         raise CannotAnswer(
             "not_visible",
             "no image of a robot position shows the pattern",
             "take images in which the whole plate can be seen",
         )
-    bundle = solved.bundle
+    bundle, rotation, turned = solved.bundle, solved.bundle.plates.rotation.copy(), []
+    if pattern.turns > 1:
+        rotation[keep], clear = follow_turns(rotation[keep], robot.q[keep])
+        turned = _describe_turns([names[k] for k in keep], clear, bool(robot.joints))
+        refused |= {names[k]: "which of its quarter turns the plate has cannot be told" for k in keep[~clear]}
+        keep = keep[clear]
     rms = np.array(
         [np.sqrt((bundle.residuals[solved.views.camera == c] ** 2).sum(-1).mean()) for c in range(bundle.cameras.n)]
     )
+    covariance = bundle.covariance.copy()
+    if robot.clock is not None:
+        delay = robot.clock.stderr * robot.velocity[keep]
+        covariance[keep, :3, :3] += delay[:, :, None] * delay[:, None, :]
     return CameraPoseTable(
         names=tuple(names[k] for k in keep),
         position=bundle.plates.position[keep],
-        rotation=bundle.plates.rotation[keep],
-        covariance=bundle.covariance[keep],
+        rotation=rotation[keep],
+        covariance=covariance[keep],
         own=bundle.own[keep],
         seen_by=seen_by[keep],
-        joints=joints,
-        q=q[keep],
+        joints=robot.joints,
+        q=robot.q[keep],
         cameras=bundle.cameras,
         rms=rms,
         refused=refused,
-        warnings=(*_doubts(seen, refused, solved, names, keep), *warned),
+        warnings=(*_doubts(seen, refused, solved, names, keep), *turned, *robot.warnings),
         inputs=tuple(path for of in seen.paths for path in of),
+        time=robot.time[keep] if stamps else None,
+        velocity=robot.velocity[keep] if stamps else None,
+        joint_velocity=None if robot.v is None else robot.v[keep],
+        clock=robot.clock,
     )
+
+
+def _describe_turns(names: list[str], clear: np.ndarray, by_joints: bool) -> list[str]:
+    """Return what is a convention of the orientations."""
+    first = names[int(np.argmax(clear))]
+    steps = "neighbouring robot positions" if by_joints else "one image to the next"
+    said = (
+        f"the plate looks the same after a quarter turn: x is to the right in {first}, and the plate is taken to turn by less "
+        f"than 45 degrees between {steps}; positions do not depend on it, and orientations depend on it by one common "
+        "quarter turn about the plate's normal"
+    )
+    return [CodedWarning("quarter_turn", said)]
 
 
 def _plates(
@@ -293,30 +354,47 @@ def _plates(
     return first, names, extra, np.bincount(solved.views.plate, minlength=n)
 
 
-def _robot(
+def _find_robot(
     seen: Album,
     positions: Positions | None,
-    first: np.ndarray,
+    moments: list[int],
     names: list[str],
     extra: np.ndarray,
-    kept: list[tuple[int, int]],
-) -> tuple[np.ndarray, tuple[str, ...], list[str]]:
-    """Return the robot's positions of each plate (k, na)."""
+    stamps: dict[int, float],
+    solved: CameraSolution,
+) -> _Robot:
+    """Return the robot's positions and the time of each plate (k)."""
+    place, own = solved.bundle.plates.position, solved.bundle.own
+    time = np.array([np.nan if aside else stamps.get(m, np.nan) for m, aside in zip(moments, extra, strict=True)])
+    timed, velocity = np.isfinite(time), np.full((len(names), 3), np.nan)
+    refused = {}
+    if stamps:
+        refused = {names[k]: "it has no time" for k in np.flatnonzero(~timed & ~extra)}
+    if positions is not None and positions.log is not None and stamps:
+        weight = 1 / np.sqrt(np.trace(own[timed, :3, :3], axis1=1, axis2=2))
+        clock = estimate_clock_offset(time[timed], place[timed], weight, positions.log)
+        time = time + clock.value
+        refused |= list_uncovered(positions.log, time[timed], [names[k] for k in np.flatnonzero(timed)])
+        covered = timed.copy()
+        covered[timed] = positions.log.is_covered(time[timed])
+        q, v = (np.full((len(names), len(positions.joints)), np.nan) for _ in range(2))
+        q[covered], v[covered] = positions.log.curve(time[covered]), positions.log.curve(time[covered], 1)
+        velocity[timed] = clock.velocity
+        return _Robot(positions.joints, q, v, time, velocity, clock, refused, ())
+    velocity[timed] = compute_velocity(time[timed], place[timed])
     if positions is None:
-        return np.zeros((len(names), 0)), (), []
-    row_of = {}
-    usual = [path.name for path, aside in zip(seen.paths[0], seen.extra[0], strict=True) if not aside]
-    for moment, q in zip(seen.moments[0], positions.of(usual), strict=False):
-        row_of[moment] = q
+        return _Robot((), np.zeros((len(names), 0)), None, time, velocity, None, refused, ())
+    usual = _list_usual(seen)
+    row_of = dict(zip(seen.moments[0], positions.of(usual), strict=False))
     nothing = np.full(positions.q.shape[1], np.nan)
-    moments = [seen.moments[kept[v][0]][kept[v][1]] for v in first]
     q = np.array([nothing if aside else row_of.get(m, nothing) for m, aside in zip(moments, extra, strict=True)])
     lacking = [
         name for name, row, aside in zip(names, q, extra, strict=True) if not aside and not np.isfinite(row).all()
     ]
     said = f"{len(lacking)} images have no robot position in {positions.source} and served the cameras only: "
     said += format_names(lacking[:5])
-    return q, positions.joints, [said] if lacking else []
+    warned = (said,) if lacking else ()
+    return _Robot(positions.joints, q, None, time, velocity, None, refused, warned)
 
 
 def _doubts(

@@ -1,4 +1,4 @@
-"""The calibration pattern: a chessboard on a plate, known by its inner corners and the side of a square, which gives the scale.
+"""The calibration pattern: a chessboard or five squares, known by corners and the side of a square, which gives the scale.
 
     z is into the plate; the origin is the middle of the inner corners, where a pose is measured best.
 
@@ -6,15 +6,19 @@
        |
        y          rows
 
-The square left above the first inner corner is black. Images of it with known truth (pinhole, lens, blur, noise, uneven light
-and a cluttered room) test what reads images, and try a camera's place before it is mounted. Rays go backwards: every pixel is
-split into `fine` x `fine`, each part's ray meets the plate or the room behind it, and the means are blurred and given noise.
+The square left above the first inner corner is black. Five black squares (thesis 5.5) are a board of 3x3 squares with black
+corners and middle; its points are all 16 corners of squares, and it looks the same after a quarter turn.
+
+Images of a plate with known truth (pinhole, lens, blur, noise, uneven light and a cluttered room) test what reads images, and try
+a camera's place before it is mounted. Rays go backwards: every pixel has `fine` x `fine` rays on a lattice, each meets the plate
+or the room behind it, and the means are blurred and given noise.
 """
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import Final, Literal
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, zoom
@@ -24,24 +28,37 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.vision.cameras import compute_rays, project
 
 _MIN_CORNERS = 3  # inner corners a side
+FIVE_SQUARES: Final = "five-squares"
+"""How the plate with five black squares is called."""
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """A chessboard.
+    """A chessboard or five squares.
 
     Attributes:
-        columns: Inner corners along x.
-        rows: Inner corners along y.
+        columns: Points along x: inner corners of a chessboard, all corners of five squares.
+        rows: Points along y.
         square: Side of a square [m].
+        kind: `chessboard` or `five-squares`.
     """
 
     columns: int
     rows: int
     square: float
+    kind: Literal["chessboard", "five-squares"] = "chessboard"
 
     def __post_init__(self) -> None:
-        """Refuse a pattern that cannot be told from itself upside down, or that has no size."""
+        """Refuse a chessboard that cannot be told from itself upside down, or a pattern without size."""
+        if self.kind == "chessboard":
+            self._check_corners()
+        if not 1e-4 <= self.square <= 1.0:
+            raise InputError(
+                "invalid_value",
+                f"a square of {self.square:g} m is no size for a printed pattern; give the side in m, such as 0.02",
+            )
+
+    def _check_corners(self) -> None:
         if min(self.columns, self.rows) < _MIN_CORNERS:
             raise InputError(
                 "invalid_value",
@@ -53,25 +70,25 @@ class Pattern:
                 f"a pattern of {self.name} inner corners looks the same upside down, so its orientation cannot be told; "
                 f"use one with an odd and an even number, such as {self.columns}x{self.rows - 1}",
             )
-        if not 1e-4 <= self.square <= 1.0:
-            raise InputError(
-                "invalid_value",
-                f"a square of {self.square:g} m is no size for a printed pattern; give the side in m, such as 0.02",
-            )
 
     @property
     def name(self) -> str:
         """Its size in words, such as 9x6."""
-        return f"{self.columns}x{self.rows}"
+        return f"{self.columns}x{self.rows}" if self.kind == "chessboard" else self.kind
+
+    @property
+    def turns(self) -> int:
+        """Number of orientations about z that look alike."""
+        return 1 if self.kind == "chessboard" else 4
 
     @property
     def n(self) -> int:
-        """Number of inner corners."""
+        """Number of points."""
         return self.columns * self.rows
 
     @property
     def points(self) -> np.ndarray:
-        """Inner corners (n, 3) in the pattern's frame, row by row [m]."""
+        """Points (n, 3) in the pattern's frame, row by row [m]."""
         row, column = np.divmod(np.arange(self.n), self.columns)
         x, y = column - (self.columns - 1) / 2, row - (self.rows - 1) / 2
         return self.square * np.column_stack([x, y, np.zeros(self.n)])
@@ -79,18 +96,23 @@ class Pattern:
     @property
     def half_size(self) -> tuple[float, float]:
         """Half the width and height of all squares [m]."""
-        return 0.5 * self.square * (self.columns + 1), 0.5 * self.square * (self.rows + 1)
+        more = 1 if self.kind == "chessboard" else -1
+        return 0.5 * self.square * (self.columns + more), 0.5 * self.square * (self.rows + more)
 
 
 def parse_pattern(size: str, square: float) -> Pattern:
-    """Return the pattern that `9x6` and a square [m] describe.
+    """Return the pattern that `9x6` or `five-squares` and a square [m] describe.
 
     Raises:
-        InputError: Not two whole numbers with an x between them, or a pattern that cannot be used.
+        InputError: Neither that name nor two whole numbers with an x between them, or a pattern that cannot be used.
     """
+    if size.strip().lower() == FIVE_SQUARES:
+        return Pattern(4, 4, square, FIVE_SQUARES)
     found = re.fullmatch(r"\s*(\d{1,3})\s*[xX*]\s*(\d{1,3})\s*", size)
     if found is None:
-        raise InputError("bad_option", f"--pattern {size}: write the inner corners as COLUMNSxROWS, such as 9x6")
+        raise InputError(
+            "bad_option", f"--pattern {size}: write the inner corners as COLUMNSxROWS, such as 9x6, or {FIVE_SQUARES}"
+        )
     return Pattern(int(found[1]), int(found[2]), square)
 
 
@@ -106,7 +128,7 @@ class Photography:
         noise: Standard deviation of a pixel [grey values of 255].
         gradient: Share by which light changes from one side of the image to the other.
         exposure: Factor on all grey values; below 0.2 images are too dark to use.
-        fine: Parts into which a pixel is split, each way.
+        fine: Square root of the number of rays of a pixel.
     """
 
     blur: float = 0.7
@@ -126,11 +148,12 @@ def render(
     *,
     background: np.ndarray | None = None,
     photography: Photography | None = None,
+    motion: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return an image (height, width) uint8 of a plate.
 
     Args:
-        pattern: The chessboard; its plate has a white rim one square wide.
+        pattern: The pattern; its plate has a white rim one square wide.
         rotation: Of the pattern in the camera's frame (3, 3).
         position: Of the pattern's middle in the camera's frame (3,) [m].
         intrinsics: The camera's nine numbers.
@@ -138,11 +161,16 @@ def render(
         rng: Of the noise.
         background: What is behind the plate (height, width), grey values; plain grey without.
         photography: Blur, noise and light.
+        motion: What the plate moves during the exposure, about its pose in the middle of it: shift [m], then rotation vector
+            about the camera's axes [rad] (6,).
     """
     photo = photography or Photography()
     width, height = size
     image = np.full((height, width), 90.0) if background is None else background.astype(float).copy()
-    _plate_into(image, pattern, rotation, position, np.asarray(intrinsics, float), photo.fine)
+    if motion is None:
+        _plate_into(image, pattern, rotation, position, np.asarray(intrinsics, float), photo.fine)
+    else:
+        image = _expose(image, pattern, rotation, position, np.asarray(intrinsics, float), photo.fine, motion)
     image *= photo.exposure * _light(width, height, photo.gradient, rng)
     image = gaussian_filter(image, photo.blur) if photo.blur > 0 else image
     image += photo.noise * rng.standard_normal(image.shape)
@@ -170,6 +198,33 @@ def draw_facing_rotation(tilt: float, towards: float, roll: float) -> np.ndarray
     return (Rotation.from_rotvec(tilt * axis) * Rotation.from_rotvec([0, 0, roll])).as_matrix()
 
 
+_MOMENTS_A_PIXEL = 3  # moments of the exposure, each pixel that the plate moves
+
+
+def _expose(
+    image: np.ndarray,
+    pattern: Pattern,
+    rotation: np.ndarray,
+    position: np.ndarray,
+    k: np.ndarray,
+    fine: int,
+    motion: np.ndarray,
+) -> np.ndarray:
+    """Return the mean image of a plate at even moments of an exposure."""
+
+    def place(share: float) -> tuple[np.ndarray, np.ndarray]:
+        return Rotation.from_rotvec(share * motion[3:]).as_matrix() @ rotation, position + share * motion[:3]
+
+    ends = [project(pattern.points @ r.T + t, k) for r, t in (place(-0.5), place(0.5))]
+    n = 1 + int(np.ceil(_MOMENTS_A_PIXEL * np.linalg.norm(ends[1] - ends[0], axis=1).max()))
+    total = np.zeros_like(image)
+    for share in (np.arange(n) + 0.5) / n - 0.5:
+        now = image.copy()
+        _plate_into(now, pattern, *place(share), k, fine if n < fine else 2)
+        total += now
+    return total / n
+
+
 def _plate_into(
     image: np.ndarray, pattern: Pattern, rotation: np.ndarray, position: np.ndarray, k: np.ndarray, fine: int
 ) -> None:
@@ -187,14 +242,27 @@ def _plate_into(
         return
     ray = compute_rays(np.stack(np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True))), axis=-1), k)
     by_v, by_u = np.gradient(ray, axis=(0, 1))  # within a pixel rays are even
-    steps = (np.arange(fine) + 0.5) / fine - 0.5
+    n = fine**2
     share = grey = np.zeros(ray.shape[:2])
-    for dv in steps:
-        for du in steps:
-            shade, hit = _shade(ray + du * by_u + dv * by_v, pattern, rotation, position, half)
-            share, grey = share + hit / fine**2, grey + shade * hit / fine**2
+    for du, dv in (_lattice(n) + 0.5) / n - 0.5:
+        shade, hit = _shade(ray + du * by_u + dv * by_v, pattern, rotation, position, half)
+        share, grey = share + hit / n, grey + shade * hit / n
     region = image[low[1] : high[1], low[0] : high[0]]
     region[...] = region * (1 - share) + grey
+
+
+def _lattice(n: int) -> np.ndarray:
+    """Return n points (n, 2) of a square of n by n places, one in each row and column: edges along pixels are sampled n times."""
+    step = max((k for k in range(1, n) if np.gcd(k, n) == 1), key=lambda k: _spread(k, n)) if n > 1 else 1
+    k = np.arange(n)
+    return np.column_stack([k, (step * k) % n])
+
+
+def _spread(step: int, n: int) -> int:
+    """Return the least squared distance of two points of a lattice that repeats."""
+    k = np.arange(1, n)
+    y = (step * k) % n
+    return int(np.min(np.minimum(k, n - k) ** 2 + np.minimum(y, n - y) ** 2))
 
 
 def _shade(

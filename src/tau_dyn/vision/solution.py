@@ -16,6 +16,7 @@ from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.vision.bundle import Bundle, Plates, Views, adjust
 from tau_dyn.vision.cameras import Cameras
 from tau_dyn.vision.pattern import Pattern
+from tau_dyn.vision.quarter_turns import choose_view_turns, turn_views
 
 
 def estimate_homography(flat: np.ndarray, pixels: np.ndarray) -> np.ndarray:
@@ -106,7 +107,7 @@ def estimate_view_poses(views: Views, pattern: Pattern, cameras: Cameras) -> tup
     The margin is the difference in weighted squared residuals, with a noise of 1 px; small where both tilts explain the picture.
     """
     alone = replace(cameras, rotation=np.tile(np.eye(3), (cameras.n, 1, 1)), position=np.zeros((cameras.n, 3)))
-    seen = Views(views.corners, views.camera, np.arange(len(views.camera)))
+    seen = views._replace(plate=np.arange(len(views.camera)))
     starts = [
         compute_plane_pose(estimate_homography(pattern.points[:, :2], c), cameras.intrinsics[k])
         for c, k in zip(views.corners, views.camera, strict=True)
@@ -212,7 +213,7 @@ def solve(
 
     Args:
         views: Corners in images.
-        pattern: The chessboard.
+        pattern: The pattern.
         sizes: Width and height of each camera's images (c, 2) [px].
         lens: Lens model of cameras not known from before.
         known: Cameras from before, with covariance.
@@ -221,11 +222,12 @@ def solve(
         CannotAnswer: Too few images, or images that do not tell the cameras' numbers.
     """
     _enough(views, len(sizes), known)
+    views = _match_turns(views, pattern, sizes, lens, known) if pattern.turns > 1 else views
     used, left_out = np.arange(len(views.camera)), {}
     for _ in range(3):
         now = views.take(used)
         bundle, margin = _solved(now, pattern, sizes, lens, known)
-        size = np.sqrt((bundle.residuals**2).sum(axis=2).mean(axis=1))
+        size = np.sqrt((now.scale(bundle.residuals) ** 2).sum(axis=2).mean(axis=1))
         off = size > np.maximum(_OUTLIER_LIMITS[0] * np.median(size), _OUTLIER_LIMITS[1])
         if not off.any() or off.sum() > 0.25 * len(off):
             break
@@ -248,6 +250,13 @@ def _enough(views: Views, n_cameras: int, known: Cameras | None) -> None:
                 f"its focal length and lens need {MIN_VIEWS} or more",
                 "take 15 images of the plate at tilts of 20 to 45 degrees that together fill the image, or give known cameras",
             )
+
+
+def _match_turns(views: Views, pattern: Pattern, sizes: np.ndarray, lens: str, known: Cameras | None) -> Views:
+    """Return views in which all cameras see a plate in the same of its turns that look alike."""
+    start = known or estimate_initial_cameras(views, pattern, sizes, lens)
+    each, _ = estimate_view_poses(views, pattern, start)
+    return turn_views(views, choose_view_turns(views, each, start, known is not None), pattern)
 
 
 def _solved(
@@ -274,7 +283,8 @@ def _noise(bundle: Bundle, views: Views, known: Cameras | None) -> np.ndarray:
     rows = 2 * views.corners.shape[0] * views.corners.shape[1]
     unknown = 6 * len(bundle.plates.position) + (0 if known is not None else len(bundle.scaled))
     share = np.sqrt(rows / max(rows - unknown, 1))
-    size = [np.sqrt(np.mean(bundle.residuals[views.camera == c] ** 2)) for c in range(bundle.cameras.n)]
+    scaled = views.scale(bundle.residuals)
+    size = [np.sqrt(np.mean(scaled[views.camera == c] ** 2)) for c in range(bundle.cameras.n)]
     return np.maximum(share * np.array(size), 1e-4)
 
 
