@@ -25,6 +25,7 @@ from tau_dyn.vision import Cameras, Pattern, measure_poses_from_images
 
 _TO_PRINT = np.diag([1.0, -1.0, -1.0])
 """From the printed pattern's frame (y down, z into the plate) to the target's (y up, z out of it); it is its own inverse."""
+_MIN_TILT_STDERR = 5.0  # standard errors between two tilts that corners tell apart
 _MIN_CHI2_DIFFERENCE = 25.0  # of two tilts, in corner variances, as `vision` takes it
 _MAX_NOISE_RATIO = 5.0
 """Times the camera's corner noise above which its focal length, its lens or the pattern's size is in doubt."""
@@ -137,7 +138,8 @@ def find_camera_correction(camera: Camera, tool: Poses, taken: str | Path) -> Ca
     seen, said = Poses(found.position, found.rotation @ _TO_PRINT), []
     noise = max(float(found.rms[0]) / np.sqrt(2), 1e-3)
     wanted = transform_to_device(camera.frames, tool)
-    seen, unsure = _choose_tilt(camera, seen, wanted, noise)
+    stderr = float(np.sqrt(np.trace(found.covariance[0][3:, 3:])))
+    seen, unsure = _choose_tilt(camera, seen, wanted, noise, stderr)
     if unsure:
         said.append(
             "the plate faces the camera so squarely that its tilt has two answers; the one nearer to the wanted place is taken: "
@@ -159,20 +161,24 @@ def find_camera_correction(camera: Camera, tool: Poses, taken: str | Path) -> Ca
     return CameraCorrection(stands, seen, shift, turn, np.sqrt(np.diag(covariance)), float(found.rms[0]), tuple(said))
 
 
-def _choose_tilt(camera: Camera, seen: Poses, wanted: Poses, noise: float) -> tuple[Poses, bool]:
-    """Return the pattern as found or with its other tilt, and whether the corners leave both open."""
+def _choose_tilt(camera: Camera, seen: Poses, wanted: Poses, noise: float, stderr: float) -> tuple[Poses, bool]:
+    """Return the pattern as found or with its other tilt, and whether the corners leave both open.
+
+    They do where the other tilt fits as well, and where both are so near that their standard error [rad] holds both.
+    """
     sight = seen.position[0] / np.linalg.norm(seen.position[0])
     half_turn = Rotation.from_rotvec(np.pi * sight).as_matrix()
     normal = seen.rotation[0][:, 2]
-    swing = Rotation.align_vectors((half_turn @ normal)[None], normal[None])[0].as_matrix()
+    turned = Rotation.align_vectors((half_turn @ normal)[None], normal[None])[0]
+    swing, near = turned.as_matrix(), bool(turned.magnitude() < _MIN_TILT_STDERR * stderr)
     pixels = camera.project(camera.place_corners(seen))
     try:
         other = camera.locate(pixels, Poses(seen.position, (swing @ seen.rotation[0])[None]))
     except InputError:
-        return seen, False
+        return seen, near
     gap = camera.project(camera.place_corners(other)) - pixels
     apart = Rotation.from_matrix(seen.rotation[0].T @ other.rotation[0]).magnitude()
     if not np.isfinite(gap).all() or np.sum(gap**2) > _MIN_CHI2_DIFFERENCE * noise**2 or apart < np.deg2rad(1.0):
-        return seen, False
+        return seen, near
     away = [Rotation.from_matrix(p.rotation[0].T @ wanted.rotation[0]).magnitude() for p in (seen, other)]
     return (seen if away[0] <= away[1] else other), True
