@@ -22,6 +22,7 @@ from tau_dyn.calibrate.measured import predict_measured, read_encoders_as_meant
 from tau_dyn.calibrate.model_selection import Options
 from tau_dyn.calibrate.models import get_family
 from tau_dyn.calibrate.poses import plan_campaign, read_fixtures
+from tau_dyn.calibrate.starting_frames import estimate_initial_frames
 from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
 from tau_dyn.calibrate.unknowns import collect
 from tau_dyn.cli import main
@@ -298,3 +299,22 @@ def test_a_plan_lists_encoders_to_be_read(five_bar: Robot, tmp_path: Path) -> No
     )
     with pytest.raises(InputError, match="position"):
         read_fixtures(path)
+
+
+def test_a_target_that_hardly_shows_starts_near_the_tool() -> None:
+    """A Delta's plate hardly turns, so positions leave the target open: its start is near the tool, whatever the rows' order."""
+    robot, rng = load_robot("delta"), np.random.default_rng(11)
+    geometry, known = build_tree_geometry(robot), PassiveEncoders.of(robot, ["rod1a_yaw"])
+    theta = geometry.parameters.values
+    theta = theta + 3e-4 * rng.standard_normal(len(theta)) * np.array([p.free for p in geometry.parameters])
+    q = robot.home + rng.uniform(-0.3, 0.3, (40, 3))
+    rows = PoseSet(q, np.zeros((40, 3)), names=tuple(f"row {k}" for k in range(40)))
+    encoder = known.measure("rod1a_yaw", geometry.passive(theta, q, ["rod1a_yaw"])[:, 0], rows)
+    poses = join_pose_sets([measure_tool(geometry, theta, q, 2e-5, 12), encoder])
+    places = []
+    for order in (np.arange(poses.n), rng.permutation(poses.n)):
+        some = poses.take(order)
+        nominal = predict_measured(geometry, geometry.parameters.values, some, some.q)
+        places.append(estimate_initial_frames(some, nominal).tool[0].translation)
+    assert np.linalg.norm(places[0]) < 0.2
+    assert np.allclose(places[0], places[1], atol=1e-3)

@@ -30,6 +30,9 @@ _ALTERNATIONS = 20
 """Fits of the device's frame and of the targets' places in turn; what is left to go shrinks by half or more each."""
 _MAX_EVALUATIONS = 60
 """Evaluations for each unknown of a descent to a start; a smooth one takes about ten."""
+_MAX_TARGET_M = 0.1
+"""Distance of a target from the tool frame [m] that counts as much as one residual of a start: it decides along directions that
+hardly show, on a plate that hardly turns."""
 _MIRROR_GAIN = 5.0
 """By how much better a mirrored device frame must fit before it is called wrong-handed."""
 
@@ -132,8 +135,13 @@ def _settle(
     start = np.zeros(n + len(places) + len(frames.with_length))
     if not len(start) or poses.n * 3 < len(start):
         return frames, float(np.sum(left(start) ** 2))
+    slope = float(np.sqrt(np.mean(left(start) ** 2))) / _MAX_TARGET_M
+
+    def left_near(x: np.ndarray) -> np.ndarray:
+        return np.concatenate([left(x), slope * x[n : n + len(places)]])
+
     end = least_squares(
-        left,
+        left_near,
         start,
         method="lm" if noise is None else "trf",
         loss="linear" if noise is None else "soft_l1",
