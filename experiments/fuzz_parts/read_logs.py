@@ -196,7 +196,7 @@ LOGS = (
     Reader("measured_points", ".csv", lambda f: [seeds.csv_of(seeds.poses())], TABLE,
            by_name("log.read", "read_measured", ("axis",))),
     Reader("guideway", ".csv", of(seed_motions.guideway()), TABLE, _guideway),
-    Reader("image_positions", ".csv", of(seed_motions.positions()), TABLE, by_name("vision.measure", "read_positions")),
+    Reader("image_positions", ".csv", of(seed_motions.positions()), TABLE, by_name("vision.robot_positions", "read_positions")),
     Reader("cloud", ".csv", lambda f: [seeds.csv_of(seeds.poses())], TABLE, by_name("view.results", "read_cloud")),
     Reader("image", ".png", lambda f: seeds.images(), (*BINARY, mutate_records.integers),
            by_name("vision.images", "read_image"), needs=("cv2",)),

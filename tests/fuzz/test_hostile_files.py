@@ -275,7 +275,7 @@ def test_a_packed_cloud_is_not_inflated(tmp_path: Path) -> None:
 def test_a_picture_of_gigapixels_is_refused(tmp_path: Path, monkeypatch) -> None:
     """A PNG of 2 MB declares a billion grey values of 16 bits, which became eight gigabytes of floats."""
     cv2 = pytest.importorskip("cv2")
-    monkeypatch.setattr("tau_dyn.vision.detect._MAX_PIXELS", 10_000)
+    monkeypatch.setattr("tau_dyn.vision.images._MAX_PIXELS", 10_000)
     (tmp_path / "x.png").write_bytes(bytes(cv2.imencode(".png", np.zeros((101, 100), np.uint16))[1]))
     with raises_code("file_format", "100x101"):
         _readers()["image"](tmp_path / "x.png")
