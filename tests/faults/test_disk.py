@@ -148,7 +148,8 @@ def test_a_very_long_name_is_written(tmp_path) -> None:
 def test_no_output_overwrites_an_input(tmp_path, capsys) -> None:
     """For every command and every argument that names a file to read: naming it as an output as well is refused."""
     app, tried = build_app(), 0
-    written = {"--json", "--report", "--out", "--propose", "--save-cameras", "--rapid", "--resume", "--corrected"}
+    written = {"--json", "--report", "--out", "--propose", "--save-cameras", "--save-camera", "--picture", "--rapid"}
+    written |= {"--resume", "--corrected"}
     for command in COMMANDS:
         options = list_options(app, command)
         for label, argument in options.items():
