@@ -117,6 +117,19 @@ def test_a_five_bar_calibrates_itself_by_its_elbows(five_bar: Robot) -> None:
     assert "size_undetermined" in [get_code(text) for text in found.warnings]
 
 
+def test_a_reading_is_the_angle_and_the_zero(five_bar: Robot) -> None:
+    """Of a robot as its file says, each zero is what its encoder reads beyond the joint's angle."""
+    rng = np.random.default_rng(14)
+    q = draw_positions(five_bar, 30, rng)
+    found = calibrate(
+        five_bar, measure(five_bar, build_tree_geometry(five_bar).parameters.values, q, rng), None, "frames"
+    )
+    rows = {row["device"]: row for row in found.to_dict()["frames"] if "zero" in row}
+    for joint, zero in ZEROS.items():
+        assert rows[joint]["zero"] == pytest.approx(zero, abs=4 * SIGMA_RAD)
+        assert rows[joint]["unit"] == "rad"
+
+
 def test_angles_do_not_show_how_large_a_robot_is(five_bar: Robot) -> None:
     """A five-bar 2 % larger all over has the same passive angles at the same positions of its motors."""
     geometry, q = build_tree_geometry(five_bar), draw_positions(five_bar, 10, np.random.default_rng(3))

@@ -457,12 +457,6 @@ def descend_in_rounds(problem: Problem, robust: str, noise: tuple[float, ...] | 
     return Rounds(state, weighted, steps, near and gain < _SLOW_GAIN * len(weighted.free))
 
 
-def is_noise_settled(weighted: WeightedProblem, state: FitState) -> bool:
-    """Return whether a state leaves the noise that it was found with."""
-    new = weighted.estimate_noise(state)
-    return max(abs(a / b - 1) for a, b in zip(new, weighted.noise, strict=True)) < _SETTLED_NOISE_CHANGE
-
-
 def descend_near(weighted: WeightedProblem, state: FitState, max_steps: int) -> FitState:
     """Return the state after a few steps at a known noise."""
     return descend(weighted, state, replace(_RULES, max_steps=max_steps)).state

@@ -18,7 +18,6 @@ from tau_dyn.calibrate.fit_problem import (
     Problem,
     compute_actuated_positions,
     descend_in_rounds,
-    is_noise_settled,
     reset_unidentifiable,
 )
 from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames, compute_mean_rotation
@@ -39,7 +38,6 @@ from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Brief
 
-_MAX_DESCENTS = 3  # a step to nominal values may lead on in a curved valley where the first descent stopped short
 _UNKNOWN_FRAME = 1.0
 """Standard deviation [m or rad] of a frame along a direction that no pose shows: anywhere in a room, turned anyhow."""
 
@@ -414,14 +412,9 @@ def fit_geometry_to_poses(
 def _solve(problem: Problem, robust: str, noise: tuple[float, ...] | None, state: FitState, what: str) -> GeometryFit:
     """Return the fit of a problem from a state, with what cannot be told at nominal and the others' covariance."""
     poses = problem.poses
-    steps = 0
-    for _ in range(_MAX_DESCENTS):
-        state, weighted, tried, converged = descend_in_rounds(problem, robust, noise, state)
-        steps += tried
-        found = weighted.identify(state)
-        state = reset_unidentifiable(weighted, state, found)
-        if noise is not None or is_noise_settled(weighted, state):
-            break
+    state, weighted, steps, converged = descend_in_rounds(problem, robust, noise, state)
+    found = weighted.identify(state)
+    state = reset_unidentifiable(weighted, state, found)
     if not state.ok.any():
         raise CannotAnswer(
             "no_solution",
