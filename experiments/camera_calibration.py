@@ -397,7 +397,7 @@ def moving_table(n: int, seed: int) -> None:
                         tuple(SIZE),
                         rng,
                         background=room,
-                        photography=Photography(),
+                        photography=Photography(fine=FINE),
                         motion=motion,
                     )
                     write_image(Path(folder) / side / f"{k:03d}.png", image)

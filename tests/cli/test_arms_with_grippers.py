@@ -12,6 +12,7 @@ from tau_dyn.cli.arguments import RobotOptions
 from tau_dyn.cli.demo import hash_log, load_arm, make_arm
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log, read_log
+from tau_dyn.mechanism import forward_kinematics
 from tau_dyn.robot import load_robot
 
 
@@ -74,6 +75,21 @@ def test_a_log_without_the_gripper_holds_it_still(arm, tmp_path, capsys):
     log.write_text("\n".join(",".join(x for k, x in enumerate(row) if k not in lacking) for row in lines) + "\n")
     assert main(["identify", str(arm), str(log), "--quiet"]) == 2
     assert "q_elbow" in capsys.readouterr().err
+
+
+def test_poses_without_the_gripper_hold_it_still(arm, tmp_path, capsys):
+    """`calibrate` takes poses of the arm's joints alone; a finger on the tool, which moves it, is still asked for."""
+    q = np.random.default_rng(3).uniform(-1.2, 1.2, (40, 2))
+    robot = load_robot(arm, actuated=("shoulder", "elbow"), tool="lower_link")
+    rows = np.hstack([q, forward_kinematics(robot, q).poses.position])
+    head = "q_shoulder,q_elbow,x_tool,y_tool,z_tool"
+    poses, result = tmp_path / "poses.csv", tmp_path / "result.json"
+    np.savetxt(poses, rows, delimiter=",", header=head, comments="")
+    words = ["calibrate", str(arm), str(poses), "--known", "device", "tool", "--quiet"]
+    assert main([*words, "--tool", "lower_link", "--json", str(result)]) == 0
+    assert "held still at zero" in capsys.readouterr().err
+    assert main([*words, "--tool", "left_link"]) == 2
+    assert "q_left" in capsys.readouterr().err
 
 
 def test_the_demo_holds_the_gripper_and_loads_the_arm(arm):

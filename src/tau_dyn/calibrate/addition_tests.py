@@ -224,7 +224,9 @@ class _ProjectedResidual:
         return self.left * float(np.log(max(left[0], 1e-300) / max(left[1], 1e-300)))
 
     def judged(self, gain: float, k: int, tries: int = 1) -> tuple[float, float]:
-        """Return the p-value and the share of a reduction by `k` columns."""
+        """Return the p-value and the share of a reduction by `k` columns; a fit that leaves nothing has none."""
+        if self.total <= 0:
+            return 1.0, 0.0
         share = gain / self.total
         left = max(self.left - k, 1)
         f = (share / k) / max((1 - share) / left, 1e-300)

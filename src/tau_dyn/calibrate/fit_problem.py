@@ -246,7 +246,7 @@ def compute_size_slope(geometry: Geometry, q: np.ndarray) -> np.ndarray:
 
 def get_blind_limit(poses: PoseSet) -> float:
     """Return the singular value of scaled, whitened columns below which a combination counts as blind; 0 is rounding alone."""
-    return 0.0 if poses.as_poses().shows_frames else _BARELY
+    return 0.0 if poses.shows_frames else _BARELY
 
 
 def _require_square(slope: np.ndarray) -> np.ndarray:

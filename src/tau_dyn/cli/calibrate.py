@@ -67,18 +67,18 @@ def calibrate(
         )
     with show_progress(output.quiet) as step:
         step("loading")
-        from tau_dyn.calibrate import PassiveEncoders, calibrate as calibrate_robot, read_poses, save_calibration
+        from tau_dyn.calibrate import PassiveEncoders, calibrate as calibrate_robot, save_calibration
         from tau_dyn.kinematics import read_positions
         from tau_dyn.robot import read_annotations
 
         machine = robot_options.load(robot)
-        wanted = None if correct is None else read_positions(args.read_columns(correct), machine, str(correct))
         reading = {
             "columns": columns,
             "mimics": read_annotations(machine.urdf, machine.source).mimics,
             "encoders": PassiveEncoders.of(machine, encoders) if encoders else None,
         }
-        measured = read_poses(poses, machine.actuated, **reading)
+        machine, measured = _read_poses(robot_options, robot, machine, poses, reading)
+        wanted = None if correct is None else read_positions(args.read_columns(correct), machine, str(correct))
         held, hashes, warnings = _read_held_out(holdout, poses, machine, reading)
         found = calibrate_robot(
             machine,
@@ -111,6 +111,23 @@ def calibrate(
         found=found,
         context={"poses": read},
     )
+
+
+def _read_poses(options: args.RobotOptions, robot: str, machine, poses: Path, reading: dict[str, Any]):
+    """Return the robot and its measured poses; joints that do not move the tool are held still if the poses lack one.
+
+    Raises:
+        InputError: A column that is needed is missing, or cells are no numbers.
+    """
+    from tau_dyn.calibrate import read_poses
+
+    try:
+        return machine, read_poses(poses, machine.actuated, **reading)
+    except InputError as fault:
+        carrying = options.hold_silent_joints(machine, robot, [])
+        if fault.code != "missing_column" or carrying is machine:
+            raise
+    return carrying, read_poses(poses, carrying.actuated, **reading)
 
 
 def _read_held_out(holdout: tuple[Path, ...], poses: Path, robot, reading: dict[str, Any]):

@@ -219,11 +219,18 @@ class CameraSetup:
             )
 
     def check_device(self, device: Any) -> None:
-        """Refuse to write the place of a camera that stands.
+        """Refuse to write the place of a camera that stands, or a picture of a camera on the tool.
 
         Raises:
-            InputError: It does.
+            InputError: It is one of these.
         """
+        from tau_dyn.calibrate.poses import ToolCamera
+
+        if isinstance(device, ToolCamera) and (self.picture or self.taken or self.save_camera):
+            raise InputError(
+                "bad_option",
+                "--picture, --taken and --save-camera are for a camera that stands still; this one is on the tool",
+            )
         if self.save_camera is not None and device.places is None:
             raise InputError(
                 "bad_option",
@@ -309,7 +316,7 @@ def plan_poses(
         step("loading")
         from tau_dyn.calibrate.poses import Safety, plan_campaign, read_camera, read_fixtures, read_tracker
 
-        machine = robot_options.load(robot)
+        machine = robot_options.hold_silent_joints(robot_options.load(robot), robot, [])
         readers = ((camera, read_camera), (tracker, read_tracker), (fixtures, read_fixtures))
         device = next((read(path) for path, read in readers if path is not None), None)
         setup.check_device(device)
@@ -393,7 +400,8 @@ def _align(robot: str, options: args.RobotOptions, camera: Path | None, setup: C
     from tau_dyn.vision import read_image
 
     assert camera is not None and setup.taken is not None
-    machine, wanted = options.load(robot), read_camera(camera)
+    machine, wanted = options.hold_silent_joints(options.load(robot), robot, []), read_camera(camera)
+    setup.check_device(wanted)
     if wanted.places is not None:
         raise InputError(
             "bad_option",
@@ -424,7 +432,7 @@ def _go_on(
     from tau_dyn.calibrate.poses import PathCheck, format_rapid_module, format_tour_csv, read_progress
     from tau_dyn.kinematics.workspace import build_machine
 
-    machine = options.load(robot)
+    machine = options.hold_silent_joints(options.load(robot), robot, [])
     now = read_progress(resume, machine.actuated)
     q, pose = now.q[now.left], now.pose[now.left]
     cells = [now.cells[k] for k in now.left] if now.cells else []

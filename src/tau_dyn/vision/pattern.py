@@ -198,6 +198,8 @@ def draw_facing_rotation(tilt: float, towards: float, roll: float) -> np.ndarray
     return (Rotation.from_rotvec(tilt * axis) * Rotation.from_rotvec([0, 0, roll])).as_matrix()
 
 
+_PLASTIC = np.array([0.7548776662, 0.5698402910])
+"""Powers of the inverse plastic number: shifts by their multiples are spread evenly over a square (Roberts 2018)."""
 _MOMENTS_A_PIXEL = 3  # moments of the exposure, each pixel that the plate moves
 
 
@@ -218,17 +220,27 @@ def _expose(
     ends = [project(pattern.points @ r.T + t, k) for r, t in (place(-0.5), place(0.5))]
     n = 1 + int(np.ceil(_MOMENTS_A_PIXEL * np.linalg.norm(ends[1] - ends[0], axis=1).max()))
     total = np.zeros_like(image)
-    for share in (np.arange(n) + 0.5) / n - 0.5:
+    few = max(2, int(np.ceil(fine / np.sqrt(n))))  # together the moments have enough rays
+    for moment in range(n):
         now = image.copy()
-        _plate_into(now, pattern, *place(share), k, fine if n < fine else 2)
+        pair = min(moment, n - 1 - moment)
+        shift = (pair + 1) * _PLASTIC % 1 if 2 * moment != n - 1 else np.full(2, 0.5)
+        shift = shift if moment == pair else 1 - shift  # in pairs, so that their mean is the middle of a cell
+        _plate_into(now, pattern, *place((moment + 0.5) / n - 0.5), k, few, shift)
         total += now
     return total / n
 
 
 def _plate_into(
-    image: np.ndarray, pattern: Pattern, rotation: np.ndarray, position: np.ndarray, k: np.ndarray, fine: int
+    image: np.ndarray,
+    pattern: Pattern,
+    rotation: np.ndarray,
+    position: np.ndarray,
+    k: np.ndarray,
+    fine: int,
+    shift: float | np.ndarray = 0.5,
 ) -> None:
-    """Draw the plate where its pixels are."""
+    """Draw the plate where its pixels are; `shift` puts rays within their cells of the lattice."""
     half = np.array(pattern.half_size) + pattern.square
     rim = np.array([[sx * half[0], sy * half[1], 0.0] for sx in (-1, 0, 1) for sy in (-1, 0, 1)])
     at = rim @ rotation.T + position
@@ -244,7 +256,7 @@ def _plate_into(
     by_v, by_u = np.gradient(ray, axis=(0, 1))  # within a pixel rays are even
     n = fine**2
     share = grey = np.zeros(ray.shape[:2])
-    for du, dv in (_lattice(n) + 0.5) / n - 0.5:
+    for du, dv in (_lattice(n) + shift) / n - 0.5:
         shade, hit = _shade(ray + du * by_u + dv * by_v, pattern, rotation, position, half)
         share, grey = share + hit / n, grey + shade * hit / n
     region = image[low[1] : high[1], low[0] : high[0]]

@@ -147,8 +147,8 @@ class PoseSet(Brief):
 
     @property
     def shows_frames(self) -> bool:
-        """Whether one device measures poses or positions, in a frame of its own that they show."""
-        return self.measures_poses and len(self.devices) == 1
+        """Whether one device measures poses or positions, in a frame of its own that they show; on the tool or beside it."""
+        return set(self.kinds) <= {"pose", "hand_eye"} and len(self.devices) == 1
 
     @property
     def touches(self) -> np.ndarray:

@@ -6,7 +6,12 @@ from .alignment import (
     find_camera_correction as find_camera_correction,
 )
 from .automation import CalibrationCampaign as CalibrationCampaign, plan_campaign as plan_campaign
-from .camera import Camera as Camera, read_camera as read_camera, read_tracker as read_tracker
+from .camera import (
+    Camera as Camera,
+    ToolCamera as ToolCamera,
+    read_camera as read_camera,
+    read_tracker as read_tracker,
+)
 from .campaign_files import (
     format_rapid_module as format_rapid_module,
     format_tour_csv as format_tour_csv,

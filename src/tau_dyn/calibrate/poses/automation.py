@@ -15,7 +15,8 @@ import numpy as np
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.measured import ENCODERS, TOUCHES, PoseSet
 from tau_dyn.calibrate.models import get_family
-from tau_dyn.calibrate.poses.camera import Camera
+from tau_dyn.calibrate.poses.aim import find_aimed
+from tau_dyn.calibrate.poses.camera import Camera, ToolCamera
 from tau_dyn.calibrate.poses.campaign_files import (
     CampaignProgress,
     build_new_progress,
@@ -38,7 +39,7 @@ from tau_dyn.calibrate.poses.reachable import (
     find_visible,
 )
 from tau_dyn.calibrate.poses.tour import PathCheck, Tour, approach_poses, plan_tour
-from tau_dyn.exceptions import CannotAnswer
+from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.kinematics.workspace import PoseRequirements, build_machine
 from tau_dyn.mechanism import Poses
 from tau_dyn.robot import Robot
@@ -234,7 +235,7 @@ def plan_campaign(
     parts = []
     for one in devices:
         progress(f"looking for poses that {one.name} measures")
-        parts.append(_find_candidates(one, geometry, reach, check, demands, safety))
+        parts.append(_find_candidates(one, geometry, reach, check, demands, safety, seed))
     number, start = (
         np.repeat(np.arange(len(parts)), [len(p.q) for p in parts]),
         np.concatenate([p.start for p in parts]),
@@ -243,7 +244,9 @@ def plan_campaign(
     progress("choosing poses")
     design = build_design(
         geometry,
-        device.build_pose_set(q, number) if isinstance(device, FixtureSet) else q,
+        device.build_pose_set(q, number)
+        if isinstance(device, FixtureSet)
+        else PoseSet(q, np.zeros((len(q), 3)), kinds=(device.kind,)),
         np.concatenate([p.noise for p in parts]),
         frames=device.frames,
         **fitted,
@@ -269,6 +272,7 @@ def _find_candidates(
     check: PathCheck,
     demands: PoseRequirements,
     safety: Safety,
+    seed: int,
 ) -> MeasurablePoses:
     """Return the poses that one device sees, or at which the target touches a fixture."""
     around = demands.surroundings
@@ -281,7 +285,10 @@ def _find_candidates(
         if device.kind in TOUCHES:
             own = safety.apply(replace(demands, surroundings=around))
             return find_touches(device, geometry, reach, check, own, safety)
-    visible = find_visible(device, reach, around, check.machine if demands.collisions else None)
+    machine = check.machine if demands.collisions else None
+    if isinstance(device, ToolCamera):
+        return find_aimed(device, geometry, reach, around, machine, safety, seed)
+    visible = find_visible(device, reach, around, machine)
     q, tool = reach.q[visible.index], reach.tool.take(visible.index)
     noise = device.covariance(tool)
     return MeasurablePoses(q, q, tool, noise if device.turned else noise[:, :3, :3], visible.index, visible.reasons)
@@ -309,9 +316,18 @@ def build_geometry(robot: Robot, model: str | None = None, *, encoders: bool = F
 
 
 def _device_for(geometry: Geometry, device: MeasuringDevice | FixtureSet | None) -> MeasuringDevice | FixtureSet:
-    """Return the device given, or one that sees everything; a camera that sees one orientation alone is told so."""
+    """Return the device given, or one that sees everything; a camera that sees one orientation alone is told so.
+
+    Raises:
+        InputError: A camera is on a tool that does not turn.
+    """
     if device is None:
         return UniformDevice(_NOISE if geometry.orients else _NOISE[:1])
+    if isinstance(device, ToolCamera) and not geometry.orients:
+        raise InputError(
+            "unsupported",
+            "a camera on the tool needs a tool that turns; mount the camera beside the robot, the pattern on the tool",
+        )
     if isinstance(device, Camera) and not geometry.orients:
         return replace(device, steady=True)  # all pictures show one orientation
     return device

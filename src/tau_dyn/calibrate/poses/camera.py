@@ -1,4 +1,4 @@
-"""One fixed camera and a flat pattern on the tool: what it sees and how well it measures; cameras and trackers read from YAML.
+"""One camera and a flat pattern, one of them on the tool: what it sees and how exactly; cameras and trackers read from YAML.
 
 A pinhole, z forward, x to the right of the picture, y down: `u = f_x x / z + c_x`, `v = f_y y / z + c_y`. All corners of the
 pattern must lie in the picture, the pattern must face the camera and be neither too near nor too far (thesis 5.6). With corner
@@ -15,6 +15,7 @@ Files have lengths in m, angles in degrees, places in the robot's base frame; or
     choose: {position: [[3, 7], [-2, 1], [0.2, 2]]}
 
 `choose` says what the tool may choose: a place within ranges of x, y and z, and the direction; or `choose: direction` alone.
+With `mount: tool` the camera is on the tool, its place in the tool frame, and the pattern stands still, in the base frame.
 
     tracker: {position: [5, -0.6, 1], noise: 10e-6, noise_per_metre: 5e-6}
     reflector: {position: [0, 0, 0], normal: [1, 0, 0], orientation_noise: 50e-6}
@@ -24,7 +25,7 @@ Files have lengths in m, angles in degrees, places in the robot's base frame; or
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -32,8 +33,9 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.frames import Frame, compute_mean_rotation
-from tau_dyn.calibrate.poses.devices import StandingDevice, Tracker, transform_to_base, transform_to_device
+from tau_dyn.calibrate.frames import DeviceFrames, Frame, compute_mean_rotation
+from tau_dyn.calibrate.measured.kinds import invert_poses
+from tau_dyn.calibrate.poses.devices import StandingDevice, Tracker, transform_to_base
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml
 from tau_dyn.mechanism import Poses
@@ -138,13 +140,13 @@ class Camera(StandingDevice):
 
     def covariance(self, tool: Poses) -> np.ndarray:
         """Return the covariance of the pattern's measured pose (N, 6, 6), of a steady one's position (N, 3, 3)."""
-        slope = self.compute_slope(transform_to_device(self.frames, tool))
+        slope = self.compute_slope(self.see(tool))
         slope = slope[:, :, :3] if self.steady else slope
         return self.pixel_noise**2 * np.linalg.inv(np.swapaxes(slope, 1, 2) @ slope)
 
     def measure(self, tool: Poses, rng: np.random.Generator) -> Poses:
         """Return the pattern's pose as located in noisy pictures."""
-        at = transform_to_device(self.frames, tool)
+        at = self.see(tool)
         pixels = self.project(self.place_corners(at))
         pixels = pixels + self.pixel_noise * rng.standard_normal(pixels.shape)
         found = self.locate(pixels, at)
@@ -203,6 +205,39 @@ class Camera(StandingDevice):
         return np.concatenate([by_point, by_turn], axis=3).reshape(len(points), -1, 6)
 
 
+@dataclass(frozen=True, eq=False)
+class ToolCamera(Camera):
+    """A camera on the tool and a pattern that stands still.
+
+    Attributes:
+        pose: The pattern in the robot's base frame.
+        on_tool: The camera in the tool frame.
+    """
+
+    @property
+    def kind(self) -> str:
+        """It tells the pose of what stands still, in its own frame."""
+        return "hand_eye"
+
+    @property
+    def frames(self) -> DeviceFrames:
+        """The base in the pattern's frame, the camera on the tool."""
+        return replace(super().frames, kinds=(self.kind,), lengths=(0.0,))
+
+    def find_places(self, tool: Poses) -> np.ndarray:
+        """Return where the camera is (N, 3) [m]."""
+        return transform_to_base(self.frames, tool).position
+
+    def see(self, tool: Poses) -> Poses:
+        """Return the pattern in the camera's frame."""
+        return invert_poses(super().see(tool))
+
+    def marks(self, tool: Poses) -> np.ndarray:
+        """Return the pattern's middle and its four corners (N, 5, 3) [m], which stand still."""
+        corners = np.vstack([np.zeros((1, 3)), self.pattern.outline]) @ self.pose.rotation.T + self.pose.translation
+        return np.repeat(corners[None], len(tool.position), axis=0)
+
+
 def build_camera_frame(place: np.ndarray, look_at: np.ndarray, up: np.ndarray) -> Frame:
     """Return the frame of a camera at a place that looks at a point, `up` upwards in the picture.
 
@@ -238,23 +273,30 @@ UP = (0.0, 0.0, 1.0)
 
 
 def read_camera(path: str | Path) -> Camera:
-    """Read a camera and its pattern.
+    """Read a camera and its pattern: a `ToolCamera` where the camera is on the tool.
 
     Raises:
         InputError: Something is missing or no number; the message names the place.
     """
     root = FilePart(read_yaml(path), str(path), {"camera", "pattern", "limits", "choose"})
-    camera = root.part("camera", {"position", "look_at", "up", "image", "focal", "centre", "noise"})
+    camera = root.part("camera", {"mount", "position", "look_at", "up", "image", "focal", "centre", "noise"})
+    mount = camera.content.get("mount", "base")
+    if mount not in ("base", "tool"):
+        camera.fault(f"mount must be base or tool, not {mount}")
+    if mount == "tool" and "choose" in root.content:
+        root.fault("`choose` places a camera that stands still; leave it out for a camera on the tool")
     pattern = root.part("pattern", {"columns", "rows", "square", "border", "position", "normal", "up"})
     limits = root.part("limits", {"distance", "incidence", "margin"}, needed=False)
     image = camera.numbers("image", 2, low=1)
     focal = camera.numbers("focal", 2, low=1e-6, alone=True)
     centre = camera.numbers("centre", 2, default=tuple((image - 1) / 2))
     pose = camera.framed(build_camera_frame, "look_at")
+    target = pattern.framed(build_target_frame, "normal")
     up = camera.numbers("up", 3, default=UP)
-    return Camera(
-        pose=pose,
-        on_tool=pattern.framed(build_target_frame, "normal"),
+    make, at_base, on_tool = (ToolCamera, target, pose) if mount == "tool" else (Camera, pose, target)
+    return make(
+        pose=at_base,
+        on_tool=on_tool,
         pattern=CameraPattern(
             int(pattern.whole("columns", 8)),
             int(pattern.whole("rows", 6)),

@@ -231,8 +231,9 @@ def _slopes(
     theta = geometry.parameters.values
     predicted = predict_measured(geometry, theta, poses, poses.q)
     seen = frames.measured(predicted.poses, poses.setup)
-    if poses.measures_poses:
-        poses = replace(poses, position=seen.position, rotation=seen.rotation if turned else None)
+    if poses.shows_frames:
+        expected = poses.expect(seen)
+        poses = replace(poses, position=expected.position, rotation=expected.rotation if turned else None)
     state = FitState(theta, frames, predicted.poses, predicted.ok, np.zeros(poses.na))
     columns = Problem(geometry, poses, unknowns, "forward", turned).columns(state)
     return columns[:, :, unknowns.free], predicted.poses, predicted.ok

@@ -39,8 +39,12 @@ class MeasuringDevice(Protocol):
         ...
 
     @property
-    def place(self) -> np.ndarray | None:
-        """Where it looks from (3,) [m] in the robot's base frame, None where it sees through everything."""
+    def kind(self) -> str:
+        """What it tells, a name of `KINDS`."""
+        ...
+
+    def find_places(self, tool: Poses) -> np.ndarray | None:
+        """Return from where it looks (N, 3) [m] in the robot's base frame, None where it sees through everything."""
         ...
 
     def reasons(self, tool: Poses) -> np.ndarray:
@@ -80,9 +84,12 @@ class UniformDevice:
         return len(self.noise) > 1
 
     @property
-    def place(self) -> None:
-        """It sees through everything."""
-        return
+    def kind(self) -> str:
+        """It tells poses."""
+        return "pose"
+
+    def find_places(self, tool: Poses) -> None:
+        """Return nothing: it sees through everything."""
 
     def reasons(self, tool: Poses) -> np.ndarray:
         """Return '' for every pose."""
@@ -134,19 +141,27 @@ class StandingDevice(ABC):
     on_tool: Frame
 
     @property
+    def kind(self) -> str:
+        """It tells poses."""
+        return "pose"
+
+    @property
     def frames(self) -> DeviceFrames:
         """The base in the device's frame, the target on the tool."""
         return DeviceFrames((self.pose.inverse,), (self.on_tool,))
 
-    @property
-    def place(self) -> np.ndarray:
-        """Where it looks from (3,) [m]."""
-        return self.pose.translation
+    def find_places(self, tool: Poses) -> np.ndarray:
+        """Return from where it looks (N, 3) [m]."""
+        return np.repeat(self.pose.translation[None], len(tool.position), axis=0)
+
+    def see(self, tool: Poses) -> Poses:
+        """Return the target in the device's frame."""
+        return transform_to_device(self.frames, tool)
 
     def reasons(self, tool: Poses) -> np.ndarray:
         """Return why it does not see the target (N,), '' where it does: the first rule that is broken."""
         out = np.full(len(tool.position), SEEN, dtype=object)
-        for words, broken in self._rules(transform_to_device(self.frames, tool)):
+        for words, broken in self._rules(self.see(tool)):
             out[broken & (out == SEEN)] = words
         return out
 

@@ -102,10 +102,11 @@ class Fixture:
         """It tells no orientation."""
         return False
 
-    @property
-    def place(self) -> np.ndarray | None:
-        """From where a distance is measured (3,) [m]; a touch needs no line of sight."""
-        return self.pose.translation if self.kind == "distance" else None
+    def find_places(self, tool: Poses) -> np.ndarray | None:
+        """Return from where a distance is measured (N, 3) [m]; a touch needs no line of sight."""
+        if self.kind != "distance":
+            return None
+        return np.repeat(self.pose.translation[None], len(tool.position), axis=0)
 
     @property
     def cells(self) -> dict[str, str]:

@@ -91,7 +91,8 @@ def simulate_measurement(
     """Return what a device measures of a robot with parameters `theta` at positions (N, na)."""
     tool = geometry.forward(theta, q).poses
     found = device.measure(tool, rng)
-    return PoseSet(q, found.position, found.rotation if device.turned else None, source="simulated measurement")
+    rotation = found.rotation if device.turned else None
+    return PoseSet(q, found.position, rotation, kinds=(device.kind,), source="simulated measurement")
 
 
 def simulate_calibrations(

@@ -232,21 +232,13 @@ _BEAM = 1e-4  # [m] radius of a line of sight
 _FREE = 0.02  # [m] before the mark that may be hidden: the target's own mount
 
 
-def check_place(device: MeasuringDevice, around: Surroundings) -> None:
-    """Refuse a device that stands inside an obstacle.
-
-    Raises:
-        InputError: It does; names both.
-    """
-    if device.place is None:
-        return
-    for solid in around.obstacles:
-        if solid.blocks == "robot" and solid.distance(device.place[None])[0] < 0:
-            place = ", ".join(f"{x:g}" for x in device.place)
-            raise InputError(
-                "invalid_value",
-                f"the {device.name} at ({place}) m stands inside the obstacle '{solid.name}'; move one of them",
-            )
+def find_blocking(device: MeasuringDevice, tool: Poses, around: Surroundings) -> np.ndarray:
+    """Return the obstacle in which a device would stand at each tool pose (N,), '' where it stands free."""
+    out, places = np.full(len(tool.position), SEEN, dtype=object), device.find_places(tool)
+    for solid in around.obstacles if places is not None else ():
+        if solid.blocks == "robot":
+            out[(solid.distance(places) < 0) & (out == SEEN)] = solid.name
+    return out
 
 
 def find_occlusions(
@@ -261,8 +253,8 @@ def find_occlusions(
         around: Obstacles; zones that only the tool must keep out of hide nothing.
         machine: The robot, whose own solids hide as well; None leaves them out.
     """
-    out = np.full(len(q), SEEN, dtype=object)
-    if device.place is None or not len(q):
+    out, places = np.full(len(q), SEEN, dtype=object), device.find_places(tool)
+    if places is None or not len(q):
         return out
     solids = [(o.name, build_standing_solid(o.shape, o.placement)) for o in around.obstacles if o.blocks == "robot"]
     if machine is not None:
@@ -272,7 +264,7 @@ def find_occlusions(
         ]
     marks = device.marks(tool)
     for k in range(marks.shape[1]):
-        beam = _beam(device.place, marks[:, k])
+        beam = _beam(places, marks[:, k])
         for name, solid in solids:
             left = np.flatnonzero(out == SEEN)
             if len(left):
@@ -281,12 +273,11 @@ def find_occlusions(
     return out
 
 
-def _beam(place: np.ndarray, marks: np.ndarray) -> PlacedSolid:
-    along = marks - place
+def _beam(places: np.ndarray, marks: np.ndarray) -> PlacedSolid:
+    along = marks - places
     size = np.linalg.norm(along, axis=1, keepdims=True)
-    end = place + along * np.maximum(1 - _FREE / np.maximum(size, 1e-9), 0.0)
-    start = np.repeat(place[None], len(marks), axis=0)
-    return build_capsule(_BEAM, float(size.max(initial=1e-6)), start, end)
+    end = places + along * np.maximum(1 - _FREE / np.maximum(size, 1e-9), 0.0)
+    return build_capsule(_BEAM, float(size.max(initial=1e-6)), places, end)
 
 
 def _carries(joint: int, machine: WorkspaceModel) -> bool:
@@ -359,8 +350,15 @@ def find_visible(
         InputError: The device stands in an obstacle.
         CannotAnswer: It sees none of the poses; says mostly why.
     """
-    check_place(device, around)
+    blocking = find_blocking(device, poses.tool, around)
+    if (blocking != SEEN).all():
+        place = ", ".join(f"{x:g}" for x in np.asarray(device.find_places(poses.tool))[0])
+        raise InputError(
+            "invalid_value",
+            f"the {device.name} at ({place}) m stands inside the obstacle '{blocking[0]}'; move one of them",
+        )
     why = device.reasons(poses.tool)
+    why = np.where((why == SEEN) & (blocking != SEEN), "in " + blocking, why)
     left = np.flatnonzero(why == SEEN)
     why[left] = find_occlusions(device, poses.tool.take(left), poses.q[left], around, machine)
     index = np.flatnonzero(why == SEEN)

@@ -177,6 +177,8 @@ def describe_plan_inputs(plan: CalibrationCampaign) -> str:
         rows = [f"{row['name']} {row['chosen']} of {row['candidates']}" for row in plan.count_by_device()]
         return f"poses of {format_list(rows)} candidates; {known}"
     seen = f"{len(plan.visible.index)} of {plan.reachable.n} poses in reach are seen by the {plan.device.name}"
+    if "hand_eye" in plan.choice.design.poses.kinds:
+        seen = f"{plan.reachable.n} poses in reach, turned to the pattern, give {len(plan.visible.index)} that show it"
     why = f" (mostly not: {next(iter(plan.visible.reasons))})" if plan.visible.reasons else ""
     return f"{seen}{why}; {known}"
 
