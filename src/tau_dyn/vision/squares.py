@@ -20,6 +20,7 @@ from tau_dyn.vision.images import Detection, import_opencv
 from tau_dyn.vision.pattern import Pattern
 from tau_dyn.vision.solution import apply, estimate_homography
 
+_EDGE_MODEL_PX = 0.01  # rms error of corners of rendered plates without noise: an edge has not quite the profile that is fitted
 _MIN_SIDE_PX = 7.0  # [px] side of a square that can still be measured
 _SAMPLES = 9  # points along a side
 _MIN_SAMPLES = 7  # of them with an edge on one line; a bar across a side hides more
@@ -353,7 +354,7 @@ def _measure(image: np.ndarray, grid: np.ndarray) -> Detection:
     off = np.linalg.norm(apply(estimate_homography(_GRID, found), _GRID) - found, axis=1).max()
     if off > max(_UNEVEN * side, 0.7):
         return Detection(None, f"the corners found are not those of one flat pattern (off by {off:.1f} px)")
-    return Detection(found, stderr=fit.stderr)
+    return Detection(found, stderr=np.hypot(fit.stderr, _EDGE_MODEL_PX))
 
 
 def _directions(cells: np.ndarray) -> np.ndarray:
