@@ -411,7 +411,7 @@ def moving_table(n: int, seed: int) -> None:
                 positions=Positions(tuple(joints), curve(log), None, "log", JointLog(log, curve(log), "log")),
             )
         assert table.clock is not None
-        index = [int(name[:3]) for name in table.names]
+        index = [int(Path(name).stem) for name in table.names]  # "right/012.png" where the left image shows no plate
         off = table.position - truth[index]
         held = np.mean(np.abs(off) < 1.96 * table.stderr[:, :3])
         print(

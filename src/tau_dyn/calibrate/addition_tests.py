@@ -147,7 +147,7 @@ def find_rivals(
     """
     travel = np.ptp(fitted.poses.q, axis=0)
     units = dict(zip(fitted.geometry.actuated, zip(travel, fitted.geometry.position_units, strict=True), strict=True))
-    if any(size < _MIN_TRAVEL[unit] for size, unit in (units[j] for j in joint.split("/"))):
+    if any(size < _MIN_TRAVEL[unit] for size, unit in (units[j] for j in joint.split("/") if j in units)):
         return (("gravity", "base"),)
     rest = _ProjectedResidual(fitted)
     hints = {(h.addition, h.joints[0]): h for h in screen_additions(fitted, family, spec)}
@@ -250,6 +250,9 @@ def _build_plain_columns(rest: _ProjectedResidual, family: Family, spec: Spec, a
         a = family.joints.index(joint)
         slope = _by_joint(fitted, q, a)
         return rest.twists(slope * (-0.5 * fitted.poses.approach[:, None, a : a + 1]))
+    if addition == "delay":
+        by_joint = measured_by_joint(fitted.geometry, fitted.theta, fitted.poses, q, fitted.state.base)
+        return rest.twists(by_joint @ fitted.poses.speed[:, :, None])
     return _build_new_columns(rest, family, spec.plus(addition, (joint,)))
 
 

@@ -35,7 +35,7 @@ from tau_dyn.calibrate.model_selection import (
     fit_models,
     fit_widest,
 )
-from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Family, Spec, get_family
+from tau_dyn.calibrate.models import OF_WHOLE, Family, Spec, get_family
 from tau_dyn.calibrate.outliers import (
     MovedFrame,
     check_spread,
@@ -147,7 +147,7 @@ def calibrate(
         models, steps, more = fit_models(family, poses, model, options, progress)
     progress("looking for causes")
     chosen = models[-1]
-    plain = next((one for one in reversed(models) if set(one.spec.additions) <= set(BETWEEN_CAMPAIGNS)), chosen)
+    plain = next((one for one in reversed(models) if set(one.spec.additions) <= set(OF_WHOLE)), chosen)
     within = find_move_within(plain.fit, family, plain.spec)
     odd = describe_implausible(steps)
     holdout, still, moved, held = _settle_holdout(family, chosen, options, holdout, split)

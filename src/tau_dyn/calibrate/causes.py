@@ -19,7 +19,7 @@ from tau_dyn.calibrate.geometry import ConstrainedGeometry, Geometry, constrain_
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.measured import PoseSet
 from tau_dyn.calibrate.model_selection import CandidateModel, Options, SelectionStep, fit_geometry, transfer_state
-from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Family, Spec
+from tau_dyn.calibrate.models import OF_WHOLE, Family, Spec
 from tau_dyn.calibrate.outliers import MovedFrame
 from tau_dyn.effects import CONVENTIONS, GEOMETRY_CAUSES, GEOMETRY_SENTENCES
 from tau_dyn.evidence import Finding, Gain, explain_gain
@@ -105,6 +105,7 @@ _OF_ADDITION = {
     "coupling": "joint_coupling",
     "gravity": "gravity_deflection",
     "eccentric": "joint_eccentricity",
+    "delay": "joint_delay",
     "tool_frame": "tool_frame",
     "base_frame": "base_frame",
 }
@@ -120,6 +121,7 @@ _PATTERNS = {
     "backlash": ("backlash",),
     "gravity_deflection": ("gravity_compliance", "load_deflection"),
     "joint_eccentricity": ("eccentricity_",),
+    "joint_delay": ("delay",),
 }
 
 
@@ -215,7 +217,7 @@ def find_causes(
             by_dimensions = any(addition == "structure" for addition, _ in rivals)
             rivals = [(addition, place) for addition, place in rivals if addition != "structure"]
             alike = tuple(dict.fromkeys((*alike, *(_OF_ADDITION[addition] for addition, _ in rivals))))
-            places = [place for _, place in rivals if place != "/".join(joints)]
+            places = [place for _, place in rivals if place not in ("/".join(joints), "all")]
             why_not = _ELSEWHERE.format(format_list(places)) if places else _BY_DIMENSIONS if by_dimensions else ""
         shown = holdout is not None and not explain_gain(gain)
         numbers, dof = _parameters(cause, joints, chosen.fit), chosen.fit.dof
@@ -245,7 +247,7 @@ def _list_rivals(
     family: Family, chosen: CandidateModel, cause: str, joints: tuple[str, ...], smaller: GeometryFit, spec: Spec
 ) -> tuple[tuple[str, str], ...]:
     """Return additions and their places that explain these poses as well as a cause; one at its own joint leaves that named."""
-    place = "/".join(joints)
+    place = "/".join(joints) or "all"
     own = [a for a, places in chosen.spec.additions.items() if place in places and _OF_ADDITION[a] == cause]
     if not own or own[0] not in family.screened or smaller.kind != "forward":
         return ()
@@ -290,6 +292,7 @@ def _fitted(chosen: CandidateModel, geometry: Geometry, spec: Spec, options: Opt
     if start is not None:
         frames, slack = start.frames, start.slack.copy()
         kept = [geometry.actuated.index(j) for j in spec.additions.get("backlash", ())]
+        kept += [len(slack) - 1] if "delay" in spec.additions else []
         slack[np.setdiff1d(np.arange(len(slack)), kept)] = 0.0
         if "base_frame" not in spec.additions:
             frames = frames.first(len(chosen.fit.poses.frame_kinds))
@@ -314,7 +317,7 @@ def _parameters(cause: str, joints: tuple[str, ...], fitted: GeometryFit) -> tup
 
 def suspect_laws(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
     """Return findings with the laws of joints and drives suspected: another law explains the poses better."""
-    laws = {cause for addition, cause in _OF_ADDITION.items() if addition not in BETWEEN_CAMPAIGNS}
+    laws = {cause for addition, cause in _OF_ADDITION.items() if addition not in OF_WHOLE}
     return tuple(f.reject(_OUTDONE) if f.cause in laws else f for f in findings)
 
 

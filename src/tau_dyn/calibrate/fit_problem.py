@@ -52,7 +52,7 @@ class FitState(NamedTuple):
         frames: Device and target.
         base: Predicted tool poses in the robot's base frame (N); of an encoder its arc or travel along x.
         ok: Whether they were found (N,).
-        slack: Backlash of the actuated joints (na,) [m or rad].
+        slack: Backlash of the actuated joints [m or rad], and last by how long all joints were read too early [s] (na + 1,).
     """
 
     theta: np.ndarray
@@ -162,13 +162,13 @@ class Problem:
         at = state.base if self.kind == "forward" else self._measured_in_base(state)
         seen = state.frames.measured(at, self.poses.setup)
         device, tool = state.frames.columns(at, seen, self.poses.setup)
-        slack = -0.5 * self.poses.approach[:, None] * self.unknowns.plays  # half of it to each side
         if self.kind == "forward":
             q = compute_actuated_positions(self.poses, state.slack)
             own = measured_by_parameter(self.geometry, state.theta, self.poses, q, at)
-            play = np.zeros((len(q), 6, q.shape[1]))
+            play = np.zeros((len(q), 6, q.shape[1] + 1))
             if self.unknowns.plays:
-                play = measured_by_joint(self.geometry, state.theta, self.poses, q, at) * slack
+                by_joint = measured_by_joint(self.geometry, state.theta, self.poses, q, at)
+                play = by_joint @ compute_slack_slopes(self.poses)
             moved, split = state.frames.carried(at, np.concatenate([own, play], axis=2), self.poses.setup), own.shape[2]
             length = state.frames.length_columns(self.poses, seen.position)
             twist = np.concatenate([moved[:, :, :split], device, tool, length, moved[:, :, split:]], axis=2)
@@ -177,7 +177,8 @@ class Problem:
         found = self._closure(state, at)
         base = state.frames.brought(at, np.concatenate([device, tool], axis=2), self.poses.setup)
         # the measurement stays, so the base pose moves back
-        columns = np.concatenate([found.by_parameter, -found.by_pose @ base, found.by_joint * slack], axis=2)
+        play = found.by_joint @ compute_slack_slopes(self.poses)
+        columns = np.concatenate([found.by_parameter, -found.by_pose @ base, play], axis=2)
         return columns if self.kind == "closure" else np.linalg.solve(_require_square(found.by_joint), columns)
 
     @cached_property
@@ -260,8 +261,17 @@ def _require_square(slope: np.ndarray) -> np.ndarray:
 
 
 def compute_actuated_positions(poses: PoseSet, slack: np.ndarray) -> np.ndarray:
-    """Return actuated positions (N, na) behind the backlash: a joint that came from below stands half of it too low."""
-    return poses.q - 0.5 * slack * poses.approach if slack.any() else poses.q
+    """Return actuated positions (N, na) behind the backlash when the tool was measured.
+
+    A joint that came from below stands half of the backlash too low; one that was read too early moved on.
+    """
+    return poses.q + compute_slack_slopes(poses) @ slack if slack.any() else poses.q
+
+
+def compute_slack_slopes(poses: PoseSet) -> np.ndarray:
+    """Return the derivative of the actuated positions by each joint's backlash and the delay (N, na, na + 1)."""
+    sides = -0.5 * poses.approach[:, :, None] * np.eye(poses.na)
+    return np.concatenate([sides, poses.speed[:, :, None]], axis=2)
 
 
 _MAX_ROUNDS = 15  # bounds the time of a fit that does not converge

@@ -92,11 +92,12 @@ def compute_structural_rank(problem: Problem) -> int:
         kinds=poses.kinds,
         arc_radius=poses.arc_radius,
         approach=np.sign(rng.standard_normal(q.shape)),
+        speed=rng.standard_normal(q.shape),
     )
     wide = replace(problem, poses=many)
     n = unknowns.n_device // 6
     frames = DeviceFrames((IDENTITY,) * n, (IDENTITY,) * (unknowns.n_tool // 6), poses.frame_kinds, (0.0,) * n)
-    state = wide.place(geometry.parameters.values, frames, np.zeros(poses.na), None)
+    state = wide.place(geometry.parameters.values, frames, np.zeros(poses.na + 1), None)
     seen = state.frames.measured(state.base, many.setup)
     wide = replace(
         wide, poses=replace(many, position=seen.position, rotation=None if rotation is None else seen.rotation)
@@ -460,7 +461,7 @@ def _starting_state(
         n, kinds = len(poses.frame_kinds), poses.frame_kinds
         known = DeviceFrames((IDENTITY,) * n, kinds=kinds, lengths=(0.0,) * n)
         frames = estimate_initial_frames(poses, found, tool=tool) if device else known
-    return FitState(theta, frames, found.poses, found.ok, np.zeros(poses.na))
+    return FitState(theta, frames, found.poses, found.ok, np.zeros(poses.na + 1))
 
 
 CHANGE = 5e-5

@@ -25,7 +25,8 @@ from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import GeometryFit, fit_geometry_to_poses
 from tau_dyn.calibrate.measured import PoseErrors, PoseSet
-from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Family, Spec
+from tau_dyn.calibrate.models import OF_WHOLE, Family, Spec
+from tau_dyn.calibrate.unknowns import DELAY
 from tau_dyn.evidence import Gain, find_out_of_range
 from tau_dyn.exceptions import CannotAnswer, InputError, UnknownName
 from tau_dyn.message_codes import CodedWarning
@@ -132,6 +133,7 @@ def fit_geometry(
 ) -> GeometryFit:
     """Fit a geometry that was built for a model; patterns of `options` that mean nothing in it are passed over."""
     play = [f"{joint}.backlash" for joint in spec.additions.get("backlash", ())]
+    play += [DELAY] if "delay" in spec.additions else []
     known = (*geometry.parameters.names, *_beside(geometry.actuated, poses))
     fix = [p for p in options.fix if _means(p, known)]
     free = [p for p in options.free if _means(p, known)]
@@ -212,11 +214,11 @@ def check_patterns(family: Family, patterns: Sequence[str], model: str) -> None:
 
 
 def _beside(joints: Sequence[str], poses: PoseSet) -> list[str]:
-    """Return the names of unknowns beside a geometry: frames of devices and targets, offsets and radii, backlash."""
+    """Return the names of unknowns beside a geometry: frames of devices and targets, offsets and radii, backlash, delay."""
     frames = DeviceFrames((IDENTITY,), (IDENTITY,), ("pose",), (0.0,)).apart(1, len(poses.targets))
     devices = replace(frames, device=(IDENTITY,) * len(poses.frame_kinds), kinds=poses.frame_kinds)
     devices = replace(devices, lengths=(0.0,) * len(poses.frame_kinds))
-    return [*(p.name for p in devices.parameters()), *(f"{joint}.backlash" for joint in joints)]
+    return [*(p.name for p in devices.parameters()), *(f"{joint}.backlash" for joint in joints), DELAY]
 
 
 _MAX_ADDITIONS = 12  # steps of the forward selection; bounds its time
@@ -233,7 +235,11 @@ def select_model(
     """
     taken, steps, warnings = _structures(family, poses, options, progress)
     added, tried = _additions(family, poses, options, taken[-1], progress)
-    return [*taken, *added], [*steps, *tried], warnings
+    late = [a for a in ("delay",) if a in (*taken, *added)[-1].spec.additions and a not in options.additions]
+    kept, dropped = _drop_needless(
+        family, poses, options, [*taken, *added], late
+    )  # an effect of a joint may explain it
+    return kept, [*steps, *tried, *dropped], warnings
 
 
 def _structures(
@@ -259,16 +265,16 @@ def _structures(
             steps.append(SelectionStep(candidate.name, taken[-1].name, gain, earns_parameters(gain)))
             if not earns_parameters(gain):
                 continue
-        moved = {a: own for a, own in candidate.spec.additions.items() if a in BETWEEN_CAMPAIGNS}
+        moved = {a: own for a, own in candidate.spec.additions.items() if a in OF_WHOLE}
         taken.append(candidate)
-    kept, dropped = _drop_frames(family, poses, options, taken, [a for a in moved if a not in options.additions])
+    kept, dropped = _drop_needless(family, poses, options, taken, [a for a in moved if a not in options.additions])
     return kept, [*steps, *dropped], tuple(warnings)
 
 
-def _drop_frames(
+def _drop_needless(
     family: Family, poses: PoseSet, options: Options, taken: list[CandidateModel], moved: Sequence[str]
 ) -> tuple[list[CandidateModel], list[SelectionStep]]:
-    """Return the models without the frames between campaigns that add nothing in the largest one, and the steps.
+    """Return the models without the frames between campaigns and the delay that add nothing in the largest one, and the steps.
 
     A frame of its own may take up what dimensions of a later model explain, or what another frame does.
     """
@@ -292,10 +298,10 @@ def _drop_frames(
 def _list_structures(family: Family, always: Mapping[str, tuple[str, ...]]) -> list[Spec]:
     """Return the structures, after the robot file as it is those with the additions that every model has.
 
-    Frames that moved between campaigns come before larger structures: what they do looks like geometry.
+    Frames that moved between campaigns and a delay come before larger structures: what they do looks like geometry.
     """
     first, *rest = family.structures
-    moved = [{a: family.can_have(a)} for a in BETWEEN_CAMPAIGNS if family.can_have(a)]
+    moved = [{a: family.can_have(a)} for a in OF_WHOLE if family.can_have(a)]
     with_always = [Spec(first, {**always, **own}) for own in ([{}] if always else []) + moved]
     return [Spec(first), *with_always, *(Spec(s, dict(always)) for s in rest)]
 

@@ -50,8 +50,11 @@ from tau_dyn.robot import Robot
 
 ADDITIONS = (
     "base_frame", "tool_frame", "coupling", "periodic", "periodic2", "piecewise", "compliant", "gravity", "eccentric", "backlash",
+    "delay",
 )  # fmt: skip
 BETWEEN_CAMPAIGNS = ("base_frame", "tool_frame")
+OF_WHOLE = (*BETWEEN_CAMPAIGNS, "delay")
+"""Additions that no joint has by itself."""
 _KNOTS = 9  # along a guideway: waves of a quarter of the travel still have a shape
 _PERIOD = 0.1  # [m]: where a search has nothing better to start from
 
@@ -75,9 +78,7 @@ class Spec:
             own = self.additions.get(addition, ())
             if own:
                 parts.append(
-                    addition
-                    if addition in BETWEEN_CAMPAIGNS or set(own) == set(joints)
-                    else f"{addition}:{','.join(own)}"
+                    addition if addition in OF_WHOLE or set(own) == set(joints) else f"{addition}:{','.join(own)}"
                 )
         return "+".join(parts)
 
@@ -92,6 +93,7 @@ _WHY_NOT = {
     "base_frame": "there is one campaign only; a column `campaign` tells several apart",
     "tool_frame": "there is one campaign only; a column `campaign` tells several apart",
     "backlash": "nothing tells from which side the joints came; give poses in the order of measuring, or columns v_J",
+    "delay": "nothing tells how fast the joints moved; give columns v_J",
     "gravity": "no joint of this robot carries gravity, or it has loops",
     "eccentric": "this robot has no actuated joint that turns",
     "coupling": "this robot has one actuated joint",
@@ -160,6 +162,8 @@ class Family(ABC):
             return ("all",) if len(self.poses.campaigns) > 1 and not own and not several else ()
         if addition == "backlash":
             return self.joints if self.poses.approach.any() else ()
+        if addition == "delay":
+            return ("all",) if self.poses.speed.any() else ()
         return self.places(addition)
 
     def why_not(self, addition: str) -> str:
@@ -187,7 +191,7 @@ class Family(ABC):
 class RodFamily(Family):
     """All models of one parallel robot."""
 
-    screened = ("backlash", "periodic", "periodic2", "compliant", "piecewise")
+    screened = ("backlash", "periodic", "periodic2", "compliant", "piecewise", "delay")
     known = ADDITIONS
     place = "joint that can be"
 
@@ -210,7 +214,7 @@ class RodFamily(Family):
         """Return why no joint can have an addition."""
         if addition == "compliant" and self.rails:
             return "the robot file gives the plate no mass, so no loads are known"
-        general = addition == "backlash" or addition in BETWEEN_CAMPAIGNS
+        general = addition == "backlash" or addition in OF_WHOLE
         return _WHY_NOT[addition] if general else "this robot has no guideways that stand on its base"
 
     def build(self, spec: Spec, periods: dict[str, float] | None = None) -> Geometry:
@@ -319,11 +323,12 @@ class RodFamily(Family):
 class TreeFamily(Family):
     """All models of a robot that is a tree, with or without loops.
 
-    Its file's dimensions, or all of them free; joints that are coupled, yield to gravity, turn eccentrically or have backlash.
+    Its file's dimensions, or all of them free; joints that are coupled, yield to gravity, turn eccentrically,
+    have backlash or were read at another time than the tool.
     """
 
     structures = ("frames", "complete")
-    screened = ("backlash", "gravity", "eccentric", "coupling")
+    screened = ("backlash", "gravity", "eccentric", "coupling", "delay")
     known = (*BETWEEN_CAMPAIGNS, *screened)
     place = "place of"
 

@@ -130,7 +130,7 @@ def save_calibration(path: str | Path, found: Calibration) -> None:
             {"name": p.name, "value": float(v), "unit": p.unit, "nominal": p.value}
             for p, v in zip(fitted.geometry.parameters, fitted.theta, strict=True)
         ],
-        "backlash": [float(x) for x in fitted.state.slack],
+        "backlash": [float(x) for x in fitted.state.slack[:-1]],
         "frames": {
             "device": [_frame(f) for f in fitted.frames.device],
             "tool": [_frame(f) for f in fitted.frames.tool],

@@ -138,6 +138,8 @@ def _chosen(r: np.ndarray, priority: np.ndarray, rank: int) -> np.ndarray:
     return np.sort(order[:rank])
 
 
+DELAY = "joints.delay"
+"""Name of the time by which joints were read before the tool was measured [s]."""
 _PRIOR_UNITS = ("m", "rad")
 _FRAMES_FIRST = -1  # priority of device and target: below that of any parameter of the robot
 _DEVICES_FIRST = -6
@@ -175,7 +177,7 @@ class Unknowns(Brief):
 
     @property
     def plays(self) -> bool:
-        """Whether backlash is free somewhere."""
+        """Whether backlash is free somewhere, or the delay of the joints."""
         return bool(self.free[self.n_geometry + self.n_frames :].any())
 
     @property
@@ -184,7 +186,7 @@ class Unknowns(Brief):
         return tuple(p.name for p in self.rows)
 
     def split(self, step: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
-        """Return the parts of a step (P,): geometry; device frames, tool frames and lengths; backlash."""
+        """Return the parts of a step (P,): geometry; device frames, tool frames and lengths; backlash and delay."""
         ends = np.cumsum([self.n_geometry, self.n_device, self.n_tool, self.n_length])
         geometry, device, tool, length, play = np.split(step, ends)
         return geometry, (device, tool, length), play
@@ -223,13 +225,13 @@ def collect(
     own, nd, nt = frames.parameters(), 6 * len(frames.device), 6 * len(frames.tool)
     joints = zip(geometry.actuated, geometry.position_units, strict=True)
     play = [Parameter(f"{joint}.backlash", 0.0, unit, free=False) for joint, unit in joints]
-    rows = (*geometry.parameters, *own, *play)
+    rows = (*geometry.parameters, *own, *play, Parameter(DELAY, 0.0, "s", free=False))
     kinds = frames.kinds or ("pose",) * len(frames.device)
     tool = tool and not set(kinds) <= set(ENCODERS)
     may = [*geometry.parameters.free, *(device and axis in KINDS[kind].axes for kind in kinds for axis in range(6))]
     target = [tool and geometry.orients] * 3 + [tool and geometry.orients and turned] * 3
     n_length = len(frames.with_length)
-    may = np.array([*may, *target * len(frames.tool), *[True] * n_length, *[backlash] * len(play)], bool)
+    may = np.array([*may, *target * len(frames.tool), *[True] * n_length, *[backlash] * len(play), False], bool)
     names = [row.name for row in rows]
     for patterns, value in ((free, True), (fix, False)):
         for pattern in patterns:
@@ -245,5 +247,5 @@ def collect(
     scales = np.array([row.prior_stderr or known.get(row.unit, 0.01) for row in rows])
     device_first = _DEVICES_FIRST if set(kinds) - {"pose"} else _FRAMES_FIRST
     of_frames = [device_first] * nd + [_FRAMES_FIRST] * nt + [device_first] * n_length
-    priority = np.concatenate([geometry.priority, of_frames, np.zeros(len(play), int)])
+    priority = np.concatenate([geometry.priority, of_frames, np.zeros(len(play) + 1, int)])
     return Unknowns(rows, may, scales, priority, p, nd, nt, n_length)

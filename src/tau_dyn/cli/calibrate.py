@@ -47,7 +47,7 @@ def calibrate(
         holdout: Poses used for nothing but the final errors (without any, a quarter of many poses, or cross-validation)
         encoders: Passive joints of loops whose positions q_J were measured, beside or instead of the tool
         model: auto; frames, ideal, nonparallel, complete or paths, as the robot offers them; with +periodic, +piecewise,
-            +compliant, +backlash, +gravity, +eccentric, +coupling:j3/j2 (a share) or coupling:j3=-j2 (all), each perhaps
+            +compliant, +backlash, +delay, +gravity, +eccentric, +coupling:j3/j2 (a share) or coupling:j3=-j2 (all), each perhaps
             with joints: nonparallel+periodic:cart2
         residual: Residual to minimise
         robust: Weights (gross outliers are left out in any case)

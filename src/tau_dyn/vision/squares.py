@@ -20,7 +20,7 @@ from tau_dyn.vision.images import Detection, import_opencv
 from tau_dyn.vision.pattern import Pattern
 from tau_dyn.vision.solution import apply, estimate_homography
 
-_EDGE_MODEL_PX = 0.01  # rms error of corners of rendered plates without noise: an edge has not quite the profile that is fitted
+_EDGE_MODEL_PX = 0.01  # [px] rms error of corners of rendered plates without noise: the edge is not exactly a step
 _MIN_SIDE_PX = 7.0  # [px] side of a square that can still be measured
 _SAMPLES = 9  # points along a side
 _MIN_SAMPLES = 7  # of them with an edge on one line; a bar across a side hides more

@@ -111,7 +111,9 @@ def _reverse(joints: Sequence[str], k: int) -> PoseReading:
 
 
 def _scale_joints(factor: np.ndarray) -> Callable[[PoseSet], PoseSet]:
-    return lambda poses: replace(poses, q=poses.q * factor, approach=poses.approach * np.sign(factor))
+    return lambda poses: replace(
+        poses, q=poses.q * factor, approach=poses.approach * np.sign(factor), speed=poses.speed * factor
+    )
 
 
 def _list_joint_changes(joints: Sequence[str], units: Sequence[str]) -> list[PoseReading]:
@@ -147,7 +149,9 @@ def _shift_joint(own: np.ndarray, turn: float) -> Callable[[PoseSet], PoseSet]:
 
 
 def _order_joints(order: np.ndarray) -> Callable[[PoseSet], PoseSet]:
-    return lambda poses: replace(poses, q=poses.q[:, order], approach=poses.approach[:, order])
+    return lambda poses: replace(
+        poses, q=poses.q[:, order], approach=poses.approach[:, order], speed=poses.speed[:, order]
+    )
 
 
 def _list_axis_changes(oriented: bool) -> list[PoseReading]:
@@ -194,7 +198,8 @@ def _list_shifts(poses: PoseSet) -> list[PoseReading]:
     def shift(rows: int) -> Callable[[PoseSet], PoseSet]:
         def apply(poses: PoseSet) -> PoseSet:
             index = np.arange(max(0, -rows), min(poses.n, poses.n - rows))
-            return replace(poses.take(index), q=poses.q[index + rows], approach=poses.approach[index + rows])
+            of_joints = poses.take(index + rows)
+            return replace(poses.take(index), q=of_joints.q, approach=of_joints.approach, speed=of_joints.speed)
 
         return apply
 

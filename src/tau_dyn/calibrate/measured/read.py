@@ -77,6 +77,7 @@ def read_poses(
         target=target,
         targets=targets,
         approach=_approach(table, actuated, q),
+        speed=_read_speeds(table, actuated, q),
         source=table.name,
         sha256=table.sha256,
         warnings=table.warnings,
@@ -335,6 +336,34 @@ def _number_words(table: Table, column: str) -> tuple[np.ndarray, tuple[str, ...
     words = [str(x) for x in table.cells[column]]
     number = {word: k for k, word in enumerate(dict.fromkeys(words))}
     return np.array([number[word] for word in words], int), tuple(number)
+
+
+_SMOOTH = 0.1
+"""Share of the motion over two rows by which a row may be off the line between its neighbours, in a recording of a motion."""
+
+
+def _read_speeds(table: Table, actuated: Sequence[str], q: np.ndarray) -> np.ndarray:
+    """Return the speed of each joint (N, na), zeros where the poses do not tell it.
+
+    Columns `v_J` that hold one size only, such as 1 and -1, tell sides and no speeds. Without them a column `t` [s] tells the
+    speeds where the rows are a recording of a motion, and not poses one after the other.
+    """
+    still = np.zeros(q.shape)
+    if all(f"v_{joint}" in table.cells for joint in actuated):
+        speed = np.column_stack([_numbers(table, f"v_{joint}") for joint in actuated])
+        return speed if len(np.unique(np.abs(speed[speed != 0]))) > 1 else still
+    if "t" not in table.cells or len(q) < 3:
+        return still
+    t = table.numbers("t", gaps=True)
+    if not np.isfinite(t).all() or len(np.unique(t)) < len(t):
+        return still
+    order = np.argsort(t)
+    t, x = t[order], q[order]
+    share, moved = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None], x[2:] - x[:-2]
+    off = x[1:-1] - x[:-2] - share * moved
+    if np.sum(off**2) < _SMOOTH**2 * np.sum(moved**2):
+        still[order] = np.gradient(x, t, axis=0)
+    return still
 
 
 def _approach(table: Table, actuated: Sequence[str], q: np.ndarray) -> np.ndarray:

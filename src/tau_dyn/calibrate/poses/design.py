@@ -234,7 +234,7 @@ def _slopes(
     if poses.shows_frames:
         expected = poses.expect(seen)
         poses = replace(poses, position=expected.position, rotation=expected.rotation if turned else None)
-    state = FitState(theta, frames, predicted.poses, predicted.ok, np.zeros(poses.na))
+    state = FitState(theta, frames, predicted.poses, predicted.ok, np.zeros(poses.na + 1))
     columns = Problem(geometry, poses, unknowns, "forward", turned).columns(state)
     return columns[:, :, unknowns.free], predicted.poses, predicted.ok
 

@@ -29,6 +29,7 @@ ADDED = {
     "coupling": "joint coupling",
     "gravity": "gravity deflection",
     "eccentric": "joint eccentricity",
+    "delay": "joints read earlier or later than the tool",
     "tool_frame": "the target moved between campaigns",
     "base_frame": "the base moved between campaigns",
 }
