@@ -156,16 +156,16 @@ def describe_gaps(log: Log, clock: Clock) -> str:
     return f"{log.name} has {count(len(clock.gaps), 'gap')} in time: {', '.join(places)}{more}; it is cut there, not bridged."
 
 
+_STEADY = 1e-4
+"""Share of a step by which steps vary, below which only missing samples make a clock uneven."""
+
+
 def _uneven_sentence(log: Log, clock: Clock) -> str:
-    lost = (
-        f" and {count(clock.n_missing, 'sample')} {'is' if clock.n_missing == 1 else 'are'} missing"
-        if clock.n_missing
-        else ""
-    )
-    return (
-        f"{log.name}: its steps vary by up to {100 * clock.jitter:.2g} % of {clock.dt:.4g} s{lost}; "
-        "all channels were interpolated onto an even clock."
-    )
+    lost = f"{count(clock.n_missing, 'sample')} {'is' if clock.n_missing == 1 else 'are'} missing"
+    varying = f"its steps vary by up to {100 * clock.jitter:.2g} % of {clock.dt:.4g} s"
+    said = [varying] if clock.jitter > _STEADY or not clock.n_missing else []
+    said += [lost] if clock.n_missing else []
+    return f"{log.name}: {' and '.join(said)}; all channels were interpolated onto an even clock."
 
 
 def interpolate(t: NDArray[np.float64], values: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.float64]:

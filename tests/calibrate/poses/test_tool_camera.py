@@ -19,6 +19,8 @@ from tau_dyn.calibrate.poses import CalibrationCampaign, ToolCamera, plan_campai
 from tau_dyn.calibrate.poses.monte_carlo import draw_robot, simulate_measurement
 from tau_dyn.cli import main
 from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics.obstacles import build_surroundings
+from tau_dyn.kinematics.workspace import PoseRequirements
 from tau_dyn.mechanism import convert_to_quaternions
 
 FILE = """
@@ -81,6 +83,25 @@ def test_poses_of_the_pattern_in_the_camera_calibrate(plan: CalibrationCampaign,
     )
     left = truth.position - truth.position.mean(axis=0) - turn.apply(model.position - model.position.mean(axis=0))
     assert np.sqrt(np.mean(np.sum(left**2, axis=1))) < 3 * plan.choice.predicted.rms
+
+
+def test_the_camera_stays_out_of_obstacles_and_looks_past_them(plan: CalibrationCampaign) -> None:
+    """No planned camera stands in a box that many did before, and no line of sight to the pattern's middle crosses it."""
+    box = {"name": "shelf", "box": {"centre": [0.45, 0.1, 0.5], "size": [0.2, 0.6, 0.3]}}
+    around = build_surroundings({"obstacles": [box]}, "lab")
+    beside = plan_campaign(
+        six_axes(), plan.device, 40, demands=PoseRequirements(surroundings=around), candidates=400, runs=1
+    )
+
+    def cross(found: CalibrationCampaign) -> np.ndarray:
+        tool = found.tool(found.choice.q)
+        eye = tool.position + tool.rotation @ [0, 0.08, 0]
+        along = eye[:, None] + np.linspace(0, 1, 200)[:, None] * (np.array([0.6, 0.1, 0]) - eye)[:, None]
+        return (np.abs(along - [0.45, 0.1, 0.5]) < [0.1, 0.3, 0.15]).all(axis=2).any(axis=1)
+
+    assert cross(plan).sum() > 3
+    assert not cross(beside).any()
+    assert any("shelf" in why for why in beside.visible.reasons)
 
 
 def test_a_tool_that_does_not_turn_is_refused(tmp_path: Path) -> None:
