@@ -1,6 +1,6 @@
 """Kinematic calibration: from measured poses to a geometry with uncertainty, and what each model gains."""
 
-from .calibration import calibrate as calibrate
+from .calibration import calibrate as calibrate, propose_pose_columns as propose_pose_columns
 from .compensation import build_compensation as build_compensation
 from .frames import align as align
 from .geometry import Geometry as Geometry, Predicted as Predicted, constrain_parameters as constrain_parameters

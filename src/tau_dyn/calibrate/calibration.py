@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -16,8 +17,9 @@ from tau_dyn.calibrate.causes import (
     suspect_all,
     suspect_laws,
 )
-from tau_dyn.calibrate.conventions import FoundReading, find_reading, measure_as_written
+from tau_dyn.calibrate.conventions import FoundReading, build_pose_proposal, find_reading, measure_as_written
 from tau_dyn.calibrate.device_noise import weigh_devices
+from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.measured import (
     PoseSet,
@@ -49,6 +51,7 @@ from tau_dyn.calibrate.outliers import (
 )
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.log import ColumnProposal
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
 
@@ -202,6 +205,27 @@ def _check_size(robot: Robot, poses: PoseSet) -> tuple[str, ...]:
     return (CodedWarning("size_undetermined", _SIZE_UNDETERMINED.format(poses.source, what)),)
 
 
+def propose_pose_columns(path: str | Path, robot: Robot) -> ColumnProposal | None:
+    """Return the column map proposed for a pose file, None where a file holds no poses of a robot.
+
+    Args:
+        path: CSV or Parquet.
+        robot: The robot.
+
+    Raises:
+        InputError: A pose file with cells that are no numbers.
+    """
+    return build_pose_proposal(path, robot, lambda poses: _find_convention(robot, poses, Options())[0])
+
+
+def _find_convention(
+    robot: Robot, poses: PoseSet, options: Options
+) -> tuple[FoundReading | None, Geometry, tuple[np.ndarray, np.ndarray]]:
+    """Return how poses are meant, the geometry of the robot file, and the joints' limits."""
+    geometry, limits = get_family(robot, poses).build(Spec("frames")), (robot.lower, robot.upper)
+    return find_reading(geometry, poses, limits, lambda some: _measure_left(robot, some, options)), geometry, limits
+
+
 def _reread(
     robot: Robot, poses: PoseSet, holdout: PoseSet | None, options: Options
 ) -> tuple[PoseSet, PoseSet | None, FoundReading | None, tuple[str, ...]]:
@@ -214,8 +238,7 @@ def _reread(
         return _reread_beside_encoders(robot, poses, holdout, options)
     if not poses.measures_poses:
         return poses, holdout, None, tuple(said)
-    geometry, limits = get_family(robot, poses).build(Spec("frames")), (robot.lower, robot.upper)
-    found = find_reading(geometry, poses, limits, lambda some: _measure_left(robot, some, options))
+    found, geometry, limits = _find_convention(robot, poses, options)
     said += [found.describe(poses.source)] if found else []
     if found and holdout is not None:
         meant = found.apply_alike(holdout)

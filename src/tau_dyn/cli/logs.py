@@ -69,17 +69,19 @@ def columns(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """Propose a column map for a foreign log.
+    """Propose a column map for a foreign log, or for measured poses.
 
     Args:
         log: CSV, Parquet, MCAP, a ROS bag or .mat
     """
     with show_progress(output.quiet) as step:
         step("reading")
+        from tau_dyn.calibrate import propose_pose_columns
         from tau_dyn.legged import propose_robot_columns
 
         machine = robot_options.load(robot, may_float=True)
-        proposal = propose_robot_columns(log, machine)
+        of_poses = propose_pose_columns(log, robot_options.hold_silent_joints(machine, robot, []))
+        proposal = of_poses or propose_robot_columns(log, machine)
     text = proposal.to_yaml()
     return Outcome(
         result=proposal.to_dict(),

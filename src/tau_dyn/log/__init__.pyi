@@ -8,6 +8,7 @@ from .column_names import (
     describe_missing_column as describe_missing_column,
     format_names as format_names,
     is_blank as is_blank,
+    split_words as split_words,
 )
 from .column_proposal import ColumnProposal as ColumnProposal, propose_columns as propose_columns
 from .data_integrity import list_data_warnings as list_data_warnings, mend_log as mend_log

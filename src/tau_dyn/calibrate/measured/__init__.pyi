@@ -1,5 +1,6 @@
 """What was measured for calibration: poses, distances and touches, how they are read, and how far predictions are from them."""
 
+from .columns import find_pose_columns as find_pose_columns, get_unit_factor as get_unit_factor
 from .encoders import (
     PassiveEncoders as PassiveEncoders,
     measured_by_joint as measured_by_joint,

@@ -45,9 +45,9 @@ _TRIPLES = (
 )
 
 
-def name_pose_columns(table: Table, joints: Sequence[str], passive: Sequence[str] = ()) -> Table:
-    """Return a table with the columns of foreign names under ours, and a warning that names them."""
-    cells, found = dict(table.cells), {}
+def find_pose_columns(table: Table, joints: Sequence[str], passive: Sequence[str] = ()) -> dict[str, str]:
+    """Return the foreign column of each of our names that a table lacks, of groups that it has whole."""
+    found: dict[str, str] = {}
     groups = (
         *(([f"q_{joint}" for joint in some], _find_joint) for some in (joints, passive)),
         (("x_tool", "y_tool", "z_tool"), _find_by(_PLACE, 0)),
@@ -56,14 +56,20 @@ def name_pose_columns(table: Table, joints: Sequence[str], passive: Sequence[str
         (("distance_tool",), _find_distance),
     )
     for wanted, find in groups:
-        missing = [name for name in wanted if name not in cells]
-        sources = {name: source for name in missing if (source := find(name, cells))}
+        missing = [name for name in wanted if name not in table.cells]
+        sources = {name: source for name in missing if (source := find(name, table.cells))}
         if len(sources) == len(missing):
             found |= sources
+    return found
+
+
+def name_pose_columns(table: Table, joints: Sequence[str], passive: Sequence[str] = ()) -> Table:
+    """Return a table with the columns of foreign names under ours, and a warning that names them."""
+    cells, found = dict(table.cells), find_pose_columns(table, joints, passive)
     if not found:
         return table
     for name, source in found.items():
-        factor = 1.0 if name in ANGLES else _get_factor(source)
+        factor = 1.0 if name in ANGLES else get_unit_factor(source)
         cells[name] = cells[source] if factor == 1.0 else factor * table.numbers(source, gaps=True)
     pairs = ", ".join(f"{source} as {name}" for name, source in found.items())
     said = CodedWarning(
@@ -114,7 +120,7 @@ def _strip_unit(column: str) -> str:
     return _UNIT_END.sub("", column.strip().lower())
 
 
-def _get_factor(column: str) -> float:
+def get_unit_factor(column: str) -> float:
     """Return what brings a column to SI units by the end of its name."""
     found = _UNIT_END.search(column.strip().lower())
     return _UNIT_FACTORS[found[1]] if found else 1.0

@@ -235,7 +235,9 @@ _FREE = 0.02  # [m] before the mark that may be hidden: the target's own mount
 def find_blocking(device: MeasuringDevice, tool: Poses, around: Surroundings) -> np.ndarray:
     """Return the obstacle in which a device would stand at each tool pose (N,), '' where it stands free."""
     out, places = np.full(len(tool.position), SEEN, dtype=object), device.find_places(tool)
-    for solid in around.obstacles if places is not None else ():
+    if places is None:
+        return out
+    for solid in around.obstacles:
         if solid.blocks == "robot":
             out[(solid.distance(places) < 0) & (out == SEEN)] = solid.name
     return out

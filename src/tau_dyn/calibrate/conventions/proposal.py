@@ -1,0 +1,124 @@
+"""A column map for a pose file: its columns by their names, and its conventions as far as a map can state them.
+
+Signs, zeros, units and exchanged columns of joints and positions are one column each, `ours = scale * theirs + offset`: the
+reading that was found is applied to unit vectors, which gives both. The order of a quaternion is one of names. Rows that are
+shifted, inverse poses and kinds of angles are no columns; `calibrate` finds them by itself. The map is read back before it is
+proposed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.calibrate.conventions.readings import PoseReading, Reading, apply_reading
+from tau_dyn.calibrate.conventions.search import FoundReading
+from tau_dyn.calibrate.measured import (
+    POSITION,
+    QUATERNION,
+    PoseSet,
+    find_pose_columns,
+    get_unit_factor,
+    read_poses,
+)
+from tau_dyn.log import ColumnMap, ColumnProposal, read_table, split_words
+from tau_dyn.message_codes import CodedWarning
+from tau_dyn.robot import Robot
+
+_OF_LOGS = {"tau", "torque", "effort", "force", "current", "cmd", "ref"}
+"""Words in the columns of a log of forces or commands, which is no pose file."""
+
+
+def build_pose_proposal(
+    path: str | Path, robot: Robot, find: Callable[[PoseSet], FoundReading | None]
+) -> ColumnProposal | None:
+    """Return the map proposed for a pose file, None where a file holds no poses of a robot.
+
+    Args:
+        path: CSV or Parquet.
+        robot: The robot.
+        find: Returns the conventions of poses, as `calibrate` finds them.
+
+    Raises:
+        InputError: A pose file with cells that are no numbers.
+    """
+    if Path(path).suffix.lower() not in (".csv", ".parquet"):
+        return None
+    table = read_table(path)
+    sources = {name: name for name in table.cells} | find_pose_columns(table, robot.actuated)
+    joints = [f"q_{joint}" for joint in robot.actuated]
+    words = {word for column in table.cells for word in split_words(column)}
+    if not all(name in sources for name in (*joints, *POSITION)) or words & _OF_LOGS:
+        return None
+    names = [*joints, *POSITION, *(QUATERNION if all(name in sources for name in QUATERNION) else ())]
+    plain = {
+        name: (sources[name], get_unit_factor(sources[name]) if sources[name] != name else 1.0, 0.0) for name in names
+    }
+    poses = read_poses(path, robot.actuated)
+    found = find(poses)
+    speeds = {name: name.replace("q_", "v_", 1) for name in joints}
+    speeds = speeds if all(name in table.cells for name in speeds.values()) else {}
+    if found is None:
+        return ColumnProposal(table.name, table.sha256, tuple(robot.actuated), _write(plain), ())
+    stated = tuple(change for change in found.reading if _can_be_stated(change))
+    left = [change for change in found.reading if change not in stated]
+    meant = _apply(stated, plain, joints)
+    of_joint = {plain[name][0]: (speed, plain[name][1]) for name, speed in speeds.items()}
+    for name, speed in speeds.items():  # they follow the joints, with their own column of the same unit
+        column, scale, _ = meant[name]
+        meant[speed] = (of_joint[column][0], scale / of_joint[column][1], 0.0)
+    entries = _write(meant)
+    again = find(read_poses(path, robot.actuated, columns=ColumnMap.from_dict(entries)))
+    remaining = {change.cause for change in again.reading} if again else set()
+    if stated and not remaining <= {change.cause for change in left}:
+        entries, left = _write(plain), list(found.reading)
+    warnings = [found.describe(table.name)]
+    if left:
+        said = " and ".join(change.words for change in left)
+        warnings.append(CodedWarning("poses_reread", f"no map states that {said}; `calibrate` finds it by itself"))
+    return ColumnProposal(table.name, table.sha256, tuple(robot.actuated), entries, tuple(warnings))
+
+
+def _can_be_stated(change: PoseReading) -> bool:
+    """Return whether a map can state a change."""
+    return change.cause == "quaternion_order" or (
+        change.acts_on in ("joints", "positions") and change.cause not in ("row_shift", "")
+    )
+
+
+def _apply(
+    reading: Reading, plain: Mapping[str, tuple[str, float, float]], joints: list[str]
+) -> dict[str, tuple[str, float, float]]:
+    """Return the column, scale and offset of each of our names after a reading."""
+    n = len(joints)
+    q, x = np.vstack([np.zeros((1, n)), np.eye(n)]), np.vstack([np.zeros((1, 3)), np.eye(3)])
+    still = np.repeat(np.eye(3)[None], max(n, 3) + 1, axis=0)
+    moved = apply_reading(
+        tuple(change for change in reading if change.acts_on == "joints"), PoseSet(q, np.zeros((n + 1, 3)))
+    ).q
+    placed = apply_reading(
+        tuple(change for change in reading if change.acts_on == "positions"),
+        PoseSet(np.zeros((4, n)), x, still[:4]),
+    ).position
+    out = dict(plain)
+    for names, values in ((joints, moved), (list(POSITION), placed)):
+        offset, slope = values[0], (values[1:] - values[0]).T
+        for row, name in enumerate(names):
+            column = int(np.argmax(np.abs(slope[row])))
+            source, scale, start = plain[names[column]]
+            out[name] = (source, float(slope[row, column] * scale), float(slope[row, column] * start + offset[row]))
+    if any(change.cause == "quaternion_order" for change in reading):
+        out |= {name: plain[QUATERNION[(k + 1) % 4]] for k, name in enumerate(QUATERNION)}
+    return out
+
+
+def _write(columns: Mapping[str, tuple[str, float, float]]) -> dict[str, Any]:
+    """Return a map's entries."""
+    entries: dict[str, Any] = {}
+    for name, (column, scale, offset) in columns.items():
+        more = {key: value for key, value, usual in (("scale", scale, 1.0), ("offset", offset, 0.0)) if value != usual}
+        entries[name] = {"column": column, **more} if more else column
+    return entries
