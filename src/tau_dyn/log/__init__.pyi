@@ -2,7 +2,7 @@
 
 from .check import check_log as check_log, list_unit_warnings as list_unit_warnings
 from .check_motion import find_moving_samples as find_moving_samples
-from .column_map import ColumnMap as ColumnMap
+from .column_map import ColumnMap as ColumnMap, Source as Source
 from .column_names import (
     ROOM_TEMPERATURE as ROOM_TEMPERATURE,
     describe_missing_column as describe_missing_column,

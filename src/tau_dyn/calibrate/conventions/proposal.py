@@ -8,9 +8,9 @@ proposed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from tau_dyn.calibrate.measured import (
     get_unit_factor,
     read_poses,
 )
-from tau_dyn.log import ColumnMap, ColumnProposal, read_table, split_words
+from tau_dyn.log import ColumnMap, ColumnProposal, Source, read_table, split_words
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
 
@@ -55,31 +55,23 @@ def build_pose_proposal(
         return None
     names = [*joints, *POSITION, *(QUATERNION if all(name in sources for name in QUATERNION) else ())]
     plain = {
-        name: (sources[name], get_unit_factor(sources[name]) if sources[name] != name else 1.0, 0.0) for name in names
+        name: Source(sources[name], get_unit_factor(sources[name]) if sources[name] != name else 1.0) for name in names
     }
-    poses = read_poses(path, robot.actuated)
-    found = find(poses)
-    speeds = {name: name.replace("q_", "v_", 1) for name in joints}
-    speeds = speeds if all(name in table.cells for name in speeds.values()) else {}
+    found = find(read_poses(path, robot.actuated))
     if found is None:
-        return ColumnProposal(table.name, table.sha256, tuple(robot.actuated), _write(plain), ())
+        return ColumnProposal(table.name, table.sha256, tuple(robot.actuated), ColumnMap(plain).to_dict(), ())
     stated = tuple(change for change in found.reading if _can_be_stated(change))
     left = [change for change in found.reading if change not in stated]
-    meant = _apply(stated, plain, joints)
-    of_joint = {plain[name][0]: (speed, plain[name][1]) for name, speed in speeds.items()}
-    for name, speed in speeds.items():  # they follow the joints, with their own column of the same unit
-        column, scale, _ = meant[name]
-        meant[speed] = (of_joint[column][0], scale / of_joint[column][1], 0.0)
-    entries = _write(meant)
-    again = find(read_poses(path, robot.actuated, columns=ColumnMap.from_dict(entries)))
+    meant = ColumnMap(_apply(stated, plain, joints) | _list_speeds(stated, table.cells, joints))
+    again = find(read_poses(path, robot.actuated, columns=meant))
     remaining = {change.cause for change in again.reading} if again else set()
     if stated and not remaining <= {change.cause for change in left}:
-        entries, left = _write(plain), list(found.reading)
+        meant, left = ColumnMap(plain), list(found.reading)
     warnings = [found.describe(table.name)]
     if left:
         said = " and ".join(change.words for change in left)
         warnings.append(CodedWarning("poses_reread", f"no map states that {said}; `calibrate` finds it by itself"))
-    return ColumnProposal(table.name, table.sha256, tuple(robot.actuated), entries, tuple(warnings))
+    return ColumnProposal(table.name, table.sha256, tuple(robot.actuated), meant.to_dict(), tuple(warnings))
 
 
 def _can_be_stated(change: PoseReading) -> bool:
@@ -89,36 +81,30 @@ def _can_be_stated(change: PoseReading) -> bool:
     )
 
 
-def _apply(
-    reading: Reading, plain: Mapping[str, tuple[str, float, float]], joints: list[str]
-) -> dict[str, tuple[str, float, float]]:
-    """Return the column, scale and offset of each of our names after a reading."""
-    n = len(joints)
+def _apply(reading: Reading, plain: Mapping[str, Source], joints: list[str]) -> dict[str, Source]:
+    """Return the column of each of our names after a reading."""
+    n, out = len(joints), dict(plain)
     q, x = np.vstack([np.zeros((1, n)), np.eye(n)]), np.vstack([np.zeros((1, 3)), np.eye(3)])
-    still = np.repeat(np.eye(3)[None], max(n, 3) + 1, axis=0)
-    moved = apply_reading(
-        tuple(change for change in reading if change.acts_on == "joints"), PoseSet(q, np.zeros((n + 1, 3)))
-    ).q
-    placed = apply_reading(
-        tuple(change for change in reading if change.acts_on == "positions"),
-        PoseSet(np.zeros((4, n)), x, still[:4]),
-    ).position
-    out = dict(plain)
-    for names, values in ((joints, moved), (list(POSITION), placed)):
+    of_joints, of_positions = (tuple(c for c in reading if c.acts_on == what) for what in ("joints", "positions"))
+    moved = apply_reading(of_joints, PoseSet(q, np.zeros((n + 1, 3)))).q
+    placed = apply_reading(of_positions, PoseSet(np.zeros((4, n)), x)).position
+    for names, values in ((joints, moved), (POSITION, placed)):
+        if not set(names) <= set(plain):
+            continue
         offset, slope = values[0], (values[1:] - values[0]).T
         for row, name in enumerate(names):
             column = int(np.argmax(np.abs(slope[row])))
-            source, scale, start = plain[names[column]]
-            out[name] = (source, float(slope[row, column] * scale), float(slope[row, column] * start + offset[row]))
-    if any(change.cause == "quaternion_order" for change in reading):
+            source = plain[names[column]]
+            out[name] = replace(source, scale=float(slope[row, column]) * source.scale, offset=float(offset[row]))
+    if QUATERNION[0] in plain and any(change.cause == "quaternion_order" for change in reading):
         out |= {name: plain[QUATERNION[(k + 1) % 4]] for k, name in enumerate(QUATERNION)}
     return out
 
 
-def _write(columns: Mapping[str, tuple[str, float, float]]) -> dict[str, Any]:
-    """Return a map's entries."""
-    entries: dict[str, Any] = {}
-    for name, (column, scale, offset) in columns.items():
-        more = {key: value for key, value, usual in (("scale", scale, 1.0), ("offset", offset, 0.0)) if value != usual}
-        entries[name] = {"column": column, **more} if more else column
-    return entries
+def _list_speeds(reading: Reading, columns: Container[str], joints: list[str]) -> dict[str, Source]:
+    """Return the columns of the joints' speeds after a reading, none where they are not there: they have no offset."""
+    speeds = [name.replace("q_", "v_", 1) for name in joints]
+    if not all(name in columns for name in speeds):
+        return {}
+    moved = _apply(reading, {name: Source(speed) for name, speed in zip(joints, speeds, strict=True)}, joints)
+    return {speed: replace(moved[name], offset=0.0) for name, speed in zip(joints, speeds, strict=True)}
