@@ -315,9 +315,13 @@ def study_delay(name: str, number: int, seed: int) -> list[dict[str, object]]:
         else 0.0
     )
 
+    rate, phase = 2 * np.pi * rng.uniform(0.05, 0.3, machine.robot.na), rng.uniform(0, 2 * np.pi, machine.robot.na)
+
     def move(n: int) -> PoseSet:
-        q, v = drawn.positions(n), 0.5 * machine.reach * rng.normal(size=(n, machine.robot.na))
-        return replace(drawn.poses(q + delay * v), q=q, speed=v, approach=np.sign(v))
+        t = rng.uniform(0, 200, (n, 1))
+        q, v, a = (machine.reach * rate**k * np.sin(rate * (t - delay) + phase + k * np.pi / 2) for k in range(3))
+        measured = drawn.poses(machine.robot.home + machine.reach * np.sin(rate * t + phase))
+        return replace(measured, q=machine.robot.home + q, speed=v, acceleration=a, approach=np.sign(v))
 
     found = calibrate(machine.robot, move(N_TRAIN), move(N_HELD))
     confirmed = list_confirmed(found)

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.calibrate.conventions import measure_misfit
-from tau_dyn.calibrate.fit_problem import compute_actuated_positions, compute_size_slope
+from tau_dyn.calibrate.fit_problem import compute_actuated_positions, compute_size_slope, compute_slack_slopes
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.measured import PoseSet, measured_by_joint, measured_by_parameter
 from tau_dyn.calibrate.models import Family, Spec
@@ -252,7 +252,7 @@ def _build_plain_columns(rest: _ProjectedResidual, family: Family, spec: Spec, a
         return rest.twists(slope * (-0.5 * fitted.poses.approach[:, None, a : a + 1]))
     if addition == "delay":
         by_joint = measured_by_joint(fitted.geometry, fitted.theta, fitted.poses, q, fitted.state.base)
-        return rest.twists(by_joint @ fitted.poses.speed[:, :, None])
+        return rest.twists(by_joint @ compute_slack_slopes(fitted.poses, fitted.state.slack)[:, :, -1:])
     return _build_new_columns(rest, family, spec.plus(addition, (joint,)))
 
 

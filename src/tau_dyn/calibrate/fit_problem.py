@@ -168,7 +168,7 @@ class Problem:
             play = np.zeros((len(q), 6, q.shape[1] + 1))
             if self.unknowns.plays:
                 by_joint = measured_by_joint(self.geometry, state.theta, self.poses, q, at)
-                play = by_joint @ compute_slack_slopes(self.poses)
+                play = by_joint @ compute_slack_slopes(self.poses, state.slack)
             moved, split = state.frames.carried(at, np.concatenate([own, play], axis=2), self.poses.setup), own.shape[2]
             length = state.frames.length_columns(self.poses, seen.position)
             twist = np.concatenate([moved[:, :, :split], device, tool, length, moved[:, :, split:]], axis=2)
@@ -177,7 +177,7 @@ class Problem:
         found = self._closure(state, at)
         base = state.frames.brought(at, np.concatenate([device, tool], axis=2), self.poses.setup)
         # the measurement stays, so the base pose moves back
-        play = found.by_joint @ compute_slack_slopes(self.poses)
+        play = found.by_joint @ compute_slack_slopes(self.poses, state.slack)
         columns = np.concatenate([found.by_parameter, -found.by_pose @ base, play], axis=2)
         return columns if self.kind == "closure" else np.linalg.solve(_require_square(found.by_joint), columns)
 
@@ -265,13 +265,16 @@ def compute_actuated_positions(poses: PoseSet, slack: np.ndarray) -> np.ndarray:
 
     A joint that came from below stands half of the backlash too low; one that was read too early moved on.
     """
-    return poses.q + compute_slack_slopes(poses) @ slack if slack.any() else poses.q
+    if not slack.any():
+        return poses.q
+    moved = slack[-1] * (poses.speed + 0.5 * slack[-1] * poses.acceleration)
+    return poses.q - 0.5 * slack[:-1] * poses.approach + moved
 
 
-def compute_slack_slopes(poses: PoseSet) -> np.ndarray:
+def compute_slack_slopes(poses: PoseSet, slack: np.ndarray) -> np.ndarray:
     """Return the derivative of the actuated positions by each joint's backlash and the delay (N, na, na + 1)."""
     sides = -0.5 * poses.approach[:, :, None] * np.eye(poses.na)
-    return np.concatenate([sides, poses.speed[:, :, None]], axis=2)
+    return np.concatenate([sides, (poses.speed + slack[-1] * poses.acceleration)[:, :, None]], axis=2)
 
 
 _MAX_ROUNDS = 15  # bounds the time of a fit that does not converge

@@ -112,7 +112,11 @@ def _reverse(joints: Sequence[str], k: int) -> PoseReading:
 
 def _scale_joints(factor: np.ndarray) -> Callable[[PoseSet], PoseSet]:
     return lambda poses: replace(
-        poses, q=poses.q * factor, approach=poses.approach * np.sign(factor), speed=poses.speed * factor
+        poses,
+        q=poses.q * factor,
+        approach=poses.approach * np.sign(factor),
+        speed=poses.speed * factor,
+        acceleration=poses.acceleration * factor,
     )
 
 
@@ -150,7 +154,11 @@ def _shift_joint(own: np.ndarray, turn: float) -> Callable[[PoseSet], PoseSet]:
 
 def _order_joints(order: np.ndarray) -> Callable[[PoseSet], PoseSet]:
     return lambda poses: replace(
-        poses, q=poses.q[:, order], approach=poses.approach[:, order], speed=poses.speed[:, order]
+        poses,
+        q=poses.q[:, order],
+        approach=poses.approach[:, order],
+        speed=poses.speed[:, order],
+        acceleration=poses.acceleration[:, order],
     )
 
 
@@ -199,7 +207,13 @@ def _list_shifts(poses: PoseSet) -> list[PoseReading]:
         def apply(poses: PoseSet) -> PoseSet:
             index = np.arange(max(0, -rows), min(poses.n, poses.n - rows))
             of_joints = poses.take(index + rows)
-            return replace(poses.take(index), q=of_joints.q, approach=of_joints.approach, speed=of_joints.speed)
+            return replace(
+                poses.take(index),
+                q=of_joints.q,
+                approach=of_joints.approach,
+                speed=of_joints.speed,
+                acceleration=of_joints.acceleration,
+            )
 
         return apply
 

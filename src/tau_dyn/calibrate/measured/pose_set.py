@@ -50,6 +50,7 @@ class PoseSet(Brief):
         device_errors: Standard error of each of them over that of all (devices,); ones unless estimated.
         approach: From which side each actuated joint came (N, na): +1, -1, or 0 where nobody knows.
         speed: Of each actuated joint at the pose (N, na) [m/s or rad/s]; zeros where it stood still or nobody knows.
+        acceleration: The same (N, na) [m/s^2 or rad/s^2].
         position_stderr: Standard errors of the measured coordinates (N, 3) [m], None where none are stated.
         rotation_stderr: Of the measured orientation about each axis (N,) [rad], None where none are stated.
         angles: Three numbers of the orientation as written (N, 3), which `rotation` takes for rotation vectors; None where four
@@ -74,6 +75,7 @@ class PoseSet(Brief):
     device_errors: tuple[float, ...] = ()
     approach: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     speed: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    acceleration: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     position_stderr: np.ndarray | None = None
     rotation_stderr: np.ndarray | None = None
     angles: np.ndarray | None = None
@@ -100,7 +102,7 @@ class PoseSet(Brief):
             object.__setattr__(self, "target", np.zeros(n, int))
         if len(self.device) != n:
             object.__setattr__(self, "device", np.zeros(n, int))
-        for name in ("approach", "speed"):
+        for name in ("approach", "speed", "acceleration"):
             if getattr(self, name).shape != np.shape(self.q):
                 object.__setattr__(self, name, np.zeros(np.shape(self.q)))
 
@@ -253,6 +255,7 @@ class PoseSet(Brief):
             device=self.device[index],
             approach=self.approach[index],
             speed=self.speed[index],
+            acceleration=self.acceleration[index],
             position_stderr=None if self.position_stderr is None else self.position_stderr[index],
             rotation_stderr=None if self.rotation_stderr is None else self.rotation_stderr[index],
             angles=None if self.angles is None else self.angles[index],
@@ -421,6 +424,7 @@ def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
         kinds=tuple(kinds[name] for name in devices),
         approach=np.concatenate([s.approach for s in sets]),
         speed=np.concatenate([s.speed for s in sets]),
+        acceleration=np.concatenate([s.acceleration for s in sets]),
         position_stderr=_join_stated(sets, "position_stderr"),
         rotation_stderr=_join_stated(sets, "rotation_stderr"),
         angles=_join_stated(sets, "angles"),
