@@ -319,9 +319,9 @@ def study_delay(name: str, number: int, seed: int) -> list[dict[str, object]]:
 
     def move(n: int) -> PoseSet:
         t = rng.uniform(0, 200, (n, 1))
-        q, v, a = (machine.reach * rate**k * np.sin(rate * (t - delay) + phase + k * np.pi / 2) for k in range(3))
+        q, v, a, j = (machine.reach * rate**k * np.sin(rate * (t - delay) + phase + k * np.pi / 2) for k in range(4))
         measured = drawn.poses(machine.robot.home + machine.reach * np.sin(rate * t + phase))
-        return replace(measured, q=machine.robot.home + q, speed=v, acceleration=a, approach=np.sign(v))
+        return replace(measured, q=machine.robot.home + q, speed=v, acceleration=a, jerk=j, approach=np.sign(v))
 
     found = calibrate(machine.robot, move(N_TRAIN), move(N_HELD))
     confirmed = list_confirmed(found)

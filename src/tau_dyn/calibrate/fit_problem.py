@@ -267,14 +267,16 @@ def compute_actuated_positions(poses: PoseSet, slack: np.ndarray) -> np.ndarray:
     """
     if not slack.any():
         return poses.q
-    moved = slack[-1] * (poses.speed + 0.5 * slack[-1] * poses.acceleration)
+    delay = slack[-1]
+    moved = delay * (poses.speed + delay / 2 * (poses.acceleration + delay / 3 * poses.jerk))
     return poses.q - 0.5 * slack[:-1] * poses.approach + moved
 
 
 def compute_slack_slopes(poses: PoseSet, slack: np.ndarray) -> np.ndarray:
     """Return the derivative of the actuated positions by each joint's backlash and the delay (N, na, na + 1)."""
     sides = -0.5 * poses.approach[:, :, None] * np.eye(poses.na)
-    return np.concatenate([sides, (poses.speed + slack[-1] * poses.acceleration)[:, :, None]], axis=2)
+    speed = poses.speed + slack[-1] * (poses.acceleration + slack[-1] / 2 * poses.jerk)
+    return np.concatenate([sides, speed[:, :, None]], axis=2)
 
 
 _MAX_ROUNDS = 15  # bounds the time of a fit that does not converge

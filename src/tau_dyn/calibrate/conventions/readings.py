@@ -117,6 +117,7 @@ def _scale_joints(factor: np.ndarray) -> Callable[[PoseSet], PoseSet]:
         approach=poses.approach * np.sign(factor),
         speed=poses.speed * factor,
         acceleration=poses.acceleration * factor,
+        jerk=poses.jerk * factor,
     )
 
 
@@ -159,6 +160,7 @@ def _order_joints(order: np.ndarray) -> Callable[[PoseSet], PoseSet]:
         approach=poses.approach[:, order],
         speed=poses.speed[:, order],
         acceleration=poses.acceleration[:, order],
+        jerk=poses.jerk[:, order],
     )
 
 
@@ -207,13 +209,7 @@ def _list_shifts(poses: PoseSet) -> list[PoseReading]:
         def apply(poses: PoseSet) -> PoseSet:
             index = np.arange(max(0, -rows), min(poses.n, poses.n - rows))
             of_joints = poses.take(index + rows)
-            return replace(
-                poses.take(index),
-                q=of_joints.q,
-                approach=of_joints.approach,
-                speed=of_joints.speed,
-                acceleration=of_joints.acceleration,
-            )
+            return replace(poses.take(index), q=of_joints.q, approach=of_joints.approach, speed=of_joints.speed)
 
         return apply
 
@@ -222,7 +218,8 @@ def _list_shifts(poses: PoseSet) -> list[PoseReading]:
         count = f"{abs(rows)} row{'s' if abs(rows) > 1 else ''}"
         words = f"the joints' rows are {count} {'later' if rows > 0 else 'earlier'} than the poses they belong to (row shift)"
         changes.append(PoseReading("row_shift", (), words, shift(rows)))
-    return [change for change in changes if poses.n > 4 * _MAX_ROW_SHIFT]
+    recorded = bool(poses.acceleration.any())  # whose rows are shifted by a time
+    return [] if recorded else [change for change in changes if poses.n > 4 * _MAX_ROW_SHIFT]
 
 
 def _list_orientation_changes(poses: PoseSet) -> list[PoseReading]:

@@ -80,6 +80,7 @@ def read_poses(
         approach=_approach(table, actuated, q),
         speed=motion[0],
         acceleration=motion[1],
+        jerk=motion[2],
         source=table.name,
         sha256=table.sha256,
         warnings=table.warnings,
@@ -346,42 +347,42 @@ _WINDOW_S = 0.025  # [s] to each side of a row, over which a cubic polynomial is
 _WINDOW_ROWS = (3, 12)  # rows to each side, at least and at most
 
 
-def _read_motion(table: Table, actuated: Sequence[str], q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return speed and acceleration of each joint (N, na), zeros where the poses do not tell them.
+def _read_motion(table: Table, actuated: Sequence[str], q: np.ndarray) -> np.ndarray:
+    """Return speed, acceleration and jerk of each joint (3, N, na), zeros where the poses do not tell them.
 
-    A column `t` [s] tells both where the rows are a recording of a motion, and not poses one after the other. Columns `v_J` tell
+    A column `t` [s] tells all where the rows are a recording of a motion, and not poses one after the other. Columns `v_J` tell
     speeds, unless they hold one size only, such as 1 and -1: these are sides.
     """
-    still = np.zeros(q.shape)
-    recorded = _differentiate(table, q)
-    if not all(f"v_{joint}" in table.cells for joint in actuated):
-        return recorded or (still, still)
-    speed = np.column_stack([_numbers(table, f"v_{joint}") for joint in actuated])
-    if len(np.unique(np.abs(speed[speed != 0]))) <= 1:
-        return still, still
-    return speed, recorded[1] if recorded else still
+    motion = _differentiate(table, q)
+    if all(f"v_{joint}" in table.cells for joint in actuated):
+        speed = np.column_stack([_numbers(table, f"v_{joint}") for joint in actuated])
+        if len(np.unique(np.abs(speed[speed != 0]))) <= 1:
+            return np.zeros_like(motion)
+        motion[0] = speed
+    return motion
 
 
-def _differentiate(table: Table, q: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return speed and acceleration (N, na) of a recording, None where the rows are none."""
+def _differentiate(table: Table, q: np.ndarray) -> np.ndarray:
+    """Return speed, acceleration and jerk (3, N, na) of a recording, zeros where the rows are none."""
+    motion = np.zeros((3, *q.shape))
     t = table.numbers("t", gaps=True) if "t" in table.cells else np.zeros(0)
     if not np.isfinite(t).all() or len(np.unique(t)) < max(len(q), 2 * _WINDOW_ROWS[0] + 1):
-        return None
+        return motion
     order = np.argsort(t)
     t, x = t[order], q[order]
     share, moved = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None], x[2:] - x[:-2]
     off = x[1:-1] - x[:-2] - share * moved
     if np.sum(off**2) >= _SMOOTH**2 * np.sum(moved**2):
-        return None
+        return motion
     half = int(np.clip(np.ceil(_WINDOW_S / np.median(np.diff(t))), *_WINDOW_ROWS))
     half = min(half, (len(t) - 1) // 2)
     near = np.clip(np.arange(len(t)), half, len(t) - 1 - half)[:, None] + np.arange(-half, half + 1)
     away = t[near] - t[:, None]
     size = np.abs(away).max(axis=1)[:, None]
     terms = np.linalg.pinv((away / size)[:, :, None] ** np.arange(4)) @ x[near]
-    speed, acceleration = np.empty(q.shape), np.empty(q.shape)
-    speed[order], acceleration[order] = terms[:, 1] / size, 2 * terms[:, 2] / size**2
-    return speed, acceleration
+    for power, factor in ((1, 1.0), (2, 2.0), (3, 6.0)):
+        motion[power - 1, order] = factor * terms[:, power] / size**power
+    return motion
 
 
 def _approach(table: Table, actuated: Sequence[str], q: np.ndarray) -> np.ndarray:
