@@ -150,6 +150,17 @@ def test_a_recording_tells_speeds_by_its_time_and_single_poses_do_not(tmp_path: 
         assert np.allclose(read_poses(tmp_path / "poses.csv", l1().actuated).speed, speed[order], atol=5e-3)
 
 
+def test_a_pause_in_a_recording_is_no_motion(tmp_path: Path) -> None:
+    """Speeds next to a pause of a minute are those of their own part; four rows by themselves tell none."""
+    t = np.concatenate([np.linspace(0, 2, 100), 62 + np.linspace(0, 2, 100), 130 + np.linspace(0, 0.06, 4)])
+    q, v = 0.3 * np.sin(t[:, None] + [0.0, 1.0, 2.0]), 0.3 * np.cos(t[:, None] + [0.0, 1.0, 2.0])
+    table = pd.DataFrame(q, columns=[f"q_{joint}" for joint in l1().actuated])
+    table.assign(t=t, x_tool=0.0, y_tool=0.0, z_tool=1.0).to_csv(tmp_path / "poses.csv", index=False)
+    read = read_poses(tmp_path / "poses.csv", l1().actuated)
+    assert np.allclose(read.speed[:200], v[:200], atol=1e-4) and not read.speed[200:].any()
+    assert np.allclose(read.acceleration[:200], -q[:200], atol=1e-2)
+
+
 def test_speeds_are_read_from_the_file_and_sides_are_none(tmp_path: Path) -> None:
     """Columns v_J are speeds; 1 and -1 alone tell from which side a joint came."""
     poses, _ = move(l1(), 0.0, n=40)

@@ -344,6 +344,7 @@ def _number_words(table: Table, column: str) -> tuple[np.ndarray, tuple[str, ...
 _SMOOTH = 0.1
 """Share of the motion over two rows by which a row may be off the line between its neighbours, in a recording of a motion."""
 _WINDOW_S = 0.025  # [s] to each side of a row, over which a cubic polynomial is fitted to a joint's motion
+_MAX_STEPS = 3.0  # median steps between two rows of one motion
 _WINDOW_ROWS = (3, 12)  # rows to each side, at least and at most
 
 
@@ -369,19 +370,23 @@ def _differentiate(table: Table, q: np.ndarray) -> np.ndarray:
     if not np.isfinite(t).all() or len(np.unique(t)) < max(len(q), 2 * _WINDOW_ROWS[0] + 1):
         return motion
     order = np.argsort(t)
-    t, x = t[order], q[order]
+    t, x, step = t[order], q[order], float(np.median(np.diff(t[order])))
+    part = np.concatenate([[0], np.cumsum(np.diff(t) > _MAX_STEPS * step)])  # between gaps
+    within = part[2:] == part[:-2]
     share, moved = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None], x[2:] - x[:-2]
     off = x[1:-1] - x[:-2] - share * moved
-    if np.sum(off**2) >= _SMOOTH**2 * np.sum(moved**2):
+    if not within.any() or np.sum(off[within] ** 2) >= _SMOOTH**2 * np.sum(moved[within] ** 2):
         return motion
-    half = int(np.clip(np.ceil(_WINDOW_S / np.median(np.diff(t))), *_WINDOW_ROWS))
-    half = min(half, (len(t) - 1) // 2)
-    near = np.clip(np.arange(len(t)), half, len(t) - 1 - half)[:, None] + np.arange(-half, half + 1)
-    away = t[near] - t[:, None]
+    half = int(np.clip(np.ceil(_WINDOW_S / step), *_WINDOW_ROWS))
+    first, last = np.searchsorted(part, part), np.searchsorted(part, part, side="right") - 1
+    long = np.flatnonzero(last - first >= 2 * half)
+    middle = np.clip(long, first[long] + half, last[long] - half)
+    near = middle[:, None] + np.arange(-half, half + 1)
+    away = t[near] - t[long, None]
     size = np.abs(away).max(axis=1)[:, None]
     terms = np.linalg.pinv((away / size)[:, :, None] ** np.arange(4)) @ x[near]
     for power, factor in ((1, 1.0), (2, 2.0), (3, 6.0)):
-        motion[power - 1, order] = factor * terms[:, power] / size**power
+        motion[power - 1, order[long]] = factor * terms[:, power] / size**power
     return motion
 
 
