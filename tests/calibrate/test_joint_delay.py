@@ -62,6 +62,7 @@ def test_the_delay_is_named_with_its_time(robot: Robot, delay: float) -> None:
     assert set(named) - {"joint_placement", "rod_length", "guideway_nonparallel", "pinion_scale"} == {"joint_delay"}
     (number,) = named["joint_delay"].parameters
     assert number.unit == "s" and number.stderr is not None
+    assert f"{'before' if delay > 0 else 'after'} the tool was measured" in named["joint_delay"].sentence
     assert abs(number.value - delay) < 4 * number.stderr < 1e-3
     assert found.errors(found.chosen).position_size.rms < 1.3 * np.sqrt(3) * NOISE_M
 

@@ -25,7 +25,7 @@ from tau_dyn.effects import CONVENTIONS, GEOMETRY_CAUSES, GEOMETRY_SENTENCES
 from tau_dyn.evidence import Finding, Gain, explain_gain
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.results import format_list, format_percent, format_quantity
+from tau_dyn.results import format_estimate, format_list, format_percent, format_quantity
 
 
 def fix_parameters(geometry: Geometry, what: Sequence[str]) -> Geometry | None:
@@ -155,7 +155,7 @@ def _build_finding(
         gain,
         alike,
         GEOMETRY_CAUSES[cause],
-        _describe(cause, joints, gain, alike),
+        _describe(cause, joints, gain, alike, parameters),
         channel="pose",
         why_not_confirmed=why_not,
         is_shown=not why_not,
@@ -163,8 +163,16 @@ def _build_finding(
     )
 
 
-def _describe(cause: str, joints: tuple[str, ...], gain: Gain, alike: tuple[str, ...]) -> str:
+def _describe(
+    cause: str, joints: tuple[str, ...], gain: Gain, alike: tuple[str, ...], parameters: tuple[Parameter, ...]
+) -> str:
     """Return a finding as a sentence."""
+    sentence = GEOMETRY_SENTENCES[cause]
+    if cause == "joint_delay" and parameters:
+        (delay,) = parameters
+        side = "before" if delay.value > 0 else "after"
+        time = format_estimate(replace(delay, value=abs(delay.value)))
+        sentence = f"The joints were read {time} {side} the tool was measured"
     where = f" ({format_list(joints)})" if joints else ""
     others = [GEOMETRY_SENTENCES[other] for other in alike if other != cause]
     named = [f"{text[0].lower()}{text[1:]}" for text in others] + ["the same elsewhere"] * (cause in alike)
@@ -175,7 +183,7 @@ def _describe(cause: str, joints: tuple[str, ...], gain: Gain, alike: tuple[str,
         without += f" and {format_quantity(gain.orientation_rms_before, 'rad')}"
     less, low, high = (format_percent(x) for x in (gain.reduction_percent, *gain.ci95))
     share = f"{less} less, 95 % interval [{low}, {high}]"
-    return f"{GEOMETRY_SENTENCES[cause]}{where}: {with_it} rms with it, {without} without ({share})."
+    return f"{sentence}{where}: {with_it} rms with it, {without} without ({share})."
 
 
 def as_finding(moved: MovedFrame) -> Finding:
