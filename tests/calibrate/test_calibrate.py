@@ -264,7 +264,7 @@ def test_sensitivity_is_what_moving_one_parameter_does(worn):
     k = fitted.geometry.parameters.names.index("arm2.length")
     step = 5e-5 * np.eye(len(fitted.theta))[k]
     at = fitted.state.base.position
-    q = fitted.poses.q - 0.5 * fitted.state.slack * fitted.poses.approach
+    q = fitted.poses.q - 0.5 * fitted.state.slack[:-1] * fitted.poses.approach
     moved = sum(
         np.linalg.norm(
             fitted.geometry.forward(fitted.theta + sign * step, q, fitted.state.base).poses.position - at, axis=1

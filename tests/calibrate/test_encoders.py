@@ -89,7 +89,7 @@ def test_derivatives_of_encoders_are_those_of_their_residual(name: str, joints: 
     unknowns = collect(geometry, frames, device=True, tool=True, turned=False)
     assert not any(may and name.startswith("tool") for name, may in zip(unknowns.names, unknowns.free, strict=True))
     problem = Problem(geometry, poses, unknowns, "forward", turned=False)
-    state = problem.place(theta, frames, np.zeros(robot.na), None)
+    state = problem.place(theta, frames, np.zeros(robot.na + 1), None)
     columns, step = problem.columns(state), 1e-6
     for k in np.flatnonzero(unknowns.free):
         change = step * (np.arange(len(unknowns.rows)) == k)

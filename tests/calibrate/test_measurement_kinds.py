@@ -82,7 +82,7 @@ def test_derivatives_of_every_kind_are_those_of_its_residual(kind: str) -> None:
     poses = replace(poses, rotation=poses.expect(seen).rotation if turned else None)
     unknowns = collect(geometry, frames, device=True, tool=True, turned=turned)
     problem = Problem(geometry, poses, unknowns, "forward", turned)
-    state = problem.place(geometry.parameters.values, frames, np.zeros(4), None)
+    state = problem.place(geometry.parameters.values, frames, np.zeros(5), None)
     columns, step = problem.columns(state), 1e-6
     for k in np.flatnonzero(unknowns.free):
         change = step * (np.arange(len(unknowns.rows)) == k)
