@@ -357,6 +357,20 @@ def test_poses_come_back_from_their_file(tmp_path):
     assert np.array_equal(again.approach, poses.approach)
 
 
+def test_a_calibration_takes_the_names_of_its_files(tmp_path):
+    """Robot, poses and held-out poses as paths give what they give when read first; a number is no set of poses."""
+    robot = load_robot("gantry_tau")
+    poses, _ = measured(rods_of(), "ideal", 24, 0)
+    paths = [tmp_path / "train.csv", tmp_path / "test.csv"]
+    for path, index in zip(paths, (np.arange(16), np.arange(16, 24)), strict=True):
+        path.write_text(format_csv(poses.take(index), robot.actuated))
+    train, test = (read_poses(path, robot.actuated) for path in paths)
+    found = calibrate("gantry_tau", paths[0], str(paths[1]), model="ideal")
+    assert found.to_dict()["models"] == calibrate(robot, train, test, model="ideal").to_dict()["models"]
+    with raises_code("invalid_value", "int"):
+        calibrate(robot, 3)  # type: ignore[arg-type]
+
+
 def test_model_names_that_do_not_exist_are_told():
     """An unknown structure, addition or joint lists those that there are."""
     for name in ("perfect", "nonparallel+magic", "nonparallel+periodic:cart9"):

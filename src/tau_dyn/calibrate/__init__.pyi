@@ -14,6 +14,7 @@ from .measured import (
     PassiveEncoders as PassiveEncoders,
     PoseErrors as PoseErrors,
     PoseSet as PoseSet,
+    as_poses as as_poses,
     join_pose_sets as join_pose_sets,
     read_poses as read_poses,
 )

@@ -23,6 +23,7 @@ from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.measured import (
     PoseSet,
+    as_poses,
     check_units,
     estimate_measurement_noise,
     join_pose_sets,
@@ -53,7 +54,7 @@ from tau_dyn.calibrate.result import Calibration
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import ColumnProposal
 from tau_dyn.message_codes import CodedWarning
-from tau_dyn.robot import Robot
+from tau_dyn.robot import Robot, as_robot
 
 _ENOUGH_TO_SPLIT = 40  # poses; with fewer, a held-out part is too small for an rms error
 _HELD_OUT = 0.25  # share of the poses
@@ -66,9 +67,9 @@ _MAX_RELATIVE_MISFIT = 0.05
 
 
 def calibrate(
-    robot: Robot,
-    poses: PoseSet,
-    holdout: PoseSet | None = None,
+    robot: Robot | str | Path,
+    poses: PoseSet | str | Path,
+    holdout: PoseSet | str | Path | None = None,
     model: str = "auto",
     *,
     fix: Sequence[str] = (),
@@ -85,8 +86,8 @@ def calibrate(
     """Find a robot's geometry from measured poses.
 
     Args:
-        robot: The robot with its nominal dimensions.
-        poses: Measured poses to fit.
+        robot: The robot with its nominal dimensions, or its file.
+        poses: Measured poses to fit, or their file.
         holdout: Measured poses used for nothing but the final errors; without them a quarter of many poses is held out.
         model: `auto`, or a model's name, such as `nonparallel` or `complete+periodic:cart2`.
         fix: Names or patterns of parameters that stay nominal.
@@ -116,6 +117,8 @@ def calibrate(
         >>> [round(row["value"], 3) for row in found.parameter_rows() if row["name"] == "arm1.length"]
         [2.053]
     """
+    robot = as_robot(robot)
+    poses, holdout = as_poses(poses, robot), None if holdout is None else as_poses(holdout, robot)
     options = Options(tuple(fix), tuple(free), residual, robust, device, tool, seed, prior=tuple(prior))
     progress("checking conventions of the pose file")
     poses, holdout, reading, reread = _reread(robot, poses, holdout, options)

@@ -116,15 +116,13 @@ def recompute_calibration(content: dict[str, Any], robot: Robot, path: Path) -> 
     Raises:
         InputError: They are not.
     """
-    from tau_dyn.calibrate import align, read_poses
+    from tau_dyn.calibrate import align, as_poses
     from tau_dyn.mechanism import forward_kinematics
-    from tau_dyn.robot import read_annotations
 
     files = [i for i in content.get("inputs", []) if str(i["path"]).endswith(".csv")]
     if not files:
         raise InputError("mismatch", f"{path}: it names no file of measured poses")
-    mimics = read_annotations(robot.urdf, robot.source).mimics
-    poses = read_poses(Path(files[0]["path"]), robot.actuated, mimics=mimics)
+    poses = as_poses(Path(files[0]["path"]), robot)
     if poses.sha256 != files[0]["sha256"]:
         raise InputError(
             "mismatch", f"{files[0]['path']}: changed since {path.name} was written; its errors would not be those"

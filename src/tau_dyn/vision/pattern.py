@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, zoom
@@ -167,10 +167,11 @@ def render(
     photo = photography or Photography()
     width, height = size
     image = np.full((height, width), 90.0) if background is None else background.astype(float).copy()
+    plate = _Plate(pattern, rotation, position, np.asarray(intrinsics, float))
     if motion is None:
-        _plate_into(image, pattern, rotation, position, np.asarray(intrinsics, float), photo.fine)
+        _draw(image, plate, photo.fine)
     else:
-        image = _expose(image, pattern, rotation, position, np.asarray(intrinsics, float), photo.fine, motion)
+        image = _expose(image, plate, photo.fine, motion)
     image *= photo.exposure * _light(width, height, photo.gradient, rng)
     image = gaussian_filter(image, photo.blur) if photo.blur > 0 else image
     image += photo.noise * rng.standard_normal(image.shape)
@@ -203,21 +204,27 @@ _PLASTIC = np.array([0.7548776662, 0.5698402910])
 _MOMENTS_A_PIXEL = 3  # moments of the exposure, each pixel that the plate moves
 
 
-def _expose(
-    image: np.ndarray,
-    pattern: Pattern,
-    rotation: np.ndarray,
-    position: np.ndarray,
-    k: np.ndarray,
-    fine: int,
-    motion: np.ndarray,
-) -> np.ndarray:
+class _Plate(NamedTuple):
+    """A pattern in the frame of a camera with intrinsics `k`."""
+
+    pattern: Pattern
+    rotation: np.ndarray
+    position: np.ndarray
+    k: np.ndarray
+
+    def move(self, motion: np.ndarray) -> _Plate:
+        """Return it after a shift [m] and a turn about the camera's axes [rad] (6,)."""
+        turned = Rotation.from_rotvec(motion[3:]).as_matrix() @ self.rotation
+        return self._replace(rotation=turned, position=self.position + motion[:3])
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Return where points (n, 3) of the pattern's frame are seen (n, 2) [px]."""
+        return project(points @ self.rotation.T + self.position, self.k)
+
+
+def _expose(image: np.ndarray, plate: _Plate, fine: int, motion: np.ndarray) -> np.ndarray:
     """Return the mean image of a plate at even moments of an exposure."""
-
-    def place(share: float) -> tuple[np.ndarray, np.ndarray]:
-        return Rotation.from_rotvec(share * motion[3:]).as_matrix() @ rotation, position + share * motion[:3]
-
-    ends = [project(pattern.points @ r.T + t, k) for r, t in (place(-0.5), place(0.5))]
+    ends = [plate.move(share * motion).project(plate.pattern.points) for share in (-0.5, 0.5)]
     n = 1 + int(np.ceil(_MOMENTS_A_PIXEL * np.linalg.norm(ends[1] - ends[0], axis=1).max()))
     total = np.zeros_like(image)
     few = max(2, int(np.ceil(fine / np.sqrt(n))))  # together the moments have enough rays
@@ -226,38 +233,31 @@ def _expose(
         pair = min(moment, n - 1 - moment)
         shift = (pair + 1) * _PLASTIC % 1 if 2 * moment != n - 1 else np.full(2, 0.5)
         shift = shift if moment == pair else 1 - shift  # in pairs, so that their mean is the middle of a cell
-        _plate_into(now, pattern, *place((moment + 0.5) / n - 0.5), k, few, shift)
+        _draw(now, plate.move(((moment + 0.5) / n - 0.5) * motion), few, shift)
         total += now
     return total / n
 
 
-def _plate_into(
-    image: np.ndarray,
-    pattern: Pattern,
-    rotation: np.ndarray,
-    position: np.ndarray,
-    k: np.ndarray,
-    fine: int,
-    shift: float | np.ndarray = 0.5,
-) -> None:
+def _draw(image: np.ndarray, plate: _Plate, fine: int, shift: float | np.ndarray = 0.5) -> None:
     """Draw the plate where its pixels are; `shift` puts rays within their cells of the lattice."""
-    half = np.array(pattern.half_size) + pattern.square
+    half = np.array(plate.pattern.half_size) + plate.pattern.square
     rim = np.array([[sx * half[0], sy * half[1], 0.0] for sx in (-1, 0, 1) for sy in (-1, 0, 1)])
-    at = rim @ rotation.T + position
-    if np.any(at[:, 2] <= 1e-3):
+    if np.any(rim @ plate.rotation[2] + plate.position[2] <= 1e-3):
         return
-    seen = project(at, k)
+    seen = plate.project(rim)
     height, width = image.shape
     low = np.clip(np.floor(seen.min(axis=0) - 4), 0, [width, height]).astype(int)
     high = np.clip(np.ceil(seen.max(axis=0) + 5), 0, [width, height]).astype(int)
     if np.any(high <= low):
         return
-    ray = compute_rays(np.stack(np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True))), axis=-1), k)
+    ray = compute_rays(
+        np.stack(np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True))), axis=-1), plate.k
+    )
     by_v, by_u = np.gradient(ray, axis=(0, 1))  # within a pixel rays are even
     n = fine**2
     share = grey = np.zeros(ray.shape[:2])
     for du, dv in (_lattice(n) + shift) / n - 0.5:
-        shade, hit = _shade(ray + du * by_u + dv * by_v, pattern, rotation, position, half)
+        shade, hit = _shade(ray + du * by_u + dv * by_v, plate, half)
         share, grey = share + hit / n, grey + shade * hit / n
     region = image[low[1] : high[1], low[0] : high[0]]
     region[...] = region * (1 - share) + grey
@@ -277,18 +277,16 @@ def _spread(step: int, n: int) -> int:
     return int(np.min(np.minimum(k, n - k) ** 2 + np.minimum(y, n - y) ** 2))
 
 
-def _shade(
-    ray: np.ndarray, pattern: Pattern, rotation: np.ndarray, position: np.ndarray, half: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _shade(ray: np.ndarray, plate: _Plate, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the print's grey value where rays meet the plate, and whether they do."""
-    normal = rotation[:, 2]
+    normal, square = plate.rotation[:, 2], plate.pattern.square
     towards = np.concatenate([ray, np.ones((*ray.shape[:-1], 1))], axis=-1)
     with np.errstate(all="ignore"):
-        depth = (normal @ position) / (towards @ normal)
-        x, y = ((depth[..., None] * towards - position) @ rotation[:, :2]).transpose(2, 0, 1)
+        depth = (normal @ plate.position) / (towards @ normal)
+        x, y = ((depth[..., None] * towards - plate.position) @ plate.rotation[:, :2]).transpose(2, 0, 1)
         hit = (depth > 0) & (np.abs(x) < half[0]) & (np.abs(y) < half[1])
-        inside = (np.abs(x) < half[0] - pattern.square) & (np.abs(y) < half[1] - pattern.square)
-        squares = np.floor((x + half[0]) / pattern.square) + np.floor((y + half[1]) / pattern.square)
+        inside = (np.abs(x) < half[0] - square) & (np.abs(y) < half[1] - square)
+        squares = np.floor((x + half[0]) / square) + np.floor((y + half[1]) / square)
         black = inside & (np.mod(squares, 2) == 0)
     return np.where(black, BLACK, WHITE), hit
 

@@ -8,7 +8,7 @@ proposed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -83,21 +83,32 @@ def _can_be_stated(change: PoseReading) -> bool:
 
 def _apply(reading: Reading, plain: Mapping[str, Source], joints: list[str]) -> dict[str, Source]:
     """Return the column of each of our names after a reading."""
-    n, out = len(joints), dict(plain)
-    q, x = np.vstack([np.zeros((1, n)), np.eye(n)]), np.vstack([np.zeros((1, 3)), np.eye(3)])
-    of_joints, of_positions = (tuple(c for c in reading if c.acts_on == what) for what in ("joints", "positions"))
-    moved = apply_reading(of_joints, PoseSet(q, np.zeros((n + 1, 3)))).q
-    placed = apply_reading(of_positions, PoseSet(np.zeros((4, n)), x)).position
-    for names, values in ((joints, moved), (POSITION, placed)):
-        if not set(names) <= set(plain):
-            continue
-        offset, slope = values[0], (values[1:] - values[0]).T
-        for row, name in enumerate(names):
-            column = int(np.argmax(np.abs(slope[row])))
-            source = plain[names[column]]
-            out[name] = replace(source, scale=float(slope[row, column]) * source.scale, offset=float(offset[row]))
+    n, out = len(joints), _apply_to_joints(reading, plain, joints)
+    of_positions = tuple(change for change in reading if change.acts_on == "positions")
+    x = np.vstack([np.zeros((1, 3)), np.eye(3)])
+    out |= _carry(plain, POSITION, apply_reading(of_positions, PoseSet(np.zeros((4, n)), x)).position)
     if QUATERNION[0] in plain and any(change.cause == "quaternion_order" for change in reading):
         out |= {name: plain[QUATERNION[(k + 1) % 4]] for k, name in enumerate(QUATERNION)}
+    return out
+
+
+def _apply_to_joints(reading: Reading, plain: Mapping[str, Source], joints: list[str]) -> dict[str, Source]:
+    """Return all columns, those of the joints after a reading."""
+    n = len(joints)
+    of_joints = tuple(change for change in reading if change.acts_on == "joints")
+    q = np.vstack([np.zeros((1, n)), np.eye(n)])
+    return dict(plain) | _carry(plain, joints, apply_reading(of_joints, PoseSet(q, np.zeros((n + 1, 3)))).q)
+
+
+def _carry(plain: Mapping[str, Source], names: Sequence[str], values: np.ndarray) -> dict[str, Source]:
+    """Return the columns of names that are there, from what a reading makes of zero and of unit vectors (n + 1, n)."""
+    if not set(names) <= set(plain):
+        return {}
+    out, offset, slope = {}, values[0], (values[1:] - values[0]).T
+    for row, name in enumerate(names):
+        column = int(np.argmax(np.abs(slope[row])))
+        source = plain[names[column]]
+        out[name] = replace(source, scale=float(slope[row, column]) * source.scale, offset=float(offset[row]))
     return out
 
 
@@ -106,5 +117,5 @@ def _list_speeds(reading: Reading, columns: Container[str], joints: list[str]) -
     speeds = [name.replace("q_", "v_", 1) for name in joints]
     if not all(name in columns for name in speeds):
         return {}
-    moved = _apply(reading, {name: Source(speed) for name, speed in zip(joints, speeds, strict=True)}, joints)
+    moved = _apply_to_joints(reading, {name: Source(speed) for name, speed in zip(joints, speeds, strict=True)}, joints)
     return {speed: replace(moved[name], offset=0.0) for name, speed in zip(joints, speeds, strict=True)}

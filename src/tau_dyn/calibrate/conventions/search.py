@@ -25,6 +25,7 @@ from tau_dyn.evidence import (
     search_readings,
 )
 from tau_dyn.exceptions import TauDynError
+from tau_dyn.mechanism import Poses
 from tau_dyn.message_codes import CodedWarning
 
 _ALIKE_RAD = 2.0
@@ -131,16 +132,41 @@ class _Search:
 
     def measure(self, reading: Reading) -> Misfit:
         """Return the misfit of a reading."""
-        key = frozenset(id(change) for change in reading)
+        key = _get_key(reading)
         if key not in self.known:
-            poses = apply_reading(reading, self.poses)
-            poses = poses.take(self.compared[self.compared < poses.n])
             try:
                 unit = float(np.prod([change.unit for change in reading]))
-                self.known[key] = self._measure(poses)._replace(unit=unit)
+                self.known[key] = self._measure(self._read(reading))._replace(unit=unit)
             except (TauDynError, np.linalg.LinAlgError):
                 self.known[key] = UNREACHED
         return self.known[key]
+
+    def place_all(self, readings: Sequence[Reading]) -> None:
+        """Place the robot at the positions of many readings at once: each walk through the workspace then serves all."""
+        every = [self._read(reading).q for reading in readings if _get_key(reading) not in self.known]
+        every = [q for q in every if not is_far_beyond(q, self.limits)]
+        try:
+            self._place_together([q[:_FIRST_POSES] for q in every])
+            self._place_together([q for q in every if _is_reached(self._place(q[:_FIRST_POSES]))])
+        except (TauDynError, np.linalg.LinAlgError):
+            return  # `measure` asks for each by itself, and finds which one it was
+
+    def _read(self, reading: Reading) -> PoseSet:
+        """Return the poses that are compared, as a reading means them."""
+        poses = apply_reading(reading, self.poses)
+        return poses.take(self.compared[self.compared < poses.n])
+
+    def _place_together(self, parts: Sequence[np.ndarray]) -> None:
+        """Remember the tool poses at several sets of joint positions (N, na)."""
+        new = {q.tobytes(): q for q in parts if q.tobytes() not in self.placed}
+        if not new:
+            return
+        found = self.geometry.forward(self.geometry.parameters.values, np.concatenate(list(new.values())))
+        ends = np.cumsum([len(q) for q in new.values()])
+        for key, end in zip(new, ends, strict=True):
+            part = slice(end - len(new[key]), end)
+            at = Poses(found.poses.position[part], found.poses.rotation[part])
+            self.placed[key] = Predicted(at, found.ok[part], found.reason[part])
 
     def fit(self, reading: Reading) -> ReadingFit | None:
         """Return the misfit of a reading as `evidence` compares it; None where the robot is not placed or stands still."""
@@ -166,18 +192,25 @@ class _Search:
         """Return the misfit of poses as they are meant."""
         if is_far_beyond(poses.q, self.limits):
             return UNREACHED
-        first = self._place(poses.q[:_FIRST_POSES])
-        if 2 * first.ok.sum() < len(first.ok):
+        if not _is_reached(self._place(poses.q[:_FIRST_POSES])):
             return UNREACHED
         found = self._place(poses.q)
         return measure_misfit(poses, found.poses, found.ok, turns=self.geometry.orients)
 
     def _place(self, q: np.ndarray) -> Predicted:
         """Return the tool poses that the robot file predicts at joint positions (N, na)."""
-        key = q.tobytes()
-        if key not in self.placed:
-            self.placed[key] = self.geometry.forward(self.geometry.parameters.values, q)
-        return self.placed[key]
+        self._place_together([q])
+        return self.placed[q.tobytes()]
+
+
+def _get_key(reading: Reading) -> frozenset[int]:
+    """Return what tells a reading from others, whatever the order of its changes."""
+    return frozenset(id(change) for change in reading)
+
+
+def _is_reached(first: Predicted) -> bool:
+    """Return whether a robot reaches enough of the first poses to be asked for the others."""
+    return bool(2 * first.ok.sum() >= len(first.ok))
 
 
 def measure_as_written(geometry: Geometry, poses: PoseSet, limits: tuple[np.ndarray, np.ndarray]) -> Misfit:
@@ -214,7 +247,8 @@ def find_reading(
 
     def grow(last: Sequence[Reading]) -> list[Reading]:
         changes = single if any(last) else every
-        grown = {frozenset(map(id, r)): r for base in last for more in changes if (r := _join(base, more))}
+        grown = {_get_key(r): r for base in last for more in changes if (r := _join(base, more))}
+        search.place_all(list(grown.values()))
         return sorted(grown.values(), key=lambda r: -search.compute_log_p(r))
 
     depth = 1 if search.is_plausible(()) else _MAX_CAUSES

@@ -22,4 +22,10 @@ from .pose_set import (
     measure_spread as measure_spread,
     number_alike as number_alike,
 )
-from .read import POSITION as POSITION, QUATERNION as QUATERNION, check_units as check_units, read_poses as read_poses
+from .read import (
+    POSITION as POSITION,
+    QUATERNION as QUATERNION,
+    as_poses as as_poses,
+    check_units as check_units,
+    read_poses as read_poses,
+)

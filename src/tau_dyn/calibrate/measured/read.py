@@ -16,7 +16,7 @@ from tau_dyn.calibrate.measured.pose_set import PoseSet, join_pose_sets
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import ColumnMap, Table, compute_mapped_columns, format_names, is_blank, read_table
 from tau_dyn.message_codes import CodedWarning
-from tau_dyn.robot import Mimic
+from tau_dyn.robot import Mimic, Robot, read_annotations
 
 POSITION = ("x_tool", "y_tool", "z_tool")
 STDERRS = ("x_tool_stderr", "y_tool_stderr", "z_tool_stderr")
@@ -25,6 +25,22 @@ QUATERNION = ("qx_tool", "qy_tool", "qz_tool", "qw_tool")
 DISTANCE = "distance_tool"
 _MAX_COORDINATE_M = 1e3  # [m] from the device; farther is a file in mm
 _MAX_ROOM_M = 50.0  # [m] from the device in most rows; farther, single far rows are no slips but all rows are in mm
+
+
+def as_poses(poses: PoseSet | str | Path, robot: Robot) -> PoseSet:
+    """Return poses as they are, or read a file of them; see `read_poses`.
+
+    Raises:
+        InputError: They are something else, or their file cannot be used.
+    """
+    if isinstance(poses, PoseSet):
+        return poses
+    if not isinstance(poses, str | Path):
+        raise InputError(
+            "invalid_value",
+            f"an object of type {type(poses).__name__} is no set of poses; give what read_poses returns, or a file's path",
+        )
+    return read_poses(poses, robot.actuated, mimics=read_annotations(robot.urdf, robot.source).mimics)
 
 
 def read_poses(

@@ -18,14 +18,12 @@ import numpy as np
 
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.poses.camera import ToolCamera
-from tau_dyn.calibrate.poses.devices import SEEN, transform_to_device
+from tau_dyn.calibrate.poses.devices import SEEN, move_joints, transform_to_device
 from tau_dyn.calibrate.poses.reachable import MeasurablePoses, Reachable, Safety, find_visible
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.kinematics import Surroundings
 from tau_dyn.kinematics.workspace import WorkspaceModel, get_travel
 
-_STEPS = 40  # of Newton's method
-_MAX_STEP = 0.3  # [m or rad] of a joint; longer ones leave the neighbourhood
 _SMALL = 1e-2  # ratio of singular values below which a direction is left alone
 _AIMED = 1e-3  # [rad] at which the iteration ends
 _MIDDLE = 0.6  # share of the picture's width and height in which the pattern's middle is drawn
@@ -43,27 +41,23 @@ def turn_camera(
         q: Where to start (N, na).
         rng: Of the places in the picture.
     """
-    theta, setup, n = geometry.parameters.values, np.zeros(len(q), int), len(q)
+    theta, n = geometry.parameters.values, len(q)
     pixel = np.array(camera.centre) + _MIDDLE * (rng.random((n, 2)) - 0.5) * np.array(camera.image)
     ray = np.column_stack([(pixel - np.array(camera.centre)) / np.array(camera.focal), np.ones(n)])
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    q, gap, ok = q.copy(), np.full(n, np.inf), np.zeros(n, bool)
-    for _ in range(_STEPS):
-        found = geometry.forward(theta, q)
+
+    def find_gap(q: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found, setup = geometry.forward(theta, q), np.zeros(len(q), int)
         at = camera.frames.measured(found.poses, setup)  # the camera in the pattern's frame
         twist = camera.frames.carried(found.poses, geometry.tool_by_joint(theta, q, found.poses), setup)
         away = np.maximum(np.linalg.norm(at.position, axis=1, keepdims=True), 1e-9)
-        g, a = -at.position / away, np.einsum("nij,nj->ni", at.rotation, ray)
-        ok, gap = found.ok, np.linalg.norm(np.nan_to_num(g - a), axis=1)
-        if np.all(gap[ok] < _AIMED):
-            break
+        g, a = -at.position / away, np.einsum("nij,nj->ni", at.rotation, ray[index])
         across = np.eye(3) - g[:, :, None] * g[:, None]
         shift = twist[:, :3] / away[:, :, None]
         slope = np.concatenate([np.cross(twist[:, 3:], a[:, :, None], axis=1) + across @ shift, shift], axis=1)
-        wanted = np.concatenate([g - a, np.zeros_like(g)], axis=1)
-        step = (np.linalg.pinv(np.nan_to_num(slope), rcond=_SMALL) @ np.nan_to_num(wanted)[:, :, None])[:, :, 0]
-        q = q + step * np.minimum(1.0, _MAX_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
-    return q, ok & (gap < _AIMED)
+        return np.where(found.ok[:, None], np.concatenate([g - a, np.zeros_like(g)], axis=1), np.nan), slope
+
+    return move_joints(q, find_gap, _AIMED, _SMALL)
 
 
 def find_aimed(

@@ -7,7 +7,7 @@ for a target that tells its orientation too (Leica Geosystems 2009). The tracker
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -15,9 +15,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
-from tau_dyn.mechanism import Poses
+from tau_dyn.mechanism import Move, NewtonRules, Poses, iterate_newton
 
 SEEN = ""
+_STEPS = 40  # of Newton's method; touches need about eight
+_MAX_STEP = 0.3  # [m or rad] of a joint; longer ones leave the neighbourhood
 
 
 class MeasuringDevice(Protocol):
@@ -127,6 +129,37 @@ def add_noise(poses: Poses, covariance: np.ndarray, rng: np.random.Generator) ->
     if error.shape[1] == 3:
         return Poses(poses.position + error, poses.rotation)
     return Poses(poses.position + error[:, :3], Rotation.from_rotvec(error[:, 3:]).as_matrix() @ poses.rotation)
+
+
+def move_joints(
+    q: np.ndarray,
+    find_gap: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+    closed: float,
+    small: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the joint positions (N, na) nearest to those given at which a gap is closed, and where it is (N,).
+
+    Args:
+        q: Where to start (N, na).
+        find_gap: From joint positions (k, na) and their indices (k,) to the gap (k, m), nan where there is no pose, and the
+            derivative (k, m, na) of what closes it.
+        closed: Largest part of a gap that is closed.
+        small: Ratio of singular values below which a direction is left alone.
+    """
+    q = q.copy()
+
+    def advance(index: np.ndarray) -> tuple[np.ndarray, np.ndarray, Move]:
+        gap, slope = find_gap(q[index], index)
+        step = (np.linalg.pinv(np.nan_to_num(slope), rcond=small) @ np.nan_to_num(gap)[:, :, None])[:, :, 0]
+        size = np.where(np.isfinite(gap).all(axis=1), np.abs(step).max(axis=1), np.inf)
+
+        def move(share: np.ndarray) -> None:
+            q[index] += share[:, None] * step
+
+        return np.abs(np.nan_to_num(gap, nan=np.inf)).max(axis=1), size, move
+
+    rules = NewtonRules(_STEPS, _STEPS, _MAX_STEP, closed, still=np.inf, done=np.inf)
+    return q, iterate_newton(np.ones(len(q), bool), advance, rules)
 
 
 class StandingDevice(ABC):

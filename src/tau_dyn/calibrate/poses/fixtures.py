@@ -42,7 +42,7 @@ from tau_dyn.calibrate.measured import (
 )
 from tau_dyn.calibrate.measured.kinds import project_columns
 from tau_dyn.calibrate.poses.camera import FilePart, build_target_frame
-from tau_dyn.calibrate.poses.devices import SEEN, transform_to_base, transform_to_device
+from tau_dyn.calibrate.poses.devices import SEEN, move_joints, transform_to_base, transform_to_device
 from tau_dyn.calibrate.poses.reachable import MeasurablePoses, Reachable, Safety
 from tau_dyn.calibrate.poses.tour import PathCheck
 from tau_dyn.exceptions import CannotAnswer
@@ -54,8 +54,7 @@ from tau_dyn.robot import Robot
 
 PLANNED = ("distance", *TOUCHES, "encoder")
 """Kinds of fixtures in a file."""
-_STEPS = 40  # of Newton's method; it needs about eight
-_MAX_STEP = 0.3  # [m or rad] of a joint; longer ones leave the neighbourhood
+_SMALL = 1e-3  # ratio of singular values below which a direction is left alone
 _TOUCHES_M = 1e-9  # [m] gap at which the target touches
 _BEHIND_M = 1e-6  # [m] by which the tool frame may lie behind the surface: rounding
 _MIN_DIFFERENCE = 1e-4  # [m or rad] below which two touches are one: three axes reach a hole in one way
@@ -254,22 +253,19 @@ def reach_fixtures(
         poses: Where to start, and which fixture each touches.
         off: Target from where it touches (N, 3) [m]: the first number outwards of a plane or a ball, three in a hole's frame.
     """
-    q, gap = poses.q.copy(), np.full(poses.n, np.inf)
-    one, ok = poses.numbers == 1, np.zeros(poses.n, bool)
-    for _ in range(_STEPS):
+    one = poses.numbers == 1
+
+    def find_gap(q: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        own = poses.take(k)
         found = geometry.forward(theta, q)
-        seen = frames.measured(found.poses, poses.setup)
-        outwards = find_directions(poses.kinds, poses.device, seen.position)
-        shift = np.where(one[:, None], outwards * off[:, :1], off)
-        miss = np.nan_to_num(poses.compute_position_residuals(seen, frames.lengths_of(poses.setup)) + shift)
-        gap, ok = np.abs(miss).max(axis=1), found.ok
-        if np.all(gap[ok] < _TOUCHES_M):
-            break
-        twist = frames.carried(found.poses, geometry.tool_by_joint(theta, q, found.poses), poses.setup)[:, :3]
-        slope = np.nan_to_num(project_columns(poses.kinds, poses.device, seen.position, twist))
-        step = (np.linalg.pinv(slope, rcond=1e-3) @ miss[:, :, None])[:, :, 0]
-        q = q + step * np.minimum(1.0, _MAX_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
-    return q, ok & (gap < _TOUCHES_M)
+        seen = frames.measured(found.poses, own.setup)
+        outwards = find_directions(own.kinds, own.device, seen.position)
+        miss = own.compute_position_residuals(seen, frames.lengths_of(own.setup))
+        miss += np.where(one[k, None], outwards * off[k, :1], off[k])
+        twist = frames.carried(found.poses, geometry.tool_by_joint(theta, q, found.poses), own.setup)[:, :3]
+        return np.where(found.ok[:, None], miss, np.nan), project_columns(own.kinds, own.device, seen.position, twist)
+
+    return move_joints(poses.q, find_gap, _TOUCHES_M, _SMALL)
 
 
 def find_touches(
