@@ -27,7 +27,7 @@ def modes(
     method: Annotated[str, Parameter(metavar="METHOD")] = "auto",
     order: Annotated[str, Parameter(metavar="N")] = "auto",
     delay: Annotated[str, Parameter(metavar="N")] = "auto",
-    sensor: Literal["displacement", "velocity", "acceleration"] = "displacement",
+    sensor: Literal["auto", "displacement", "velocity", "acceleration"] = "auto",
     collocated: Annotated[args.Strings, Parameter(metavar="INPUT:OUTPUT")] = (),
     robot: Annotated[str | None, Parameter(metavar="ROBOT")] = None,
     out: Annotated[Path | None, args.build_destination("MODEL.yaml", "Write the black-box model here")] = None,
@@ -46,7 +46,8 @@ def modes(
         method: auto, n4sid, pbsid (valid under feedback), arx or era (impulse tests)
         order: Number of states; auto chooses
         delay: Delay of the inputs in samples
-        sensor: What the outputs are, for mass, damping and stiffness
+        sensor: What the outputs are, for mass, damping and stiffness; auto goes by their names (acc1_g, ax_tool, x_tool) or
+            by what fits
         collocated: Pairs at one place and in one direction, for mass, damping and stiffness (default: inputs and outputs in
             their order, where as many)
         robot: Draw the modes on this robot (outputs named x_tool, ay_plate, ...); with springs in its file also its own

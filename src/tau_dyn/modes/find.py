@@ -20,6 +20,7 @@ import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.log import Log
+from tau_dyn.modes.contact import window_forces
 from tau_dyn.modes.delay import MAX_DELAY_SAMPLES, ORDERS, DelayChoice, choose_delay, find_response_onset
 from tau_dyn.modes.feedback_tests import (
     ACAUSALITY_SIGNIFICANCE_LEVEL,
@@ -35,6 +36,7 @@ from tau_dyn.modes.record import PreparedRecords, prepare_records
 from tau_dyn.modes.refinement import RefinedModel, refine, refine_predictor
 from tau_dyn.modes.residuals import PREDICTED, SIMULATED, compute_mean_squares, compute_residuals
 from tau_dyn.modes.result import Modes
+from tau_dyn.modes.sensors import find_sensor_kind
 from tau_dyn.modes.state_space import StateSpace, delay_inputs
 from tau_dyn.modes.validation import validate_model
 
@@ -68,7 +70,7 @@ def find_modes(
     method: str = "auto",
     order: str | int = "auto",
     delay: str | int = "auto",
-    sensor: str = "displacement",
+    sensor: str = "auto",
     collocated: Sequence[tuple[str, str]] = (),
     seed: int = 0,
     progress: Progress | None = None,
@@ -84,7 +86,8 @@ def find_modes(
         method: `auto`, `n4sid`, `pbsid`, `arx` or `era`.
         order: `auto` or a number of states.
         delay: `auto` or a number of samples.
-        sensor: What the outputs are: `displacement`, `velocity` or `acceleration`.
+        sensor: What the outputs are: `displacement`, `velocity` or `acceleration`; `auto` goes by their names, and by the
+            fit of M, D, K where those do not tell. Accelerations in g are named so (`acc1_g`).
         collocated: Pairs of an input and an output at one place and in one direction; where none are given and there are
             as many outputs as inputs, each input and the output of its rank.
         seed: Kept with the result; nothing here is random.
@@ -112,14 +115,17 @@ def find_modes(
     several, held = ([x] if isinstance(x, Log) else list(x) for x in (logs, holdout))
     data = prepare_records(several, tuple(inputs), tuple(outputs), holdout=held, references=tuple(references))
     _refuse_costly(asked, data)
+    measured, forces, pulses = find_sensor_kind(outputs, sensor), "", data.kind == "impulse"
+    if pulses:
+        say("looking for contact")
+        data, forces = window_forces(data)
 
     say("looking for feedback")
-    pulses = data.kind == "impulse"
     feedback = Feedback(False, 1.0, 0.0, "pulses answer to nothing") if pulses else detect_feedback(data.train)
     first, why = _choose_first_method(method, data, feedback)
 
     def attempt(name: str, kind: str) -> MethodCandidate:
-        late = _choose_delay(data, name, kind, asked, fixed, sensor, say)
+        late = _choose_delay(data, name, kind, asked, fixed, measured.kind, say)
         start = partial(build_initial_estimator, name, delay=late.delay, highest=max(20, asked or 0))
         states = choose_order(data.train, start, kind=kind, asked=asked, pulses=pulses, progress=say)
         return MethodCandidate(name, kind, late, states)
@@ -144,9 +150,10 @@ def find_modes(
     final = _widen(final, refined, data, best, feedback)
     say("judging")
     found = validate_model(
-        refined, data, feedback, best.late, best.states, final=final, sensor=sensor, collocated=places
+        refined, data, feedback, best.late, best.states, final=final, sensor=measured, collocated=places
     )
     reasons = {"method": why, "delay": best.late.why, "order": best.states.why, "refinement": f"{how}; {whole}"}
+    reasons |= {"forces": forces} if forces else {}
     return replace(found, method=best.method, why=reasons, seed=seed)
 
 

@@ -112,6 +112,11 @@ class EraFactors:
         point = fit_input_matrices(*self.dynamics(order), self.records, direct)
         return replace(point.form.state_space(), delay=self.delay, noise=point.covariance).unscaled(self.scales)
 
+    def measure_loss(self, order: int) -> float:
+        """Return the log det of what the model of an order, or of fewer states where the decays are short, leaves."""
+        most = min(self.realisation.shifted.shape) - self.realisation.p
+        return fit_input_matrices(*self.dynamics(min(order, most)), self.records, True).loss + self.scales.log_size
+
 
 def era(impulse_response: np.ndarray, dt: float, order: int) -> StateSpace:
     """Return the model of an impulse response.

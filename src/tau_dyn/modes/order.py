@@ -22,7 +22,7 @@ import numpy as np
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.modes.methods import Start
 from tau_dyn.modes.modal import Mode, find_resonances
-from tau_dyn.modes.record import Record, truncate_records
+from tau_dyn.modes.record import Record, split_pulses, truncate_records
 from tau_dyn.modes.refinement import refine
 from tau_dyn.modes.residuals import (
     SIMULATED,
@@ -217,6 +217,10 @@ class _Search:
         ]
         return tuple(sorted(trials, key=lambda trial: trial.order))
 
+    def lead(self, rows: Sequence[_Row]) -> _Row:
+        """Return the best of some rows: by what they leave of other data, or by BIC where there are none."""
+        return min(rows, key=lambda row: row.lost if self.apart else row.trial.bic)
+
     def scan(self, orders: Sequence[int]) -> list[_Row]:
         """Return first models of orders, unrefined; the scan stops where the data are explained and no order gains."""
         rows: list[_Row] = []
@@ -229,7 +233,7 @@ class _Search:
             if row is None:
                 continue
             rows.append(row)
-            best = min(rows, key=lambda r: r.lost).trial
+            best = self.lead(rows).trial
             if best.fit_percent > GOOD_FIT_PERCENT and order >= best.order + PATIENCE:
                 break
         return rows
@@ -238,8 +242,10 @@ class _Search:
         """Refine the neighbourhood of the order that first models favour, until the leading order's neighbours are known."""
         first = asked or 4
         if scanned and not asked:
-            best = min(scanned, key=lambda row: row.lost)
-            good = [r for r in scanned if r is best or compare_errors_paired(r.kept, best.kept) <= TOLERANCE]
+            best = self.lead(scanned)
+            good = [
+                r for r in scanned if r is best or self.apart and compare_errors_paired(r.kept, best.kept) <= TOLERANCE
+            ]
             first = min(row.trial.order for row in good)
         for order in (*range(2, first + 1 if first <= SMALL else 0, 2), first):
             self.refine(order)
@@ -326,14 +332,10 @@ def _chosen(trials: Sequence[OrderTrial], apart: bool) -> OrderChoice:
 
 
 def select_pulses(records: Sequence[Record]) -> tuple[Sequence[Record], Sequence[Record]]:
-    """Return pulses to fit on and the last quarter to compare on, if what is left still hits every input; else all twice."""
+    """Return pulses to fit on and some to compare on; all of them twice where none can be spared."""
     records = truncate_records(records, MAX_SAMPLES, PULSE)
-    kept = max(1, round(SELECT_SHARE * len(records)))
-    peaks = np.array([np.abs(r.u).max(axis=0) for r in records])
-    alike = peaks[:-kept] > 0.05 * peaks.max(axis=0)
-    if len(records) - kept >= peaks.shape[1] and bool(alike.any(axis=0).all()):
-        return records[:-kept], records[-kept:]
-    return records, records
+    fitted, kept = split_pulses(records, SELECT_SHARE)
+    return (fitted, kept) if kept else (records, records)
 
 
 def select_parts(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:

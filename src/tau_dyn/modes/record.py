@@ -31,6 +31,7 @@ class Record:
         outputs: Names of the outputs.
         name: The log it came from.
         reference: What a feedback loop was asked for (N, r), where it was logged; None where not.
+        input_noise: Standard deviation of the inputs' noise where they are not zero (m,); None where it counts as none.
     """
 
     u: np.ndarray
@@ -40,6 +41,7 @@ class Record:
     outputs: tuple[str, ...]
     name: str = ""
     reference: np.ndarray | None = None
+    input_noise: np.ndarray | None = None
 
     @property
     def n_samples(self) -> int:
@@ -65,7 +67,8 @@ class Record:
 
     def scaled(self, scales: Scales) -> Record:
         """Return it with every column divided by its scale."""
-        return replace(self, u=self.u / scales.u, y=self.y / scales.y)
+        noise = None if self.input_noise is None else self.input_noise / scales.u
+        return replace(self, u=self.u / scales.u, y=self.y / scales.y, input_noise=noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +82,11 @@ class Scales:
 
     u: np.ndarray
     y: np.ndarray
+
+    @property
+    def log_size(self) -> float:
+        """Log det of the outputs' covariance in units of the scaled one's."""
+        return float(2 * np.sum(np.log(self.y)))
 
     @classmethod
     def of(cls, records: Sequence[Record]) -> Scales:
@@ -304,10 +312,9 @@ def _pulses(train: list[Record], held: list[Record], warnings: tuple[str, ...]) 
     pulses = [_settled(p) for r in train for p in cut_pulses(r)]
     kept = [_settled(p) for r in held for p in (cut_pulses(r) if _is_pulses(r) else [r])]
     how, everything = "the logs given", pulses
-    if not kept and len(pulses) > 1:
-        n = max(1, round((1 - TRAIN_SHARE) * len(pulses)))
-        if _spans_inputs(pulses[:-n]):
-            pulses, kept, how = pulses[:-n], pulses[-n:], f"the last {n} of {len(pulses)} pulses"
+    if not kept:
+        pulses, kept = split_pulses(everything, 1 - TRAIN_SHARE)
+        how = f"{len(kept)} of {len(everything)} pulses, the last ones at each place"
     if not kept:
         how = "nothing"
         few = "nothing is held out of so few pulses, so the fit is that of the data themselves; record each twice"
@@ -316,11 +323,23 @@ def _pulses(train: list[Record], held: list[Record], warnings: tuple[str, ...]) 
     return PreparedRecords(parts, tuple(kept), "impulse", how, warnings, whole)
 
 
-def _spans_inputs(pulses: list[Record]) -> bool:
-    """Tell whether every input is hit on its own somewhere among the pulses."""
+def split_pulses(pulses: Sequence[Record], share: float) -> tuple[list[Record], list[Record]]:
+    """Return pulses to fit on, and a share to compare on: the last ones at each place that was hit more than once.
+
+    None are kept apart where those that are left would not hit every input on its own.
+    """
     peaks = np.array([np.abs(p.u).max(axis=0) for p in pulses])
-    strongest = peaks.max(axis=0)
-    return bool(np.all(strongest > 0)) and np.linalg.matrix_rank(peaks / strongest, tol=0.05) == peaks.shape[1]
+    strongest = np.maximum(peaks.max(axis=0), 1e-300)
+    place, apart = np.argmax(peaks / strongest, axis=1), np.zeros(len(pulses), bool)
+    for k in np.unique(place):
+        own = np.flatnonzero(place == k)
+        if len(own) > 1:
+            apart[own[len(own) - max(1, round(share * len(own))) :]] = True
+    if np.linalg.matrix_rank(peaks[~apart] / strongest, tol=0.05) < peaks.shape[1]:
+        apart[:] = False
+    return [p for p, a in zip(pulses, apart, strict=True) if not a], [
+        p for p, a in zip(pulses, apart, strict=True) if a
+    ]
 
 
 def _list_idle(log: Log, inputs: Sequence[str], logs: Sequence[Log]) -> tuple[str, ...]:

@@ -5,7 +5,8 @@ Output errors: y = G u + v; v may be coloured, the estimate stays consistent and
     cov = H^-1 (sum_{t,s} J_t' W R_{t-s} W J_s) H^-1,    H = sum_t J_t' W J_t,
 
 with R the autocovariance of the errors, from a vector autoregression fitted to the residuals; with white residuals it is H^-1.
-The double sum is taken in the frequency domain, chunk by chunk. Prediction errors: the innovation form, whose one-step
+The double sum is taken in the frequency domain, chunk by chunk. Noise of a hammer's force adds `J' W G s^2 G' W J` to it
+(`contact.py`). Prediction errors: the innovation form, whose one-step
 predictor is an output-error model with inputs (u, y),
 
     x+ = (A - K C) x + [B - K D, K] (u, y),    yhat = C x + [D, 0] (u, y),
@@ -25,6 +26,7 @@ from scipy.linalg import qr
 
 from tau_dyn.estimate import Descent
 from tau_dyn.exceptions import InputError
+from tau_dyn.modes.contact import compute_noise_responses
 from tau_dyn.modes.fit_point import (
     DerivativeMaps,
     FitPoint,
@@ -144,11 +146,32 @@ def estimate_error_covariance(
     inverse = _inverse(normal.H)
     errors = compute_errors(point, records)
     coefficients, noise = fit_autoregression([e @ root.T for e in errors])
-    n = normal.n_model
-    if len(coefficients) == 0:
-        return inverse[:n, :n], errors
-    middle = _middle(point, records, root, coefficients, noise)[np.ix_(normal.free, normal.free)]
-    return (inverse @ middle @ inverse)[:n, :n], errors
+    n, own = normal.n_model, np.ix_(normal.free, normal.free)
+    white = len(coefficients) == 0
+    covariance = inverse if white else inverse @ _middle(point, records, root, coefficients, noise)[own] @ inverse
+    if any(r.input_noise is not None for r in records):
+        covariance = covariance + inverse @ _add_input_noise(point, records, weight)[own] @ inverse
+    return covariance[:n, :n], errors
+
+
+def _add_input_noise(point: FitPoint, records: Sequence[Record], weight: np.ndarray) -> np.ndarray:
+    """The part of the double sum that the noise of the inputs has, over the full vector and all records' initial states."""
+    size, k = build_layout(point.form).size, len(point.form.poles)
+    middle = np.zeros((size + 2 * k * len(records),) * 2)
+    markov = point.form.state_space().markov(max(r.n_samples for r in records))
+    for r, (record, x0) in enumerate(zip(records, point.x0, strict=True)):
+        noise = np.einsum("op,npk->nok", weight, compute_noise_responses(record, markov))
+        maps = compute_derivative_maps(point.form, x0)
+        total = np.zeros((maps.size, noise.shape[2]))
+        for columns in build_columns(point.form, x0, record):
+            x, part = columns.real, noise[columns.part]
+            moved = x[:, None, maps.re] * maps.real + x[:, None, maps.im] * maps.imaginary  # (n, p, s)
+            total[maps.shared] += np.einsum("nos,nok->sk", moved, part, optimize=True)
+            own = np.einsum("nw,nok->owk", x @ maps.own_map, part, optimize=True)
+            total[maps.own.ravel()] += own.reshape(-1, noise.shape[2])
+        where = np.r_[np.arange(size), size + 2 * k * r + np.arange(2 * k)]
+        middle[np.ix_(where, where)] += total @ total.T
+    return middle
 
 
 def compute_errors(point: FitPoint, records: Sequence[Record]) -> tuple[np.ndarray, ...]:

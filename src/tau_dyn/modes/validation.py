@@ -22,6 +22,7 @@ from scipy.stats import f as fisher
 
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.message_codes import CodedWarning
+from tau_dyn.modes.contact import remove_input_noise
 from tau_dyn.modes.delay import DelayChoice
 from tau_dyn.modes.feedback_tests import Feedback
 from tau_dyn.modes.hankel import fit_autoregression
@@ -43,6 +44,7 @@ from tau_dyn.modes.residuals import (
 )
 from tau_dyn.modes.responses import EmpiricalResponse, Response, compute_impulse_responses, estimate_empirical_response
 from tau_dyn.modes.result import Modes, Nonlinearity, Trace
+from tau_dyn.modes.sensors import DISPLACEMENT, SensorKind
 from tau_dyn.modes.state_space import StateSpace, delay_inputs, predict, simulate
 
 PREDICTION_HORIZONS = (1, 10)
@@ -58,7 +60,7 @@ def validate_model(
     order: OrderChoice,
     *,
     final: RefinedModel | None = None,
-    sensor: str = "displacement",
+    sensor: SensorKind = DISPLACEMENT,
     collocated: Sequence[tuple[int, int]] | None = None,
 ) -> Modes:
     """Return the result with everything that says how far to trust it.
@@ -70,7 +72,7 @@ def validate_model(
         delay: How the delay was chosen.
         order: How the order was chosen.
         final: The model of all data, which is the answer; None takes the one of the training data.
-        sensor: What the outputs are: `displacement`, `velocity` or `acceleration`.
+        sensor: What the outputs are.
         collocated: Pairs of an input's and an output's number at one place.
     """
     final = final or refined
@@ -144,12 +146,23 @@ def _tests(
     long = [r for r in records if r.n_samples >= 100]
     if not long:
         return (), ()
-    one_step = [e[noise.lags :] for e in compute_prediction_errors(model, noise, long, 1)]
     # in a loop a disturbance reaches the inputs, so that only what is new at each sample can be asked of them
-    kept = compute_prediction_errors(model, noise, long, 1) if np.any(model.K) else compute_residuals(model, long)
+    if np.any(model.K):
+        one_step = kept = compute_prediction_errors(model, noise, long, 1)
+    else:
+        kept = _simulation_errors(model, long)
+        one_step = [noise.ahead(e, 1) for e in kept]
+    one_step = [e[noise.lags :] for e in one_step]
     late = [delay_inputs(model, r)[model.delay :] for r in long]
     outputs, inputs = records[0].outputs, records[0].inputs
     return check_whiteness(one_step, outputs), check_independence(kept, late, outputs, inputs, used=used)
+
+
+def _simulation_errors(model: StateSpace, records: Sequence[Record]) -> list[np.ndarray]:
+    """Return errors of simulations, without those that the noise of a hammer's force explains."""
+    errors = compute_residuals(model, records)
+    aligned = [r.aligned(model.delay) for r in records]
+    return remove_input_noise(errors, aligned, model.markov(max(r.n_samples for r in aligned)))
 
 
 def _test_nonlinearity(model: StateSpace, records: Sequence[Record]) -> Nonlinearity | None:
@@ -160,10 +173,11 @@ def _test_nonlinearity(model: StateSpace, records: Sequence[Record]) -> Nonlinea
 
 
 def _mechanical(
-    refined: RefinedModel, sensor: str, collocated: Sequence[tuple[int, int]] | None, complete: bool
+    refined: RefinedModel, sensor: SensorKind, collocated: Sequence[tuple[int, int]] | None, complete: bool
 ) -> tuple[Mechanical | None, str]:
     try:
-        return fit_mechanical(refined, collocated=collocated, output=sensor, complete=complete), ""
+        found = fit_mechanical(refined, collocated=collocated, output=sensor.kind, complete=complete)
+        return found.in_units_of(sensor.unit), ""
     except (TauDynError, np.linalg.LinAlgError) as fault:
         return None, str(fault)
 

@@ -8,7 +8,7 @@ References: thesis 6.3 (its form (6.14), fitted there without constraints); De A
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,9 @@ from tau_dyn.modes.mechanical.fit import (
     measure_asymmetry,
 )
 from tau_dyn.modes.mechanical.structure import (
+    HELD,
+    LINEAR,
+    OUTPUTS,
     Evidence,
     HasResiduals,
     Places,
@@ -36,6 +39,8 @@ from tau_dyn.modes.mechanical.structure import (
 )
 from tau_dyn.modes.state_space import StateSpace
 
+STATUSES = ("identified", "condensed", "not_identifiable")
+"""What M, D, K may be worth, best first."""
 _BOTTOM, _TOP = 0.05, 0.45
 """Band that is looked at by itself: from this part of the first resonance to this part of the sampling rate."""
 
@@ -53,7 +58,10 @@ class Mechanical:
         valid_hz: Band in which they reproduce the model they came from.
         misfit: Greatest relative error of the response in that band.
         consistency: Probability of so large a misfit by chance; below 0.001 the model holds more than M, D, K.
-        places: Which degree of freedom each input and output belongs to.
+            places: Which degree of freedom each input and output belongs to.
+        hold: What the inputs do between samples, `held` or `linear`, whichever fits better.
+        sensor: What the outputs measure.
+        unit: Size of their unit in SI.
     """
 
     status: str
@@ -65,6 +73,9 @@ class Mechanical:
     misfit: float | None = None
     consistency: float | None = None
     places: Places | None = None
+    hold: str = HELD
+    sensor: str = OUTPUTS[0]
+    unit: float = 1.0
 
     @property
     def M(self) -> np.ndarray | None:
@@ -96,6 +107,17 @@ class Mechanical:
         size = len(change)
         return np.sqrt(np.einsum("qij,qr,rij->ij", change, self.covariance[2 * size :, 2 * size :], change))
 
+    def in_units_of(self, unit: float) -> Mechanical:
+        """Return it with outputs whose unit has a size in SI: the same motion is a larger number in SI."""
+        if unit == 1.0:
+            return self
+        scaled = [
+            None if of is None else SecondOrder(of.M / unit, of.D / unit, of.K / unit)
+            for of in (self.structure, self.stderr)
+        ]
+        covariance = None if self.covariance is None else self.covariance / unit**2
+        return replace(self, structure=scaled[0], stderr=scaled[1], covariance=covariance, unit=unit * self.unit)
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers and lists, null where there is none; the keys are those of the written result."""
 
@@ -109,6 +131,9 @@ class Mechanical:
             "valid_hz": None if self.valid_hz is None else list(self.valid_hz),
             "misfit": self.misfit,
             "consistency": self.consistency,
+            "hold": self.hold,
+            "sensor": self.sensor,
+            "sensor_unit": self.unit,
             "why": self.why,
         }
 
@@ -127,9 +152,9 @@ def fit_mechanical(
     Degrees of freedom are numbered as the outputs are; an input with no sensor at its place adds one of its own.
 
     Args:
-        source: A sampled model under held inputs, or a refined one with `model`, `theta`, `covariance`, `model_at`.
+        source: A sampled model, or a refined one with `model`, `theta`, `covariance`, `model_at`.
         collocated: Pairs (input, output) at one place and in one direction; None: all in order where there are as many.
-        output: What the sensors measure: displacement, velocity or acceleration.
+        output: What the sensors measure: displacement, velocity, acceleration, or `auto` for what fits best.
         band: Frequencies to trust [Hz]; None: up to 0.9 of half the sampling rate.
         complete: False where checks say that the model misses part of the response: then at most `condensed`.
         tolerance: Relative error of the response that counts as fitting.
@@ -139,23 +164,33 @@ def fit_mechanical(
     """
     model = source if isinstance(source, StateSpace) else source.model
     p, m = model.D.shape
-    derivative, places = count_derivatives(output), find_places(p, m, collocated)
+    places = find_places(p, m, collocated)
+    kinds = OUTPUTS if output == "auto" else (output,)
+    ways = [(count_derivatives(kind), kind, hold) for kind in kinds for hold in (HELD, LINEAR)]
     span = band or (0.0, _TOP / model.dt)
     if not 0 <= span[0] < span[1]:
         raise InputError("invalid_value", f"the band {span[0]:g} to {span[1]:g} Hz is empty")
     if not places.pairs:
         return _refused("no collocated pair: name an input and an output at one place and in one direction")
     try:
-        evidence = build_evidence(source, derivative)
+        found = [
+            replace(_fit(build_evidence(source, k, hold), places, span, complete, tolerance), hold=hold, sensor=kind)
+            for k, kind, hold in ways
+        ]
     except CannotAnswer as fault:
         return _refused(str(fault))
+    return min(found, key=lambda one: (STATUSES.index(one.status), -(one.consistency or 0.0), one.misfit or 0.0))
+
+
+def _fit(evidence: Evidence, places: Places, span: tuple[float, float], complete: bool, tolerance: float) -> Mechanical:
+    """Return M, D, K of one way in which inputs act between samples."""
     modes_hz = np.abs(evidence.at.poles[evidence.at.oscillating]) / (2 * np.pi)
     modes_hz = modes_hz[(modes_hz >= span[0]) & (modes_hz <= span[1])]
     fault = _unfit(evidence, places, modes_hz, tolerance)
     if fault:
         return _refused(fault)
-    span = (max(span[0], _BOTTOM * modes_hz[0]), min(span[1], _TOP / model.dt))
-    others = model.order - 2 * len(modes_hz)
+    span = (max(span[0], _BOTTOM * modes_hz[0]), min(span[1], _TOP / evidence.dt))
+    others = len(evidence.at.poles) - 2 * len(modes_hz)
     task = Task(evidence, places, modes_hz, span, tolerance)
     reason = _why_not_whole(places, modes_hz, others, complete)
     if places.n > len(modes_hz):

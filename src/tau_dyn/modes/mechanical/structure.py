@@ -6,9 +6,14 @@
 the same one; any other input pushes one of its own, which no sensor watches. Modes are known at all of them once one pair is
 collocated, because the residue of mode i is `psi_sensed psi_driven'` with one and the same `psi`.
 
-A model's inputs are held over a step, so each mode of `x_{k+1} = z x_k + b u_k` is `x' = lambda x + b lambda / (z - 1) u` with
-`lambda = log(z) / dt`, exactly. Uncertainty travels as a factor `F` with `F F'` the covariance of the response at chosen
-points; nothing depends on which parameters the model was written in. References: De Angelis, Lus, Betti & Longman 2002; Ewins
+With inputs held over a step, each mode of `x_{k+1} = z x_k + b u_k` is `x' = lambda x + b lambda / (z - 1) u` with
+`lambda = log(z) / dt`, exactly. A force that is a straight line between samples acts through both ends of a step: with
+`beta = b lambda^2 dt / (z - 1)^2` it drives `x' = lambda x + beta u`, and the sampled states are those less `g u`,
+`g = beta (z - 1 - lambda dt) / (lambda^2 dt)`, so that the direct part is less by `C g`. One sampled model thus stands for two
+structures, of which one fits.
+
+Uncertainty travels as a factor `F` with `F F'` the covariance of the response at chosen points; nothing depends on which
+parameters the model was written in. References: De Angelis, Lus, Betti & Longman 2002; Ewins
 2000, 2.8.
 """
 
@@ -265,8 +270,17 @@ class Continuous:
         return Continuous(poles, left.T, left, np.zeros((places.n, places.n)))
 
 
-def convert_to_continuous(model: StateSpace, derivative: int = 0) -> Continuous:
-    """Return the continuous-time model whose held inputs give the sampled one; its delay is left out.
+HELD, LINEAR = "held", "linear"
+"""What an input does between samples: stays as it was, or follows a straight line."""
+
+
+def convert_to_continuous(model: StateSpace, derivative: int = 0, hold: str = HELD) -> Continuous:
+    """Return the continuous-time model that gives the sampled one; its delay is left out.
+
+    Args:
+        model: The sampled model.
+        derivative: How often its outputs are differentiated.
+        hold: What inputs do between samples: `held` or `linear`.
 
     Raises:
         CannotAnswer: A pole lies where no continuous-time system puts one.
@@ -279,10 +293,16 @@ def convert_to_continuous(model: StateSpace, derivative: int = 0) -> Continuous:
             "a pole of the model lies at or beyond half the sampling rate",
             "choose another order, or sample faster than twice the highest resonance",
         )
-    poles = np.log(z) / model.dt
+    poles, dt = np.log(z) / model.dt, model.dt
     still = np.abs(z - 1) < 1e-12
-    hold = np.where(still, 1 / model.dt, poles / np.where(still, 1, z - 1))
-    return Continuous(poles, model.C @ V, hold[:, None] * np.linalg.solve(V, model.B), model.D, derivative)
+    step = np.where(still, dt, (z - 1) / np.where(still, 1, poles))  # integral of a mode's decay over a sample
+    left, right = model.C @ V, np.linalg.solve(V, model.B)
+    if hold == HELD:
+        return Continuous(poles, left, right / step[:, None], model.D, derivative)
+    right = right * (dt / step**2)[:, None]
+    ahead = np.where(still, dt / 2, (step - dt) / np.where(still, 1, poles * dt))
+    through = model.D - np.real((left * ahead) @ right)
+    return Continuous(poles, left, right, through, derivative)
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,21 +335,25 @@ class Evidence:
         return Evidence(self.at.completed(places), near, self.dt)
 
 
-def build_evidence(source: StateSpace | HasResiduals | Any, derivative: int = 0) -> Evidence:
+def build_evidence(source: StateSpace | HasResiduals | Any, derivative: int = 0, hold: str = HELD) -> Evidence:
     """Return the evidence in a model, refined (with covariance) or not.
 
     Args:
         source: A `StateSpace`, or anything with `model`, `theta`, `covariance` and `model_at`.
         derivative: How often its outputs are differentiated.
+        hold: What inputs do between samples: `held` or `linear`.
 
     Raises:
         CannotAnswer: A pole lies where no continuous-time system puts one.
     """
     if isinstance(source, StateSpace):
-        return Evidence(convert_to_continuous(source, derivative), (), source.dt)
+        return Evidence(convert_to_continuous(source, derivative, hold), (), source.dt)
     steps = _steps(source.theta, source.covariance, source.model_at)
-    near = tuple((convert_to_continuous(up, derivative), convert_to_continuous(down, derivative)) for up, down in steps)
-    return Evidence(convert_to_continuous(source.model, derivative), near, source.model.dt)
+    near = tuple(
+        (convert_to_continuous(up, derivative, hold), convert_to_continuous(down, derivative, hold))
+        for up, down in steps
+    )
+    return Evidence(convert_to_continuous(source.model, derivative, hold), near, source.model.dt)
 
 
 def _steps(theta: np.ndarray, covariance: np.ndarray, model_at: Callable[[np.ndarray], StateSpace]):
