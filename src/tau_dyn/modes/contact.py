@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import binary_dilation, find_objects, label
+from scipy.ndimage import binary_dilation
 
 from tau_dyn.modes.methods import decompose_pulse_tests
 from tau_dyn.modes.record import PreparedRecords, Record, truncate_records
@@ -26,7 +26,7 @@ _OF_PEAK, _OF_NOISE = 0.02, 6.0
 _FLANK, _FLANK_SHARE = 4, 0.2
 """Samples around contact that belong to it, and the same as a share of the contact."""
 _ORDER = 12  # states of the models by which windows are judged
-_SAMPLES = 6000  # that they are fitted to
+_SAMPLES, _LEAST = 6000, 500  # that they are fitted to, and of each pulse at least
 _BINS = 24  # of one contact's samples, at most
 
 
@@ -43,7 +43,7 @@ def window_forces(data: PreparedRecords) -> tuple[PreparedRecords, str]:
             for r in records
         )
 
-    few = truncate_records(data.train, _SAMPLES)
+    few = truncate_records(data.train, _SAMPLES, _LEAST)
     before, after = (decompose_pulse_tests(records).measure_loss(_ORDER) for records in (few, window(few)))
     if not after < before:
         return data, ""
@@ -63,9 +63,10 @@ def find_contact(u: np.ndarray, peaks: np.ndarray) -> np.ndarray:
     strong = size > np.maximum(_OF_PEAK * peaks, _OF_NOISE * 1.4826 * np.median(size, axis=0))
     touching = np.zeros_like(strong)
     for column in range(u.shape[1]):
-        for (run,) in find_objects(label(binary_dilation(strong[:, column], iterations=_FLANK))[0]):
-            wider = int(_FLANK_SHARE * (run.stop - run.start))
-            touching[max(0, run.start - wider) : run.stop + wider, column] = True
+        near = binary_dilation(strong[:, column], iterations=_FLANK)
+        for first, last in np.flatnonzero(np.diff(near, prepend=False, append=False)).reshape(-1, 2):
+            wider = int(_FLANK_SHARE * (last - first))
+            touching[max(0, first - wider) : last + wider, column] = True
     return touching
 
 

@@ -72,18 +72,25 @@ class Mode:
         }
 
 
+MAX_RESONANT_DAMPING = float(np.sqrt(0.5))
+"""Damping ratio from which on the response has no peak (Ewins 2000, 2.4)."""
+
+
 def find_resonances(model: StateSpace, covariance: np.ndarray | None = None) -> tuple[Mode, ...]:
-    """Return the resonances (complex pairs of poles) of a model, lowest frequency first.
+    """Return the resonances (pairs of poles whose response has a peak) of a model, lowest frequency first.
 
     Args:
-        model: The model. Real poles are no resonances and are left out.
+        model: The model. Real poles, and those whose damping ratio may reach 0.71, are no resonances and are left out: they are
+            what filters of sensors and slow drifts look like.
         covariance: Covariance of the full vector of its `build_modal_form` (`Layout`); None where not known.
     """
     form = build_modal_form(model)
     found = []
     for k, where in zip(np.flatnonzero(form.oscillates), build_layout(form).pole[form.oscillates], strict=True):
         spread = np.full((2, 2), np.nan) if covariance is None else covariance[np.ix_(where, where)]
-        found.append(_mode(form, int(k), spread))
+        mode = _mode(form, int(k), spread)
+        if mode.damping_ratio + 2 * np.nan_to_num(mode.damping_stderr) < MAX_RESONANT_DAMPING:
+            found.append(mode)
     return tuple(sorted(found, key=lambda mode: mode.frequency_hz))
 
 

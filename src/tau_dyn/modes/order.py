@@ -221,6 +221,10 @@ class _Search:
         """Return the best of some rows: by what they leave of other data, or by BIC where there are none."""
         return min(rows, key=lambda row: row.lost if self.apart else row.trial.bic)
 
+    def is_as_good(self, row: _Row, best: _Row) -> bool:
+        """Return whether a row leaves as little of other data as the best one."""
+        return row is best or (self.apart and compare_errors_paired(row.kept, best.kept) <= TOLERANCE)
+
     def scan(self, orders: Sequence[int]) -> list[_Row]:
         """Return first models of orders, unrefined; the scan stops where the data are explained and no order gains."""
         rows: list[_Row] = []
@@ -233,7 +237,8 @@ class _Search:
             if row is None:
                 continue
             rows.append(row)
-            best = self.lead(rows).trial
+            best = self.lead(rows)
+            best = min((r for r in rows if self.is_as_good(r, best)), key=lambda r: r.trial.order).trial
             if best.fit_percent > GOOD_FIT_PERCENT and order >= best.order + PATIENCE:
                 break
         return rows

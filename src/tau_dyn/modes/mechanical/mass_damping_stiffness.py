@@ -165,42 +165,47 @@ def fit_mechanical(
     model = source if isinstance(source, StateSpace) else source.model
     p, m = model.D.shape
     places = find_places(p, m, collocated)
-    kinds = OUTPUTS if output == "auto" else (output,)
-    ways = [(count_derivatives(kind), kind, hold) for kind in kinds for hold in (HELD, LINEAR)]
     span = band or (0.0, _TOP / model.dt)
     if not 0 <= span[0] < span[1]:
         raise InputError("invalid_value", f"the band {span[0]:g} to {span[1]:g} Hz is empty")
     if not places.pairs:
         return _refused("no collocated pair: name an input and an output at one place and in one direction")
-    try:
-        found = [
-            replace(_fit(build_evidence(source, k, hold), places, span, complete, tolerance), hold=hold, sensor=kind)
-            for k, kind, hold in ways
-        ]
-    except CannotAnswer as fault:
-        return _refused(str(fault))
-    return min(found, key=lambda one: (STATUSES.index(one.status), -(one.consistency or 0.0), one.misfit or 0.0))
+    found, left = [], []
+    for kind in OUTPUTS if output == "auto" else (output,):
+        for hold in (HELD, LINEAR):
+            try:
+                task = _build_task(build_evidence(source, count_derivatives(kind), hold), places, span, tolerance)
+            except CannotAnswer as fault:
+                return _refused(str(fault))
+            one = _refused(task) if isinstance(task, str) else _fit_whole(task, complete)
+            found.append(replace(one, hold=hold, sensor=kind))
+            if isinstance(task, Task) and hold == HELD and places.n <= len(task.modes_hz):
+                left.append((task, found[-1]))
+    best = min(found, key=lambda one: (STATUSES.index(one.status), -(one.consistency or 0.0)))
+    if best.status == "identified" or not left:
+        return best
+    others = [replace(_stand_in(task, one.why), sensor=one.sensor) for task, one in left]
+    return min(others, key=lambda one: (STATUSES.index(one.status), one.misfit or 0.0))
 
 
-def _fit(evidence: Evidence, places: Places, span: tuple[float, float], complete: bool, tolerance: float) -> Mechanical:
-    """Return M, D, K of one way in which inputs act between samples."""
+def _build_task(evidence: Evidence, places: Places, span: tuple[float, float], tolerance: float) -> Task | str:
+    """Return what is to be fitted, or why no structure is worth fitting."""
     modes_hz = np.abs(evidence.at.poles[evidence.at.oscillating]) / (2 * np.pi)
     modes_hz = modes_hz[(modes_hz >= span[0]) & (modes_hz <= span[1])]
     fault = _unfit(evidence, places, modes_hz, tolerance)
     if fault:
-        return _refused(fault)
-    span = (max(span[0], _BOTTOM * modes_hz[0]), min(span[1], _TOP / evidence.dt))
-    others = len(evidence.at.poles) - 2 * len(modes_hz)
-    task = Task(evidence, places, modes_hz, span, tolerance)
-    reason = _why_not_whole(places, modes_hz, others, complete)
-    if places.n > len(modes_hz):
-        return _refused(reason)
-    if complete and not others and places.n == len(modes_hz):
-        found = _judged(fit_full_structure(task), task, "identified", _why_whole(task))
-        if found.status == "identified":
-            return found
-        reason = found.why
-    return _stand_in(task, reason)
+        return fault
+    return Task(
+        evidence, places, modes_hz, (max(span[0], _BOTTOM * modes_hz[0]), min(span[1], _TOP / evidence.dt)), tolerance
+    )
+
+
+def _fit_whole(task: Task, complete: bool) -> Mechanical:
+    """Return M, D, K of as many modes as degrees of freedom, or why there are none."""
+    n, modes_hz, others = task.places.n, task.modes_hz, len(task.evidence.at.poles) - 2 * len(task.modes_hz)
+    if not complete or others or n != len(modes_hz):
+        return _refused(_why_not_whole(task.places, modes_hz, others, complete))
+    return _judged(fit_full_structure(task), task, "identified", _why_whole(task))
 
 
 def _refused(why: str) -> Mechanical:
