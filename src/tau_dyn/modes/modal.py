@@ -29,7 +29,7 @@ import numpy as np
 from scipy.linalg import eigvals
 
 from tau_dyn.modes.modal_form import ModalForm, build_layout, build_modal_form
-from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.modes.state_space import MAX_RESONANT_DAMPING, StateSpace
 
 MODE_EQUALITY_TOLERANCE = 0.05  # relative difference in frequency up to which modes of two models are one and the same
 Z95 = 1.959964  # two-sided 95 % point of the normal distribution
@@ -70,10 +70,6 @@ class Mode:
                 for name, c in zip(outputs, self.shape, strict=True)
             },
         }
-
-
-MAX_RESONANT_DAMPING = float(np.sqrt(0.5))
-"""Damping ratio from which on the response has no peak (Ewins 2000, 2.4)."""
 
 
 def find_resonances(model: StateSpace, covariance: np.ndarray | None = None) -> tuple[Mode, ...]:

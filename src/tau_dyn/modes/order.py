@@ -6,7 +6,9 @@ neighbours of the leading order are known. Among the refined and stable ones,
 
 1. the smallest order that simulates that quarter as well as the best, within two standard errors of paired blocks, is taken;
 2. where BIC asks for more states, they are granted if they do not simulate worse and what is left is white, which is what BIC
-   assumes.
+   assumes;
+3. where BIC asks for fewer and what is left is white, those are enough up to four standard errors: the best of many orders is
+   better by chance.
 
 Hannan & Deistler 1988 on what the criteria can and cannot tell.
 """
@@ -52,6 +54,8 @@ MANY_NUMBERS = 100
 """Free numbers of a model beyond which standard errors of trials are left out and fewer rounds are spent."""
 MAX_ITERATIONS = 4  # Gauss-Newton steps for a candidate order; enough to rank it
 TOLERANCE = 2.0  # standard errors of the paired difference within which the smaller order is as good
+MAX_BEHIND_WHITE = 4.0
+"""The same for an order that leaves white noise and that BIC takes."""
 PATIENCE = 16  # orders without any gain after which the scan stops, once it has explained most of what moves
 MIN_WHITE_P_VALUE = 0.001  # over all outputs, from which on what is left counts as white
 GOOD_FIT_PERCENT = 80.0  # fit from which on patience counts: modes that come in late show only when most of them are in
@@ -327,6 +331,9 @@ def _chosen(trials: Sequence[OrderTrial], apart: bool) -> OrderChoice:
         return OrderChoice(by["bic"], tuple(trials), by, why)
     simple, bic = by["simulation"], next(t for t in trials if t.refined and t.order == by["bic"])
     why = f"order {simple} is the smallest that simulates data it was not fitted to as well as any"
+    if bic.order < simple and bic.white and bic.behind <= MAX_BEHIND_WHITE:
+        why = f"order {bic.order} is what BIC takes; it leaves white noise, and more states gain no more than chance"
+        return OrderChoice(bic.order, tuple(trials), by, why)
     if bic.order <= simple:
         agree = "; BIC agrees" if bic.order == simple else f"; BIC would take {bic.order}"
         return OrderChoice(simple, tuple(trials), by, why + agree)

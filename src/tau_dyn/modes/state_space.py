@@ -23,6 +23,9 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.modes.record import Record, Scales
 
+MAX_RESONANT_DAMPING = float(np.sqrt(0.5))
+"""Damping ratio from which on a pair of poles has no peak in its response (Ewins 2000, 2.4)."""
+
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:

@@ -190,6 +190,8 @@ def fit_mechanical(
 
 def _build_task(evidence: Evidence, places: Places, span: tuple[float, float], tolerance: float) -> Task | str:
     """Return what is to be fitted, or why no structure is worth fitting."""
+    if len(evidence.at.oscillating) > places.n:
+        evidence = evidence.with_peaks_only()
     modes_hz = np.abs(evidence.at.poles[evidence.at.oscillating]) / (2 * np.pi)
     modes_hz = modes_hz[(modes_hz >= span[0]) & (modes_hz <= span[1])]
     fault = _unfit(evidence, places, modes_hz, tolerance)

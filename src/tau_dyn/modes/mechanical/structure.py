@@ -20,14 +20,14 @@ parameters the model was written in. References: De Angelis, Lus, Betti & Longma
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 from scipy.linalg import expm
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.modes.state_space import MAX_RESONANT_DAMPING, StateSpace
 
 OUTPUTS = ("displacement", "velocity", "acceleration")
 """What a sensor may measure; the place in the list is the order of its time derivative."""
@@ -236,6 +236,7 @@ class Continuous:
         right: Modal states per input (n, m).
         through: Direct part (p, m).
         derivative: How often the outputs are differentiated; `response` undoes it.
+        only_peaks: Whether pairs of poles without a peak, such as those of a sensor's filter, count as no modes.
     """
 
     poles: np.ndarray
@@ -243,6 +244,7 @@ class Continuous:
     right: np.ndarray
     through: np.ndarray
     derivative: int = 0
+    only_peaks: bool = False
 
     def response(self, s: np.ndarray) -> np.ndarray:
         """Return displacement over input (F, p, m) at complex frequencies s (F,) [rad/s]."""
@@ -252,7 +254,10 @@ class Continuous:
     @property
     def oscillating(self) -> np.ndarray:
         """Indices of one pole of each complex pair, slowest first."""
-        upper = np.flatnonzero(self.poles.imag > 1e-9 * np.abs(self.poles))
+        oscillates = self.poles.imag > 1e-9 * np.abs(self.poles)
+        if self.only_peaks:
+            oscillates &= -self.poles.real < MAX_RESONANT_DAMPING * np.abs(self.poles)
+        upper = np.flatnonzero(oscillates)
         return upper[np.argsort(np.abs(self.poles[upper]), kind="stable")]
 
     @property
@@ -328,6 +333,11 @@ class Evidence:
         """Return the factor (F p m, r), complex, of the response's covariance at s (F,)."""
         columns = [(up.response(s) - down.response(s)).ravel() / (2 * STEP) for up, down in self.nearby]
         return np.column_stack(columns)
+
+    def with_peaks_only(self) -> Evidence:
+        """Return the evidence in which pairs of poles without a peak are no modes."""
+        near = tuple((replace(up, only_peaks=True), replace(down, only_peaks=True)) for up, down in self.nearby)
+        return Evidence(replace(self.at, only_peaks=True), near, self.dt)
 
     def completed(self, places: Places) -> Evidence:
         """Return what the oscillating modes say of every pair of named degrees of freedom."""
