@@ -160,7 +160,7 @@ def choose_order(
         CannotAnswer: No order gives a stable model.
     """
     fitted, kept = select_pulses(records) if pulses else select_parts(records)
-    search = _Search(fitted, kept, start(fitted), kind, progress or (lambda step: None))
+    search = _Search(fitted, kept, start(fitted), kind, progress or (lambda step: None), pulses)
     scanned: list[_Row] = []
     if orders is not None:
         for order in _affordable(fitted, orders):
@@ -205,6 +205,7 @@ class _Search:
     make: Start
     kind: str
     say: Callable[[str], None]
+    pulses: bool = False
 
     def __post_init__(self) -> None:
         self.rows: list[_Row] = []
@@ -249,18 +250,18 @@ class _Search:
 
     def refine_near(self, scanned: Sequence[_Row], asked: int | None) -> None:
         """Refine the neighbourhood of the order that first models favour, until the leading order's neighbours are known."""
+        if self.pulses and scanned and not asked:
+            self.bracket(max(row.trial.order for row in scanned))
+            return
         first = asked or 4
         if scanned and not asked:
             best = self.lead(scanned)
-            good = [
-                r for r in scanned if r is best or self.apart and compare_errors_paired(r.kept, best.kept) <= TOLERANCE
-            ]
-            first = min(row.trial.order for row in good)
+            first = min(row.trial.order for row in scanned if self.is_as_good(row, best))
         for order in (*range(2, first + 1 if first <= SMALL else 0, 2), first):
             self.refine(order)
         while self.rows:
             before = len(self.tried)
-            leading = asked or _chosen(self.compare(), self.apart).order
+            leading = asked or self.leading
             around = (leading - 2, leading + 2)
             if leading <= SMALL:
                 around = (*around, leading + BEYOND, leading - 1, leading + 1)
@@ -268,6 +269,31 @@ class _Search:
                 self.refine(order)
             if len(self.tried) == before:
                 return
+
+    def bracket(self, highest: int) -> None:
+        """Refine doubled orders until no more are chosen, then middles beside the chosen one.
+
+        First models of pulses do not tell which order refined ones take.
+        """
+        leading, tried = 0, 0
+        for order in (*(n for n in (2, 4, 8, 16, 32) if n < highest), 2 * (highest // 2)):
+            self.refine(order)
+            leading = self.leading
+            if 0 < leading < order and self.rows[-1].trial.fit_percent > GOOD_FIT_PERCENT:
+                break
+        while len(self.tried) > tried and leading:
+            tried, leading = len(self.tried), self.leading
+            below = max((n for n in self.tried if n < leading), default=leading)
+            above = min((n for n in self.tried if n > leading), default=leading)
+            far = max(below, above, key=lambda n: abs(n - leading))
+            near = () if leading > SMALL else (leading - 1, leading + 1)
+            for order in (2 * round((leading + far) / 4),) if abs(far - leading) > 2 else near:
+                self.refine(order)
+
+    @property
+    def leading(self) -> int:
+        """The order that is chosen of those refined so far; 0 where there are none."""
+        return _chosen(self.compare(), self.apart).order if self.rows else 0
 
     def refine(self, order: int) -> None:
         """Add a refined model of an order, once, where the data can pay for it and there is one.

@@ -204,7 +204,8 @@ def _build_task(evidence: Evidence, places: Places, span: tuple[float, float], t
 
 def _fit_whole(task: Task, complete: bool) -> Mechanical:
     """Return M, D, K of as many modes as degrees of freedom, or why there are none."""
-    n, modes_hz, others = task.places.n, task.modes_hz, len(task.evidence.at.poles) - 2 * len(task.modes_hz)
+    n, modes_hz, at = task.places.n, task.modes_hz, task.evidence.at
+    others = len(at.poles) + at.n_left_out - 2 * len(modes_hz)
     if not complete or others or n != len(modes_hz):
         return _refused(_why_not_whole(task.places, modes_hz, others, complete))
     return _judged(fit_full_structure(task), task, "identified", _why_whole(task))
@@ -228,8 +229,8 @@ def _unfit(evidence: Evidence, places: Places, modes_hz: np.ndarray, tolerance: 
     uneven, stderr = measure_asymmetry(evidence, places)
     if uneven > max(2 * tolerance, 4 * stderr):
         return (
-            "the named pairs are not collocated, or their units differ: at one mode the response from one place to another and "
-            f"back differs by {100 * uneven:.0f} %"
+            "the named pairs are not collocated, their units differ, or filters of the sensors act: at one mode the response "
+            f"from one place to another and back differs by {100 * uneven:.0f} %"
         )
     return ""
 

@@ -237,6 +237,7 @@ class Continuous:
         through: Direct part (p, m).
         derivative: How often the outputs are differentiated; `response` undoes it.
         only_peaks: Whether pairs of poles without a peak, such as those of a sensor's filter, count as no modes.
+        n_left_out: Poles that no continuous-time system has, taken at rest into the direct part.
     """
 
     poles: np.ndarray
@@ -245,6 +246,7 @@ class Continuous:
     through: np.ndarray
     derivative: int = 0
     only_peaks: bool = False
+    n_left_out: int = 0
 
     def response(self, s: np.ndarray) -> np.ndarray:
         """Return displacement over input (F, p, m) at complex frequencies s (F,) [rad/s]."""
@@ -288,26 +290,28 @@ def convert_to_continuous(model: StateSpace, derivative: int = 0, hold: str = HE
         hold: What inputs do between samples: `held` or `linear`.
 
     Raises:
-        CannotAnswer: A pole lies where no continuous-time system puts one.
+        CannotAnswer: All poles lie where no continuous-time system puts one.
     """
     z, V = np.linalg.eig(model.A)
-    z = z.astype(complex)
-    if np.any((np.abs(z.imag) < 1e-12) & (z.real <= 0)):
+    z, left, right = z.astype(complex), model.C @ V, np.linalg.solve(V.astype(complex), model.B)
+    none = (np.abs(z.imag) < 1e-12) & (z.real <= 0)
+    direct = model.D + np.real((left[:, none] / (1 - z[none])) @ right[none])
+    z, left, right = z[~none], left[:, ~none], right[~none]
+    if not len(z):
         raise CannotAnswer(
             "not_identifiable",
-            "a pole of the model lies at or beyond half the sampling rate",
+            "every pole of the model lies at or beyond half the sampling rate",
             "choose another order, or sample faster than twice the highest resonance",
         )
     poles, dt = np.log(z) / model.dt, model.dt
     still = np.abs(z - 1) < 1e-12
     step = np.where(still, dt, (z - 1) / np.where(still, 1, poles))  # integral of a mode's decay over a sample
-    left, right = model.C @ V, np.linalg.solve(V, model.B)
     if hold == HELD:
-        return Continuous(poles, left, right / step[:, None], model.D, derivative)
+        return Continuous(poles, left, right / step[:, None], direct, derivative, n_left_out=int(none.sum()))
     right = right * (dt / step**2)[:, None]
     ahead = np.where(still, dt / 2, (step - dt) / np.where(still, 1, poles * dt))
-    through = model.D - np.real((left * ahead) @ right)
-    return Continuous(poles, left, right, through, derivative)
+    through = direct - np.real((left * ahead) @ right)
+    return Continuous(poles, left, right, through, derivative, n_left_out=int(none.sum()))
 
 
 @dataclass(frozen=True, eq=False)
