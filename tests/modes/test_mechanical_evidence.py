@@ -37,11 +37,16 @@ def test_a_pure_delay_is_no_part_of_the_structure() -> None:
     )
 
 
-def test_a_pole_beyond_half_the_rate_is_refused() -> None:
-    """No held-input system has a negative real pole of multiplicity one."""
+def test_a_pole_beyond_half_the_rate_goes_into_the_direct_part() -> None:
+    """No held-input system has a negative real pole alone: its response at rest stays, and a model of no other is refused."""
     model = chain(HZ).sampled(DT, [0], [0])
+    beyond = replace(model, A=np.diag([-0.5, 0.2, 0.3, 0.4, 0.5, 0.6]))
+    found = convert_to_continuous(beyond)
+    assert found.n_left_out == 1
+    at_rest = beyond.C @ np.linalg.solve(np.eye(6) - beyond.A, beyond.B) + beyond.D
+    assert_allclose(found.response(np.array([0j]))[0], at_rest, rtol=1e-9)
     with raises_code("not_identifiable"):
-        convert_to_continuous(replace(model, A=np.diag([-0.5, 0.2, 0.3, 0.4, 0.5, 0.6])))
+        convert_to_continuous(replace(model, A=-np.diag([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])))
 
 
 def test_the_factor_is_the_scatter_of_the_response() -> None:
