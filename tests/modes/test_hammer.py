@@ -10,7 +10,13 @@ from scipy.signal import cont2discrete, dlsim
 
 from tau_dyn.log import Log
 from tau_dyn.modes import StateSpace, find_modes
-from tau_dyn.modes.contact import compute_noise_responses, find_contact, remove_input_noise, window_forces
+from tau_dyn.modes.contact import (
+    compute_noise_responses,
+    find_contact,
+    find_least_force,
+    remove_input_noise,
+    window_forces,
+)
 from tau_dyn.modes.mechanical import SecondOrder, fit_mechanical
 from tau_dyn.modes.modal import find_resonances
 from tau_dyn.modes.record import Record, prepare_records, split_pulses
@@ -110,13 +116,23 @@ def test_a_force_that_never_rests_is_not_windowed():
     assert window_forces(record) == (record, "")
 
 
+def test_a_record_that_a_shaker_drives_keeps_its_force():
+    """Held-out records may be driven; only blows are windowed."""
+    data = prepare_records([blows(1)], INPUTS, OUTPUTS)
+    driven = np.random.default_rng(0).standard_normal((800, 2)) * 50
+    shaken = replace(data.holdout[0], u=driven, y=np.zeros((800, 2)))
+    windowed, why = window_forces(replace(data, holdout=(shaken,)))
+    assert why
+    np.testing.assert_array_equal(windowed.holdout[0].u, driven)
+
+
 def test_contact_holds_each_blow_with_its_flanks():
     """A half sine of 30 samples, and a second hit after it, are contact; noise is none."""
     rng = np.random.default_rng(0)
     u = 0.01 * rng.standard_normal((400, 1))
     for start, size in ((100, 1.0), (160, 0.3)):
         u[start : start + 31, 0] += size * np.sin(np.pi * np.arange(31) / 30)
-    touching = find_contact(u, np.array([1.0]))[:, 0]
+    touching = find_contact(u, find_least_force(u))[:, 0]
     assert touching[100:131].all() and touching[160:191].all()
     assert touching.sum() < 100
 

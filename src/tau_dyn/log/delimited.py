@@ -288,6 +288,12 @@ def _count_cells(layout: _Layout) -> NDArray[np.int64]:
     return np.asarray(counts, dtype=np.int64)
 
 
+_EXACT: dict[str, Any] = (
+    {} if tuple(map(int, pd.__version__.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
+)
+"""What makes pandas read each number as Python does; from version 3.1 on it does by itself."""
+
+
 def _parse(layout: _Layout) -> tuple[pd.DataFrame, list[str]]:
     """Let pandas turn rows into numbers, column by column; a column with anything else in it stays text."""
     decimal, thousands = _find_decimal_sign(layout)
@@ -301,10 +307,10 @@ def _parse(layout: _Layout) -> tuple[pd.DataFrame, list[str]]:
             keep_default_na=False,
             na_values=[],
             skipinitialspace=True,
-            float_precision="round_trip",
             low_memory=False,
             decimal=decimal,
             thousands=thousands,
+            **_EXACT,
         )
     except (pd.errors.ParserError, ValueError) as error:
         raise InputError(

@@ -348,7 +348,8 @@ def _build_mechanical(found: Modes) -> Iterator[r.Element]:
         matrices.append(r.ResultTable(columns, rows, style="matrix", caption=f"{letter}, {meaning}"))
     yield r.Group(matrices, "matrices")
     yield r.explain(
-        "In the units of the inputs per those of the outputs (times s² and s), ± is one standard error (1 σ); order as "
+        f"In the units of the inputs per {'those of the outputs' if m.unit == 1 else 'm'} (times s² and s), ± is one standard "
+        "error (1 σ); order as "
         f"the inputs: {', '.join(found.inputs)}. All three are symmetric, mass and stiffness positive definite, "
         "damping takes energy only."
     )
