@@ -273,6 +273,10 @@ WARNING_CODES: dict[str, MessageCode] = {
     "not_physical": MessageCode(
         "plain least squares lies over 3 standard errors outside what is physical", "`diagnose`; a richer motion"
     ),
+    "no_coherence": MessageCode(
+        "`modes`: the outputs do not follow the inputs near a mode", "more force there, or less noise"
+    ),
+    "tone_of_input": MessageCode("`modes`: a mode is a tone of the inputs", "noise or a sweep as input"),
     "order_at_limit": MessageCode("`modes`: the highest order tried was taken", "`--order N`; a longer log"),
     "copied_data": MessageCode(
         "two logs hold the same samples: given twice, an excerpt, another clock or rate, rounded or with added noise",

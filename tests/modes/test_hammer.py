@@ -194,3 +194,12 @@ def test_names_tell_what_sensors_measure(outputs, kind, unit):
     found = find_sensor_kind(outputs)
     assert (found.kind, found.unit) == (kind, unit)
     assert find_sensor_kind(outputs, "velocity").kind == "velocity"
+
+
+def test_without_names_what_fits_tells_the_sensor():
+    """Of displacement, velocity and acceleration one alone makes a structure of the sampled model."""
+    assert fit_mechanical(sampled("foh"), output="auto").sensor == "acceleration"
+    held = SecondOrder(M, D, K).sampled(1 / RATE, [0, 1], [0, 1], "velocity")
+    assert fit_mechanical(held, output="auto").sensor == "velocity"
+    few = fit_mechanical(SecondOrder(M, D, K).sampled(1 / RATE, [0], [0]), output="auto", collocated=[(0, 0)])
+    assert few.sensor == "displacement"

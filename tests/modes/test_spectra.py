@@ -11,8 +11,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 from recordings import in_loop, pulses, recorded, structure
 
-from tau_dyn.modes.record import cut_pulses
-from tau_dyn.modes.responses import estimate_empirical_response
+from tau_dyn.modes.modal import Mode
+from tau_dyn.modes.record import Record, cut_pulses
+from tau_dyn.modes.responses import estimate_empirical_response, find_tones, follows_inputs
 
 
 def _error(seen, plant) -> np.ndarray:
@@ -56,3 +57,32 @@ def test_a_pulse_needs_no_window():
     seen = estimate_empirical_response(parts, impulses=True)
     at = [int(np.argmin(np.abs(seen.frequency - f))) for f in (7.4, 11.5)]
     assert np.max(_error(seen, plant)[at]) < 0.05
+
+
+def _mode(hz: float, damping: float, stderr: float) -> Mode:
+    return Mode(hz, damping, 1e-3, stderr, np.ones(1, complex), 0.0)
+
+
+def _drive(seed: int, *, tones: float, noise: float) -> Record:
+    """A structure of 7.4 and 11.5 Hz under a tone of 9.3 Hz and white noise."""
+    rng, plant, t = np.random.default_rng(seed), structure(), 0.01 * np.arange(20_000)
+    u = tones * np.sin(2 * np.pi * 9.3 * t)[:, None] + noise * rng.standard_normal((len(t), 2))
+    return recorded(plant, u=u, seed=seed)
+
+
+def test_a_tone_of_the_drive_is_no_resonance():
+    """A mode without width at a tone of the input is the tone; one that rings measurably there, or lies elsewhere, is kept."""
+    record = _drive(0, tones=1.0, noise=0.05)
+    tone, ringing, other = _mode(9.3, 1e-6, 1e-5), _mode(9.3, 1e-3, 1e-5), _mode(9.9, 1e-6, 1e-5)
+    assert find_tones((tone, ringing, other), [record]) == [tone]
+    assert find_tones((tone,), [_drive(0, tones=0.0, noise=1.0)]) == []
+
+
+def test_outputs_that_the_input_does_not_move_do_not_follow_it():
+    """Where the record of the force is noise, coherence is that of chance; under a real force it is not."""
+    record, rng = _drive(1, tones=0.0, noise=1.0), np.random.default_rng(2)
+    driven = estimate_empirical_response([record], resolve=0.3)
+    loose = estimate_empirical_response([replace(record, u=rng.standard_normal(record.u.shape))], resolve=0.3)
+    for hz in (7.4, 11.5):
+        assert follows_inputs(_mode(hz, 0.02, 1e-4), driven, 2)
+        assert not follows_inputs(_mode(hz, 0.02, 1e-4), loose, 2)

@@ -131,6 +131,54 @@ def _divide(top: np.ndarray, bottom: np.ndarray, where: np.ndarray) -> np.ndarra
     return out
 
 
+COHERENCE_LEVEL = 0.05
+"""Probability of the coherence of noise above which outputs count as following the inputs."""
+OVERLAP_SHARE = 0.75
+"""Independent stretches in one of half-overlapping ones."""
+
+
+def follows_inputs(mode: Mode, seen: EmpiricalResponse, n_inputs: int) -> bool:
+    """Return whether an output follows the inputs around a mode, by the median of its coherence there; True where unknown.
+
+    The multiple coherence of noise with m inputs in k stretches exceeds c with the probability (1 - c)^(k - m).
+    """
+    more = OVERLAP_SHARE * seen.n_averages - n_inputs
+    step = float(seen.frequency[1] - seen.frequency[0]) if len(seen.frequency) > 1 else 0.0
+    near = np.abs(seen.frequency - mode.frequency_hz) <= max(mode.damping_ratio * mode.frequency_hz, 1.5 * step)
+    values = seen.coherence[near & seen.excited]
+    values = values[np.isfinite(values).all(axis=1)]
+    if more <= 1 or not len(values):
+        return True
+    return bool(np.max(np.median(values, axis=0)) > 1 - COHERENCE_LEVEL ** (1 / more))
+
+
+TONE_LINES, AROUND_LINES = 2, 30
+"""Lines of a spectrum beside a frequency that belong to a tone, and that tell what lies around it."""
+MIN_TONE_RATIO = 300.0
+"""Power of a tone over the median around it; the largest of a few lines of noise is seldom 20 times the median."""
+MAX_TONE_WIDTH = 3.0
+"""Half width of a mode, in lines, beyond which it is no tone."""
+MIN_DAMPING_T = 3.0
+"""Standard errors of a damping ratio from zero from which on a structure rings at the tone."""
+
+
+def find_tones(modes: Sequence[Mode], records: Sequence[Record]) -> list[Mode]:
+    """Return modes without width where the inputs have a tone: a model of the tone, not of the structure."""
+    longest = max(records, key=lambda r: r.n_samples)
+    n, found = longest.n_samples, []
+    window = np.asarray(get_window("hann", n))[:, None]
+    power = np.abs(np.fft.rfft(window * (longest.u - longest.u.mean(axis=0)), axis=0)) ** 2
+    for mode in modes:
+        line, width = round(mode.frequency_hz * n * longest.dt), mode.damping_ratio * mode.frequency_hz * n * longest.dt
+        around = power[max(1, line - AROUND_LINES) : line + AROUND_LINES + 1]
+        near = power[max(1, line - TONE_LINES) : line + TONE_LINES + 1]
+        rings = mode.damping_ratio > MIN_DAMPING_T * mode.damping_stderr
+        if len(near) and width < MAX_TONE_WIDTH and not rings:
+            if np.any(near.max(axis=0) > MIN_TONE_RATIO * np.median(around, axis=0)):
+                found.append(mode)
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class Response(Brief):
     """The model's frequency response with its uncertainty, on a grid of frequencies.

@@ -42,7 +42,14 @@ from tau_dyn.modes.residuals import (
     fit_noise_model,
     fit_of,
 )
-from tau_dyn.modes.responses import EmpiricalResponse, Response, compute_impulse_responses, estimate_empirical_response
+from tau_dyn.modes.responses import (
+    EmpiricalResponse,
+    Response,
+    compute_impulse_responses,
+    estimate_empirical_response,
+    find_tones,
+    follows_inputs,
+)
 from tau_dyn.modes.result import Modes, Nonlinearity, Trace
 from tau_dyn.modes.sensors import DISPLACEMENT, SensorKind
 from tau_dyn.modes.state_space import StateSpace, delay_inputs, predict, simulate
@@ -76,7 +83,8 @@ def validate_model(
         collocated: Pairs of an input's and an output's number at one place.
     """
     final = final or refined
-    model, modes = refined.model, tuple(final.modes)
+    tones = find_tones(final.modes, data.train)
+    model, modes = refined.model, tuple(m for m in final.modes if m not in tones)
     noise = fit_noise_model(compute_residuals(model, data.train))
     held = data.holdout or data.train
     white, free = _tests(model, noise, held, used=0 if data.holdout else model.order)
@@ -117,6 +125,9 @@ def validate_model(
         why={},
         warnings=data.warnings,
     )
+    if tones:
+        said = f"{_list_hz(tones)}: tones of the inputs, not resonances; drive with noise or a sweep to see what lies there"
+        found = replace(found, warnings=(*found.warnings, CodedWarning("tone_of_input", said)))
     return replace(found, warnings=tuple(dict.fromkeys((*found.warnings, *list_doubts(found)))))
 
 
@@ -230,6 +241,9 @@ def list_doubts(found: Modes) -> Iterator[str]:
         yield "the inputs hold no power anywhere that could be resolved; the response is not to be trusted"
     elif out := [m for m in found.modes if not 0.7 * seen.min() <= m.frequency_hz <= 1.3 * seen.max()]:
         yield f"the inputs hold no power near {_list_hz(out)}: do not take it for a resonance"
+    if loose := [m for m in found.modes if not follows_inputs(m, found.empirical, len(found.inputs))]:
+        said = f"near {_list_hz(loose)} the outputs follow the inputs no more than noise would: confirm it by another record"
+        yield CodedWarning("no_coherence", said)
     most = MAX_RELATIVE_DAMPING_STDERR
     if vague := [m for m in found.modes if np.inf > m.damping_stderr > most * abs(m.damping_ratio)]:
         yield f"the damping at {_list_hz(vague)} is known to worse than 30 %"

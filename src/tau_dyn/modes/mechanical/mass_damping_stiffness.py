@@ -184,8 +184,9 @@ def fit_mechanical(
     best = min(found, key=lambda one: (STATUSES.index(one.status), -(one.consistency or 0.0)))
     if best.status == "identified" or not left:
         return best
-    others = [replace(_stand_in(task, one.why), sensor=one.sensor) for task, one in left]
-    return min(others, key=lambda one: (STATUSES.index(one.status), one.misfit or 0.0))
+    if len(left) > 1:
+        left = [min(left, key=lambda pair: fit_condensed_structure(pair[0], places.n).agreement.misfit)]
+    return replace(_stand_in(left[0][0], left[0][1].why), sensor=left[0][1].sensor)
 
 
 def _build_task(evidence: Evidence, places: Places, span: tuple[float, float], tolerance: float) -> Task | str:
