@@ -13,7 +13,7 @@ from recordings import in_loop, pulses, recorded, structure
 
 from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.record import Record, cut_pulses
-from tau_dyn.modes.responses import estimate_empirical_response, find_tones, follows_inputs
+from tau_dyn.modes.responses import estimate_empirical_response, find_tones, is_coherent
 
 
 def _error(seen, plant) -> np.ndarray:
@@ -84,5 +84,5 @@ def test_outputs_that_the_input_does_not_move_do_not_follow_it():
     driven = estimate_empirical_response([record], resolve=0.3)
     loose = estimate_empirical_response([replace(record, u=rng.standard_normal(record.u.shape))], resolve=0.3)
     for hz in (7.4, 11.5):
-        assert follows_inputs(_mode(hz, 0.02, 1e-4), driven, 2)
-        assert not follows_inputs(_mode(hz, 0.02, 1e-4), loose, 2)
+        assert is_coherent(_mode(hz, 0.02, 1e-4), driven, 2)
+        assert not is_coherent(_mode(hz, 0.02, 1e-4), loose, 2)

@@ -137,7 +137,7 @@ OVERLAP_SHARE = 0.75
 """Independent stretches in one of half-overlapping ones."""
 
 
-def follows_inputs(mode: Mode, seen: EmpiricalResponse, n_inputs: int) -> bool:
+def is_coherent(mode: Mode, seen: EmpiricalResponse, n_inputs: int) -> bool:
     """Return whether an output follows the inputs around a mode, by the median of its coherence there; True where unknown.
 
     The multiple coherence of noise with m inputs in k stretches exceeds c with the probability (1 - c)^(k - m).

@@ -48,7 +48,7 @@ from tau_dyn.modes.responses import (
     compute_impulse_responses,
     estimate_empirical_response,
     find_tones,
-    follows_inputs,
+    is_coherent,
 )
 from tau_dyn.modes.result import Modes, Nonlinearity, Trace
 from tau_dyn.modes.sensors import DISPLACEMENT, SensorKind
@@ -241,7 +241,7 @@ def list_doubts(found: Modes) -> Iterator[str]:
         yield "the inputs hold no power anywhere that could be resolved; the response is not to be trusted"
     elif out := [m for m in found.modes if not 0.7 * seen.min() <= m.frequency_hz <= 1.3 * seen.max()]:
         yield f"the inputs hold no power near {_list_hz(out)}: do not take it for a resonance"
-    if loose := [m for m in found.modes if not follows_inputs(m, found.empirical, len(found.inputs))]:
+    if loose := [m for m in found.modes if not is_coherent(m, found.empirical, len(found.inputs))]:
         said = f"near {_list_hz(loose)} the outputs follow the inputs no more than noise would: confirm it by another record"
         yield CodedWarning("no_coherence", said)
     most = MAX_RELATIVE_DAMPING_STDERR
