@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import cont2discrete, dlsim
 
 from tau_dyn.log import Log
-from tau_dyn.modes import StateSpace, find_modes
+from tau_dyn.modes import StateSpace, find_modes, order as order_choice
 from tau_dyn.modes.contact import (
     compute_noise_responses,
     find_contact,
@@ -19,6 +19,7 @@ from tau_dyn.modes.contact import (
 )
 from tau_dyn.modes.mechanical import SecondOrder, fit_mechanical
 from tau_dyn.modes.modal import find_resonances
+from tau_dyn.modes.order import OrderTrial
 from tau_dyn.modes.record import Record, prepare_records, split_pulses
 from tau_dyn.modes.refinement import refine
 from tau_dyn.modes.sensors import STANDARD_GRAVITY, find_sensor_kind
@@ -203,3 +204,24 @@ def test_without_names_what_fits_tells_the_sensor():
     assert fit_mechanical(held, output="auto").sensor == "velocity"
     few = fit_mechanical(SecondOrder(M, D, K).sampled(1 / RATE, [0], [0]), output="auto", collocated=[(0, 0)])
     assert few.sensor == "displacement"
+
+
+@pytest.mark.parametrize(("white", "behind", "order"), [(True, 3.0, 4), (True, 5.0, 10), (False, 3.0, 10)])
+def test_fewer_states_are_enough_where_they_leave_white_noise(white, behind, order):
+    """The best of many orders is better by chance: BIC's smaller one is taken if it leaves white noise and is not far behind."""
+    model = sampled("foh")
+    small = OrderTrial(4, 0.0, 0.0, 10.0, 95.0, behind, True, white, (), model)
+    large = replace(small, order=10, bic=20.0, behind=0.0, white=True)
+    assert order_choice._chosen((small, large), True).order == order
+
+
+def test_poles_of_a_sensors_filter_are_no_degree_of_freedom():
+    """Where more pairs of poles than places answer, those without a peak are left out of the modes."""
+    plain = sampled("foh")
+    pole = np.exp(2 * np.pi * 200 / RATE * (-0.8 + 0.6j))
+    block = np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
+    gain = 1e-3 * np.ones((2, 2))
+    A = np.block([[plain.A, np.zeros((4, 2))], [np.zeros((2, 4)), block]])
+    B, C = np.vstack([plain.B, gain]), np.hstack([plain.C, gain])
+    why = fit_mechanical(StateSpace(A, B, C, plain.D, np.zeros((6, 2)), plain.dt), output="acceleration").why
+    assert "2 of the model's 6 poles are no mode" in why

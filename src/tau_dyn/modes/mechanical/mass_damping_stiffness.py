@@ -58,7 +58,7 @@ class Mechanical:
         valid_hz: Band in which they reproduce the model they came from.
         misfit: Greatest relative error of the response in that band.
         consistency: Probability of so large a misfit by chance; below 0.001 the model holds more than M, D, K.
-            places: Which degree of freedom each input and output belongs to.
+        places: Which degree of freedom each input and output belongs to.
         hold: What the inputs do between samples, `held` or `linear`, whichever fits better.
         sensor: What the outputs measure.
         unit: Size of their unit in SI.

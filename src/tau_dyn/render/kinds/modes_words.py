@@ -131,7 +131,7 @@ def describe_mechanical(found: Modes) -> str:
     if m.status == "identified":
         unit = "" if m.unit == 1 else f" in units of {m.unit:.6g} m/s²"
         force = "held over each sample" if m.hold == "held" else "linear between samples"
-        taken = f"Outputs are taken for {m.sensor}s{unit}, and inputs are {force}."
+        taken = f"Outputs are taken as {m.sensor}s{unit}, and inputs as {force}."
         return f"Mass, damping and stiffness are identified: {m.why}. {taken}"
     if m.status == "condensed" and m.valid_hz:
         low, high = (r.format_number(v, 3) for v in m.valid_hz)
