@@ -1,6 +1,6 @@
 """Copies by content: whether two logs hold the same measured samples, whatever their clocks, rates and digits.
 
-A robot that repeats a motion gives nearly the same positions and forces, so that alike signals prove little. Noise never
+A robot that repeats a motion gives nearly the same positions and forces, so that similar signals prove little. Noise never
 repeats: two logs hold the same samples if they share the *noise* of their forces. Three steps, the cheap ones first:
 
 1. **Equal rows.** Rows of q and tau are hashed; consecutive rows that occur in the other log, in the same order and in equal
@@ -14,7 +14,7 @@ repeats: two logs hold the same samples if they share the *noise* of their force
    `r = 1 / sqrt(1 + n^2)`. A repeated motion also leaves a slow difference of the forces (friction, temperature, tracking);
    added noise and rounding leave a white one, resampling one that grows with frequency and needs no floor.
 
-Whoever cannot see a noise floor in the forces (10 Hz, gear ripple far above the noise) sees no re-noised copy either.
+If the forces show no noise floor (10 Hz, gear ripple far above the noise), a re-noised copy is not detected.
 Scales, signs and offsets of columns are free in 2 and in the shared noise of 3.
 """
 

@@ -1,11 +1,11 @@
-"""Which estimator answers: weighted least squares, or one of those at the statistical limit where the log bears it.
+"""Choice of the estimator: weighted least squares, or one at the statistical limit if the log supports it.
 
-wls     on the prepared regression: low-pass, gate, decimation. Stable where the model leaves something out.
+wls     on the prepared regression: low-pass, gate, decimation. Robust to effects that the model omits.
 ml      full rate, errors in all variables; needs no reference (`full_rate.py`).
-iv      the same with instruments from `q_ref_J`; also unbiased where the controller answers the encoders' noise.
+iv      the same with instruments from `q_ref_J`; also unbiased if the controller reacts to the encoders' noise.
 robust  ml with bisquare weights against outliers in the forces.
-auto    iv where the log has references, else ml; wls where that is not more precise, or where the whitened residual
-shows that the model, not noise, makes it: then exact weights are exactly wrong.
+auto    iv if the log has references, else ml; wls if that is not more precise, or if the whitened residual shows that model
+error, not noise, dominates it: weights that are exact for the noise are then wrong.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ PARAMETER_DEPENDENT_SIGNALS = frozenset(
 
 MAX_ITERATIONS = 8  # bounds the time of a fit that does not converge
 RELATIVE_CHANGE_TOL = 0.01
-"""A fit is repeated until the predicted force moves by less than this share of what it leaves unexplained."""
+"""A fit is repeated until the predicted force moves by less than this share of the residual."""
 
 CLEAN_REFERENCE = 0.2
 """Share of the encoders' noise that references may have; more, and they are measurements themselves."""
@@ -58,7 +58,7 @@ class Estimator:
 
     Attributes:
         kind: One of `ESTIMATORS`.
-        model: What is fitted.
+        model: The fitted model.
         pieces: Even stretches of the training logs, in the order of the regression's runs.
         gains: Factor of each joint's logged force and its relative deviation.
         structural: Base parameters that any motion could show.
@@ -207,7 +207,7 @@ def _part(log: Log, t: np.ndarray) -> Log:
 
 
 class Settled(NamedTuple):
-    """A fit, what it was fitted to, and what is doubtful about it."""
+    """A fit, its data, and its warnings."""
 
     built: BuiltData
     estimate: Estimate
@@ -215,11 +215,11 @@ class Settled(NamedTuple):
 
 
 def iterate_to_fixed_point(built: BuiltData, solver: Estimator) -> Settled:
-    """Return the fit, repeated where effects feel what the fitted values make of forces and loads.
+    """Return the fit, iterated if effects depend on forces or loads that follow from the fitted values.
 
-    Friction in proportion to a load, or a gain of the model's own force, has columns that depend on what the fit finds: they are
-    made again with the signals of the last estimate. Each pass brings a gain error `g` closer by a factor `g`, and a load's
-    friction by the share of the force that it is; two or three passes are the rule.
+    Friction in proportion to a load, or a gain of the model's own force, has columns that depend on the estimate: they are
+    computed again with the signals of the last estimate. Each iteration reduces a gain error `g` by a factor `g`, and an error of
+    load-dependent friction by its share of the force; two or three iterations are typical.
 
     Args:
         built: The data, with signals at the values to start from.

@@ -1,6 +1,6 @@
 """A short, even, low-passed excerpt of the logs on which their wiring and timing are judged against the robot file.
 
-Positions and forces pass the same zero-phase low-pass and are decimated to what it leaves; reversals, speeds within the encoder's
+Positions and forces pass the same zero-phase low-pass and are decimated to its bandwidth; reversals, speeds within the encoder's
 noise and forces at the drives' limits are masked.
 """
 
@@ -26,7 +26,7 @@ from tau_dyn.log import (
 from tau_dyn.robot import Robot
 
 MAX_DURATION_S = 60.0
-"""The middle of a log of this length tells the wiring; a motion repeats itself."""
+"""Length of the middle part of a log that is used [s]; a motion repeats itself."""
 
 MAX_SAMPLES = 3000
 """Decimated samples that are looked at: more do not change a verdict, and two seconds are enough for a check."""
@@ -41,7 +41,7 @@ MAX_SATURATED = 0.05
 """Share of forces at the robot file's limits above which the limits are not believed."""
 
 MIN_SAMPLES = 40
-"""Fewer usable samples of all joints together say nothing."""
+"""With fewer usable samples of all joints together, no statement is made."""
 
 MAX_COMPUTED = 1e-6
 """Relative difference from differentiated positions below which a velocity was computed from them, and is no second record."""
@@ -77,7 +77,7 @@ class Excerpt:
 
 @dataclass(frozen=True, eq=False)
 class Records:
-    """What a log itself says about its readings.
+    """Properties of a whole log by which its readings are judged.
 
     Attributes:
         speed_ratio: Recorded velocity over the derivative of the position (na,); nan without an independent record.
@@ -155,7 +155,7 @@ def _filtered(robot: Robot, log: Log, cutoff: float, exclude: tuple[str, ...]) -
     )
     shut = find_unsure_samples(v, threshold)
     left_out = find_excluded_samples(log, joints, robot.effort_limit, exclude)
-    if np.mean(left_out) > MAX_SATURATED:  # forces in another unit, or limits that mean nothing
+    if np.mean(left_out) > MAX_SATURATED:  # forces in another unit, or meaningless limits
         left_out = find_excluded_samples(log, joints, np.full(robot.na, np.inf), exclude)
     shut |= left_out
     used = ~widen(shut, int(np.ceil(MASK_PERIODS * rate / cutoff)))

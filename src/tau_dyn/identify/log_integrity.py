@@ -1,10 +1,10 @@
-"""Is this log what it claims to be? One set of tests for `check`, `identify` and `diagnose`.
+"""Integrity tests of a log, shared by `check`, `identify` and `diagnose`.
 
 The data alone show lost, repeated, zeroed, held and frozen samples (`log/data_integrity.py`). With the robot file, wiring
-(`wiring.py`) and the time of the forces (`timing.py`) are judged on the middle minute of each mended log, joint by joint. Where
-losses cannot be mended, they are reported alone: they look like wrong scales and delays.
+(`wiring.py`) and the time of the forces (`timing.py`) are judged on the middle minute of each mended log, joint by joint. If
+losses cannot be mended, only they are reported, because they look like wrong scales and delays.
 
-A fault blocks only the results that it can bias: one that was mended, or whose samples were left out, is a note.
+A fault blocks only the results that it can bias. A fault that was mended, or whose samples were left out, is a note.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ SPOILING = frozenset(
 """Codes of faults that make false physics where they remain in the data: no cause may be confirmed next to them."""
 
 MAX_LOGS = 5
-"""So many logs are held against the robot file; the columns of a campaign are wired alike."""
+"""Number of logs that are compared with the robot file; the columns of a campaign are wired in the same way."""
 
 
 LIMIT_REACH_S = 0.1
@@ -57,10 +57,10 @@ _FOUND: dict[bytes, tuple[CodedWarning, ...]] = {}
 
 
 def check_integrity(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...] = ()) -> list[CodedWarning]:
-    """Return what is doubtful about logs as coded warnings, each with evidence and mend; sound logs give none.
+    """Return coded warnings about logs, each with evidence and remedy; empty for sound logs.
 
     Args:
-        robot: The robot file that the logs are said to be of.
+        robot: The robot file that the logs should belong to.
         logs: Logs as read.
         exclude: Columns whose nonzero samples are left out.
     """
@@ -82,7 +82,7 @@ def _list_data_warnings(robot: Robot, log: Log) -> list[CodedWarning]:
 def _against_robot(
     robot: Robot, logs: Sequence[Log], told: Sequence[Sequence[str]], exclude: tuple[str, ...]
 ) -> list[CodedWarning]:
-    """Return forces at their limits and faults of wiring and timing of logs, given what each tells by itself."""
+    """Return forces at their limits and faults of wiring and timing of logs, given the warnings from each log's data alone."""
     at_limits = [warning for log in logs for warning in _list_at_limits(robot, log)]
     if robot.base_coordinates or not sum(float(link.nominal[0]) for link in robot.links) > 0:
         return at_limits  # wiring and timing are read from forces that no ground shares

@@ -1,12 +1,12 @@
-r"""What logs and robot file leave open: draws of all parameters, each a robot that may exist.
+r"""Posterior draws of all parameters, given the logs and the robot file; each draw is a possible robot.
 
     beta ~ N(B theta, c C),   theta ~ N(theta_file, S),   theta consistent
 
-`B` combines parameters into base parameters. `C` is the covariance of least squares; where the scatter of 2 s blocks says
-more, its directions count, shrunk towards their mean as far as so few blocks demand (oracle approximating shrinkage). `S` is
-25 % of each body's size; parameters without a nominal value, as friction, have none. Consistent: bounds hold and each body's
-pseudo-inertia is positive definite. `c >= 1` is what the model leaves unexplained (`Widening`). Draws come from
-`truncated_normal.py`. A parameter that neither the logs nor the file tell keeps its value in all draws.
+`B` combines parameters into base parameters. `C` is the covariance of least squares. In directions in which 2 s blocks scatter
+more, their covariance is used, shrunk towards its mean as so few blocks require (oracle approximating shrinkage). `S` is
+25 % of each body's size; parameters without a nominal value, such as friction, have no prior. Consistent: bounds hold and each
+body's pseudo-inertia is positive definite. `c >= 1` accounts for the model error (`Widening`). Draws come from
+`truncated_normal.py`. A parameter that neither the logs nor the file determine keeps its value in all draws.
 
 Reference: Traversaro et al. 2016; Wensing, Kim & Slotine 2018 (consistency); Chen, Wiesel, Eldar & Hero 2010 (shrinkage);
 Birge 1932 (scatter beyond the errors).
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 _MARGINS = (1e-3, 1e-5, 1e-7)
 """How far inside the walls the chains begin, relative to a body's size; the largest that leaves room is taken."""
-_MAX_SAMPLES = 100_000  # more fill memory and tell no more
+_MAX_SAMPLES = 100_000  # more fill memory without more information
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +60,10 @@ class Samples(Brief):
     Attributes:
         model: The identified model.
         values: A row a draw, a column a parameter, in the order of `model.parameters` (n, p).
-        widening: What the spread was widened by.
-        held: Free parameters that neither the logs nor the robot file tell; all draws have the model's value.
-        warnings: What is doubtful.
-        seed: Of the random numbers.
+        widening: Factors by which the variances were widened.
+        held: Free parameters that neither the logs nor the robot file determine; all draws have the model's value.
+        warnings: Sentences about doubtful results.
+        seed: Seed of the random numbers.
     """
 
     model: Model
@@ -135,17 +135,17 @@ class _Target(NamedTuple):
 
 
 def draw_samples(model: Model, estimate: Estimate, nominal: Parameters, n: int, *, seed: int = 0) -> Samples:
-    """Draw robots from what an identification leaves open.
+    """Draw robots from the posterior of an identification.
 
     Args:
         model: The identified model.
         estimate: Its solved regression.
         nominal: All parameters before the fit.
         n: Number of draws.
-        seed: Of the random numbers.
+        seed: Seed of the random numbers.
 
     Raises:
-        InputError: The number is no positive one.
+        InputError: The number is not positive.
         CannotAnswer: No consistent robot is near the estimate.
     """
     if not 0 < n <= _MAX_SAMPLES:
@@ -171,7 +171,7 @@ def draw_samples(model: Model, estimate: Estimate, nominal: Parameters, n: int, 
 def _build_target(
     estimate: Estimate, C: np.ndarray, nominal: Parameters, sizes: np.ndarray, factor: float
 ) -> tuple[_Target, tuple[str, ...]]:
-    """Return the distribution without walls, and the free parameters that nothing tells."""
+    """Return the distribution without constraints, and the free parameters that neither data nor prior determine."""
     base, B = estimate.base, combine_free(estimate)
     told = np.isfinite(sizes)
     varying = told.copy()
@@ -232,7 +232,7 @@ def _find_start(inside: ConvexSet) -> np.ndarray:
     """Return the most likely point (d,) that keeps a margin to all walls.
 
     Raises:
-        CannotAnswer: There is none.
+        CannotAnswer: No point keeps a margin.
     """
     d = inside.B.shape[1]
     if inside.contains(np.zeros((1, d)))[0]:

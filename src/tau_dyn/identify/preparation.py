@@ -1,24 +1,24 @@
-"""How logs are filtered and masked, chosen from what they show, and which samples and pieces that leaves.
+"""Filters and masks of logs, chosen from the data, and the samples and pieces that remain.
 
 One rule for every log, no constant in physical units:
 
 1. the motion band f_b of each axis against its encoder's noise (`log/filtering.py`), the widest axis counting;
 2. forces and columns are low-passed at f_w = min(5 f_b, f_noise, 0.16 f_s): wide enough to keep the friction's edges, not so wide
-   that acceleration noise, which sits in the columns, exceeds 1e-4 of the acceleration's power and biases the fit;
-3. positions are low-passed at f_q = min(8 f_w, 0.4 f_s): whatever it smears at a reversal is over long before f_w is;
-4. decimation to 2.5 f_w, just above what the filter passes;
-5. an axis' sign is unsure where its speed is below ten times its own velocity noise (encoder noise through filter and
+   that acceleration noise, which is in the columns, exceeds 1e-4 of the acceleration's power and biases the fit;
+3. positions are low-passed at f_q = min(8 f_w, 0.4 f_s): its transient at a reversal is much shorter than that of f_w;
+4. decimation to 2.5 f_w, just above twice the filter's cutoff;
+5. an axis' sign is unsure when its speed is below ten times its own velocity noise (encoder noise through filter and
    differentiation) or reverses; samples within two periods of f_q, the first filter's memory, are gated out there. After one
    period its ringing is still 4 % of the step in friction, which biased Coulomb friction by two standard errors in 100 s of L1
-   at 1 kHz (`experiments/recovery.py`). Positions that were smoothed before they were logged have no noise to go by; their
-   axis rests below 2 % of its own fast speed.
+   at 1 kHz (`experiments/recovery.py`). Positions that were smoothed before they were logged show no noise; their
+   axis counts as at rest below 2 % of its own fast speed.
 
-How the answer moves with each factor on EMPS and TX40 stands in `experiments/preparation_sensitivity.py`: little with the
-first four; with the gate's width, TX40's Coulomb friction by up to 4 %, as its friction is not quite the law at low speed.
+`experiments/preparation_sensitivity.py` shows the sensitivity of the estimates to each factor on EMPS and TX40. It is small for
+the first four. The gate's width changes TX40's Coulomb friction by up to 4 %, as its friction deviates from the law at low speed.
 
-A zero-phase low-pass disturbs both ends of a piece, so a piece gives rows only where it is longer than both ends together; others
-are left out and said. What the rest can tell is counted in independent information: a motion of band f_b gives `2 f_b T`
-independent values in a time T (Nyquist), however fast it was sampled.
+A zero-phase low-pass disturbs both ends of a piece, so a piece gives rows only if it is longer than both ends together; others
+are left out and reported. The information of the rest is counted in independent values: a motion of band f_b gives `2 f_b T`
+independent values in a time T (Nyquist), at any sampling rate.
 
 A gate is 1 where a sample may be used and 0 where not, with ramps between, two periods of the position filter's cutoff long: a
 sharp edge would fold the acceleration's noise, large above the band of the filter that follows, into it.
@@ -68,7 +68,7 @@ MIN_RATE_HZ = 5.0
 """A log sampled more slowly shows no dynamics; mostly its clock is not in seconds."""
 
 MEMORY = 2.0
-"""Half-width of what the first filter makes of a step, in periods of its cutoff; 0.3 % of the step is left after it."""
+"""Half-width of the first filter's response to a step, in periods of its cutoff; 0.3 % of the step is left after it."""
 
 
 def refuse_slow_clocks(logs: Sequence[Log]) -> None:
@@ -139,9 +139,9 @@ def _choose_floating_cutoffs(
 ) -> tuple[float, float]:
     """Return the low-passes [Hz] of forces and of positions of a robot with a floating base.
 
-    The base's pose is much noisier than encoders, and its accelerations stand in all columns. So forces and columns pass up to
-    where the noisiest coordinate of the base has 1e-4 of its acceleration's power, also where feet that step move faster: the
-    equations hold of any part of the motion. Positions pass more than that, so that a step of a foot stays one.
+    The base's pose is much noisier than encoders, and its accelerations are in all columns. So forces and columns pass up to
+    the frequency at which the noisiest coordinate of the base has 1e-4 of its acceleration's power, even if stepping feet move
+    faster: the equations hold for any part of the motion. Positions pass more than that, so that a step of a foot stays sharp.
     """
     n = len(robot.base_coordinates)
     edges = [band.noise_edge_hz[:n][band.edge_hz[:n] > 0] for band in bands]
@@ -156,8 +156,8 @@ def _choose_floating_cutoffs(
 def compute_base_cutoff(preparation: Preparation, rate_hz: float) -> float:
     """Return the low-pass [Hz] of a floating base's pose, at most that of the joints' positions.
 
-    Its noise is large, and stands in products: of the noise `n` of an angle with that of its acceleration the mean is
-    `-mean(dn/dt^2)`, which no later filter takes out.
+    Its noise is large and enters products: the product of an angle's noise `n` with its acceleration's noise has the mean
+    `-mean((dn/dt)^2)`, which no later filter removes.
     """
     return min(POSITION_FACTOR * preparation.force_cutoff_hz, preparation.position_cutoff_hz, 0.4 * rate_hz)
 
@@ -165,7 +165,7 @@ def compute_base_cutoff(preparation: Preparation, rate_hz: float) -> float:
 CODE = "short_log"
 
 BAND_SHARE = 0.1
-"""Part of the longest piece's length from which a piece has a say in the filters; a shorter one resolves no band."""
+"""Part of the longest piece's length from which a piece counts in the choice of filters; a shorter one resolves no band."""
 
 INFORMATION_PER_PARAMETER = 2.0
 """Independent values for each of `p` base parameters below which a log is called short: fewer than `p` are left for the residual,
@@ -182,7 +182,7 @@ AnyPiece = TypeVar("AnyPiece", bound=Log | EvenSegment | InMemorySegment)
 
 
 class Kept(NamedTuple):
-    """Indices of the pieces that are long enough, and what is said of the others."""
+    """Indices of the pieces that are long enough, and warnings about the others."""
 
     index: tuple[int, ...]
     warnings: tuple[str, ...]
@@ -203,15 +203,15 @@ def select_long(pieces: Sequence[AnyPiece]) -> list[AnyPiece]:
 def keep_long(
     pieces: Sequence[Log | EvenSegment | InMemorySegment], cutoff_hz: float, factor: Callable[[float], int]
 ) -> Kept:
-    """Tell the pieces that give rows from those that are shorter than the ends that a low-pass disturbs.
+    """Separate the pieces that give rows from those that are shorter than the ends that a low-pass disturbs.
 
     Args:
         pieces: Even stretches, of one log or of several.
         cutoff_hz: The lowest cutoff of the filters [Hz].
-        factor: From a sampling rate [Hz] to the decimation.
+        factor: Function from a sampling rate [Hz] to the decimation.
 
     Raises:
-        TooShort: None is long enough.
+        TooShort: No piece is long enough.
     """
     needed = [compute_min_samples(cutoff_hz, piece.rate_hz, factor(piece.rate_hz)) for piece in pieces]
     index = tuple(k for k, (piece, n) in enumerate(zip(pieces, needed, strict=True)) if piece.n_samples >= n)
@@ -315,7 +315,7 @@ def refuse_missing_temperature(model: Model, log: Log, measured: Mapping[str, np
 
 
 def refuse_missing_campaign(model: Model, names: Sequence[str]) -> None:
-    """Refuse fewer logs than an effect tells apart."""
+    """Refuse fewer logs than an effect refers to."""
     for effect in model.effects:
         number = int(effect.settings.get("number", 0))
         if "campaign" in effect.needs and number >= len(names):

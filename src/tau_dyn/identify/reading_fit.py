@@ -27,7 +27,7 @@ MODEL_ERROR = 0.05
 """Least residual of a joint, as a share of its force: what compliance, cables and heat leave of sound robots."""
 
 PAYLOAD_SHARE = 0.2
-"""Standard deviation of what the last bodies carry beyond the file, as a share of the robot's mass."""
+"""Standard deviation of the mass that the last bodies carry beyond the file, as a share of the robot's mass."""
 
 PAYLOAD_REACH_M = 0.15
 """Distance of a payload's centre from its link's origin, for the size of its moments [m]."""
@@ -125,7 +125,7 @@ class LogModel:
     def estimate_noise(self, fit: ReadingFit) -> np.ndarray:
         """Return the power of white noise in each joint's residual (na,), from its third differences.
 
-        They leave nothing of a parabola, and of white noise 20 times its power. Gaps are left out, and jumps are clipped.
+        Third differences remove a parabola and multiply the power of white noise by 20. Gaps are left out, and jumps are clipped.
         """
         noise, order = np.zeros(self.robot.na), 3
         growth = comb(2 * order, order)
@@ -140,7 +140,7 @@ class LogModel:
         return self._taking(slice(None, None, SCREENING_STEP), 1.0)
 
     def bare(self, test: ReadingTest) -> LogModel:
-        """Return the model of the robot without a payload, for the size of numbers: a payload and a torque constant are alike."""
+        """Return the model without a payload, to estimate numbers: a payload resembles an error of the torque constant."""
         return replace(self, is_bare=True, test=test)
 
     def halves(self) -> tuple[LogModel, LogModel]:
@@ -219,7 +219,7 @@ class LogModel:
         return ReadingFit(log_posterior - occam + float(zero), log_posterior, power, prior, whole)
 
     def _read(self, design: Design, reading: Rewiring) -> tuple[np.ndarray, np.ndarray]:
-        """Return columns of all unknowns (n, na, m) and the file's force (n, na), less what a reading has subtracted."""
+        """Return columns of all unknowns (n, na, m) and the file's force (n, na), minus the part that a reading lacks."""
         na, values = self.robot.na, self.robot.parameters.values
         full, force = design.full @ self.prior, design.full @ values
         for j, lack in enumerate(reading.lacks):
@@ -288,9 +288,9 @@ def _bounds(robot: Robot, prior: np.ndarray) -> np.ndarray:
 
 
 def _prior(robot: Robot, is_bare: bool) -> np.ndarray:
-    """Return how parameters follow independent unknowns of unit variance (p, n): `BodyPrior.rough`, more at the last bodies.
+    """Return the map from independent unknowns of unit variance to parameters (p, n): `BodyPrior.rough`, more at the last bodies.
 
-    Drive inertia: three times what the joint itself moves, and 5 kg m^2 where gears reflect a rotor.
+    Drive inertia: three times the inertia that the joint moves, and at least 5 kg m^2 if gears reflect a rotor.
     """
     names = robot.parameters.names
     total = sum(max(link.nominal[0], 0.0) for link in robot.links) or 1.0

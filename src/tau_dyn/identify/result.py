@@ -50,8 +50,8 @@ class ForceErrors:
         rms: Residual rms of each joint over the used samples (na,) [N or N m].
         relative_error_percent: `100 norm(residual) / norm(tau)` over the used samples of all joints.
         per_joint_percent: The same for each joint (na,).
-        all_samples: The same three numbers without masks; None inside itself.
-        unjudged: Joints of which the masks leave no sample; their zeros say nothing.
+        all_samples: The same three numbers without masks; None inside this object itself.
+        unjudged: Joints without any unmasked sample; their zeros carry no information.
         used_share: Share of the samples that the masks leave.
         used_shares: The same for each joint; empty inside `all_samples`.
     """
@@ -116,19 +116,19 @@ class Identification(Shown):
         model: The model at its identified values; save it, simulate it, feed it forward.
         estimate: The solved regression.
         train: Errors on the training logs.
-        holdout: Errors on data used for nothing else; None where there were none.
-        holdout_how: How the held-out errors were had, in words.
+        holdout: Errors on held-out data; None without such data.
+        holdout_how: How the held-out errors were computed, in words.
         held: The held-out regression, for plots.
         nominal: All parameters before the fit.
         friction: Name of the friction model; empty for a model file.
-        warnings: What is doubtful, one sentence each.
-        equivalent: Descriptions the data cannot tell apart.
-        seed: Seed of whatever was random.
-        logs: The training logs, for going on with them.
-        force_offset: How late forces were logged; None where it was not looked at.
+        warnings: Sentences about doubtful results, one each.
+        equivalent: Models that the data cannot distinguish.
+        seed: Seed of the random states.
+        logs: The training logs, for further steps.
+        force_offset: Delay of the logged forces; None if it was not estimated.
         per_log: Parameters that have a value per log; `model` holds their mean.
-        motors: Each motor's circuit, where its voltage is logged beside current or force.
-        bands: Bands that should hold 90 % of the held-out samples; None where there are none or rows are on disk.
+        motors: Each motor's circuit, if its voltage is logged with current or force.
+        bands: Bands that should hold 90 % of the held-out samples; None without held-out samples or if rows are on disk.
         changes: Changes within a log, of its force, friction, tool or base.
     """
 
@@ -160,10 +160,10 @@ class Identification(Shown):
 
         Args:
             n: Number of draws.
-            seed: Of the random numbers.
+            seed: Seed of the random numbers.
 
         Raises:
-            InputError: The number is no positive one, or parameters have a value per log.
+            InputError: The number is not positive, or parameters have a value per log.
             CannotAnswer: No consistent robot is near the estimate.
         """
         if self.per_log:
@@ -180,8 +180,8 @@ class Identification(Shown):
     def rows(self) -> list[dict[str, Any]]:
         """Return the parameter table in the contract's form.
 
-        What cannot be identified alone has its nominal value as `value` and no standard error; `split_value` is what the
-        model holds: one of many splits of the identified combinations that give the same forces.
+        A parameter that cannot be identified alone has its nominal value as `value` and no standard error; `split_value` is its
+        value in the model: one of many splits of the identified combinations that give the same forces.
         """
         return [self._row(p) for p in self.parameters if p.free]
 
@@ -212,7 +212,7 @@ class Identification(Shown):
 
     @cached_property
     def determined_combinations(self) -> DeterminedCombinations | None:
-        """Combinations that the logs tell better than the robot file; None where they tell every base parameter."""
+        """Combinations that the logs determine better than the robot file; None if they determine every base parameter."""
         return find_determined_combinations(self.estimate, BodyPrior.of(self.model.robot).rough)
 
     def combination_rows(self) -> list[dict[str, Any]]:
@@ -249,7 +249,7 @@ class Identification(Shown):
         return self.estimate.estimator
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract's JSON result, without what the command adds (version, inputs, status)."""
+        """Return the contract's JSON result, without the keys that the command adds (version, inputs, status)."""
         fixed = [p for p in self.parameters if not p.free]
         return {
             "seed": self.seed,

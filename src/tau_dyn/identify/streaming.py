@@ -1,12 +1,12 @@
-"""The regression of recordings larger than memory: blocks computed side by side, summed up in their order, and forgotten.
+"""The regression of recordings larger than memory: blocks are computed in parallel, summed in order, and discarded.
 
-Filters forget exponentially. A block is read with so many samples more on both sides that what is left of its cut ends is below
-rounding, goes through the same preparation as a whole log, and gives up the rows of its neighbourhood. So blocks need nothing
-of each other: they run side by side and in any process, and where they are cut changes no row by more than rounding.
+The response of a filter decays exponentially. A block is read with so many extra samples on both sides that the effect of its cut
+ends is below rounding. It goes through the same preparation as a whole log, and the rows of the extra samples are dropped. Blocks
+are therefore independent: they run in parallel and in any process, and the place of a cut changes no row by more than rounding.
 
-What stays is the outputs' triangular factors, the decimated rows in a temporary file (for the covariance, which needs the
-residuals in order), and some blocks in full, for a page to draw. The sum is taken block by block in order, whoever computed
-them, so one thread, many, or a cluster give the same bits.
+The results kept are the outputs' triangular factors, the decimated rows in a temporary file (for the covariance, which needs the
+residuals in order), and some blocks in full, for a page to draw. The sum is taken block by block in order, so one thread, many,
+or a cluster give the same bits.
 """
 
 from __future__ import annotations
@@ -72,10 +72,10 @@ class BlockRows(NamedTuple):
     """A block's rows and their totals.
 
     Attributes:
-        rows: What the covariance needs.
+        rows: Rows for the covariance.
         used: Totals of the rows a fit may use.
         whole: Totals of all rows.
-        run: Everything, where it was asked for.
+        run: The block in full, if requested.
     """
 
     rows: RegressionRows
@@ -86,16 +86,16 @@ class BlockRows(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class BlockWork:
-    """What all blocks share; it travels to other processes.
+    """Data that all blocks share; it is sent to other processes.
 
     Attributes:
-        model: Gives the columns.
-        at: Gives the signals that follow from values.
-        stretches: What is cut.
+        model: Model that gives the columns.
+        at: Model that gives the signals that follow from values.
+        stretches: Stretches that are cut into blocks.
         numbers: The number of the recording that each stretch is from.
         preparation: Filters and masks.
         scale: Factor of each output.
-        shown: Blocks of which everything is wanted.
+        shown: Blocks that are kept in full.
     """
 
     model: Model
@@ -152,7 +152,7 @@ def split_blocks(
     """Cut a stretch into blocks.
 
     Args:
-        stretch: What is cut.
+        stretch: The stretch that is cut.
         number: Its number.
         preparation: Filters and masks.
         width: Numbers of one sample's columns.
@@ -270,15 +270,15 @@ def build_stream_regression(
 
     Args:
         model: Gives the columns.
-        recordings: Recordings on disk, or logs beside them; never joined across their ends.
+        recordings: Recordings on disk and logs in memory; never joined across their ends.
         preparation: Filters and masks; by default chosen from samples all over the recordings.
         exclude: Columns whose nonzero samples are left out.
         at: The model at the values from which signals are computed.
         campaigns: Names of recordings that are numbered before these.
         factors: Factor of an output's measurements, by name.
         share: Share of each stretch that makes the first part.
-        engine: Who computes.
-        progress: Told how far it is.
+        engine: Executor that computes the blocks.
+        progress: Callback that receives the progress.
     """
     refuse_memory(model)
     refuse_missing(model, [log for log in recordings if isinstance(log, Recording)], exclude)
@@ -335,10 +335,10 @@ def _summed(
 
 
 def give_back() -> None:
-    """Hand freed memory back to the system, where the C library knows how (glibc's `malloc_trim`).
+    """Return freed memory to the system, if the C library supports it (glibc's `malloc_trim`).
 
-    It is kept for the next request otherwise. Where blocks of many sizes come and go on several threads, it is kept in ever more
-    pieces that fit nothing: 12 bytes a sample, 1.9 GiB at 10^8 samples.
+    Otherwise it is kept for the next request. With blocks of many sizes on several threads it fragments into pieces that fit no
+    request: 12 bytes a sample, 1.9 GiB at 10^8 samples.
     """
     try:
         ctypes.CDLL(None).malloc_trim(0)

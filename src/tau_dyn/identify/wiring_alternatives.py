@@ -1,8 +1,8 @@
-"""The readings of a log: the ways in which its columns may differ from what the robot file says.
+"""Readings of a log: the ways in which its columns may deviate from the conventions of the robot file.
 
-Signs, exchanged joints, scales and clocks of the columns, the direction of gravity, and forces that lack a part which a
-controller or a filter subtracted: one thing at a time. Scales are starting values of a number that is estimated. A reading also
-gives the lines of the column map that mends the log, one a column.
+A reading changes one property at a time: signs, exchanged joints, scales and clocks of the columns, the direction of gravity, or
+forces without a part that a controller or a filter subtracted. Scales are starting values of a number that is estimated. A
+reading also gives the lines of the column map that mends the log, one for each column.
 """
 
 from __future__ import annotations
@@ -60,12 +60,12 @@ class Rewiring:
         tau_from: The same for forces.
         q_scale: Factor of the position columns against the truth (na,).
         tau_scale: Factor of the force columns against the truth (na,).
-        gravity: Direction of gravity in the robot's base (3,); empty for the file's.
+        gravity: Direction of gravity in the robot's base (3,); empty for the robot file's direction.
         t_scale: Factor of the clock against the truth.
-        lacks: What each force lacks (na,): `gravity`, `model` or `mean`, with `file_` where the file's bodies were subtracted.
+        lacks: The part that each force lacks (na,): `gravity`, `model` or `mean`; `file_` if the file's bodies were subtracted.
         numbers: Factors that are estimated.
         joints: Indices of the joints concerned.
-        words: What is wrong; `{number}` is where the estimate goes.
+        words: Description of the fault; `{number}` is replaced by the estimate.
     """
 
     code: str
@@ -82,7 +82,7 @@ class Rewiring:
 
     @classmethod
     def none(cls, na: int) -> Rewiring:
-        """Return the reading as the log says."""
+        """Return the reading without any change of the log."""
         return cls("", tuple(range(na)), tuple(range(na)), (1.0,) * na, (1.0,) * na)
 
     def moves_as(self, other: Rewiring) -> bool:
@@ -155,7 +155,7 @@ def _lacking(robot: Robot, now: Rewiring, kind: str, group: Sequence[int]) -> Re
 
 
 def move_to_motor_side(robot: Robot, now: Rewiring, ratios: Sequence[tuple[int, float]], with_force: bool) -> Rewiring:
-    """Return the reading with positions, and forces if so said, of some joints at the motor's side of their gears."""
+    """Return the reading with positions, and forces if `with_force`, of some joints at the motor's side of their gears."""
     for j, ratio in ratios:
         now = _with_number(now, ("gear" if with_force else "q", (j,)), ratio)
     joints = tuple(j for j, _ in ratios)
