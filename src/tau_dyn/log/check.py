@@ -1,12 +1,12 @@
-"""Is a log fit for use? Its clock, its channels, its motion and its units, judged before anything is estimated.
+"""Check whether a log is fit for use: its clock, channels, motion and units are judged before any estimation.
 
-`check_log` judges clock and units here and asks `signal_checks.py`, `check_motion.py`, the robot if there is one, and
-`data_integrity.py` for losses on the way to the file. Wiring and the time of the forces take a model:
+`check_log` judges clock and units here and calls `signal_checks.py`, `check_motion.py`, the robot if there is one, and
+`data_integrity.py` for losses on the way to the file. Wiring and the time of the forces need a model:
 `identify/log_integrity.py`.
 
-Positions that read like millimetres or degrees are the likeliest mistake in a foreign log. A robot's joint limits tell a wrong
-unit with certainty enough for a warning; without a robot only a number that no joint reaches does. Nothing is converted here:
-the remedy is a `scale` in the column map.
+Positions in millimetres or degrees are the likeliest mistake in a foreign log. A robot's joint limits show a wrong unit with
+enough certainty for a warning; without a robot, only a number that no joint reaches does. This module converts no units: the
+remedy is a `scale` in the column map.
 """
 
 from collections.abc import Sequence
@@ -92,7 +92,7 @@ def _doubt(log: Log, joint: str, kind: str, lower: float, upper: float) -> str:
     prismatic = kind == "prismatic"
     unit, foreign, scale = ("m", "mm", 1e-3) if prismatic else ("rad", "degrees", np.pi / 180)
     if not prismatic and not np.isfinite(upper - lower):
-        return ""  # a joint that turns without end may stand at any angle
+        return ""  # a joint that turns without end may be at any angle
     reach = MAX_AXIS_LENGTH_M if prismatic else WIDEST_TURN
     lower, upper = max(lower, -reach), min(upper, reach)
     margin = (upper - lower) / 2

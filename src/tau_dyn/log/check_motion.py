@@ -27,7 +27,7 @@ CUTOFF_SHARE = 0.06
 """Low-pass for judging a motion, as a share of the sampling rate: 60 Hz at 1 kHz."""
 
 _CROSSED = 0.1
-"""Share of a joint's distance from its own reference that tells it follows another one's."""
+"""Velocity error against another joint's reference, over that against its own, below which a joint follows the other one."""
 
 MIN_REVERSALS = 4
 """Fewer changes of direction hardly separate friction from inertia."""
@@ -170,7 +170,7 @@ def _excitation(log: Log, joint: str, f: dict[str, Any]) -> CheckFinding:
 
 
 def _check_swapped_columns(log: Log) -> dict[str, CheckFinding]:
-    """Return a fault for each joint that moves as another one's reference says and not as its own."""
+    """Return a fault for each joint that follows another joint's reference instead of its own."""
     joints = [joint for joint in log.joints("q") if log.has("q_ref", [joint])]
     wanted = {joint: compute_velocities(log, "q_ref", joint) for joint in joints}
     found = {}

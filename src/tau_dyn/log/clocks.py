@@ -52,7 +52,7 @@ _NS = 10**9
 
 
 class Clock(NamedTuple):
-    """Times (N,) [s] from an epoch [ns], NaN where a row has none, and a remark on how they were read."""
+    """Times (N,) [s] from an epoch [ns], NaN for a row without a time, and a remark on how they were read."""
 
     t: NDArray[np.float64]
     epoch: int = 0
@@ -60,7 +60,7 @@ class Clock(NamedTuple):
 
 
 def read_text_clock(cells: NDArray[Any]) -> Clock | None:
-    """Return the times of dates, times of day or durations; None where a filled cell is none of these.
+    """Return the times of dates, times of day or durations; None if a filled cell has another form.
 
     Args:
         cells: Text, or dates of a Parquet file (N,).
@@ -255,7 +255,7 @@ def measure_coarse_rate(cells: NDArray[Any]) -> float | None:
 
 
 def describe_coarse_text(cells: NDArray[Any]) -> str:
-    """Return what is wrong with a text clock of whole seconds; empty for another one."""
+    """Return the fault of a text clock of whole seconds; empty for other clocks."""
     rate = measure_coarse_rate(cells)
     if rate is None:
         return ""

@@ -1,8 +1,8 @@
-"""Which columns of a log belong together, a joint each: told by the words and numbers in their names.
+"""Groups of columns of a log, one column for each joint, found from the words and numbers in their names.
 
-A name is split into words. The joint's name or the last number says whose the column is; the words left say what it is and in
-which unit. Columns with the same words are a group, which counts if it has every joint. Where no group of a kind does, the one
-with most joints counts, filled from columns that say the same in other words.
+A name is split into words. The joint's name or the last number identifies the joint; the remaining words identify quantity and
+unit. Columns with the same words are a group, which counts if it has every joint. If no group of a kind has every joint, the one
+with most joints counts, filled from columns whose other words denote the same kind.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _WORDS: Mapping[str, frozenset[str]] = {
     "temp": frozenset("temp temperature temperatures".split()),
     "other": frozenset("tcp tool ee cartesian pose ext external volts voltage error fric friction con load".split()),
 }
-"""What a word of a name says; the first row that knows one decides, after `other` and `reference`."""
+"""Words of a name by the kind that they denote; the first row with a match decides, after `other` and `reference`."""
 
 CLOCKS = frozenset(
     "t time timestamp timestamps datetime stamp clock zeit zeitstempel uhrzeit temps hora tijd secs seconds".split()
@@ -36,22 +36,22 @@ _MEASURED = frozenset("actual act measured meas".split())
 
 
 class ColumnGroup(NamedTuple):
-    """Columns of one name, a joint each: what they are, and by which word they are called."""
+    """Columns of one name, one for each joint, with their kind and the words of their name."""
 
-    kind: str  # a signal, `q_ref`, `current`, `other`, or nothing
+    kind: str  # a signal, `q_ref`, `current`, `other`, or empty
     stem: tuple[str, ...]
-    columns: tuple[str, ...]  # in the robot's order; empty where a joint has none
+    columns: tuple[str, ...]  # in the robot's order; empty for a joint without one
     by_name: bool
     more: int = 0  # numbers beyond the joints
     filled: tuple[str, ...] = ()  # columns of other words or of a shorter joint's name
 
     def score(self) -> tuple[bool, int]:
-        """Return how likely it is to be what was measured."""
+        """Return a rank of how likely the group holds the measured quantity."""
         return self.by_name, len(_MEASURED & set(self.stem)) - ("filt" in self.stem or "filtered" in self.stem)
 
 
 def _classify(words: Sequence[str]) -> str:
-    """Return what a name's words stand for; nothing where they say nothing."""
+    """Return the kind of quantity that a name's words denote; empty if they denote no kind."""
     known = set(words)
     if known & _WORDS["other"]:
         return "other"
@@ -99,7 +99,7 @@ def _find_partial_groups(
     joints: Sequence[str],
     kinds: set[str],
 ) -> Iterator[ColumnGroup]:
-    """Yield the group with most joints of each of these kinds, filled from columns that say the same in other words."""
+    """Yield the group with most joints of each of these kinds, filled from columns whose other words denote the kind."""
     named = {stem: {j: found[j] for j in joints if j in found} for stem, found in stems.items()}
     for kind in sorted(kinds):
         alike = sorted((s for s in named if named[s] and _classify(s) == kind), key=lambda s: -len(named[s]))

@@ -1,4 +1,4 @@
-"""How the columns of a foreign log become ours: names, units, clocks, coupled transmissions, several files.
+"""Column maps from a foreign log to our columns: names, units, clocks, coupled transmissions, several files.
 
 A map is YAML. Each key is one of our column names, each value a foreign column's name or a mapping with `column`, and,
 where wanted, `scale`, `offset` and `file`; ours = scale * theirs + offset. Three keys are not columns: `files` names
@@ -6,8 +6,8 @@ further files of the same recording, relative to the folder of the log, sampled 
 (`files: {f: {path: forces.csv, t: stamp}}`; a column named as the clock of `t` counts without that); `episode: N` takes the rows
 whose `episode_index` is N; a column's number, from 1, names it in a file without a header; `couplings` holds matrices for
 coupled transmissions (scale and offset first, then ours = matrix @ theirs + offset, joints in the order of their keys
-in the map); and `t: {rate_hz: F}` makes a clock. Numbers are numbers: nothing in a map is evaluated. The map is applied
-in `read.py`.
+in the map); and `t: {rate_hz: F}` makes a clock. Numbers are numbers: no expression in a map is evaluated. The map is
+applied in `read.py`.
 """
 
 from collections.abc import Mapping
@@ -87,7 +87,7 @@ class ColumnMap:
         """Read a map from a YAML file.
 
         Raises:
-            InputError: The file is missing, is not YAML, or holds a key, a type or a matrix that means nothing here.
+            InputError: The file is missing, is not YAML, or holds a key, a type or a matrix that is not valid in a map.
         """
         path = Path(path)
         return cls.from_dict(_read_entries(path), name=path.name)
@@ -130,7 +130,7 @@ class ColumnMap:
 
 
 def _to_entry(source: Source) -> Any:
-    """Return what a map gives for a source."""
+    """Return the entry of a map for a source."""
     more = {"scale": (source.scale, 1.0), "offset": (source.offset, 0.0), "file": (source.file, None)}
     given = {key: value for key, (value, default) in more.items() if value != default}
     return {"column": source.column, **given} if given else source.column
@@ -271,7 +271,7 @@ def _array(where: str, value: Any, shape: tuple[int, ...], signal: str) -> NDArr
 
 
 def _number(where: str, value: Any) -> float:
-    """Return a number; YAML reads `1e-3` as text, which is accepted, but nothing is computed."""
+    """Return a number; YAML reads `1e-3` as text, which is accepted, but expressions are not evaluated."""
     try:
         number = float(value) if isinstance(value, int | float | str) and not isinstance(value, bool) else np.nan
     except (ValueError, OverflowError):

@@ -1,9 +1,10 @@
-"""A foreign log's columns and a robot's joints become a proposed column map, with a sentence for each doubt.
+"""Propose a column map from a foreign log's columns and a robot's joints, with a sentence for each doubt.
 
-Names tell which columns may be positions, velocities, torques, references or currents (`column_groups.py`). Units that no name
-says are told by magnitude: positions by the joints' limits, clocks by their step. A velocity has to be the derivative of the
-position, whose slope also tells its unit. Currents are no torques: the torque constant is not in a log, and is not invented.
-The map is read back before it is proposed. Where no column is a position, a template lists the numeric columns.
+Names indicate which columns may be positions, velocities, torques, references or currents (`column_groups.py`). Units that are
+not in a name follow from magnitude: positions from the joints' limits, clocks from their step. A velocity has to be the
+derivative of the position; the slope between them also gives the position's unit. Currents are no torques: the torque constant is
+not in a log, and is not invented. The map is read back before it is proposed. If no column is a position, a template lists the
+numeric columns.
 """
 
 from __future__ import annotations
@@ -42,10 +43,10 @@ from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import count
 
 MIN_CORRELATION = 0.9
-"""Of a position and its integrated velocity, both without their trend; sensors' noise leaves more, another signal less."""
+"""Correlation of a position and its integrated velocity, both without trend; sensor noise leaves more, another signal less."""
 
 MAX_SLOPE_ERROR = 0.1
-"""How far the slope of position over integrated velocity may lie from a unit's size; the units lie wider apart."""
+"""Largest relative deviation of the slope of position over integrated velocity from a unit's size; units differ by more."""
 
 MAX_SECONDS_STEP = 0.5
 """Longest step [s] of a robot's log; a larger number counts smaller units."""
@@ -62,8 +63,8 @@ class ColumnProposal:
         sha256: Hash of the log's bytes.
         robot_joints: The robot's actuated joints.
         entries: The map, as YAML gives it.
-        warnings: What is unsure, a sentence each.
-        template: Lines to complete by hand where no column is a position; empty otherwise.
+        warnings: One sentence for each doubt.
+        template: Lines to complete by hand if no column is a position; empty otherwise.
     """
 
     log: str
@@ -195,7 +196,7 @@ def _write_template(
 
 @dataclass(frozen=True)
 class _Draft:
-    """Lines of a map, and what is unsure about them."""
+    """Lines of a map, and doubts about them."""
 
     entries: Mapping[str, Any]
     warnings: Sequence[str]
@@ -206,7 +207,7 @@ class _Draft:
 
 
 def _name_gaps(table: Table, entries: Mapping[str, Any], robot: JointLimits) -> _Draft:
-    """Return what is to be said of joints that lack a position or torque which others have, with the columns that are left.
+    """Return warnings about joints that lack a position or torque which others have, with the remaining columns.
 
     A column with the right name is kept, whatever its cells hold.
     """
@@ -351,7 +352,7 @@ _TIME_UNITS = {1e-3: "ms", 1e-6: "us", 1e-9: "ns"}
 def _guess_numbered(
     columns: Sequence[str], values: Mapping[str, NDArray[np.float64]], t: NDArray[np.float64] | None, n: int
 ) -> tuple[list[ColumnGroup], _Draft]:
-    """Return the groups of a file without a header: blocks of n columns, a joint each, where something tells them apart."""
+    """Return the groups of a file without a header: blocks of n columns, one for each joint, if they can be identified."""
     blocks = [tuple(columns[k : k + n]) for k in range(0, len(columns) - n + 1, n)]
     pairs = [(a, b) for a in blocks for b in blocks if a != b]
     moving = next((p for p in pairs if t is not None and _match_slope(p, values, t) is not None), None)
@@ -403,7 +404,7 @@ class _Positions(NamedTuple):
 def _propose_positions(
     table: Table, groups: Sequence[ColumnGroup], recorded: _Recorded, robot: JointLimits
 ) -> tuple[_Positions, _Draft]:
-    """Return the positions, and their lines; none where no column can be one."""
+    """Return the positions, and their lines; both empty if no column can be a position."""
     joints = tuple(robot.actuated)
     chosen, warnings = choose_group(groups, "q")
     if chosen is None:
@@ -469,7 +470,7 @@ MANY_TURNS = 4 * np.pi
 def _judge_unlimited(
     mine: Mapping[int, str], velocities: Mapping[str, str], recorded: _Recorded, robot: JointLimits
 ) -> tuple[dict[str, float], list[str]]:
-    """Return the units of turning joints without limits: degrees where a velocity in rad/s says so, else rad with a doubt."""
+    """Return the units of turning joints without limits: degrees if a velocity in rad/s shows it, else rad with a doubt."""
     scales: dict[str, float] = {}
     warnings: list[str] = []
     for k, column in mine.items():
@@ -536,7 +537,7 @@ def _propose_velocities(
 
 
 def _round_scale(slope: float, likely: float) -> float | None:
-    """Return the unit's size that a slope means, the likely one first; None where none is near."""
+    """Return the unit size nearest a slope, the likely one first; None if no size is near."""
     sizes = (likely, 1.0, DEGREE, np.pi / 30, 1e-3)
     return next((s for s in sizes if abs(slope / s - 1) <= MAX_SLOPE_ERROR), None)
 
@@ -578,7 +579,7 @@ def _propose_forces(groups: Sequence[ColumnGroup], recorded: _Recorded, robot: J
 def _propose_references(
     groups: Sequence[ColumnGroup], recorded: _Recorded, q: _Positions, robot: JointLimits
 ) -> _Draft:
-    """Return lines of the positions that were asked for, in the unit of the positions unless their names say another."""
+    """Return lines of the reference positions, in the unit of the positions unless their names contain another."""
     chosen, warnings = choose_group(groups, "q_ref")
     columns, taken = _pair(chosen, robot.actuated)
     entries = {}

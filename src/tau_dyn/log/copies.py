@@ -1,7 +1,7 @@
-"""A recording too large for memory as a copy that can be read from the middle: Parquet in a temporary folder.
+"""Copy of a recording too large for memory that can be read from the middle: Parquet in a temporary folder.
 
-Text comes as tables of some lines each, every line and every cell checked and counted as in a small file; Parquet in row
-groups too large for memory is written anew. The copy is gone when nobody uses it any more.
+Text is read as tables of some lines each; every line and every cell is checked and counted as in a small file. Parquet with row
+groups too large for memory is written again. The copy is deleted when it is no longer used.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def iterate_text_chunks(path: Path, digest: Any = None, *, foreign: bool = False
             if not b"".join(body).strip():
                 lines += len(body)
                 continue
-            shift = lines - 1  # the header is line 1 of what is parsed
+            shift = lines - 1  # the header is line 1 of the parsed text
             try:
                 cells, places, warnings, _ = parse_delimited(path.name, b"".join([head, *body]), foreign=foreign)
             except InputError as fault:
@@ -68,7 +68,7 @@ def iterate_text_chunks(path: Path, digest: Any = None, *, foreign: bool = False
 
 
 def _next_lines(file: BinaryIO, left: int) -> list[bytes]:
-    """Return the lines to parse at once; the last ones come together, as an incomplete line is told by those above it."""
+    """Return the lines to parse at once; the last ones come together, as an incomplete line is recognised by those above it."""
     body = file.readlines(CHUNK_BYTES if left > 2 * CHUNK_BYTES else left)
     over = sum(map(len, body)) - left
     if over > 0:
@@ -110,7 +110,7 @@ _ROWS = 2**17
 
 
 class TemporaryFolder:
-    """A folder that is gone when nobody uses it any more."""
+    """A folder that is deleted when it is no longer used."""
 
     def __init__(self) -> None:
         """Make it where the system keeps temporary files (`TMPDIR`); those of killed processes go."""
@@ -125,9 +125,9 @@ class Copy(NamedTuple):
     Attributes:
         paths: Its files.
         folder: Where they live.
-        digest: Hash of what was copied, where it is known.
-        warnings: What was left out while reading.
-        texts: Columns that hold text somewhere, which nobody can use.
+        digest: Hash of the copied bytes, if known.
+        warnings: Sentences about lines that were left out while reading.
+        texts: Columns that hold text somewhere and cannot be used.
     """
 
     paths: tuple[Path, ...]

@@ -1,15 +1,15 @@
-"""What a log alone shows of losses on its way to the file: coded warnings, and the log with them mended.
+"""Losses on the way to the file that a log shows by itself: coded warnings, and the mended log.
 
-All tests look at raw stamps and raw columns: interpolation and filters hide what they look for. A fault that is mended or whose
-samples are left out is a `RepairedWarning`, which blocks no result. Only what remains in the data can bias one.
+All tests look at raw stamps and raw columns, because interpolation and filters hide the losses. A fault that is mended or whose
+samples are left out is a `RepairedWarning`, which blocks no result. Only faults that remain in the data can bias a result.
 
-**Low update rates** (`update_rate.py`). Where channels are held or interpolated from a lower rate, the updates alone are used.
+**Low update rates** (`update_rate.py`). If channels are held or interpolated from a lower rate, only the updates are used.
 
 **Frozen channels** (`signal_checks.py`). Positions and forces that keep one value while the joint moves are left out.
 
 **Repeated samples.** A row that equals the row before in all positions and forces, while the joints move, is no measurement.
-Where the next row is two steps ahead the clock went on, and leaving the row out is exact, however many there are. Where it is one
-step ahead the row was inserted, and all later times are moved up.
+If the next row is two steps ahead, the clock went on, and leaving the row out is exact, however many there are. If it is one
+step ahead, the row was inserted, and all later times are moved up.
 
 **Lost samples.** A logger that numbers its samples hides what it lost: the stamps stay even and the motion jumps. Each step
 between two samples is compared with a local polynomial through its neighbours (Savitzky & Golay 1964), stretched after the step
@@ -18,11 +18,11 @@ by `s` sample steps that all joints share:
     q_j(i) = p_j(i)  up to the step,    q_j(i) = p_j(i + s)  behind it
 
 A lost sample gives s = 1, one inserted twice s = -1. `z` is the estimate of `s` over its standard error. Steps with z > 10 and
-`s` within 0.25 of a nonzero integer are events. What is not a lost sample (a knock, a rough motion) has no reason to prefer
+`s` within 0.25 of a nonzero integer are events. Other causes (a knock, a rough motion) have no reason to prefer
 integers, so steps nearer to the half integers are counted as a control. Alarm: three events, and more than twice the control.
 
 **Scattered stamps** (`update_rate.py`). Stamps of a logger that follow the device's even clock loosely are replaced by that
-clock. **Short gaps** (`resample.py`) are filled where the rows around tell what is missing.
+clock. **Short gaps** (`resample.py`) are filled if the rows around them determine the missing ones.
 
 **Forces that drop out.** A missing measurement is often written as zero or as the value before. A zero run is a stretch of
 exact zeros whose two neighbours are six typical steps off, on the same side: a force that passes through zero changes its
@@ -49,7 +49,7 @@ from tau_dyn.message_codes import CodedWarning, RepairedWarning
 from tau_dyn.results import count
 
 MIN_STEPS_OFF = 6.0
-"""How far the neighbours stand from zero, in median changes of a sample; noise passes four in 1 of 1000 samples."""
+"""Distance of the neighbours from zero, in median changes of a sample; noise passes four in 1 of 1000 samples."""
 
 MIN_DROPOUTS = 3
 """So many runs are no accident."""
@@ -58,7 +58,7 @@ MIN_HELD = 3
 """Samples of a held run; two equal values happen to a rounded channel."""
 
 MAX_REPEATS = 0.02
-"""Share of pairs of equal neighbours above which a channel repeats by rounding and held runs cannot be told."""
+"""Share of pairs of equal neighbours above which a channel repeats by rounding and held runs cannot be recognised."""
 
 MAX_RUN_S = 0.5
 """Longer zeros [s] are a drive that was off, or a channel that is frozen, which has a test of its own."""
@@ -140,7 +140,7 @@ MIN_Z = 10.0
 """Least size of a stretch in its standard errors; encoder noise alone reaches 5 in a million steps."""
 
 INTEGER_MARGIN = 0.25
-"""How near to an integer a stretch lies [sample steps]; the half integers' share of the axis is the same."""
+"""Largest distance of a stretch from an integer [sample steps]; the half integers' share of the axis is the same."""
 
 MIN_EVENTS = 3
 """So many events are no accident: a single one can be a knock."""
@@ -162,11 +162,11 @@ _EXTENDED = 1e-9
 
 
 class LostSamples(NamedTuple):
-    """Where a counted clock is wrong.
+    """Samples at which a counted clock is wrong.
 
     Attributes:
         after: Samples after which the clock is wrong (n,).
-        steps: Sample steps to be inserted there (n,); negative where samples stand twice.
+        steps: Sample steps to be inserted there (n,); negative if samples occur twice.
         n_control: Steps that a half integer would explain.
         n_tested: Steps at which one lost sample would be seen.
     """
@@ -178,7 +178,7 @@ class LostSamples(NamedTuple):
 
     @property
     def alarm(self) -> bool:
-        """True where samples are missing or stand twice, beyond chance."""
+        """True if samples are missing or occur twice, beyond chance."""
         return len(self.after) >= MIN_EVENTS and len(self.after) > 2 * self.n_control
 
 
@@ -189,7 +189,7 @@ def find_lost_samples(log: Log, joints: Sequence[str] = ()) -> LostSamples:
     """Find lost and inserted samples under an even clock.
 
     Args:
-        log: A log as read; a measured (uneven) clock tells its losses by itself and is not tested.
+        log: A log as read; a measured (uneven) clock shows its losses by itself and is not tested.
         joints: The joints to look at; by default all that have a `q`.
     """
     names = tuple(joints) or log.joints("q")
@@ -200,7 +200,7 @@ def find_lost_samples(log: Log, joints: Sequence[str] = ()) -> LostSamples:
 
 
 _LOOKED_AT: WeakKeyDictionary[Log, dict[tuple[str, ...], LostSamples]] = WeakKeyDictionary()
-"""What logs in use were found to have lost: a log is judged, and mended, one after the other."""
+"""Lost samples of logs in use: a log is judged first and mended later."""
 
 
 def _find_lost_samples(log: Log, names: tuple[str, ...]) -> LostSamples:
@@ -264,10 +264,11 @@ def _is_inserted(log: Log, joints: Sequence[str], repeated: NDArray[np.intp]) ->
 
 
 def _list_repeated(log: Log, joints: Sequence[str], seen: NDArray[np.intp], inserted: bool) -> NDArray[np.intp]:
-    """Return the samples (n,) after which a row is repeated: those seen in motion, and short equal runs that are no chance.
+    """Return the samples (n,) after which a row is repeated: those seen in motion, and short equal runs beyond chance.
 
-    A sound row that is left out costs nothing where the clock goes on. Where it does not, the equal neighbours of each channel
-    apart from those seen tell how many rows would be equal by chance; with one or more only those seen count.
+    Leaving out a sound row does no harm if the clock went on. If rows were inserted, the share of equal neighbours in each
+    channel, outside rows that are equal as a whole, gives the number of rows expected to be equal by chance; if it is one or
+    more, only rows seen in motion count.
     """
     x = np.column_stack([log.channels[f"{s}_{j}"] for s in ("q", "tau") for j in joints if log.has(s, [j])])
     equal = np.diff(x, axis=0) == 0
@@ -438,7 +439,7 @@ def _sort(
 
 
 def _is_held(x: NDArray[np.float64]) -> bool:
-    """Return whether a channel is renewed less often than it is logged; its steps tell nothing of the clock."""
+    """Return whether a channel is updated less often than it is logged, so that its steps carry no information on the clock."""
     changes = np.flatnonzero(np.diff(x) != 0)
     gaps = np.diff(changes)
     usual = int(np.median(gaps)) if gaps.size else 1
@@ -466,7 +467,7 @@ MIN_SAMPLES = 50
 
 
 class Repair(NamedTuple):
-    """A log with its faults mended, and what was found: `RepairedWarning` where it was mended, else `CodedWarning`."""
+    """A log with its faults mended, and a warning for each fault: `RepairedWarning` if it was mended, else `CodedWarning`."""
 
     log: Log
     warnings: list[CodedWarning]
@@ -578,7 +579,7 @@ _REPAIRED: WeakKeyDictionary[Log, dict[tuple[str, ...], Repair]] = WeakKeyDictio
 
 
 def repair_log(log: Log, joints: Sequence[str] = ()) -> Repair:
-    """Return a log as read with what can be mended mended, and all faults that it shows by itself; sound logs give none.
+    """Return the log with its repairable faults mended, and all faults that it shows by itself; no faults for sound logs.
 
     Args:
         log: A log as read, before any interpolation.

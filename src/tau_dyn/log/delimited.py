@@ -61,9 +61,9 @@ class _Layout(NamedTuple):
     name: str
     separator: str
     header: list[str]
-    header_line: int  # where it stands
+    header_line: int  # its line number
     lines: list[str]  # the rows
-    numbers: list[int]  # the line each row stands on
+    numbers: list[int]  # the line number of each row
     ends_with_newline: bool
 
 
@@ -76,7 +76,7 @@ def parse_delimited(name: str, data: bytes, *, foreign: bool = False) -> Delimit
         foreign: Whether blanks may separate cells and the header may be missing.
 
     Raises:
-        InputError: The bytes are not UTF-8 or UTF-16, a header or rows are missing, a name stands twice, or a row has
+        InputError: The bytes are not UTF-8 or UTF-16, a header or rows are missing, a name occurs twice, or a row has
             another length.
     """
     text, remarks = _decode(name, data)
@@ -291,7 +291,7 @@ def _count_cells(layout: _Layout) -> NDArray[np.int64]:
 _EXACT: dict[str, Any] = (
     {} if tuple(map(int, pd.__version__.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
 )
-"""What makes pandas read each number as Python does; from version 3.1 on it does by itself."""
+"""Options that make pandas read each number as Python does; version 3.1 and later do so by default."""
 
 
 def _parse(layout: _Layout) -> tuple[pd.DataFrame, list[str]]:

@@ -26,7 +26,7 @@ class EvenSegment:
     """A part of a recording without gaps, on an even clock, read in windows.
 
     Attributes:
-        recording: Where it is from.
+        recording: The recording that it is part of.
         first: Its first sample in the recording.
         n_recorded: Its samples there.
         n_samples: Its samples on the even clock.
@@ -34,7 +34,7 @@ class EvenSegment:
         dt: Time between samples [s].
         clock: `even`, `rounded` or `uneven`.
         index: Times of every 4096th recorded sample of the stretch (n,), for finding uneven ones.
-        warnings: What is doubtful.
+        warnings: Sentences about doubts.
     """
 
     recording: Recording
@@ -158,7 +158,7 @@ def _stretch(
 
 
 class _Scan:
-    """What one look at all times leaves behind."""
+    """Statistics of the steps from one pass over all times."""
 
     def __init__(self, n: int) -> None:
         self.stride = max(1, n // _STEPS)

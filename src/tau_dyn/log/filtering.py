@@ -1,20 +1,20 @@
-"""From measured positions to velocities without shifting anything in time, their noise, and the band of the motion.
+"""Velocities from measured positions without time shift, the noise of positions, and the band of the motion.
 
 **Low-pass**: a Butterworth filter run forwards and backwards, so its power response is |H|^4 and its phase is zero:
 
     |H(f)|^2 = 1 / (1 + (tan(pi f dt) / tan(pi f_c dt))^(2 order))
 
-with half the amplitude at `cutoff_hz`. Whatever multiplies forces in a fit has to pass the same filter as the forces; filtering
-`W` and `tau` differently biases it. Derivatives are central differences, with the gain `sin(w dt) / (w dt)`, 2.3 % short at 60 Hz
-and 1 kHz. Arrays are (N, ...) along axis 0. Reference: Gautier, Vandanjon & Presse 1994. Clocks live in `resample.py`.
+with half the amplitude at `cutoff_hz`. Columns of a fit have to pass the same filter as the forces; filtering `W` and `tau`
+differently biases it. Derivatives are central differences, with the gain `sin(w dt) / (w dt)`, 2.3 % short at 60 Hz
+and 1 kHz. Arrays are (N, ...) along axis 0. Reference: Gautier, Vandanjon & Presse 1994. Clocks are in `resample.py`.
 
 **Noise**: an encoder's noise and its quantisation while moving are white; a motion driven through a mass is not, and its
-spectrum falls steeply. So the level is read where motion has died out, in the upper half of the band (a quarter to half of the
-sampling rate):
+spectrum falls steeply. So the level is read at frequencies without motion, in the upper half of the band (a quarter to half of
+the sampling rate):
 
 1. fourth differences whiten the motion away (2 Hz at 1 kHz is reduced to 2.5e-8) and multiply white noise by |2 sin(w
    dt / 2)|^4;
-2. the log is cut into windows, and those in which the joint stands still are left out, since a resting encoder hides
+2. the log is cut into windows, and those in which the joint is at rest are left out, since a resting encoder hides
    its rounding;
 3. in each window the level is the median over frequencies of the periodogram divided by that gain, which a few lines (a
    gear, a resonance) do not move; over windows it is the median again, which a few knocks do not move;
@@ -34,8 +34,8 @@ the filtered signal every
 
     y[j] = sum_k h[k] x[j factor - k],     |k| <= half,
 
-is computed for those alone: the signal in blocks, each times one matrix that holds what it adds to the kept samples of its own
-block and of the neighbouring ones. `h` fades exponentially, by the filter's slowest pole; the ends are filtered recursively.
+is computed for those alone: the signal in blocks, each times one matrix that holds its contribution to the kept samples of its
+own block and of the neighbouring ones. `h` fades exponentially, by the filter's slowest pole; the ends are filtered recursively.
 """
 
 from collections.abc import Sequence
@@ -179,7 +179,7 @@ _DIFFERENCES = 4  # order of differences, which remove a smooth motion
 
 
 def estimate_quantisation_step(q: ArrayLike) -> NDArray[np.float64]:
-    """Return the step (n,) or () of a rounded signal (N, n) or (N,), and 0 where values stand on no grid.
+    """Return the step (n,) or () of a rounded signal (N, n) or (N,), and 0 for values on no grid.
 
     The step is the smallest change between samples; it counts only if 99 % of all changes are whole multiples of it.
     """
@@ -236,7 +236,7 @@ _WINDOW_S = 8.0  # [s] of Welch's method
 _SMOOTHING_HZ = 2.0  # [Hz] over which the spectrum is averaged
 _MIN_SNR = 10.0  # power over that of the noise, at the band's edge
 _CLEAR_SNR = 300.0  # power over that of the noise, where the motion is beyond doubt
-_POWER_SHARE = 0.999  # of the motion's power lies below the band's edge
+_POWER_SHARE = 0.999  # of the motion's power that is below the band's edge
 _NOISE_SHARE = 1e-4  # of the motion's power that noise within the band may have
 
 
@@ -245,12 +245,12 @@ class MotionBand:
     """The band of the motion of each joint.
 
     Attributes:
-        edge_hz: Below it lies 99.9 % of the velocity's power (n,) [Hz].
-        noise_edge_hz: Below it, the acceleration's noise power is less than 1e-4 of the acceleration's power (n,) [Hz]; a
-            regressor low-passed there is not biased by its own noise.
+        edge_hz: Frequency below which 99.9 % of the velocity's power is (n,) [Hz].
+        noise_edge_hz: Frequency below which the acceleration's noise power is less than 1e-4 of the acceleration's power (n,)
+            [Hz]; a regressor low-passed there is not biased by its own noise.
         encoder_noise: White-noise level of the encoder (n,), in the unit of q.
-        signal_edge_hz: Up to it the motion stands ten times above the encoder's noise (n,) [Hz].
-        clear_edge_hz: Up to it the motion stands 300 times above the encoder's noise (n,) [Hz].
+        signal_edge_hz: Frequency up to which the motion's power is 10 times that of the encoder's noise (n,) [Hz].
+        clear_edge_hz: Frequency up to which the motion's power is 300 times that of the encoder's noise (n,) [Hz].
     """
 
     edge_hz: NDArray[np.float64]
@@ -282,10 +282,10 @@ SPEED_NOISE_FACTOR = 10.0
 
 
 def choose_force_cutoff(bands: Sequence[MotionBand], rate_hz: float, factor: float = FORCE_BAND_FACTOR) -> float:
-    """Return the cutoff [Hz] above the motion of all bands and below what encoder noise makes of the acceleration.
+    """Return the cutoff [Hz] above the motion of all bands and below the band in which encoder noise disturbs accelerations.
 
     Args:
-        bands: Of each log.
+        bands: Motion bands of each log.
         rate_hz: Lowest sampling rate of the logs [Hz].
         factor: Cutoff over the motion's band edge.
     """
@@ -336,7 +336,7 @@ def _edges(f: NDArray, power: NDArray, noise: NDArray, resolution: float) -> tup
     velocity = np.divide(clean, (2 * np.pi * f) ** 2, out=np.zeros_like(clean), where=f > 0.5 * resolution)
     peak = int(np.argmax(velocity))
     clear, top = (peak + int(np.argmax(np.append(ratio[peak:], 0.0) < least)) for least in (_CLEAR_SNR, _MIN_SNR))
-    if top == peak or velocity[:top].sum() <= 0:  # nothing stands out of the noise: a joint at rest
+    if top == peak or velocity[:top].sum() <= 0:  # no peak above the noise: a joint at rest
         return 0.0, 0.0, 0.0, 0.0
     share = np.cumsum(velocity[:top])
     edge = f[np.searchsorted(share, _POWER_SHARE * share[-1])]
@@ -392,12 +392,12 @@ def lowpass_and_decimate(x: ArrayLike, cutoff_hz: float, rate_hz: float, factor:
 
 @dataclass(frozen=True, eq=False)
 class _Response:
-    """How kept samples answer to a block of samples.
+    """Response of the kept samples to a block of samples.
 
     Attributes:
-        matrix: What a block (B) adds to the kept samples of the blocks around it (B, (2 reach + 1) kept), the last one first.
-        half: Samples to either side that a sample reaches.
-        reach: Blocks to either side that a block reaches.
+        matrix: Contribution of a block (B) to the kept samples of the blocks around it (B, (2 reach + 1) kept), last one first.
+        half: Samples to either side that a sample affects.
+        reach: Blocks to either side that a block affects.
     """
 
     matrix: np.ndarray

@@ -51,9 +51,9 @@ class Log(Shown):
     Attributes:
         t: Time (N,) [s], finite and strictly increasing, read-only.
         channels: Every other column by its name, each (N,) float64 and read-only; foreign columns may hold NaN.
-        name: File name for messages, or what the simulator called the log.
+        name: File name for messages, or the name that the simulator gave.
         sha256: Hash of the bytes of the file or files; empty for a simulated log.
-        warnings: What was doubtful on the way in, one sentence each.
+        warnings: Doubts found while reading, one sentence each.
         origin: How it was read.
 
     Example:
@@ -74,7 +74,7 @@ class Log(Shown):
     origin: Origin = Origin()
 
     def __post_init__(self) -> None:
-        """Freeze the arrays and refuse a clock that stands still or channels of another length."""
+        """Freeze the arrays and refuse a clock that does not increase or channels of another length."""
         t = _frozen(self.t)
         channels = {key: _frozen(value) for key, value in self.channels.items()}
         if t.ndim != 1 or t.size < 2:
@@ -196,7 +196,7 @@ class Log(Shown):
         """Return the number of samples."""
         return self.n_samples
 
-    __iter__ = None  # neither a mapping nor a sequence: `t` and `channels` say what is meant
+    __iter__ = None  # neither a mapping nor a sequence: use `t` or `channels`
 
     @overload
     def __getitem__(self, key: str) -> NDArray[np.float64]: ...
@@ -256,7 +256,7 @@ class Log(Shown):
         return pd.DataFrame({"t": self.t, **self.channels})
 
     def to_csv(self, path: str | Path) -> None:
-        """Write the log as CSV with 12 significant digits, the whole file or none.
+        """Write the log as CSV with 12 significant digits; the file is written completely or not at all.
 
         Raises:
             InputError: The folder does not exist or cannot be written.

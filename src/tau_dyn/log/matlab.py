@@ -1,13 +1,13 @@
 """MATLAB files of level 5 (v5 to v7.2, `save -v7`), read in plain Python: variables and structs become columns.
 
 A struct with a time is a topic of its own; its field is `name.field`, a column of a matrix `name.field[0]`, counted from 0.
-The clock of a level is its variable `t`, `time`, `Time` or `tout`, and its columns are what has as many samples: Simulink's
-"structure with time" as it stands. Objects (`timeseries`, `timetable`, `datetime`) only MATLAB can open; text, sparse matrices
-and functions are passed over.
+The clock of a level is its variable `t`, `time`, `Time` or `tout`, and its columns are the variables with as many samples, as in
+Simulink's "structure with time". Only MATLAB can open objects (`timeseries`, `timetable`, `datetime`); text, sparse matrices
+and functions are skipped.
 
-scipy's reader is not used: bytes that were changed on the way make its compiled code read where nothing is, which ends the
-whole process. Here every size is held against what the file has before anything is made of it, and a compressed variable is
-inflated no further than a limit. Reference: MAT-File Format, The MathWorks.
+scipy's reader is not used: damaged bytes make its compiled code read outside its memory, which ends the whole process. Here every
+size is checked against the size of the file before memory is allocated, and a compressed variable is inflated no further than a
+limit. Reference: MAT-File Format, The MathWorks.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def _bytes(path: Path) -> tuple[bytes, str]:
 
 
 def _variables(path: Path, whole_file: bytes, order: str) -> Iterator[memoryview]:
-    """Yield what is inside each variable, inflated; as views, since cells inside cells would copy it at every level."""
+    """Yield the content of each variable, inflated; as views, since nested cells would be copied at every level."""
     at, left, data = _HEADER, MAX_INFLATED_BYTES, memoryview(whole_file)
     while at + 8 <= len(data):
         kind, size = struct.unpack_from(f"{order}II", data, at)
@@ -294,7 +294,7 @@ def _clockless(fields: dict[str, np.ndarray], n: int) -> Topic:
 
 
 def _columns(fields: Mapping[str, np.ndarray], n: int) -> dict[str, np.ndarray]:
-    """Return what has `n` samples, a matrix as its columns."""
+    """Return the variables with `n` samples, a matrix as its columns."""
     found: dict[str, np.ndarray] = {}
     for key, array in fields.items():
         wide = array.ndim == 2 and n in array.shape and array.size // n <= LONGEST_LIST

@@ -1,8 +1,9 @@
 """MCAP files (extra `mcap`): JSON messages, and ROS 2 messages in CDR whose definition the file carries.
 
-Records are framed here and read by the `mcap` library, so that each is checked against what the file still holds before
-it is taken into memory, and a compressed chunk against the size that it declares. Chunks are checked by their checksums. A file
-without an end (the recorder lost power) is read to where it breaks off. Reference: the MCAP specification, mcap.dev/spec.
+This module finds the frames of the records, and the `mcap` library reads them. So each record is checked against the remaining
+size of the file before it is loaded, and a compressed chunk against the size that it declares. Chunks are checked by their
+checksums. A file without an end (the recorder lost power) is read up to the point where it breaks off. Reference: the MCAP
+specification, mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ MAX_DEFINITION_BYTES = 2**20
 _MAGIC = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
 _BROKEN = -1
-"""Stands for the end of a file that has none, with a sentence."""
+"""Code for the missing end of a file, with a sentence."""
 _FRAME = struct.Struct("<BQ")
 
 
@@ -143,7 +144,7 @@ def _inside(plain: bytes) -> Iterator[tuple[int, Any]]:
 
 
 def _opened(name: str, data: bytes, inflated: DecompressionLimit) -> bytes:
-    """Return what is in a chunk; it is decompressed no further than the size it declares."""
+    """Return the content of a chunk; it is decompressed no further than the size it declares."""
     from mcap.data_stream import ReadDataStream
     from mcap.records import Chunk
 
@@ -184,7 +185,7 @@ def _decompressed(name: str, kind: str, data: bytes, size: int) -> bytes:
 
 
 class _Whole(bytes):
-    """A message that refuses to be read beyond its end: of lists of bytes, the decoder would take what is not there."""
+    """A message that refuses to be read beyond its end; for lists of bytes, the decoder does not check the length."""
 
     def __getitem__(self, key: Any) -> Any:
         """Return a byte, or bytes that are all there."""

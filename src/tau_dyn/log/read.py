@@ -1,10 +1,10 @@
-"""A recorded file, ours or foreign, becomes a `Log` in SI units, or measured points; everything is converted here, once.
+"""Read a recorded file, ours or foreign, as a `Log` in SI units or as measured points; all units are converted here, once.
 
-Text and Parquet are read by `table.py`; files with topics of their own by readers that are imported when they are used, as
-they need extras. Our own files name their columns as the contract says. A foreign file comes with a `ColumnMap`; its columns
-that the map does not mention keep their names. Every cell that the library will use is checked, and a fault is one sentence
-with file, line and column. Measured points are actuated positions and where a device saw a point, without a clock: `q_J` for
-each actuated joint, `x_tool y_tool z_tool` [m], `qx_tool qy_tool qz_tool qw_tool`.
+Text and Parquet are read by `table.py`; files with topics by readers that are imported when they are used, as they need extras.
+Our own files name their columns as in the contract. A foreign file comes with a `ColumnMap`; its columns that the map does not
+mention keep their names. Every cell that the library will use is checked, and a fault is one sentence with file, line and column.
+Measured points are actuated positions with the position of a point measured by a device, without a clock: `q_J` for each actuated
+joint, `x_tool y_tool z_tool` [m], `qx_tool qy_tool qz_tool qw_tool`.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ SUFFIXES = (".mcap", ".bag", ".db3", ".mat")
 
 
 def has_topics(path: Path) -> bool:
-    """Tell whether a path is an MCAP file, a ROS bag or a MATLAB file, by its name or, for a folder, by what is in it."""
+    """Return whether a path is an MCAP file, a ROS bag or a MATLAB file, by its name or, for a folder, by its content."""
     return is_bag_folder(path) or (path.suffix.lower() in SUFFIXES and not path.is_dir())
 
 
@@ -114,7 +114,7 @@ class MeasuredPoints:
         q: Their positions (N, k) [m or rad].
         points: Measured positions (N, 3) [m]; None without all three columns.
         quaternions: Measured orientations (N, 4), x y z w; None without all four columns.
-        warnings: What was left out while reading.
+        warnings: Sentences about lines that were left out while reading.
     """
 
     name: str
@@ -172,7 +172,7 @@ def read_measured(path: str | Path, actuated: Sequence[str]) -> MeasuredPoints:
 
 
 MIN_SAMPLES = 10
-"""A log with fewer samples answers nothing and is taken for a mistake."""
+"""A log with fewer samples is useless and is taken for a mistake."""
 
 
 def read_log(path: str | Path, columns: ColumnMap | str | Path | None = None) -> Log:
@@ -184,7 +184,7 @@ def read_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
         columns: Map for a foreign log, or the path of one.
 
     Returns:
-        The log in SI units. An incomplete last line is left out and stands in its `warnings`.
+        The log in SI units. An incomplete last line is left out and reported in its `warnings`.
 
     Raises:
         InputError: The file cannot be used; the message names file, line and column.
@@ -322,7 +322,7 @@ def _read_clock(table: Table, source: Source | None) -> Clock:
 
 
 EPISODE = "episode_index"
-"""Column of a LeRobot data set that says which recording a row belongs to."""
+"""Column of a LeRobot data set with the number of the recording that a row belongs to."""
 
 
 def _take_episode(table: Table, episode: int) -> Table:

@@ -52,14 +52,14 @@ class Recording:
     """A log on disk.
 
     Attributes:
-        name: For messages.
+        name: Name for messages.
         paths: Its files, in order of time.
         parts: Their row groups.
         columns: The files' columns.
         map_: How foreign columns are read; None for our own names.
-        warnings: What was doubtful on the way in.
+        warnings: Doubts found while reading, one sentence each.
         states: The files' states when they were opened.
-        digest: Hash of what was read, where that is known already.
+        digest: Hash of the bytes read, if known already.
         copied: Keeps a temporary copy alive.
     """
 
@@ -84,10 +84,10 @@ class Recording:
 
     @property
     def sha256(self) -> str:
-        """Hash of the files' bytes; of several, the hash of their hashes.
+        """Hash of the file's bytes; for several files, the hash of their hashes.
 
         Raises:
-            InputError: A file was written to since it was opened, so nobody knows what was read.
+            InputError: A file was written to since it was opened, so its hash may not belong to the data read.
         """
         if self.digest:
             return self.digest
@@ -103,7 +103,7 @@ class Recording:
 
     @cached_property
     def channels(self) -> tuple[str, ...]:
-        """Names of its channels: those that a map makes, and the files' columns of which it makes none."""
+        """Names of its channels: those that a map defines, and the files' columns that it does not use."""
         if self.map_ is None:
             return self.columns
         taken = {source.column for source in self.map_.sources.values()}
@@ -289,7 +289,7 @@ def _files_in(folder: Path) -> tuple[Path, ...]:
 
 
 def _opened(name: str, paths: tuple[Path, ...], map_: ColumnMap | None) -> Recording:
-    """Read what the files say of themselves."""
+    """Open the files and read their schema and row groups."""
     parts, first, columns, states = [], 0, (), tuple(get_file_state(path) for path in paths)
     for path, state in zip(paths, states, strict=True):
         file = open_parquet_file(str(path), state)
@@ -338,7 +338,7 @@ def _copied_groups(name: str, paths: tuple[Path, ...], states: tuple[State, ...]
 
 @runtime_checkable
 class DataTable(Protocol):
-    """What is used of a table of pandas."""
+    """Interface of a pandas table that this module uses."""
 
     columns: Any
     index: Any

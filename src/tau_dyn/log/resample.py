@@ -1,6 +1,6 @@
 """An even clock for filters that need one, a log cut at gaps and at rests, and a signal of one clock on another clock.
 
-Uneven samples are interpolated; over a gap nothing is, unless the samples around tell what is missing. Stamps that are even but
+Uneven samples are interpolated. Gaps are not, unless the samples around determine the missing ones. Stamps that are even but
 rounded to few digits are recognised and replaced by the even clock without touching the channels.
 Truly uneven stamps (more than 1 % of a step off, or one or two
 samples lost) are resampled with one cubic spline a channel: its error falls with dt^4, where a straight line would cut the
@@ -8,17 +8,19 @@ peaks of an acceleration by up to `a dt^2 / 8` and halve the noise between sampl
 same linear operation, so no fit sees `q` and `tau` treated differently. Three or more lost samples in a row are a gap, and
 `split_at_gaps` cuts the log there.
 
-Predicting every second sample from those between tells the spline's error: what that misses is about sixteen times the error
-at the full rate. A signal whose every second sample cannot be told from its neighbours changes too fast for its own clock; no
-interpolation gives what lies between. Nothing is extrapolated. Reference: de Boor 2001 (error of the cubic spline).
+Predicting every second sample from those between shows the spline's error: the prediction error is about sixteen times the error
+at the full rate. A signal whose every second sample cannot be predicted from its neighbours changes too fast for its own clock;
+no interpolation recovers the values between its samples. Signals are not extrapolated. Reference: de Boor 2001 (error of the
+cubic spline).
 
-**Short gaps** are filled by `fill_short_gaps` before a log is cut. A filter runs over a gap only if something stands there, and
-a log that is cut at every gap loses a filter's memory on both sides: of a log with a gap every half second nothing is left. What
-would stand in a gap is known where the motion is slow against it. The log itself tells how well: where it has no gap, rows are
-left out as the gap does, and the cubic spline through their neighbours is held against them. A single row that is left out is
-missed by little more than its noise. A gap is filled if rows in the midst of one as long are missed by at most three times as
-much in all positions, by the median. Without noise the miss grows with the fourth power of the gap, and the gap stays. Forces
-follow the positions: what the spline misses of them is noise of a few rows on the left side of a fit.
+**Short gaps** are filled by `fill_short_gaps` before a log is cut. A filter runs over a gap only if it is filled, and a log that
+is cut at every gap loses a filter's memory on both sides: a log with a gap every half second would lose all its samples. The
+missing rows can be interpolated if the motion is slow compared with the gap. The log itself shows the accuracy: in parts
+without a gap, rows are left out as in the gap, and the cubic spline through their neighbours is compared with them. The error
+at a single row that is left out is little more than its noise. A gap is filled if the median error in the middle of an equally
+long trial gap is at most three times that, in all positions. Without noise the error grows with the fourth power of the gap,
+and the gap is kept. Forces are filled where positions are: the spline's error of a force is noise of a few rows on the left
+side of a fit.
 """
 
 from __future__ import annotations
@@ -54,7 +56,7 @@ MIN_SEGMENT_SAMPLES = 10
 
 
 class Clock(NamedTuple):
-    """What a log's clock looks like."""
+    """Properties of a log's clock."""
 
     dt: float
     """Mean of the usual steps [s], those within half of their median."""
@@ -88,7 +90,7 @@ def examine_clock(log: Log) -> Clock:
 
 
 def split_at_gaps(log: Log) -> list[Log]:
-    """Cut a log at its gaps; each part says so in its warnings, and parts with fewer than 10 samples are left out."""
+    """Cut a log at its gaps; each part has a warning about it, and parts with fewer than 10 samples are left out."""
     clock = examine_clock(log)
     if not clock.gaps:
         return [log]
@@ -99,7 +101,7 @@ def split_at_gaps(log: Log) -> list[Log]:
 def resample_segments(log: Log) -> list[Log]:
     """Return a log's parts between gaps, each on an even clock.
 
-    What is a gap is decided by the whole log's step: a part's own may be a little shorter.
+    The whole log's step decides which steps are gaps, as a part's own step may be a little shorter.
     """
     return [_resample(part, examine_clock(part)) for part in split_at_gaps(log)]
 
@@ -174,7 +176,7 @@ def interpolate(t: NDArray[np.float64], values: NDArray[np.float64], grid: NDArr
         try:
             with np.errstate(all="ignore"):
                 return CubicSpline(t, values)(grid)
-        except ValueError:  # slopes beyond a float, of numbers near 1e308 or of steps near nothing
+        except ValueError:  # slopes beyond a float, from numbers near 1e308 or steps near zero
             pass
     return np.interp(grid, t, values)  # a foreign channel with holes keeps them
 
@@ -190,7 +192,7 @@ def is_rounded(t: NDArray[np.float64]) -> bool:
     return bool(uneven and np.max(np.abs(t - line)) <= 0.75 * 10.0**-decimals)
 
 
-_SIGMA = 6.0  # standard deviations of the noise; none of 1e8 samples exceeds them
+_SIGMA = 6.0  # standard deviations of the noise; not one of 1e8 samples exceeds them
 _LOOK_S = 0.1  # [s] over which travel is measured
 
 
@@ -205,7 +207,7 @@ def split_by_motion(log: Log, *, rest_s: float = 0.5, least_s: float = 1.0) -> l
         least_s: Shortest motion worth keeping [s]; shorter ones are left out.
 
     Returns:
-        Parts in time order; the whole log where it never rests, none where it never moves.
+        Parts in time order; the whole log if it never rests, an empty list if it never moves.
     """
     moving = _moving(log)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], moving, [False]]).astype(int)))
@@ -307,7 +309,7 @@ def fill_short_gaps(log: Log, joints: Sequence[str]) -> tuple[Log, int, float]:
 
     Args:
         log: A log with measured times.
-        joints: Joints whose positions are held against the spline.
+        joints: Joints whose positions are compared with the spline.
     """
     clock = examine_clock(log)
     steps = np.diff(log.t)
@@ -331,7 +333,7 @@ def fill_short_gaps(log: Log, joints: Sequence[str]) -> tuple[Log, int, float]:
 
 
 def _find_longest(t: NDArray[np.float64], x: NDArray[np.float64], sizes: Sequence[int]) -> int:
-    """Return the longest of gap sizes [steps] that the rows around tell well enough; 0 where none is."""
+    """Return the longest of gap sizes [steps] that the rows around predict well enough; 0 without any."""
     if len(t) < _N_TRIALS or not np.isfinite(x).all():
         return 0
     single, longest = _measure_miss(t, x, 2), 0

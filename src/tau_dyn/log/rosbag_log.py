@@ -1,11 +1,11 @@
-"""ROS 1 bags and ROS 2 bags (extra `rosbag`), through the pure Python library `rosbags`, and what a bag must not hold.
+"""ROS 1 bags and ROS 2 bags (extra `rosbag`), through the pure Python library `rosbags`, with checks of hostile bags.
 
 A `.bag` file is ROS 1; a folder with `metadata.yaml`, or one `.db3` file, is ROS 2. A folder that holds MCAP files goes to
 `mcap_log.py`. No ROS has to be installed: the message definitions are in the bag, or are those of a recent ROS 2.
 
-The library believes databases, definitions and sizes. A database may hold views and columns that compute without end; a
-message definition may ask for code of a hundred million lines, or for lists of entries that take no bytes, of which any
-message has as many as it likes. Such bags are refused before it sees them.
+The library trusts databases, definitions and sizes. A database may hold views and columns that compute without end. A
+message definition may require code of a hundred million lines, or lists of entries that take no bytes, so that a message can
+declare any number of them. Such bags are refused before the library reads them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MAX_UNROLLED_ENTRIES = 10_000
 MAX_TOPICS = 10_000  # bounds the time on a hostile file
 
 _FILLER = "structure_needs_at_least_one_member"
-"""What the library puts into an empty message; in ROS 1 it takes no bytes."""
+"""Field that the library puts into an empty message; in ROS 1 it takes no bytes."""
 
 _COMPUTES = re.compile(r"\b(as|virtual)\b", re.IGNORECASE)
 _ASIDE = re.compile(r'"(?:\\.|[^"\\])*"|/\*.*?\*/|//[^\n]*', re.DOTALL)
@@ -43,7 +43,7 @@ def check_database(path: Path) -> None:
     """Refuse a ROS 2 database that is more than plain tables.
 
     Raises:
-        ValueError: It computes what it holds, its definitions are too long, or settings of a topic are no plain YAML.
+        ValueError: It has computed tables or columns, its definitions are too long, or settings of a topic are no plain YAML.
         sqlite3.Error: It is no database.
     """
     if set("?%#") & set(str(path)):
@@ -95,7 +95,7 @@ def check_definitions(definitions: Mapping[str, Any]) -> None:
     def empty(name: str) -> bool:
         """Tell whether a message of this type may take no bytes."""
         if name not in known:
-            known[name] = False  # one that holds itself never ends, and says so when it is read
+            known[name] = False  # one that contains itself never ends, and raises an error when it is read
             fields = definitions[name][1] if name in definitions else (("unknown", (0, ())),)
             known[name] = all(label == _FILLER or nothing(field) for label, field in fields)
         return known[name]

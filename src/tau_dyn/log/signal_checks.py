@@ -1,13 +1,13 @@
-"""What a check of a log says, and each channel judged by itself: constant, frozen, held, clipped, or jumping.
+"""Findings of a check of a log, and tests of each channel by itself: constant, frozen, held, clipped, or jumping.
 
-A `CheckFinding` is one sentence about one topic, with what would help. `fault` means that the log should not be used as it is,
-`warning` that an answer will be poorer, `ok` that a thing was looked at and is fine, or why it was not looked at.
+A `CheckFinding` is one sentence about one topic, with a remedy. `fault` means that the log should not be used as it is,
+`warning` that a result will be poorer, `ok` that a property was checked and is fine, or why it was not checked.
 
-Runs of exactly equal values tell a constant, a frozen, a held and a clipped channel apart: a live measurement hardly ever
-repeats itself to the last digit while its joint moves. A jump is a change that stands alone: ten times as far as nine of ten
-of the joint's changes and further than a fiftieth of its whole range, and neither the change before nor the one after goes a
-quarter as far the same way. An encoder that wraps, was set anew, or lost a reading does so; a joint that moves fast does so
-for several samples.
+Runs of exactly equal values distinguish constant, frozen, held and clipped channels: a live measurement hardly ever repeats
+itself to the last digit while its joint moves. A jump is a single large change: larger than ten times nine of ten of the
+joint's changes and than a fiftieth of its whole range, while the changes before and after are less than a quarter of it in the
+same direction. An encoder jumps if it wraps, is reset, or loses a reading; a joint that moves fast has several such changes in
+a row.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ class CheckFinding:
     topic: str
     sentence: str
     remedy: str = ""
-    """What would help; empty where nothing has to."""
+    """Remedy; empty if no remedy is needed."""
     code: str = ""
-    """Stable code, see docs/reference/message_codes.md; empty where there is none."""
+    """Stable code, see docs/reference/message_codes.md; empty for findings without a code."""
 
 
 def choose_finding(topic: str, fine: str, *doubts: tuple[bool, str, str]) -> CheckFinding:
-    """Return the first doubt that holds as a warning, else what is fine; a doubt is (whether it holds, sentence, remedy)."""
+    """Return the first doubt that holds as a warning, else the sentence `fine`; a doubt is (condition, sentence, remedy)."""
     for holds, sentence, remedy in doubts:
         if holds:
             return CheckFinding("warning", topic, sentence, remedy)
@@ -84,9 +84,9 @@ class LogCheck(Shown):
         return tuple(CodedWarning(f.code, f.sentence) if f.code else f.sentence for f in doubtful)
 
     def with_faults(self, warnings: Iterable[str]) -> LogCheck:
-        """Return the check with what a robot file says against the log: coded warnings, as further faults.
+        """Return the check with coded warnings from the comparison with a robot file, as further faults.
 
-        A column for which they give a line of a map loses the line that its range alone suggested.
+        If a warning gives the line of a map for a column, the line that the column's range alone suggested is dropped.
         """
         sentence = f"{self.name}: wiring and the time of the forces were held against the masses of the robot file."
         judged = CheckFinding("ok", "synchronisation", sentence)
@@ -158,14 +158,14 @@ def check_jumps(
     fastest: float = 0.0,
     left_out: NDArray[np.bool_] | None = None,
 ) -> CheckFinding | None:
-    """Return what is wrong with a joint's positions if they jump.
+    """Return a finding about a joint's positions if they jump, else None.
 
     Args:
         log: The log.
         joint: The joint.
         revolute: Whether it turns, None if unknown.
-        fastest: Its speed limit [m/s or rad/s], where one is known.
-        left_out: Samples (N,) that nobody uses; jumps to or from them are let pass.
+        fastest: Its speed limit [m/s or rad/s], if known.
+        left_out: Samples (N,) that are not used; jumps to or from them are ignored.
     """
     q = log.channels[f"q_{joint}"]
     at = find_jumps(q, fastest * log.dt if np.isfinite(fastest) else 0.0, COARSEST_COUNT[revolute])
@@ -213,7 +213,7 @@ def check_signals(log: Log, moving: dict[str, NDArray[np.bool_]]) -> tuple[list[
 
     Args:
         log: The log.
-        moving: For each joint, whether it moves (N,), as positions or, where they freeze, references say.
+        moving: For each joint, whether it moves (N,), from its positions or, while they are frozen, from its reference.
 
     Returns:
         Findings, and the number `clipped` (share of samples on a plateau at an extreme, by channel).
@@ -237,7 +237,7 @@ def check_signals(log: Log, moving: dict[str, NDArray[np.bool_]]) -> tuple[list[
 def compute_clipped_share(runs: ConstantRuns, moves: NDArray[np.bool_]) -> float:
     """Return the share of samples on plateaus at a channel's largest or smallest value while its joint moves.
 
-    A plateau is 5 samples or more, and the extreme value stands five times as often as the value next to it, so that
+    A plateau is 5 samples or more, and the extreme value occurs five times as often as the value next to it, so that
     neither coarse resolution nor the round top of a wave is taken for clipping.
     """
     levels, level = np.unique(runs.values, return_inverse=True)
@@ -280,7 +280,7 @@ MIN_LONGER = 10.0
 """How much longer a frozen stretch is than the sixth longest stretch without a change; an encoder dies a few times at most."""
 
 _SIXTH = 6
-"""Rank of the stretch that stands for the usual ones: up to five stretches of one log may be frozen."""
+"""Rank of the stretch that represents the usual ones: up to five stretches of one log may be frozen."""
 
 STOP_RATIO = 3.0
 """Change of speed at the ends of a frozen stretch, over the largest one anywhere else within the same time."""
@@ -293,7 +293,7 @@ SLOW_SHARE = 0.1
 fades at rest."""
 
 MIN_SLOW = 30
-"""Samples at low speed that tell how noisy a channel is there."""
+"""Samples at low speed from which the noise of a channel there is measured."""
 
 MIN_COUNTS = 0.7
 """Noise in counts from which a channel flickers at rest: twenty equal values in a row are then no chance, 0.5^20 = 1e-6."""
@@ -320,9 +320,9 @@ class FrozenStretch(NamedTuple):
 def find_frozen_positions(log: Log, joint: str) -> list[FrozenStretch]:
     """Return the stretches in which an encoder keeps one value although its joint moves, or although it flickers otherwise.
 
-    Two things tell a dead encoder from a joint at rest: the speed changes at an end of the stretch by more than anywhere else, or
-    the channel flickers wherever the joint is slow and the joint's force goes on. An encoder coarser than its noise does not
-    flicker at rest.
+    Two signs distinguish a dead encoder from a joint at rest: the speed changes at an end of the stretch by more than anywhere
+    else, or the channel flickers wherever the joint is slow and the joint's force goes on. An encoder coarser than its noise
+    does not flicker at rest.
     """
     x = log.channels[f"q_{joint}"]
     long, live = list_long_runs(x, log.rate_hz)
@@ -365,7 +365,7 @@ def find_frozen_force(log: Log, joint: str, moves: NDArray[np.bool_]) -> list[Fr
 
 
 def _find_sudden_stop(x: NDArray[np.float64], live: NDArray[np.bool_], start: int, stop: int, dt: float) -> str:
-    """Return how fast a position (N,) moved right before or after a stretch of one value, where nothing stops so quickly."""
+    """Return how fast a position (N,) moved right before or after a stretch of one value, if no other stop is as sudden."""
     width = max(4, round(STOP_S / dt))
     if len(x) < 4 * width:
         return ""
