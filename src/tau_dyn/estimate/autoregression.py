@@ -13,8 +13,8 @@ With force noise `e` and position noise `n`, the equation `tau = M(q) a + h` at 
     Sigma = sigma_f^2 I + D sigma_q^2 D',
 
 a banded matrix, so that its Cholesky factor costs as much as a filter. `Sigma^-1` weighs each frequency by
-`1 / (sigma_f^2 + sigma_q^2 M^2 w^4)`: forces count below the frequency at which encoder noise outweighs them, and nothing has to
-be low-passed. Equations left out are rows without neighbours, so nothing leaks out of them.
+`1 / (sigma_f^2 + sigma_q^2 M^2 w^4)`: forces count below the frequency at which encoder noise outweighs them, and no signal has
+to be low-passed. Equations left out are rows without neighbours, so they do not affect other rows.
 
 The information about parameters with columns Y is `Y' Sigma^-1 Y`; true positions are nuisance parameters, and eliminating
 them (Woodbury) gives exactly this matrix. Reference: Soderstrom 2018, Errors-in-Variables Methods in System Identification.
@@ -87,7 +87,7 @@ def fit_autoregression(stretches: list[np.ndarray], max_order: int = MAX_ORDER) 
 
 
 class Lags:
-    """The past of a residual beside its present, summed up for every order, while stretches come in pieces."""
+    """Products of a residual with its own past, summed for every order, while stretches come in pieces."""
 
     def __init__(self, max_order: int = MAX_ORDER) -> None:
         """Start with no samples."""
@@ -103,7 +103,7 @@ class Lags:
         return self._count > 0
 
     def begin(self) -> None:
-        """Say that what comes next does not follow what came before."""
+        """Begin a new stretch, which does not continue the last one."""
         self._before = np.zeros(0)
 
     def add(self, piece: np.ndarray) -> None:

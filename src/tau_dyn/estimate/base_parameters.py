@@ -1,6 +1,6 @@
-"""Base parameters: which combinations of parameters a regressor can see, and how to say so.
+"""Base parameters: the identifiable combinations of parameters of a regressor, and their expressions.
 
-Of linearly dependent columns the leftmost are kept, so that a column is explained by those before it: `W_D = W_B K`, and
+The leftmost of linearly dependent columns are kept, so that a column is explained by those before it: `W_D = W_B K`, and
 `W theta = W_B beta` with `beta = theta_B + K theta_D`. The rank is found by QR with column pivoting on columns of unit
 norm. Reference: Gautier 1991, Numerical calculation of the base inertial parameters.
 """
@@ -31,11 +31,11 @@ _FACTOR = re.compile(r"[0-9]+(\.[0-9]+)?(e[+-][0-9]+)?")
 
 @dataclass(frozen=True, eq=False)
 class BaseParameters:
-    """The combinations a regressor can see.
+    """The identifiable combinations of a regressor's parameters.
 
     Attributes:
         names: All column names (p,).
-        kept: Columns that stand for the base parameters (r,).
+        kept: Columns of the base parameters (r,).
         dropped: The other columns (p - r,).
         K: How the dropped columns regroup into the kept ones (r, p - r).
     """
@@ -81,7 +81,7 @@ class BaseParameters:
         return text
 
     def depends_on(self, column: int) -> tuple[str, ...]:
-        """Return the names of the parameters that a column shares its base parameters with; empty if none or unseen."""
+        """Return the names of the parameters that a column shares its base parameters with; empty if alone or not excited."""
         if column in self.dropped:
             d = int(np.flatnonzero(self.dropped == column)[0])
             rows = np.flatnonzero(self.K[:, d])
@@ -93,7 +93,7 @@ class BaseParameters:
 
 
 def read_expression(text: str) -> dict[str, float]:
-    """Return the coefficient of each parameter in what `BaseParameters.expression` wrote, by name.
+    """Return the coefficient of each parameter in a text from `BaseParameters.expression`, by name.
 
     Names are not checked; one that itself reads like a sum comes out in pieces.
     """
@@ -141,10 +141,10 @@ def find_base(
 
 
 def find_contained(W: np.ndarray, kept: Sequence[int], fixed: Sequence[int]) -> np.ndarray:
-    """Return the factors (r, k) by which base parameters contain fixed parameters; zero where data tell the two apart.
+    """Return the factors (r, k) by which base parameters contain fixed parameters; zero if data separate the two.
 
-    The column of a fixed parameter that is a combination of base columns, `W_F = W_B K_F`, adds `K_F theta_F` to what the data
-    determine: `W_B beta + W_F theta_F = W_B (beta + K_F theta_F)`.
+    The column of a fixed parameter that is a combination of base columns, `W_F = W_B K_F`, adds `K_F theta_F` to the sum that the
+    data determine: `W_B beta + W_F theta_F = W_B (beta + K_F theta_F)`.
 
     Args:
         W: Columns (N, p), or a triangular factor of them.

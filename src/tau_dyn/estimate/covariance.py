@@ -1,16 +1,17 @@
-"""How certain an estimate is when its residual is coloured, and coloured residuals made white.
+"""Covariance of an estimate with a coloured residual, and whitening of coloured residuals.
 
-**Least squares.** With `W = U R` the weighted rows, `U` orthonormal, `cov = R^-1 (U' Omega U) R^-T`. `U' Omega U` is found twice:
-with `Omega` the autocovariance of an autoregressive model of each output's residual at true time lags, gaps in the mask included;
-and from the scatter of 2 s blocks' scores, which also sees colour that no such model has. Of any number wanted the larger
-standard error counts; the matrices themselves stay apart, as inflating one parameter by parameter would destroy what
-correlations say about sums (and, in `physical_consistency.py`, move an estimate in directions that the data forbid).
-The point estimate stays that of weighted least squares: whitening it would amplify what the model misses at high
+**Least squares.** With `W = U R` the weighted rows, `U` orthonormal, `cov = R^-1 (U' Omega U) R^-T`. `U' Omega U` is computed
+twice: with `Omega` the autocovariance of an autoregressive model of each output's residual at true time lags, gaps in the mask
+included; and from the scatter of 2 s blocks' scores, which also contains colour that no such model describes. For each
+requested quantity the larger standard error counts. The matrices themselves are kept separate, as inflating one parameter by
+parameter would destroy the correlations that determine sums (and, in `physical_consistency.py`, move an estimate in directions
+that the data forbid). The point estimate stays that of weighted least squares: whitening would amplify the model error at high
 frequency (on EMPS it moves the viscous coefficient by 4 %). Reference: White 1980; Newey & West 1987; Ljung 1999, 9.
 
 **White equations** (`cov = J^-1 (K + sum g g') J^-T`). `K` are known rows; the scores `g` are sums of `Z' e` over blocks. White
-residuals need no blocks: `sum g g'` is `sum_j sigma_j^2 Z_j' Z_j`, which knows the error ten times better than a scatter does.
-Where neighbours are correlated, blocks of 0.1 s take its place; blocks of 2 s stand beside them, for what has a longer memory.
+residuals need no blocks: `sum g g'` is `sum_j sigma_j^2 Z_j' Z_j`, which estimates the error ten times better than a scatter
+does. If neighbours are correlated, blocks of 0.1 s replace it; blocks of 2 s are used in addition, for correlation over longer
+times.
 
 **Whitening.** Within each unbroken stretch of usable samples of one output, row t is
 
@@ -59,17 +60,17 @@ def select_larger_stderr(coloured: np.ndarray, scattered: np.ndarray) -> np.ndar
 
 
 Scores = Callable[[], Iterator[Iterator[RegressionRows]]]
-"""Yields every run anew: its weighted base columns and residuals, in order, piece by piece."""
+"""Function that yields every run at each call: its weighted base columns and residuals, in order, piece by piece."""
 
 
 def estimate_covariance(scores: Scores, n_samples: int, R: np.ndarray, known: np.ndarray) -> Covariance:
-    """Return how certain a weighted least-squares estimate is.
+    """Return the covariances of a weighted least-squares estimate.
 
     Args:
         scores: Yields every run's weighted base columns (n, m, r) as `W` and weighted residuals (n, m) as `y`; called twice.
         n_samples: Number of usable measurements.
         R: Triangular factor (r, r) of all weighted rows, prior rows included.
-        known: Rows (k, r) whose outer products add to `W' Omega W`: prior rows, and what is uncertain beside the noise.
+        known: Rows (k, r) whose outer products add to `W' Omega W`: prior rows, and uncertainty in addition to the noise.
     """
     scale = np.linalg.norm(R, axis=0)
     inverse = linalg.solve_triangular(R / scale, np.eye(len(R))) / scale[:, None]

@@ -6,7 +6,8 @@
 The two Coulomb values of a joint are bounded by their sum alone, which is at least zero: a constant offset of the force sensor
 adds to one and takes from the other. `J` is the pseudo-inertia, `I` about the joint frame's origin: it is positive semidefinite
 if and only if some distribution of positive mass has these ten numbers. A conic program (cvxpy, clarabel). The second term
-chooses, of all vectors the data cannot tell apart, the one nearest the robot file; `eps` is too small to move what the data see.
+chooses the vector nearest the robot file among those that fit the data equally; `eps` is too small to move the combinations that
+the data determine.
 Reference: Sousa & Cortesao 2014; Wensing, Kim & Slotine 2018.
 """
 
@@ -43,11 +44,11 @@ class InertialBody:
 
 @dataclass(frozen=True, eq=False)
 class PhysicalConstraints:
-    """The bodies whose inertial numbers must be those of something that exists.
+    """Bodies whose inertial parameters must be physically consistent.
 
     Attributes:
         bodies: The bodies.
-        rotors: Fixed drive inertias that no data tell from the bodies'. A rotor turns about its joint alone, faster than the
+        rotors: Fixed drive inertias that no data separate from the bodies'. A rotor turns about its joint alone, faster than the
             body that carries it, so its inertia in a body may be more than any mass distribution has.
     """
 
@@ -83,7 +84,7 @@ _EPS = (1e-4, 1e-2)
 _UNITS = (1.0, 1e-2, 1e-4, 1e-6)
 """Units of the cost, tried until the solver answers: data almost without noise make costs of 1e14, on which it gives up."""
 _MAX_CHI2_RISE = 1e-2
-"""Rise of chi-square above which physics has moved the answer beyond what the data leave open; the solver is more accurate."""
+"""Rise of chi-square above which physics has moved combinations that the data determine; the solver is more accurate than this."""
 _MAX_ITERATIONS = 12
 """How often the program is solved again from its answer, where a file that is off by orders of magnitude (placeholders, grams,
 millimetres) moved that by its pull or its scale; physics alone gives the same rise again, and the first answer stays."""
@@ -95,7 +96,7 @@ _EDGE = 1e-6
 
 @dataclass(frozen=True)
 class ConstrainedParameters:
-    """Admissible parameters, and what a constraint holds away from its plain estimate (name -> plain value)."""
+    """Admissible parameters, and those that a constraint holds away from their plain estimate (name -> plain value)."""
 
     parameters: Parameters
     moved: Mapping[str, float]
@@ -188,7 +189,7 @@ def _program(
     constraints += [_sum_of(pair, parameters, position, theta) >= 0 for pair in sums]
     for body in bodies:
         constraints.append(_pseudo_inertia_of(body, parameters, position, theta) >> 0)
-    # what the data do not see keeps its value; what they see is pulled by far less than its own uncertainty
+    # combinations that the data do not determine keep their value; others are pulled by far less than their own uncertainty
     _minimise(cp.sum_squares(misfit), cp.sum_squares(x - nominal / scale), constraints, bodies, x)
     solution = np.clip(scale * x.value, lower, upper)
     for edge in (lower, upper):  # an interior-point solver stops just short of an edge

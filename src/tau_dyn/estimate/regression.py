@@ -89,7 +89,7 @@ class SufficientStatistics:
 
 
 def compute_triangular_factor(W: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the triangular factor (p + 1, p + 1) of rows `[W y]`, W (n, p) and y (n,); columns of zeros cost nothing."""
+    """Return the triangular factor (p + 1, p + 1) of rows `[W y]`, W (n, p) and y (n,); columns of zeros take no time."""
     p = W.shape[1]
     used = np.flatnonzero(W.any(axis=0)) if len(W) else np.zeros(0, int)
     small = np.zeros((0, len(used) + 1))
@@ -126,9 +126,9 @@ class RegressionRun(Brief):
         W: Columns (n, m, p), filtered like `y`.
         y: Measured outputs (n, m).
         usable: Which samples of which output the fit may use (n, m).
-        W_all: The columns without any sample left out (n, m, p), for judging a model where the fit does not look.
-        y_all: The outputs alike (n, m).
-        signals: What else a report may want to draw, each (n, m): `q`, `v`, `a`, ...
+        W_all: The columns without any sample left out (n, m, p), for judging a model at samples that the fit does not use.
+        y_all: The outputs, without any sample left out (n, m).
+        signals: Further signals for a report, each (n, m): `q`, `v`, `a`, ...
     """
 
     name: str
@@ -158,12 +158,12 @@ class RegressionRows(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class StreamedData:
-    """What there is beyond the runs that are kept in memory, where a recording is larger than that.
+    """Data of recordings larger than memory, in addition to the runs that are kept in memory.
 
     Attributes:
         used: Totals of the rows that a fit may use.
         whole: Totals of all rows.
-        runs: Of every run, its rows in order, read back piece by piece.
+        runs: The rows of every run in order, read back piece by piece.
     """
 
     used: SufficientStatistics
@@ -205,7 +205,7 @@ class Preparation:
 
 
 AS_RECORDED = Preparation(inf, inf, inf, np.zeros(0), 0.0)
-"""Of rows that no filter and no mask has touched."""
+"""Preparation of rows without any filter or mask."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +218,7 @@ class Regression(Brief):
         units: Units of the outputs.
         runs: The data; of a recording too large for memory, excerpts to look at.
         preparation: Filters and masks that the rows went through.
-        everything: Where `runs` are excerpts, all data; else None. Estimates and errors are of all data.
+        everything: All data if `runs` are excerpts; else None. Estimates and errors are of all data.
     """
 
     parameters: Parameters
@@ -300,14 +300,14 @@ class StoredRows:
     """
 
     def __init__(self, n_columns: int) -> None:
-        """Open a file with nothing in it."""
+        """Open an empty file."""
         self.n_columns = n_columns
         self._file = tempfile.TemporaryFile(prefix="tau_dyn_")
         weakref.finalize(self, self._file.close)
         self._places: list[list[int]] = []
 
     def begin(self) -> None:
-        """Say that what comes next is another run."""
+        """Begin a new run."""
         self._places.append([])
 
     def add(self, rows: RegressionRows) -> None:

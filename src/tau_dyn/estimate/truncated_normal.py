@@ -18,7 +18,8 @@ import numpy as np
 from tau_dyn.results import Brief
 
 _STEP = 0.15
-"""Angle between looks at the walls; what leaves a set and returns between two looks was out by 0.003 of its length [rad]."""
+"""Angle between checks of the walls [rad]; a path that leaves the set and returns between two checks was outside by 0.003 of its
+length."""
 _PATH = (0.8, 2.4)  # length of a path, around the quarter turn after which a free one has forgotten its start [rad]
 _MAX_LOOKS = 400
 """Looks and reflections of a path; a longer one is given up and its chain stays, which is as likely the other way round."""
@@ -27,7 +28,7 @@ _MIN_CHAINS = 200
 """Chains that run at least, to measure how much they remember."""
 _MAX_CHAINS = 1000  # side by side; more draws are later states of the same chains
 _FIRST_PATHS = 4  # paths before the chains' memory is measured over as many more
-_MAX_PATHS = 128  # 32 times as many as the first look takes; chains that still remember their start are said to
+_MAX_PATHS = 128  # 32 times as many as the first check takes; chains that still remember their start are reported
 _MAX_MEMORY = 0.2
 """Correlation of any coordinate over the chains, between half of their paths and all of them; by chance it reaches 0.12."""
 _MAX_DRIFT = 4.5
@@ -90,7 +91,7 @@ class ConvexSet(Brief):
 def _is_indefinite(entries: np.ndarray) -> np.ndarray:
     """Return where symmetric matrices of ten entries (10, ..) have a pivot that is not positive (Sylvester)."""
     a, b, c, d, e, f, g, h, i, j = entries
-    with np.errstate(all="ignore"):  # what follows a pivot of zero counts for nothing
+    with np.errstate(all="ignore"):  # values after a pivot of zero do not count
         x, y, z = b / a, c / a, d / a
         e, f, g, h, i, j = e - x * b, f - x * c, g - x * d, h - y * c, i - y * d, j - z * d
         x, y = f / e, g / e

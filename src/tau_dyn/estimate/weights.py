@@ -35,18 +35,18 @@ def build_prior_rows(parameters: Parameters) -> tuple[np.ndarray, np.ndarray]:
 
 
 def scale_columns(W: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return columns (N, p) scaled to unit norm, and what they were divided by (p,); 1 for a column of zeros."""
+    """Return columns (N, p) scaled to unit norm, and their divisors (p,); 1 for a column of zeros."""
     norm = np.linalg.norm(W, axis=0)
     norm[norm == 0] = 1.0
     return W / norm, norm
 
 
 def solve_scaled(W: np.ndarray, y: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return the parameters (p,) of columns (N, p) that leave least of `y` (N,).
+    """Return the least-squares parameters (p,) of columns (N, p) for `y` (N,).
 
     Args:
         W: Columns.
-        y: What they are to explain.
+        y: Values to be explained.
         tolerance: Singular value of the unit columns, relative to the largest, below which a direction is left at zero.
     """
     unit, norm = scale_columns(W)
@@ -91,10 +91,10 @@ def compute_robust_weights(loss: str, distance: np.ndarray, m: int) -> np.ndarra
 
 
 def estimate_distance_scale(distance: np.ndarray, m: int | np.ndarray) -> float:
-    """Return by how much measurements scatter more than the noise says, from the median; wild ones do not move it.
+    """Return the ratio of the measurements' scatter to the noise, from the median, which is robust to outliers.
 
     Args:
-        distance: Of measurements (N,), in units of the noise.
+        distance: Distances of measurements (N,), in units of the noise.
         m: Independent residuals of a measurement, or of each (N,).
     """
     return float(np.median(distance / np.sqrt(stats.chi2.ppf(0.5, m))))

@@ -11,7 +11,7 @@ samples are left out is a `RepairedWarning`, which blocks no result. Only faults
 If the next row is two steps ahead, the clock went on, and leaving the row out is exact, however many there are. If it is one
 step ahead, the row was inserted, and all later times are moved up.
 
-**Lost samples.** A logger that numbers its samples hides what it lost: the stamps stay even and the motion jumps. Each step
+**Lost samples.** A logger that numbers its samples hides its losses: the stamps stay even and the motion jumps. Each step
 between two samples is compared with a local polynomial through its neighbours (Savitzky & Golay 1964), stretched after the step
 by `s` sample steps that all joints share:
 
