@@ -84,7 +84,7 @@ _EPS = (1e-4, 1e-2)
 _UNITS = (1.0, 1e-2, 1e-4, 1e-6)
 """Units of the cost, tried until the solver answers: data almost without noise make costs of 1e14, on which it gives up."""
 _MAX_CHI2_RISE = 1e-2
-"""Rise of chi-square above which physics has moved combinations that the data determine; the solver is more accurate than this."""
+"""Rise of chi-square above which physics has moved combinations that the data determine; the solver is more accurate."""
 _MAX_ITERATIONS = 12
 """How often the program is solved again from its answer, where a file that is off by orders of magnitude (placeholders, grams,
 millimetres) moved that by its pull or its scale; physics alone gives the same rise again, and the first answer stays."""
