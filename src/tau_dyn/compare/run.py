@@ -56,7 +56,7 @@ class RecordedRun:
 
 
 def is_run(folder: Path) -> bool:
-    """Tell whether a folder is a run folder."""
+    """Return whether a folder is a run folder."""
     return (folder / RUN).is_file()
 
 
@@ -130,7 +130,7 @@ class InputChange:
 
 @dataclass(frozen=True)
 class CircumstanceDifference:
-    """An option, version or number that differs; None where one side lacks it."""
+    """An option, version or number that differs; None if one side lacks it."""
 
     name: str
     a: Any

@@ -2,11 +2,11 @@ r"""Predictive bands for 90 % of a log's forces, from training data alone, and t
 
     y - W theta  in  [m - hypot(m - l, z s),  m + hypot(u - m, z s)]
 
-`l, m, u`: quantiles at 5, 50 and 95 % of each output's cross-validated residual: every log in turn (of fewer than three logs
+`l, m, u`: quantiles at 5, 50 and 95 % of each output's cross-validated residual: every log in turn (with fewer than three logs,
 every fifth of each) is predicted by least squares on the others. The residuals therefore contain the noise, its colour and the
 model error on data that were not fitted. `s` is the parameters' standard error in the prediction beyond its mean over the
-training data, which the cross-validation contains already: it widens the band where a motion excites parameters that the logs do
-not determine. Reference: Stone 1974.
+training data, which the cross-validation contains already: it widens the band at motions that excite parameters that the logs
+do not determine. Reference: Stone 1974.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from tau_dyn.identify.widening import compute_data_covariance, measure_logs
 from tau_dyn.results import Brief
 
 BAND_LEVEL = 0.90
-"""Share of the samples that a band is made to hold."""
-_FOLDS = 5  # parts of each log that are left out in turn, where there are fewer than three logs
+"""Share of the samples that a band should contain."""
+_FOLDS = 5  # parts of each log that are left out in turn, if there are fewer than three logs
 _MIN_LOGS = 3  # from which whole logs are left out
 _Z = float(stats.norm.ppf((1 + BAND_LEVEL) / 2))
 _REFIT_TOLERANCE = 1e-10  # relative singular value below which the other folds do not determine a direction
@@ -110,7 +110,7 @@ def build_predictive_bands(estimate: Estimate, held: Regression, theta: np.ndarr
 
 
 def _widen(W: np.ndarray, names: tuple[str, ...], kept: list[str], C: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Return by how much parameters' errors widen the squared half width at rows (n, m, p), beyond the mean of the training."""
+    """Return the parameters' contribution to the squared half width at rows (n, m, p), beyond its mean in the training."""
     return _Z**2 * np.maximum(_compute_variance(W, names, kept, C) - mean, 0.0)
 
 

@@ -65,7 +65,7 @@ def get_log_list(logs: Logs) -> list[Log | Recording]:
     """Return one log or many as a list; paths are read, and tables become logs; see `as_log`.
 
     Raises:
-        InputError: One of them is no log.
+        InputError: One of them is not a log.
     """
     if isinstance(logs, Log | Recording | str | Path | DataTable) or not isinstance(logs, Iterable):
         return [as_log(logs)]
@@ -90,7 +90,7 @@ def _describe_source(log: Log | Recording) -> dict[str, Any]:
 def drop_repeated_logs(train: Sequence[Kind], held: Sequence[Kind]) -> tuple[list[Kind], list[Kind], list[str]]:
     """Return logs to train on and held-out logs with no samples twice, and a warning about each log that is left out.
 
-    The same samples twice would look like twice the evidence; errors on logs that are also trained on are not held-out errors.
+    Repeated samples would count as double evidence; errors on logs that are also trained on are not held-out errors.
     """
     trained, doubled = _keep_once(train)
     both = [log for log in held if any(has_common_samples(log, other) for other in trained)]
@@ -180,12 +180,12 @@ def require_forces(robot: Robot, logs: Sequence[Log | Recording]) -> None:
 
 
 def _mend(log: Log, robot: Robot) -> Log:
-    """Return a log with its lost samples as gaps; feet that touch down make all joints leap, so a walker's are not looked for."""
+    """Return a log with its lost samples as gaps, except for a walker: its joints jump when feet touch down."""
     return log if robot.base_coordinates else mend_log(log, robot.actuated)
 
 
 TRAIN_SHARE = 0.7
-"""Where no held-out log is given, a fit of this first part of each log predicts the rest."""
+"""If no held-out log is given, a fit of this first part of each log predicts the rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +218,7 @@ class Data:
 
     @classmethod
     def of(cls, model: Model, logs: Sequence[Log | Recording], **options: Any) -> Data:
-        """Cut logs in memory into even pieces, their few lost samples being gaps in the clock."""
+        """Cut logs in memory into even pieces; their few lost samples are gaps in the clock."""
         here = [log for log in logs if isinstance(log, Log)]
         mended = (_mend(log, model.robot) for log in here if len(here) == len(logs))
         return cls(model, tuple(logs), tuple(piece for log in mended for piece in resample_segments(log)), **options)

@@ -16,7 +16,7 @@ from tau_dyn.parameters import Parameters
 from tau_dyn.robot import INERTIAL
 
 MAX_RESTING_SHARE = 0.5
-"""Share of the samples at rest from which a joint rests most of the time."""
+"""Share of samples at rest above which a joint counts as resting most of the time."""
 
 
 def compute_rest_shares(regression: Regression) -> np.ndarray:
@@ -92,7 +92,7 @@ def list_unjudged_joint_warnings(train: ForceErrors, holdout: ForceErrors | None
 
 
 def list_held_out_warnings(train: ForceErrors, holdout: ForceErrors | None) -> list[str]:
-    """Return a sentence where held-out logs are predicted so much worse that they are probably not of the same machine."""
+    """Return a warning if held-out logs are predicted so much worse that they probably belong to another machine."""
     if holdout is None:
         return []
     pairs = zip(train.joints, train.rms, holdout.rms, strict=True)
@@ -101,7 +101,7 @@ def list_held_out_warnings(train: ForceErrors, holdout: ForceErrors | None) -> l
 
 
 def list_inertia_scale_warnings(estimate: Estimate, nominal: Parameters) -> list[str]:
-    """Return a sentence where masses and inertias are orders of magnitude from the robot file's: mostly a unit is wrong."""
+    """Return a warning if masses and inertias differ by orders of magnitude from the robot file: mostly a unit is wrong."""
     base = estimate.base
     before, names = base.combine(nominal.select(base.names).values), [base.names[k] for k in base.kept]
     inertial = np.array([name.rpartition(".")[2] in INERTIAL for name in names], bool)
@@ -126,7 +126,7 @@ _RESISTS = ("coulomb", "viscous", "coulomb_pos", "coulomb_neg", "viscous_pos", "
 
 
 def list_equivalent_models(estimate: Estimate, joints: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the descriptions that fit exactly as well as the one reported."""
+    """Return the models that fit exactly as well as the one reported."""
     found = []
     for joint in joints:
         names = [f"{joint}.{q}" for q in ("coulomb_pos", "coulomb_neg", "viscous_pos", "viscous_neg")]
@@ -181,7 +181,7 @@ def _excess(estimate: Estimate, name: str, plain: float) -> float:
 def list_friction_sign_warnings(estimate: Estimate) -> list[CodedWarning]:
     """Return a sentence for each joint whose estimated friction is negative.
 
-    So it does where a force or a position has its sign turned, or is another joint's.
+    Causes: a reversed sign of a force or a position, or the column of another joint.
     """
     found = []
     for joint in estimate.regression.outputs:

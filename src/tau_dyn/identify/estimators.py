@@ -40,13 +40,13 @@ RELATIVE_CHANGE_TOL = 0.01
 """A fit is repeated until the predicted force moves by less than this share of the residual."""
 
 CLEAN_REFERENCE = 0.2
-"""Share of the encoders' noise that references may have; more, and they are measurements themselves."""
+"""Largest noise of references, as a share of the encoders' noise; references with more are measurements themselves."""
 
 MAX_IN_BAND_EXCESS_POWER = 0.25
 """Excess of the whitened residual's power in the motion's band above which the model, not noise, makes it."""
 
 BANDS = (1.0, 0.4, 0.2)
-"""Parts of the force low-pass' cutoff below which the power is looked at; the last is about the motion's own band."""
+"""Parts of the force low-pass' cutoff below which the power is tested; the last is about the motion's own band."""
 
 CORRELATION = 0.05
 """Correlation of neighbouring whitened residuals above which the noise is not as assumed."""
@@ -71,7 +71,7 @@ class Estimator:
     structural: BaseParameters | None = None
 
     def __post_init__(self) -> None:
-        """Refuse an unknown name, and logs or models that the one asked for cannot take."""
+        """Refuse an unknown name, and logs or models that the requested estimator cannot handle."""
         if self.kind not in ESTIMATORS:
             raise InputError("bad_option", f"estimator '{self.kind}' is none of {', '.join(ESTIMATORS)}")
         if self.kind in ("ml", "iv", "robust"):
@@ -85,7 +85,7 @@ class Estimator:
         return 0 if self.structural is None else self.structural.rank
 
     def solve(self, built: BuiltData, part: Regression | None = None) -> Estimate:
-        """Return the estimate that answers, of data or of a part of their regression; full rate reads the data's own pieces."""
+        """Return the estimate by the chosen estimator, from data or a part of their regression; full rate reads the data."""
         sigmas = {joint: sigma for joint, (_, sigma) in self.gains.items()}
         regression = built.regression if part is None else part
         physics = split_bodies(build_physical_constraints(self.model), regression.parameters)
@@ -93,7 +93,7 @@ class Estimator:
         return replace(self, pieces=built.data.pieces)(first)
 
     def __call__(self, first: Estimate) -> Estimate:
-        """Return the estimate that answers, given weighted least squares on a regression of the pieces or of parts of them."""
+        """Return the estimate by the chosen estimator, given weighted least squares on the pieces or their parts."""
         if self.kind == "auto":
             return self._automatic(first)
         if self.kind == "wls":
@@ -129,7 +129,7 @@ class Estimator:
         )
 
     def _fault(self, kind: str) -> str:
-        """Return why an estimator cannot take this model and these logs; empty where it can."""
+        """Return why an estimator cannot handle this model and these logs; empty if it can."""
         joints = self.model.robot.actuated
         if self.model.robot.base_coordinates:
             return "the forces of the ground are not known at full rate; use wls"
@@ -154,7 +154,7 @@ class Estimator:
 
 
 def is_residual_white(found: FullRateEstimate) -> bool:
-    """Return whether whitened residuals are white where the motion is: no more power in its band, no memory."""
+    """Return whether whitened residuals are white in the motion's band: no excess power, no autocorrelation."""
     cutoff = found.estimate.regression.preparation.force_cutoff_hz
     for k in range(found.residuals[0].shape[1]):
         pairs = [(e[:, k], s.keep[:, k], s.log.rate_hz) for e, s in zip(found.residuals, found.stretches, strict=True)]
@@ -172,7 +172,7 @@ def is_residual_white(found: FullRateEstimate) -> bool:
 
 
 def _power_below(edge_hz: float, pairs: Sequence[tuple[np.ndarray, np.ndarray, float]]) -> tuple[float, int]:
-    """Return the power of one output's residuals below a frequency, in units of a white one's, and of how many blocks it is."""
+    """Return the power of one output's residuals below a frequency, relative to white noise, and its number of blocks."""
     power, blocks = 0.0, 0
     for x, keep, rate in pairs:
         width = max(2, int(rate / (2 * edge_hz)))
@@ -223,7 +223,7 @@ def iterate_to_fixed_point(built: BuiltData, solver: Estimator) -> Settled:
 
     Args:
         built: The data, with signals at the values to start from.
-        solver: The estimation.
+        solver: The estimator.
     """
     model, estimate = built.data.model, solver.solve(built)
     feeling = [effect.name for effect in model.effects if PARAMETER_DEPENDENT_SIGNALS & set(effect.needs)]

@@ -32,7 +32,7 @@ from tau_dyn.robot import NOT_GIVEN, Robot
 
 @dataclass(frozen=True)
 class Choices:
-    """Requests by name or pattern, as the command line spells them, and the motor constants among them.
+    """Requests by name or pattern, in the form of the command line, including motor constants.
 
     Attributes:
         fix: `NAME`, `NAME=VALUE` or `NAME=VALUE+-SIGMA`.
@@ -161,7 +161,7 @@ def _number(word: str, text: str) -> float:
 
 
 WITHIN_BODIES = "within "
-"""How the `origin` of a drive inertia begins that is part of bodies' parameters; their names follow."""
+"""Prefix of the `origin` of a drive inertia that is part of bodies' parameters; their names follow."""
 N_STATES = 60
 """Random states; each gives a row a joint, several times as many as bodies have parameters."""
 _SAMPLES = 2000  # of the random motion
@@ -231,7 +231,7 @@ def free_drive_inertias(model: Model, seed: int = 0) -> Model:
 
 
 def _describe_holders(base: BaseParameters) -> str:
-    """Return which body parameters hold the drive inertia that is the last column, in words."""
+    """Return the body parameters that contain the drive inertia of the last column, in words."""
     share = base.K[:, -1]
     names = [base.names[base.kept[k]] for k in np.argsort(-np.abs(share)) if share[k]]
     if len(names) == 1:
@@ -244,7 +244,7 @@ def find_structural_base(model: Model, seed: int = 0) -> BaseParameters:
     """Return the base parameters of the free columns over random motion around home.
 
     Positions are drawn as far from home as the limits and the loops allow; speeds and accelerations are of order one.
-    Effects that a single state does not determine are seen along a smooth random motion instead.
+    Effects that a single state does not determine are evaluated along a smooth random motion instead.
     """
     rng = np.random.default_rng(seed)
     q = draw_random_positions(model, N_STATES, rng)
@@ -291,7 +291,7 @@ def _along_a_motion(model: Model, reached: np.ndarray, rng: np.random.Generator)
 
 
 def draw_random_positions(model: Model, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Draw actuated positions (count, na) within limits at which the loops close, nearer home where need be."""
+    """Draw actuated positions (count, na) within limits at which the loops close, nearer home if necessary."""
     robot = model.robot
     low = np.where(np.isfinite(robot.lower), robot.lower, robot.home - 1.0)
     high = np.where(np.isfinite(robot.upper), robot.upper, robot.home + 1.0)
@@ -307,7 +307,7 @@ def draw_random_positions(model: Model, count: int, rng: np.random.Generator) ->
 
 
 def build_physical_constraints(model: Model) -> PhysicalConstraints:
-    """Return the bodies whose inertial numbers must be those of something that exists, and the rotors that they may hold."""
+    """Return the bodies whose inertial parameters must be physically consistent, and the rotors that they may contain."""
     rotors = tuple(p.name for p in model.robot.parameters if not p.free and p.origin.startswith(WITHIN_BODIES))
     return PhysicalConstraints(
         tuple(InertialBody(link.link, link.names, link.map) for link in model.robot.links), rotors

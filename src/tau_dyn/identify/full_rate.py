@@ -70,9 +70,9 @@ def predict_tracked_motion(model: Model, log: Log, preparation: Preparation, q: 
     """Return positions (n, m) that follow from the references alone.
 
     Args:
-        model: Gives the forces along the reference.
+        model: Model that gives the forces along the reference.
         log: An even stretch with `q_ref_J` of every actuated joint.
-        preparation: Gives the low-pass before the references are differentiated.
+        preparation: Filters, with the low-pass before the references are differentiated.
         q: Measured positions (n, m).
     """
     reference = log.joint("q_ref", model.robot.actuated)
@@ -128,7 +128,7 @@ class FullRate:
         log: The stretch.
         position: Raw positions (n, m) [m or rad].
         smooth: Positions and speeds behind the position low-pass, each (n, m).
-        signals: What else effects feel.
+        signals: Further signals that effects need.
         force: Logged forces (n, m) [N or N m].
         W: Columns with the accelerations of the raw positions (n, m, p).
         inertia: Mass matrices (n, m, m).
@@ -187,10 +187,10 @@ def _inertia(model: Model, q: np.ndarray) -> np.ndarray:
 
 MAX_ITERATIONS = 6  # of instruments and noise model
 MAX_CHANGE_STDERRS = 0.02
-"""Rounds end when no base parameter moves by more than this part of its standard error."""
+"""Iterations end when no base parameter moves by more than this part of its standard error."""
 
 NOISE_SAMPLES = 20_000
-"""Samples of a stretch from which the force noise is found; it is a weight, and known to 1 % from these."""
+"""Samples of a stretch for estimating the force noise; it is a weight, and these determine it to 1 %."""
 
 NOISE_ROUNDS = 12  # iterations of the noise model alone
 MIN_ROBUST_WEIGHT = 1e-3
@@ -216,7 +216,7 @@ def estimate_full_rate(
     gains: Mapping[str, tuple[float, float]] | None = None,
     physics: PhysicalConstraints | None = None,
 ) -> FullRateEstimate:
-    """Estimate again, at full rate.
+    """Return the estimate at full rate, starting from a first one.
 
     Args:
         model: The fitted model.
@@ -259,7 +259,7 @@ def _reference_columns(model: Model, stretch: FullRate, preparation) -> np.ndarr
 
 
 class _FullRateFit:
-    """The rounds of one estimation."""
+    """The iterations of one estimation."""
 
     def __init__(self, model: Model, first: Estimate, stretches: tuple[FullRate, ...], gains: bool) -> None:
         self.model, self.first, self.stretches, self.gains = model, first, stretches, gains
@@ -279,7 +279,7 @@ class _FullRateFit:
         return solution, rows, 1.0
 
     def robust(self) -> tuple[InstrumentalSolution, tuple[WhiteRows, ...], float]:
-        """Return the solution with bisquare weights on each sample of force, and how much less certain they leave it."""
+        """Return the solution with bisquare weights on each sample of force, and the factor on its covariance."""
         plain = [self._noise(s, self.force) for s in self.stretches]
         beta, noises, scaled = self.first.beta_plain, plain, np.zeros(1)
         solution, rows = self._rounds(plain, None, beta)
@@ -370,6 +370,6 @@ class _FullRateFit:
 
 
 def _moved(before: InstrumentalSolution, after: InstrumentalSolution) -> float:
-    """Return the largest move of a base parameter in its own standard errors, as the information has them."""
+    """Return the largest change of a base parameter in its own standard errors, from the information matrix."""
     stderr = np.sqrt(np.abs(np.diag(np.linalg.inv(after.J))))
     return float(np.max(np.abs(after.beta - before.beta) / stderr))

@@ -1,4 +1,4 @@
-"""Torque logs -> masses and friction that can be trusted: the whole main path in one place.
+"""Identification of masses and friction from torque logs: the whole main path in one place.
 
     robot, logs -> Model -> Data -> Regression -> Estimate -> errors on data the fit never saw -> Identification
 
@@ -94,7 +94,7 @@ def identify(
         per_log: Names or patterns of parameters that have a value per log, estimated by `wls`.
         estimator: `wls`, `ml`, `iv`, `robust` or `auto`; see `estimators.py`.
         seed: Seed of the random states of the structural study.
-        engine: Who computes the blocks of recordings on disk; by default as many threads as there are cores.
+        engine: Executor for the blocks of recordings on disk; by default as many threads as there are cores.
         progress: Called with a word for each step.
 
     Raises:
@@ -285,7 +285,7 @@ def _account_for_timing(settled: Settled, solver: Estimator) -> tuple[Settled, F
 
 
 class _Judged(NamedTuple):
-    """Data that the fit never saw: their regression where its rows are there, errors on them, how, and predictive bands."""
+    """Held-out data: their regression if its rows are in memory, errors on them, the method in words, and predictive bands."""
 
     regression: Regression | None
     errors: ForceErrors | None
@@ -331,7 +331,7 @@ def _judge_last_part(built: BuiltData, solver: Estimator) -> _Judged:
 
 
 def _refuse_in_blocks(estimator: str, data: Data) -> None:
-    """Refuse estimators that look at all rows again and again, where the rows are on disk."""
+    """Refuse estimators that read all rows repeatedly, if the rows are on disk."""
     if data.streams and estimator not in ("wls", "auto"):
         raise InputError(
             "unsupported",
@@ -340,7 +340,7 @@ def _refuse_in_blocks(estimator: str, data: Data) -> None:
 
 
 def _find_changes(model: Model, regression: Regression) -> tuple[LogChange, ...]:
-    """Return where something changes within a log; not looked for in rows that contacts mix, which are of no single joint."""
+    """Return changes within a log; empty for a floating base, where contacts mix the rows of all joints."""
     if model.robot.base_coordinates:
         return ()
     return find_changes(regression, build_shared_columns(regression, model.mechanism))
@@ -373,7 +373,7 @@ def _refuse_if_nothing_determined(estimate: Estimate) -> None:
 
 
 def refuse_constant_forces(logs: Sequence[Log | Recording], regression: Regression, driven: Sequence[str]) -> None:
-    """Refuse a force of a driven joint that is the same to the last bit while the joint moves: it was not measured."""
+    """Refuse a force of a driven joint that is constant to the last bit while the joint moves: it was not measured."""
     here = [log for log in logs if isinstance(log, Log)]
     used = [j for k, j in enumerate(regression.outputs) if any(run.usable[:, k].any() for run in regression.runs)]
     moving = [j for j in used if j in driven]

@@ -25,15 +25,15 @@ from tau_dyn.parameters import Parameter, Parameters
 
 CURRENT = "current"
 SPEED = "speed"
-"""Speeds through the filter of the forces, as the regression of a circuit needs them."""
+"""Signal of the speeds through the forces' filter, for the regression of a circuit."""
 RECORDED = (VOLTAGE, CURRENT, PULSE_WIDTH)
 """Signals of a motor that a log may hold."""
 _MIN_BLOCKS = 20
-"""Blocks of 2 s: of fewer the scatter of four numbers is itself unsure by more than a fifth."""
+"""Least number of 2 s blocks: with fewer, the scatter of four numbers is uncertain by more than a fifth."""
 
 
 def list_voltage_warnings(logs: Sequence[object], joints: Sequence[str]) -> list[str]:
-    """Return what forces made of voltages or pulse widths leave open."""
+    """Return a warning about quantities that forces computed from voltages or pulse widths do not determine."""
     made = [
         log.name for log in logs if isinstance(log, Log) for x in (VOLTAGE, PULSE_WIDTH) if makes_force(log, joints, x)
     ]
@@ -112,7 +112,7 @@ def _build_rows(run: RegressionRun, theta: np.ndarray, k: int) -> tuple[np.ndarr
     """Return a run's columns (n, 4), their instruments (n, 4), voltages (n,) and blocks (n,), the filters' ends left out."""
     model, v, one = run.W_all[:, k] @ theta, run.signals[SPEED][:, k], np.ones(len(run.t))
     current = run.signals.get(CURRENT, run.y_all)[:, k]
-    # forces through the gate at both ends of a run are whole; between them reversals count as well
+    # forces through the gate at both ends of a run are complete; between them reversals count as well
     ends = np.flatnonzero(run.usable.any(axis=1))
     part = slice(ends[0], ends[-1] + 1) if ends.size else slice(0, 0)
     X, Z = (np.column_stack([x, v, CubicSpline(run.t, x)(run.t, 1), one]) for x in (current, model))

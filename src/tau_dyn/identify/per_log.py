@@ -25,7 +25,7 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Z95
 
 SIGNIFICANCE_LEVEL = 0.01
-"""Chance, over all named parameters together (Bonferroni), at which equal logs are called different."""
+"""Significance level over all named parameters together (Bonferroni) for a difference between logs."""
 _TOLERANCE = 1e-6
 """Relative part of a contrast that the data may leave unseen: base combinations are known to about 1e-9."""
 
@@ -53,8 +53,8 @@ class PerLogParameter:
     Attributes:
         name: Contract name.
         unit: Its unit.
-        values: One a log.
-        p_value: Chance of such differences between logs that are equal, over all named parameters together; None where no two
+        values: One value for each log.
+        p_value: Probability of such differences between equal logs, over all named parameters together; None if no two
             logs can be compared.
     """
 
@@ -77,7 +77,7 @@ class PerLogParameter:
 
 
 def choose_per_log(parameters: Parameters, patterns: Iterable[str]) -> tuple[str, ...]:
-    """Return the free parameters that patterns name.
+    """Return the free parameters that match patterns.
 
     Raises:
         UnknownName: A pattern that no parameter has.
@@ -99,7 +99,7 @@ def choose_per_log(parameters: Parameters, patterns: Iterable[str]) -> tuple[str
 
 
 def name_apart(logs: Sequence[AnyLog]) -> list[AnyLog]:
-    """Return the logs with names of their own: files of one name in two folders are two logs."""
+    """Return the logs with distinct names: files of one name in two folders are two logs."""
     seen: dict[str, int] = {}
     named = []
     for log in logs:
@@ -135,7 +135,7 @@ def split_by_log(regression: Regression, names: Sequence[str]) -> Regression:
 
 
 def split_bodies(physics: PhysicalConstraints, parameters: Parameters) -> PhysicalConstraints:
-    """Return the constraints with a body per log, where a regression's parameters hold a body's numbers per log."""
+    """Return the constraints with one body for each log if a regression has a body's parameters per log."""
     bodies: list[InertialBody] = []
     for body in physics.bodies:
         values = {name: _list_logs(parameters, name) for name in body.parameters if name not in parameters}

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 
 _MARGINS = (1e-3, 1e-5, 1e-7)
-"""How far inside the walls the chains begin, relative to a body's size; the largest that leaves room is taken."""
+"""Distance of the chains' start from the constraints, relative to a body's size; the largest feasible one is used."""
 _MAX_SAMPLES = 100_000  # more fill memory without more information
 
 
@@ -59,7 +59,7 @@ class Samples(Brief):
 
     Attributes:
         model: The identified model.
-        values: A row a draw, a column a parameter, in the order of `model.parameters` (n, p).
+        values: One row for each draw, one column for each parameter, in the order of `model.parameters` (n, p).
         widening: Factors by which the variances were widened.
         held: Free parameters that neither the logs nor the robot file determine; all draws have the model's value.
         warnings: Sentences about doubtful results.
@@ -89,14 +89,14 @@ class Samples(Brief):
         return self.model.with_parameters(self.model.parameters.with_values(self.values[k]))
 
     def save(self, path: str | Path, ending: str = "") -> None:
-        """Write the table as Parquet or CSV; it appears whole or not at all.
+        """Write the table as Parquet or CSV, completely or not at all.
 
         Args:
             path: The file.
             ending: `.parquet` or `.csv`; by default the file's own.
 
         Raises:
-            InputError: Another ending.
+            InputError: The ending is another one.
         """
         ending = ending or Path(path).suffix
         require_table_name(Path(path).with_suffix(ending))
@@ -107,7 +107,7 @@ class Samples(Brief):
                 self.to_frame().to_parquet(temporary, index=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract's form: what went in, and 90 % of each parameter's draws."""
+        """Return the contract's form: the inputs, and the central 90 % of each parameter's draws."""
         ends = np.quantile(self.values, (0.05, 0.5, 0.95), axis=0).T
         rows = [
             {"name": name, "unit": p.unit, "median": m, "ci90": [low, high]}
@@ -120,7 +120,7 @@ def require_table_name(path: Path) -> None:
     """Refuse a table's file that is neither Parquet nor CSV.
 
     Raises:
-        InputError: It ends otherwise.
+        InputError: It has another ending.
     """
     if path.suffix not in (".parquet", ".csv"):
         raise InputError("cannot_write", f"{path}: samples are written as .parquet or .csv")
@@ -194,7 +194,7 @@ def _build_target(
 
 
 def _build_set(target: _Target, parameters: Parameters, bodies: list[InertialBody]) -> ConvexSet:
-    """Return where bounds hold and bodies are consistent, in the target's coordinates; each wall in units of its size."""
+    """Return the set with all bounds and consistent bodies, in the target's coordinates; each constraint in units of its size."""
     place = {name: k for k, name in enumerate(target.names)}
     bounds = [
         (side * (target.mean[k] - end), side * target.factor[k])
@@ -229,7 +229,7 @@ def _build_set(target: _Target, parameters: Parameters, bodies: list[InertialBod
 
 
 def _find_start(inside: ConvexSet) -> np.ndarray:
-    """Return the most likely point (d,) that keeps a margin to all walls.
+    """Return the most likely point (d,) that keeps a margin to all constraints.
 
     Raises:
         CannotAnswer: No point keeps a margin.

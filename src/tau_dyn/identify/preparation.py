@@ -2,7 +2,7 @@
 
 One rule for every log, no constant in physical units:
 
-1. the motion band f_b of each axis against its encoder's noise (`log/filtering.py`), the widest axis counting;
+1. the motion band f_b of each axis against its encoder's noise (`log/filtering.py`), of the axis with the widest band;
 2. forces and columns are low-passed at f_w = min(5 f_b, f_noise, 0.16 f_s): wide enough to keep the friction's edges, not so wide
    that acceleration noise, which is in the columns, exceeds 1e-4 of the acceleration's power and biases the fit;
 3. positions are low-passed at f_q = min(8 f_w, 0.4 f_s): its transient at a reversal is much shorter than that of f_w;
@@ -20,8 +20,8 @@ A zero-phase low-pass disturbs both ends of a piece, so a piece gives rows only 
 are left out and reported. The information of the rest is counted in independent values: a motion of band f_b gives `2 f_b T`
 independent values in a time T (Nyquist), at any sampling rate.
 
-A gate is 1 where a sample may be used and 0 where not, with ramps between, two periods of the position filter's cutoff long: a
-sharp edge would fold the acceleration's noise, large above the band of the filter that follows, into it.
+A gate is 1 for a sample that may be used and 0 for others, with ramps between, two periods of the position filter's cutoff
+long: a sharp edge would fold the acceleration's noise, large above the band of the filter that follows, into it.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ MEMORY = 2.0
 
 
 def refuse_slow_clocks(logs: Sequence[Log]) -> None:
-    """Refuse logs whose clock is hardly in seconds.
+    """Refuse logs whose clock is probably not in seconds.
 
     Raises:
         InputError: A log has fewer than `MIN_RATE_HZ` samples a second.
@@ -89,7 +89,7 @@ def choose_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ..
     """Choose filters and masks for logs that will be fitted together.
 
     Args:
-        robot: Gives the actuated joints.
+        robot: The robot, with the actuated joints.
         logs: Even stretches.
         exclude: Columns whose nonzero samples are left out.
 
@@ -193,7 +193,7 @@ class Kept(NamedTuple):
 
 
 def select_long(pieces: Sequence[AnyPiece]) -> list[AnyPiece]:
-    """Return the pieces by which filters are chosen: long enough to show a band, or of a lower rate than those."""
+    """Return the pieces for the choice of filters: those long enough to resolve a band, and those of a lower rate."""
     longest = max(piece.n_samples / piece.rate_hz for piece in pieces)
     long = [piece for piece in pieces if piece.n_samples / piece.rate_hz >= BAND_SHARE * longest]
     slowest_hz = min(piece.rate_hz for piece in long)
@@ -222,12 +222,12 @@ def keep_long(
 
 
 def compute_min_samples(cutoff_hz: float, rate_hz: float, factor: int) -> int:
-    """Return how many samples a piece has at least that gives a row between the ends that a low-pass disturbs."""
+    """Return the least number of samples of a piece that gives a row between the ends that a low-pass disturbs."""
     return 2 * (compute_edge_samples(cutoff_hz, rate_hz) + factor) + 1
 
 
 def refuse_short(pieces: Sequence[Log | EvenSegment | InMemorySegment], needed_s: float) -> TooShort:
-    """Return the refusal of logs without a piece of the length that the filters need [s]."""
+    """Return the error for logs without a piece of the length that the filters need [s]."""
     names = ", ".join(dict.fromkeys(piece.name for piece in pieces))
     longest = max((piece.n_samples / piece.rate_hz for piece in pieces), default=0.0)
     return TooShort(
@@ -257,7 +257,7 @@ def _left_out(
 
 
 def list_crumbs(logs: Sequence[Log | Recording]) -> list[str]:
-    """Return warnings about pieces between gaps of too few samples for anything, which no list of pieces holds."""
+    """Return warnings about pieces between gaps that are too short to be listed as pieces."""
     said = []
     for log in logs:
         n, seconds = count_short_segments(log) if isinstance(log, Log) else (0, 0.0)
@@ -268,7 +268,7 @@ def list_crumbs(logs: Sequence[Log | Recording]) -> list[str]:
 
 
 def count_information(regression: Regression, band_hz: float | None = None) -> float:
-    """Return how many independent values a regression holds: twice the motion's band times its usable time, over all outputs.
+    """Return the number of independent values in a regression: twice the motion's band times its usable time, over all outputs.
 
     Args:
         regression: The data.
@@ -283,7 +283,7 @@ def _step(t: np.ndarray) -> float:
 
 
 def list_information_warnings(regression: Regression, rank: int, band_hz: float | None = None) -> list[str]:
-    """Return a warning where the logs hold little independent information for a rank."""
+    """Return a warning if the logs hold little independent information for a rank."""
     if regression.everything is not None:
         return []  # a recording larger than memory
     held = count_information(regression, band_hz)
@@ -331,7 +331,7 @@ SATURATION_RATIO = 0.999
 
 
 def compute_gate(log: Log, motion: Motion, model: Model, preparation: Preparation, rate: float) -> np.ndarray:
-    """Return 1 where each joint's sample may be used and 0 where not (N, na), at the log's own rate."""
+    """Return 1 for each joint's usable samples and 0 for others (N, na), at the log's own rate."""
     threshold = preparation.speed_threshold
     shut = find_unsure_samples(motion.v, threshold)
     for effect in model.effects:
@@ -351,7 +351,7 @@ def compute_gate(log: Log, motion: Motion, model: Model, preparation: Preparatio
 def compute_contact_gate(
     log: Log, q: np.ndarray, model: Model, preparation: Preparation, rate: float
 ) -> tuple[ContactElimination, np.ndarray]:
-    """Return how contacts leave the equations at positions (N, na), and 1 where an equation may be used and 0 where not.
+    """Return the elimination of contacts from the equations at positions (N, na), and 1 for a usable equation, 0 for others.
 
     Touching down and lifting off spread as far as the first filter's memory, so contacts last longer by it on both sides. An
     equation holds the friction of several joints, of which one or another always reverses; no sample is left out for that.
@@ -370,7 +370,7 @@ def compute_contact_gate(
 def compute_expected_direction(v: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Return the mean sign (N, na) of true speeds, given measured ones (N, na) with normal noise (na,): `erf(v / sqrt(2) noise)`.
 
-    It takes the place of the sign where samples next to a reversal stay in the fit.
+    It replaces the sign if samples next to a reversal stay in the fit.
     """
     return np.where(noise > 0, erf(v / (np.sqrt(2) * np.maximum(noise, 1e-300))), np.sign(v))
 
@@ -409,7 +409,7 @@ def find_excluded_samples(
 
 
 def refuse_jumps(log: Log, robot: Robot, columns: tuple[str, ...]) -> None:
-    """Refuse positions that no joint can follow, as filters would make motion of them; samples that a column flags may jump.
+    """Refuse positions that no joint can follow, as filters would turn jumps into motion; samples that a column flags may jump.
 
     Raises:
         InputError: A joint's position jumps.

@@ -62,7 +62,7 @@ from tau_dyn.log import (
 from tau_dyn.model import Model
 
 MIN_SHARE = 0.5
-"""Share of the filter's weight that must lie on usable samples."""
+"""Share of the filter's weight that must be on usable samples."""
 MIN_FLIGHT_SHARE = 0.15
 """The same for a joint of a leg in the air: flights are shorter than the filter's memory, and most would be lost."""
 MIN_FLIGHT_SAMPLES = 30
@@ -82,7 +82,7 @@ def build_regression(
     """Build the regression of a model on torque logs.
 
     Args:
-        model: Gives the columns: its robot's parameters, then its effects'.
+        model: Model that gives the columns: its robot's parameters, then its effects'.
         logs: Logs with `q_J` and `tau_J` for every actuated joint; never joined across their ends.
         preparation: Filters and masks; by default chosen from the logs themselves.
         exclude: Columns whose nonzero samples are left out, if no preparation is given.
@@ -159,12 +159,12 @@ class PreparedSegment:
 
     Attributes:
         log: The stretch.
-        motion: Its motion at the log's rate, with the signals asked for.
+        motion: Its motion at the log's rate, with the requested signals.
         force: Forces (N, na) [N or N m].
         gate: 1 for a sample that counts, 0 for others (N, na).
         preparation: Filters and masks.
         usable: Which decimated samples a fit may use (n, na).
-        weight: Share of the filter's weight on usable samples (n, na); 1 where not usable.
+        weight: Share of the filter's weight on usable samples (n, na); 1 for samples that are not usable.
         rate_hz: Rate of the log [Hz].
         contacts: Elimination of the ground's forces from a floating base's equations, before the filter; None without.
     """
@@ -203,13 +203,13 @@ class PreparedSegment:
         return lowpass_and_decimate(x, self.preparation.force_cutoff_hz, self.rate_hz, self.factor)
 
     def without_contacts(self, rows: np.ndarray) -> np.ndarray:
-        """Return forces (N, na) or columns (N, na, p) with the forces of the ground taken out; see `legged/contacts.py`."""
+        """Return forces (N, na) or columns (N, na, p) without the forces of the ground; see `legged/contacts.py`."""
         return rows if self.contacts is None else self.contacts.project(rows)
 
     def columns(self, Y: np.ndarray, *, gated: bool = True) -> np.ndarray:
-        """Return columns (N, na, p) as the fit sees them (n, na, p), joint by joint; many do not touch a joint.
+        """Return columns (N, na, p) after filter and decimation (n, na, p), joint by joint; many are zero for a joint.
 
-        Samples are laid out last, as filters like them.
+        Samples are last in memory, for fast filters.
         """
         Y = self.without_contacts(Y)
         N, na, p = Y.shape
@@ -336,9 +336,9 @@ def prepare_segment(
         preparation: Filters and masks.
         signals: Signals of the motion beyond those that the log's own columns give.
         needs: Names of computed signals wanted beyond those that the model's effects need.
-        smooth_hz: Low-pass of the positions from which speeds and accelerations are made [Hz], where they are to be smoother
-            than the direction of motion and the gate, which keep `preparation`'s; forces are then low-passed once only.
-        rate_hz: Rate of the log [Hz], where it is part of a longer one whose rate is known better.
+        smooth_hz: Low-pass of the positions for speeds and accelerations [Hz], if these should be smoother than the direction
+            of motion and the gate, which keep `preparation`'s; forces are then low-passed only once.
+        rate_hz: Rate of the log [Hz], if it is part of a longer one whose rate is known better.
     """
     joints, rate = model.robot.actuated, rate_hz or log.rate_hz
     dt = 1 / rate

@@ -1,4 +1,4 @@
-"""What `identify` answers, and its JSON form."""
+"""The result of `identify`, and its JSON form."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SMALL_SHARE = 0.025
-"""Standard error of a number, relative to its body's size, below which it is small: a tenth of a rough file's."""
+"""Standard error of a parameter, relative to its body's size, that counts as small: a tenth of that of a rough file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class ForceErrors:
     """Errors of predicted forces on some logs: the one definition of `identify`, `diagnose` and of every validation.
 
     Residual = measured - predicted. Both went through the filter that was chosen from the training logs, and masked samples are
-    left out (`preparation.py`). Means stay in.
+    left out (`preparation.py`). Means are not subtracted.
 
     Attributes:
         joints: Actuated joints.
@@ -152,7 +152,7 @@ class Identification(Shown):
 
     @property
     def parameters(self) -> Parameters:
-        """Identified parameters; of one with a value per log, the mean."""
+        """Identified parameters; for a parameter with a value per log, the mean."""
         return self.model.parameters
 
     def sample(self, n: int, *, seed: int = 0) -> Samples:
@@ -188,8 +188,8 @@ class Identification(Shown):
     def base_rows(self) -> list[dict[str, Any]]:
         """Return the base parameters with their expressions.
 
-        A fixed drive inertia that one contains is a term of its expression, and its value is in the value: the data determine the
-        sum, whatever value was fixed.
+        A fixed drive inertia that a base parameter contains is a term of its expression, and its value is part of the base
+        parameter's value: the data determine the sum for any fixed value.
         """
         base, rows = self.estimate.base, []
         before = self.nominal.select(base.names).values
@@ -245,7 +245,7 @@ class Identification(Shown):
 
     @property
     def estimator(self) -> str:
-        """Name of the estimator that answered; see `estimators.py`."""
+        """Name of the estimator that was used; see `estimators.py`."""
         return self.estimate.estimator
 
     def to_dict(self) -> dict[str, Any]:
@@ -315,9 +315,9 @@ def list_plotted_segments(regression: Regression, theta: np.ndarray) -> list[Plo
 
 
 def list_poorly_determined(estimate: Estimate, sizes: Mapping[str, float]) -> list[str]:
-    """Return the parameters that the data show by themselves, with a standard error above 30 %.
+    """Return the parameters that the data identify alone, with a standard error above 30 %.
 
-    A number near zero whose standard error is small against its body is known well.
+    A value near zero whose standard error is small compared with its body's size is not in the list.
 
     Args:
         estimate: The fit.
@@ -336,7 +336,7 @@ def _build_motor_row(p: Parameter) -> dict[str, Any]:
 
 
 def _uncertainty(value: float, stderr: float | None, p: Parameter | None) -> dict[str, Any]:
-    """Return standard error and interval, the interval within the parameter's bounds where it has any."""
+    """Return standard error and interval, the interval within the parameter's bounds, if any."""
     if stderr is None:
         return {"stderr": None, "ci95": None, "determined": False}
     lower, upper = (p.lower, p.upper) if p is not None else (-inf, inf)

@@ -53,14 +53,14 @@ SIZE = 2**22
 """Numbers in a block's columns."""
 
 MIN_BLOCK_ROWS = 256
-"""Decimated rows that a block has at least, so that it is not mostly neighbourhood."""
+"""Least number of decimated rows of a block, so that it does not consist mostly of extra samples."""
 
 OVERLAP_FILTER_MEMORIES = 8
 """Filter memories (to 1 % of a transient) read beyond a block: 1e-16 of a cut end is left."""
 
 
 class Block(NamedTuple):
-    """Which part of which stretch: decimated samples `start` to `stop - 1`, and the section they count for."""
+    """A part of a stretch: decimated samples `start` to `stop - 1`, and the section they count for."""
 
     stretch: int
     start: int
@@ -112,7 +112,7 @@ class BlockWork:
         return list_channels(self.model, self.preparation.exclude)
 
     def compute(self, block: Block, log: Log | None = None) -> BlockRows:
-        """Return a block's rows; `log` is what `read` gives, where somebody else has read it."""
+        """Return a block's rows; `log` is the result of `read`, if it was read elsewhere."""
         stretch, preparation = self.stretches[block.stretch], self.preparation
         factor = preparation.factor(stretch.rate_hz)
         log = self.read(block) if log is None else log
@@ -156,8 +156,8 @@ def split_blocks(
         number: Its number.
         preparation: Filters and masks.
         width: Numbers of one sample's columns.
-        share: Share of its samples that make section 0; the rest is section 2, but for a gap, section 1, as wide as the filters'
-            memory.
+        share: Share of its samples that make section 0; the rest is section 2, except for a gap, section 1, as wide as the
+            filters' memory.
     """
     factor = preparation.factor(stretch.rate_hz)
     n = -(-stretch.n_samples // factor)
@@ -179,7 +179,7 @@ def list_channels(model: Model, exclude: Sequence[str]) -> tuple[str, ...]:
 
 
 def refuse_memory(model: Model) -> None:
-    """Refuse effects whose force depends on what happened longer ago than any filter remembers."""
+    """Refuse effects whose force depends on a longer past than the memory of any filter."""
     for effect in model.effects:
         if isinstance(effect, Bristle | WindingHeat) or {"reversal", "temperature"} & set(effect.needs):
             raise InputError(
@@ -190,20 +190,20 @@ def refuse_memory(model: Model) -> None:
 
 
 SURVEYED = 2**20
-"""Samples from which filters and masks are chosen; of a longer recording, windows spread over it."""
+"""Number of samples for the choice of filters and masks; for a longer recording, in windows spread over it."""
 
 SHOWN = 12
 """Blocks of all recordings together that are kept for a page to draw."""
 
 _TIDIED = 16
-"""Blocks after which freed memory is handed back."""
+"""Number of blocks after which freed memory is returned."""
 
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class BlockExecutor:
-    """Who computes blocks: threads of this process, or a Dask cluster.
+    """Executor of blocks: threads of this process, or a Dask cluster.
 
     Attributes:
         jobs: Threads, or processes of an embedded cluster.
@@ -222,7 +222,7 @@ class BlockExecutor:
                 yield from self._there(work, blocks)
 
     def _here(self, work: BlockWork, blocks: Sequence[Block]) -> Iterator[BlockRows]:
-        own = threading.local()  # a mechanism remembers its last closure, so each thread has one
+        own = threading.local()  # a mechanism caches its last closure, so each thread has one
 
         def compute(block: Block, log: Log) -> BlockRows:
             if not hasattr(own, "work"):
@@ -238,14 +238,14 @@ class BlockExecutor:
         address = None if self.cluster == "local" else self.cluster
 
         def prepare(client: Any) -> Callable[[Block], Any]:
-            shared = client.submit(_given, work, pure=False)  # made again where the worker that holds it dies
+            shared = client.submit(_given, work, pure=False)  # computed again if the worker that holds it dies
             return lambda block: client.submit(_compute, shared, block, pure=False)
 
         yield from run_on_workers(prepare, blocks, cluster=address, jobs=self.jobs, ahead=3)
 
 
 class StreamedRegressions(NamedTuple):
-    """The regressions of all data, of the first part, and of the last (the parts without rows), and what gave no rows."""
+    """Regressions of all data, of the first and the last part (these without rows), and warnings on pieces without rows."""
 
     whole: Regression
     first: Regression
@@ -372,7 +372,7 @@ def split_recording_evenly(recording: Recording) -> list[EvenSegment]:
 
 
 def copy_with_own_mechanisms(work: BlockWork) -> BlockWork:
-    """Return the same work with mechanisms of its own."""
+    """Return the same work with its own mechanisms."""
     model = replace(work.model)
     return replace(work, model=model, at=model if work.at is work.model else replace(work.at))
 

@@ -43,19 +43,19 @@ MIN_DELAY_SAMPLES = 0.7
 """Smaller delays are the hold of a sampled force, half a sample [samples]."""
 
 MAX_DELAY_S = 0.1
-"""Longer delays are not looked for: a motion turns round in the meantime."""
+"""Longer delays are not searched [s]: a motion reverses in the meantime."""
 
 MIN_POWER_REMOVED = 0.4
-"""Share of a joint's residual power that its own delay removes before it is believed on its own."""
+"""Share of a joint's residual power that its delay must remove to be reported for this joint alone."""
 
 MIN_POWER_REMOVED_TOGETHER = 0.2
-"""The same, on average, where all joints agree on one delay."""
+"""The same, on average, if all joints agree on one delay."""
 
 AGREEMENT = 0.3
 """Joints agree on a delay if theirs are within this share of the mean, or within three standard errors."""
 
 BLOCK_S = 1.0
-"""Length of the blocks within which residuals may be correlated [s]: longer than friction and cables remember."""
+"""Length of the blocks within which residuals may be correlated [s]: longer than the memory of friction and cables."""
 
 ITERATIONS = 6
 """Gauss-Newton converges in four steps for delays below a quarter of the motion's shortest period."""
@@ -94,7 +94,7 @@ class ForceDelay(NamedTuple):
 
 
 def check_timing(robot: Robot, excerpt: Excerpt, name: str) -> list[CodedWarning]:
-    """Return `force_late` or `force_lowpassed` of a log, with the evidence and the mend.
+    """Return the warning `force_late` or `force_lowpassed` of a log, with evidence and remedy.
 
     Args:
         robot: The robot file; only its geometry counts.
@@ -112,7 +112,7 @@ def check_timing(robot: Robot, excerpt: Excerpt, name: str) -> list[CodedWarning
 
 
 def _gain_of_lag(fitter: _Fitter, found: ForceDelay, late: np.ndarray) -> float:
-    """Return by how many nats a first-order lag explains the joints that are late better than a delay does."""
+    """Return the log-likelihood gain [nats] of a first-order lag over a delay for the joints that are late."""
     late = late & (found.delay_s > 0)
     if not late.any():
         return -np.inf
@@ -266,7 +266,7 @@ def _passed(
 
 
 def _say(robot: Robot, name: str, found: ForceDelay, late: np.ndarray, gain: float, dt: float) -> CodedWarning:
-    """Return the warning of a delay or a lag: of all joints the mean, else the largest."""
+    """Return the warning of a delay or a lag: the mean if all joints are late, else the largest."""
     chosen: Sequence[int] = np.flatnonzero(late).tolist()
     weight = found.stderr_s[late] ** -2.0
     mean = float(weight @ found.delay_s[late] / weight.sum())
@@ -294,10 +294,10 @@ def _say(robot: Robot, name: str, found: ForceDelay, late: np.ndarray, gain: flo
 
 @dataclass(frozen=True)
 class ForceOffset:
-    """How late forces were logged.
+    """Delay of the logged forces.
 
     Attributes:
-        seconds: The offset; positive where forces were logged late [s].
+        seconds: The offset [s]; positive if forces were logged late.
         stderr: Its standard error [s].
         period_s: Time between samples of the logs [s].
         corrected: Whether forces were read at the shifted times.
@@ -382,9 +382,9 @@ def estimate_offset(
 
 
 def widen_by_offset(estimate: Estimate, columns: Sequence[np.ndarray], offset: ForceOffset) -> Estimate:
-    """Return the estimate with intervals that hold for any offset within its standard error.
+    """Return the estimate with standard errors that include the offset's.
 
-    The base parameters move by a refit of `-dF/dt` a second of offset.
+    The change of the base parameters per second of offset is a fit of `-dF/dt`.
     """
     base, slope = estimate.base, estimate.refit(columns)
     more = np.outer(slope, slope) * offset.stderr**2

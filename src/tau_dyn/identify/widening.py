@@ -78,7 +78,7 @@ def _shrink(S: np.ndarray, n: int) -> np.ndarray:
 
 
 def _count_blocks(estimate: Estimate) -> int:
-    """Return how many blocks of 2 s the scatter is of."""
+    """Return the number of 2 s blocks in the scatter."""
     count = 0
     for run in estimate.regression.rows():
         start, seen = None, set()
@@ -121,7 +121,7 @@ def _unconstrained(estimate: Estimate) -> np.ndarray:
 
 
 def measure_physics(estimate: Estimate, C: np.ndarray, bodies: list[InertialBody]) -> float:
-    """Return by how much physics moves the estimate: chi-square over its expectation, where that is significant; else 1."""
+    """Return the effect of physics on the estimate: chi-square over its expectation, if it is significant; else 1."""
     moved = estimate.beta - estimate.beta_plain
     active = sum(p.free and p.at_bound for p in estimate.parameters)
     active += sum(estimate.parameters.is_at_bound(pair[0]) for pair in estimate.parameters.friction_sums)
@@ -145,7 +145,7 @@ def list_prior_stderr(model: Model, estimate: Estimate, nominal: Parameters) -> 
 
 
 def combine_free(estimate: Estimate) -> np.ndarray:
-    """Return how base parameters follow the free columns (r, q)."""
+    """Return the map from free columns to base parameters (r, q)."""
     base = estimate.base
     B = np.zeros((base.rank, len(base.names)))
     B[range(base.rank), base.kept] = 1.0
@@ -154,7 +154,7 @@ def combine_free(estimate: Estimate) -> np.ndarray:
 
 
 def measure_prior(estimate: Estimate, C: np.ndarray, nominal: Parameters, sizes: np.ndarray) -> float:
-    """Return the factor on the file's variances at which its values agree with the logs; 1 where they do."""
+    """Return the factor on the file's variances at which its values agree with the logs; 1 if they agree."""
     B, told = combine_free(estimate), np.isfinite(sizes)
     root = linalg.cholesky(C, lower=True)
     A = linalg.solve_triangular(root, B, lower=True)

@@ -1,10 +1,10 @@
-"""Do the columns of a log belong to this robot file: signs, joints, scales, clock, gravity, and forces that lack a part?
+"""Test whether a log's columns match the robot file: signs, joints, scales, clock, gravity, forces that lack a part.
 
 The log as read is compared with the readings of `wiring_alternatives.py`. `reading_fit.py` computes the log marginal likelihood
 of each, and `evidence/readings.py` decides whether one is named. Scales are numbers: the search starts at a grid, and a bounded
 search over the logarithm finds the maximum, with a standard error from the curvature. After the last fault the whole map is
-tried: the search runs again on the log as read, and only a log without a further fault, in which the joints concerned are
-predicted well, gives the advice of a column map. It has one line a column.
+tried: the search runs again on the log as read, and a column map is advised only if there is no further fault and the
+joints concerned are predicted well. The map has one line for each column.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ MIN_GRAVITY_SHARE = 0.1
 """Part of gravity in a joint's force, from which its absence shows: twice the least model error."""
 
 MAX_FAULTS = 4
-"""So many faults are looked for one after another."""
+"""Largest number of faults that are searched, one after another."""
 
 N_FINALISTS = 8
-"""So many of the best readings are fitted to all samples."""
+"""Number of the best readings that are fitted to all samples."""
 
 REACH = np.log(2.5)
 """Half width of the search for a number, about its start (logarithm): the grid's largest gap is a factor of five."""
@@ -114,7 +114,7 @@ class Fault:
 
     Attributes:
         reading: The reading.
-        before: The fit without it; None where the robot cannot reach the positions as logged.
+        before: The fit without it; None if the robot cannot reach the positions as logged.
         after: The fit with it.
         is_alias: Whether the log cannot distinguish it from the fault named before.
     """
@@ -225,7 +225,7 @@ class Search:
         return Mend(final, errors, objection)
 
     def _judge(self, current: Rewiring, fit: ReadingFit | None, reading: Rewiring) -> Fault | None:
-        """Return the fault that a reading shows, or None where it is not accepted."""
+        """Return the fault of a reading, or None if it is not accepted."""
         if reading.code == "scale_wrong":
             bare = self.model.thinned().bare(self.model.test)
             reading = refine_numbers(bare, reading, reading.numbers[len(current.numbers) :] or reading.numbers)
@@ -407,7 +407,7 @@ def refine_numbers(model: LogModel, reading: Rewiring, numbers: tuple[Number, ..
 
 
 def separate_numbers(model: LogModel, reading: Rewiring) -> Rewiring:
-    """Return the reading with one number a column, at the maximum: torque constants and units belong to single drives."""
+    """Return the reading with one number for each column, at the maximum: torque constants and units belong to single drives."""
     numbers = tuple(
         dict.fromkeys(
             (signal, (j,)) if joints else (signal, joints) for signal, joints in reading.numbers for j in joints or (0,)
@@ -513,7 +513,7 @@ def _describe_fault(robot: Robot, name: str, fault: Fault, mend: Mend) -> str:
 
 
 def _format_numbers(robot: Robot, numbers: list[Number], mend: Mend) -> str:
-    """Return the estimates with their standard errors, by joint where there are several."""
+    """Return the estimates with their standard errors, by joint if there are several."""
     texts = []
     for number in numbers:
         value, error = mend.reading.get(number), mend.errors.get(number, 0.0)

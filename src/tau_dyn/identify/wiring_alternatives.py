@@ -20,10 +20,10 @@ SCALES = (1e-3, 1e-2, np.pi / 180, 0.1, 0.2, 0.5, 2.0, 5.0, 10.0, 180 / np.pi, 1
 """Scales of a column at which the search for its number starts: gear ratios, percent, degrees, mm, torque constants."""
 
 MAX_PLAUSIBLE_SCALE = 3.0
-"""Positions within the joint's limits are not taken for larger units than by this factor."""
+"""Largest factor by which positions within the joint's limits may be in larger units."""
 
 CLOCKS = (1e-3, 0.1, 0.5, 2.0, 10.0, 1e3)
-"""Factors of a clock at which the search starts: another unit, or another rate than the logger believes."""
+"""Factors of a clock at which the search starts: another unit, or another rate than the logger assumes."""
 
 UNITS = {"q": (180 / np.pi, 1000.0, 100.0), "tau": (1000.0,), "t": (1e3, 1e6, 1e9)}
 """Conversions of units: degrees, mm and mrad, cm; mN m; ms, us, ns. Their inverses count as well."""
@@ -107,7 +107,7 @@ class Rewiring:
 
 
 def list_alternatives(robot: Robot, now: Rewiring, q: np.ndarray) -> Iterator[Rewiring]:
-    """Yield the readings of other columns that differ from one in a single thing; `q` are the logged positions (n, na)."""
+    """Yield the readings that differ from one in a single property of the columns; `q` are the logged positions (n, na)."""
     yield from _sign_changes(robot, now)
     yield from _exchanges(robot, now)
     yield from _scale_changes(robot, now, q)
@@ -125,9 +125,9 @@ def list_lacking(robot: Robot, now: Rewiring, weighs: np.ndarray, is_centred: np
 
     Args:
         robot: The robot.
-        now: The reading that they change.
+        now: The current reading.
         weighs: Whether gravity is a considerable part of each joint's force in the robot file (na,).
-        is_centred: Whether each force has no mean (na,).
+        is_centred: Whether each force has zero mean (na,).
     """
     everyone = tuple(range(robot.na))
     heavy, centred = np.flatnonzero(weighs).tolist(), np.flatnonzero(is_centred).tolist()
@@ -169,7 +169,7 @@ def move_to_motor_side(robot: Robot, now: Rewiring, ratios: Sequence[tuple[int, 
 
 
 def list_map_lines(robot: Robot, reading: Rewiring) -> list[str]:
-    """Return the lines of the column map that mends a log: one a column that changes."""
+    """Return the lines of the column map that mends a log: one for each column that changes."""
     lines = []
     for signal, source, scale in (("q", reading.q_from, reading.q_scale), ("tau", reading.tau_from, reading.tau_scale)):
         for j, joint in enumerate(robot.actuated):

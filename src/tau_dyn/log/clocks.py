@@ -89,7 +89,7 @@ def read_text_clock(cells: NDArray[Any]) -> Clock | None:
 
 
 def _parse_text(cells: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.bool_]] | None:
-    """Return times (N,) [ns], and which cells are missing; None where a filled cell is no time."""
+    """Return times (N,) [ns], and which cells are missing; None if a filled cell is no time."""
     first = next((cell for cell in cells if not is_blank(cell)), "")
     if not re.match(_TEXT, str(first)):
         return None

@@ -118,7 +118,7 @@ def _find_partial_groups(
 
 
 def _nearly_names(column: str, joint: str, joints: Sequence[str], kind: str) -> bool:
-    """Tell whether a column is of a kind and has those words of a joint's name that not all joints share."""
+    """Return whether a column is of a kind and has those words of a joint's name that not all joints share."""
     words, own = split_words(column), set(split_words(joint))
     mark = own - set.intersection(*(set(split_words(j)) for j in joints))
     return bool(mark) and mark <= set(words) and _classify([w for w in words if w not in own]) == kind

@@ -184,12 +184,12 @@ def _source(name: str, key: str, value: Any, files: Mapping[str, str]) -> Source
 
 
 def _is_column_number(value: Any) -> bool:
-    """Tell whether a value calls a column by its number, from 1."""
+    """Return whether a value calls a column by its number, from 1."""
     return type(value) is int and value > 0
 
 
 def _rate(name: str, entries: dict[Any, Any]) -> float | None:
-    """Take `t: {rate_hz: F}` out of the entries and return F, or None where `t` is a column."""
+    """Take `t: {rate_hz: F}` out of the entries and return F, or None if `t` is a column."""
     clock = entries.get("t")
     if not isinstance(clock, dict) or "rate_hz" not in clock:
         return None

@@ -42,7 +42,7 @@ def split_column_name(column: str) -> tuple[str, str] | None:
 
 
 def is_contract_name(column: str) -> bool:
-    """Tell whether a column map may define the name: `t`, a joint's signal, a tool column, `temp_room` or a foot's contact."""
+    """Return whether a column map may define the name: `t`, a joint's signal, a tool column, `temp_room` or a foot's contact."""
     alone = column in ("t", ROOM_TEMPERATURE, *TOOL_COLUMNS) or column.startswith(CONTACT)
     return alone or split_column_name(column) is not None
 
@@ -118,12 +118,12 @@ _MISSING = frozenset(
 
 
 def is_time_text(cell: object) -> bool:
-    """Tell whether a cell begins as a date or a time of day does."""
+    """Return whether a cell begins as a date or a time of day does."""
     return bool(_DATE.match(str(cell).strip()))
 
 
 def is_unit_row(first: object, second: object) -> bool:
-    """Tell whether a column's first cell is a unit above numbers, such as `[s]`."""
+    """Return whether a column's first cell is a unit above numbers, such as `[s]`."""
     text = str(first).strip()
     return (
         not is_blank(text)
@@ -144,7 +144,7 @@ def describe_foreign_file(data: bytes) -> str:
 
 
 def _is_json(data: bytes) -> bool:
-    """Tell whether a file begins as JSON does; a header may begin with a bracket as well, as `[s]`."""
+    """Return whether a file begins as JSON does; a header may begin with a bracket as well, as `[s]`."""
     text = data[:400].removeprefix(b"\xef\xbb\xbf").lstrip()
     if text[:1] == b"{":
         return True

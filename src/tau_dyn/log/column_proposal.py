@@ -281,7 +281,7 @@ def _list_named(entries: Mapping[str, Any]) -> set[str]:
 def _propose_clock(
     table: Table, values: Mapping[str, NDArray[np.float64]]
 ) -> tuple[NDArray[np.float64] | None, _Draft]:
-    """Return the times (N,) [s], None where there is no clock, and the clock's line."""
+    """Return the times (N,) [s], None if there is no clock, and the clock's line."""
     recorded, name = _Recorded(values, table.units, None), table.name
     rising = [c for c, x in values.items() if x.size > 1 and np.all(np.diff(x) > 0)]
     named = [c for c in values if CLOCKS & set(split_words(c)[:1] + split_words(c)[-2:])]
@@ -372,7 +372,7 @@ def _guess_numbered(
 def _match_slope(
     pair: tuple[tuple[str, ...], tuple[str, ...]], values: Mapping[str, NDArray[np.float64]], t: NDArray[np.float64]
 ) -> float | None:
-    """Return the slope of positions over integrated velocities, of joints that move; None where they do not go together."""
+    """Return the slope of positions over integrated velocities, of joints that move; None if they do not go together."""
     slopes = []
     for position, velocity in zip(*pair, strict=True):
         q, v = values[position], values[velocity]
@@ -496,7 +496,7 @@ def _judge_unlimited(
 
 
 def _is_within(q: NDArray[np.float64], robot: JointLimits, k: int) -> bool:
-    """Tell whether positions lie within a joint's limits; without limits, within 10 m, and any number of turns."""
+    """Return whether positions lie within a joint's limits; without limits, within 10 m, and any number of turns."""
     low, high = float(robot.lower[k]), float(robot.upper[k])
     if not np.isfinite(high - low):
         return robot.joint_kinds[k] == "revolute" or bool(np.all(np.abs(q) <= 10.0))

@@ -152,7 +152,7 @@ def _lay_out(name: str, text: str, foreign: bool) -> _Layout:
 
 
 def _begins_table(line: str) -> bool:
-    """Tell whether a line is the header: the first one that is no comment and has a cell in it."""
+    """Return whether a line is the header: the first one that is no comment and has a cell in it."""
     return bool(line.strip(_EMPTY)) and not line.lstrip().startswith("#")
 
 
@@ -185,7 +185,7 @@ def _take_unit_rows(layout: _Layout) -> tuple[_Layout, dict[str, str]]:
 
 
 def _is_text_row(cells: Sequence[str]) -> bool:
-    """Tell whether no cell of a row is a sample: a number, a missing number or a time."""
+    """Return whether no cell of a row is a sample: a number, a missing number or a time."""
     filled = [cell.strip() for cell in cells if cell.strip()]
     return bool(filled) and not any(is_blank(cell) or is_time_text(cell) or _is_list(cell) for cell in filled)
 
@@ -200,7 +200,7 @@ def _is_cell_number(cell: str) -> bool:
 
 
 def _are_blanks_between(lines: list[str], at: int) -> bool:
-    """Tell whether blanks separate the cells: of numbers, or of names without another separator and as many as below."""
+    """Return whether blanks separate the cells: of numbers, or of names without another separator and as many as below."""
     cells = lines[at].split()
     below = next((line.split() for line in lines[at + 1 :] if line.strip()), [])
     numeric = all(map(_is_number, cells))
@@ -353,7 +353,7 @@ def _read_decimal_commas(cells: Any) -> Any:
 
 
 def _last_cell_is_cut(layout: _Layout) -> bool:
-    """Tell whether the file stops inside its last number.
+    """Return whether the file stops inside its last number.
 
     Only a file without a final newline can. Its last cell is taken as cut when it is no number in a column of numbers, or
     when it has fewer characters, decimals or digits of an exponent than each of the 50 cells above it (`1.5` of `1.52e-05`

@@ -124,7 +124,7 @@ class Log(Shown):
         return tuple(joint for kind, joint in map_joints(self.channels) if kind == signal)
 
     def has(self, signal: str, names: Iterable[str]) -> bool:
-        """Tell whether every joint named has a column of this signal."""
+        """Return whether every joint named has a column of this signal."""
         return all(f"{signal}_{name}" in self.channels for name in names)
 
     def joint(self, signal: str, names: Iterable[str]) -> NDArray[np.float64]:

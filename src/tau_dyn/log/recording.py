@@ -110,7 +110,7 @@ class Recording:
         return tuple(dict.fromkeys((*self.map_.sources, *(c for c in self.columns if c not in taken))))
 
     def has(self, name: str) -> bool:
-        """Tell whether there is a channel of this name."""
+        """Return whether there is a channel of this name."""
         return name in self.channels
 
     def clock(self) -> Iterator[tuple[RowGroup, np.ndarray]]:
@@ -274,7 +274,7 @@ def open_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
 
 
 def _needs_the_whole(map_: ColumnMap) -> bool:
-    """Tell whether a map asks for what windows do not give: an episode, columns by number, parts of lists."""
+    """Return whether a map asks for what windows do not give: an episode, columns by number, parts of lists."""
     parts = any(source.column.endswith("]") for source in map_.sources.values())
     return map_.episode is not None or map_.is_numbered or parts
 

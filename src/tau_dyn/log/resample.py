@@ -67,7 +67,7 @@ class Clock(NamedTuple):
     gaps: tuple[int, ...]
     """Samples after which a gap follows."""
     rounded: bool
-    """True where the stamps are an even clock written with few digits."""
+    """True if the stamps are an even clock written with few digits."""
 
     @property
     def even(self) -> bool:
@@ -182,7 +182,7 @@ def interpolate(t: NDArray[np.float64], values: NDArray[np.float64], grid: NDArr
 
 
 def is_rounded(t: NDArray[np.float64]) -> bool:
-    """Tell whether uneven stamps are an even clock rounded to a decimal place coarser than 1 % of its step."""
+    """Return whether uneven stamps are an even clock rounded to a decimal place coarser than 1 % of its step."""
     dt = (t[-1] - t[0]) / (len(t) - 1)
     decimals = next((d for d in range(10) if np.allclose(np.round(t, d), t, rtol=0.0, atol=1e-10)), None)
     if decimals is None or 10.0**-decimals <= MAX_RELATIVE_JITTER * dt:

@@ -93,7 +93,7 @@ def check_definitions(definitions: Mapping[str, Any]) -> None:
     known: dict[str, bool] = {}
 
     def empty(name: str) -> bool:
-        """Tell whether a message of this type may take no bytes."""
+        """Return whether a message of this type may take no bytes."""
         if name not in known:
             known[name] = False  # one that contains itself never ends, and raises an error when it is read
             fields = definitions[name][1] if name in definitions else (("unknown", (0, ())),)
@@ -165,7 +165,7 @@ METADATA = "metadata.yaml"
 
 
 def is_bag_folder(path: Path) -> bool:
-    """Tell whether a folder is a ROS 2 bag."""
+    """Return whether a folder is a ROS 2 bag."""
     return path.is_dir() and (path / METADATA).is_file()
 
 

@@ -74,7 +74,7 @@ class LogCheck(Shown):
 
     @property
     def fit_for_use(self) -> bool:
-        """True where no finding is a fault."""
+        """True if no finding is a fault."""
         return not any(finding.severity == "fault" for finding in self.findings)
 
     @property

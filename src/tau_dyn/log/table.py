@@ -236,7 +236,7 @@ def _parquet_columns(name: str, data: bytes) -> dict[str, NDArray[Any]]:
 
 
 def _is_list(kind: pa.DataType) -> bool:
-    """Tell whether cells are lists of numbers."""
+    """Return whether cells are lists of numbers."""
     lists = pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
     return lists and (pa.types.is_floating(kind.value_type) or pa.types.is_integer(kind.value_type))
 

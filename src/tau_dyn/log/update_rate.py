@@ -281,7 +281,7 @@ class DeviceClock(NamedTuple):
 
 
 def find_device_clock(t: NDArray[np.float64], q: NDArray[np.float64]) -> DeviceClock | None:
-    """Return the even clock that the motion shows behind scattered stamps; None where stamps are good or there is no such clock.
+    """Return the even clock that the motion shows behind scattered stamps; None if stamps are good or there is no such clock.
 
     Args:
         t: Stamps (N,) [s], increasing, each of another measurement.
