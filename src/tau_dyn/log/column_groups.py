@@ -32,7 +32,7 @@ CLOCKS = frozenset(
 )
 
 _MEASURED = frozenset("actual act measured meas".split())
-"""Words that make a group the better candidate."""
+"""Words that make a group a better candidate."""
 
 
 class ColumnGroup(NamedTuple):
@@ -90,7 +90,7 @@ def find_groups(columns: Sequence[str], joints: Sequence[str], file: str) -> lis
 
 
 _PARTIAL: tuple[str, ...] = ("q", "v", "tau", "q_ref")
-"""Kinds of which a map may lack a joint."""
+"""Kinds for which a map may lack a joint."""
 
 
 def _find_partial_groups(
@@ -118,7 +118,7 @@ def _find_partial_groups(
 
 
 def _nearly_names(column: str, joint: str, joints: Sequence[str], kind: str) -> bool:
-    """Return whether a column is of a kind and has those words of a joint's name that not all joints share."""
+    """Return whether a column is of a kind and has the words that distinguish a joint's name from the others."""
     words, own = split_words(column), set(split_words(joint))
     mark = own - set.intersection(*(set(split_words(j)) for j in joints))
     return bool(mark) and mark <= set(words) and _classify([w for w in words if w not in own]) == kind
@@ -145,7 +145,7 @@ def _split_joint(column: str, joints: Sequence[str]) -> Iterator[tuple[tuple[str
 
 
 def choose_group(groups: Sequence[ColumnGroup], kind: str) -> tuple[ColumnGroup | None, list[str]]:
-    """Return the likeliest group of a kind, and a sentence where others are as likely."""
+    """Return the likeliest group of a kind, and a warning if others are as likely."""
     found = sorted((g for g in groups if g.kind == kind), key=ColumnGroup.score, reverse=True)
     others = [g.columns[0] for g in found[1:] if g.score() == found[0].score()]
     if not others:

@@ -1,11 +1,11 @@
 """Column maps from a foreign log to our columns: names, units, clocks, coupled transmissions, several files.
 
-A map is YAML. Each key is one of our column names, each value a foreign column's name or a mapping with `column`, and,
-where wanted, `scale`, `offset` and `file`; ours = scale * theirs + offset. Three keys are not columns: `files` names
+A map is YAML. Each key is one of our column names, each value a foreign column's name or a mapping with `column` and,
+optionally, `scale`, `offset` and `file`; ours = scale * theirs + offset. Three keys are not columns: `files` names
 further files of the same recording, relative to the folder of the log, sampled together or with a clock each
-(`files: {f: {path: forces.csv, t: stamp}}`; a column named as the clock of `t` counts without that); `episode: N` takes the rows
-whose `episode_index` is N; a column's number, from 1, names it in a file without a header; `couplings` holds matrices for
-coupled transmissions (scale and offset first, then ours = matrix @ theirs + offset, joints in the order of their keys
+(`files: {f: {path: forces.csv, t: stamp}}`; a column with the name of the main clock is found without `t`); `episode: N` takes
+the rows whose `episode_index` is N; a column's number, from 1, names it in a file without a header; `couplings` holds matrices
+for coupled transmissions (scale and offset first, then ours = matrix @ theirs + offset, joints in the order of their keys
 in the map); and `t: {rate_hz: F}` makes a clock. Numbers are numbers: no expression in a map is evaluated. The map is
 applied in `read.py`.
 """
@@ -26,12 +26,12 @@ SOURCE_KEYS = ("column", "scale", "offset", "file")
 
 _IN_SI = "; units are a scale to SI ones, as scale: 0.001 of mm"
 _HINTS: Mapping[Any, str] = {int: "; numbers have a decimal point, as 0.001", "unit": _IN_SI, "units": _IN_SI}
-"""What helps who writes another key, by the key or its type."""
+"""Remedies for invalid keys, by the key or its type."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where one of our columns comes from: ours = scale * theirs + offset."""
+    """Source of one of our columns: ours = scale * theirs + offset."""
 
     column: str
     scale: float = 1.0
@@ -79,7 +79,7 @@ class ColumnMap:
 
     @property
     def is_numbered(self) -> bool:
-        """Whether columns are called by number."""
+        """Whether columns are given by number."""
         return any(source.column.isdigit() for source in self.sources.values())
 
     @classmethod
@@ -184,7 +184,7 @@ def _source(name: str, key: str, value: Any, files: Mapping[str, str]) -> Source
 
 
 def _is_column_number(value: Any) -> bool:
-    """Return whether a value calls a column by its number, from 1."""
+    """Return whether a value gives a column by its number, from 1."""
     return type(value) is int and value > 0
 
 
@@ -284,7 +284,7 @@ def _number(where: str, value: Any) -> float:
 
 
 def _build_error(name: str, sentence: str) -> InputError:
-    """Return the fault of a map that is not as it has to be."""
+    """Return the error for an invalid map."""
     return InputError("file_format", f"{name}: {sentence}")
 
 

@@ -118,7 +118,7 @@ _MISSING = frozenset(
 
 
 def is_time_text(cell: object) -> bool:
-    """Return whether a cell begins as a date or a time of day does."""
+    """Return whether a cell begins like a date or a time of day."""
     return bool(_DATE.match(str(cell).strip()))
 
 
@@ -144,7 +144,7 @@ def describe_foreign_file(data: bytes) -> str:
 
 
 def _is_json(data: bytes) -> bool:
-    """Return whether a file begins as JSON does; a header may begin with a bracket as well, as `[s]`."""
+    """Return whether a file begins like JSON; a header may begin with a bracket as well, such as `[s]`."""
     text = data[:400].removeprefix(b"\xef\xbb\xbf").lstrip()
     if text[:1] == b"{":
         return True

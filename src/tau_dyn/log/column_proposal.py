@@ -86,7 +86,7 @@ class ColumnProposal:
         return "\n".join([*lines, *self.template]) + "\n"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what JSON holds."""
+        """Return the JSON form."""
         more = {"template": list(self.template)} if self.template else {}
         return {"log": self.log, "joints": list(self.robot_joints), "columns": dict(self.entries), **more}
 
@@ -100,7 +100,7 @@ def propose_columns(path: str | Path, robot: JointLimits) -> ColumnProposal:
 
     Raises:
         InputError: The log cannot be read.
-        CannotAnswer: No column but the clock holds numbers.
+        CannotAnswer: No column except the clock holds numbers.
     """
     table = _read(Path(path))
     table, draft = _choose_episode(table)
@@ -160,7 +160,7 @@ def _read_back(path: Path, entries: Mapping[str, Any], robot: JointLimits) -> _D
 
 
 MAX_TEMPLATE_COLUMNS = 60
-"""Columns that a template lists; a person chooses from a page."""
+"""Largest number of columns in a template."""
 
 
 def _write_template(
@@ -170,7 +170,7 @@ def _write_template(
 
     Raises:
         InputError: Each row holds the name of a signal.
-        CannotAnswer: There is no column of numbers but the clock.
+        CannotAnswer: There is no column of numbers except the clock.
     """
     refuse_signals_in_rows(table)
     free = [column for column in values if column not in _list_named(entries)]
@@ -249,7 +249,7 @@ def _read(path: Path) -> Table:
 
 
 def _find_numbers(table: Table, column: str) -> NDArray[np.float64] | None:
-    """Return a column (N,) of numbers, its gaps bridged for judging it; None of text or without numbers."""
+    """Return a column (N,) of numbers, with its gaps interpolated for the tests; None for text or without numbers."""
     if table.cells[column].dtype.kind == "b":
         return None
     values = table.numbers_or_none(column)
@@ -339,7 +339,7 @@ _EPOCH_S = (9e8, 4.1e9)
 
 
 def _find_clock_scale(first: float, step: float) -> float:
-    """Return the size of a clock's unit [s], by its size where it counts from 1970, else by its step."""
+    """Return the size of a clock's unit [s], by its magnitude if it counts from 1970, else by its step."""
     sizes = (1.0, 1e-3, 1e-6, 1e-9)
     dated = (s for s in sizes if _EPOCH_S[0] <= first * s <= _EPOCH_S[1] and step * s <= MAX_SECONDS_STEP)
     stepped = (s for s in sizes if step * s <= MAX_SECONDS_STEP or s == 1e-9)
@@ -372,7 +372,7 @@ def _guess_numbered(
 def _match_slope(
     pair: tuple[tuple[str, ...], tuple[str, ...]], values: Mapping[str, NDArray[np.float64]], t: NDArray[np.float64]
 ) -> float | None:
-    """Return the slope of positions over integrated velocities, of joints that move; None if they do not go together."""
+    """Return the slope of positions over integrated velocities, for joints that move; None if they do not match."""
     slopes = []
     for position, velocity in zip(*pair, strict=True):
         q, v = values[position], values[velocity]
@@ -395,7 +395,7 @@ def _detrend(t: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float
 
 
 class _Positions(NamedTuple):
-    """Chosen positions: their columns by joint, and what brings each one to SI units."""
+    """Chosen positions: their columns and their scales to SI units, by joint."""
 
     columns: Mapping[str, str]
     scales: Mapping[str, float]
@@ -430,7 +430,7 @@ def _propose_positions(
 def _find_position_scales(
     columns: Mapping[str, str], velocities: Mapping[str, str], recorded: _Recorded, robot: JointLimits
 ) -> tuple[dict[str, float], list[str]]:
-    """Return what brings each joint's positions to m or rad, and doubts; joints of a kind share a unit."""
+    """Return the scale of each joint's positions to m or rad, and doubts; joints of a kind share a unit."""
     scales, warnings = dict.fromkeys(columns, 1.0), []
     pairs = list(zip(robot.actuated, robot.joint_kinds, strict=True))
     for kind, small, unit in (("revolute", DEGREE, "degrees"), ("prismatic", 1e-3, "mm")):
@@ -496,7 +496,7 @@ def _judge_unlimited(
 
 
 def _is_within(q: NDArray[np.float64], robot: JointLimits, k: int) -> bool:
-    """Return whether positions lie within a joint's limits; without limits, within 10 m, and any number of turns."""
+    """Return whether positions are within a joint's limits; without limits, within 10 m, or any number of turns."""
     low, high = float(robot.lower[k]), float(robot.upper[k])
     if not np.isfinite(high - low):
         return robot.joint_kinds[k] == "revolute" or bool(np.all(np.abs(q) <= 10.0))
@@ -543,7 +543,7 @@ def _round_scale(slope: float, likely: float) -> float | None:
 
 
 def _propose_forces(groups: Sequence[ColumnGroup], recorded: _Recorded, robot: JointLimits) -> _Draft:
-    """Return lines of measured torques, or what currents and controllers' torques lack."""
+    """Return lines of measured torques, or doubts about currents and controllers' torques."""
     joints = tuple(robot.actuated)
     chosen, warnings = choose_group(groups, "tau")
     if chosen is not None:
@@ -601,7 +601,7 @@ def _format_entry(value: Any) -> str:
 
 
 def _quote(text: str) -> str:
-    """Return text as YAML reads it back; quoted unless it is a plain word."""
+    """Return text in a form that YAML reads back; quoted unless it is a plain word."""
     plain = re.fullmatch(r"[A-Za-z_][\w.]*", text, re.ASCII) and text.lower() not in _YAML_WORDS
     return text if plain else yaml.safe_dump(text, default_style='"', width=float("inf")).strip()
 

@@ -33,7 +33,7 @@ MAX_INFLATED_BYTES = 2**29
 """Bytes that a file may hold when it is inflated."""
 
 MAX_ELEMENTS = 2 * 10**6
-"""Parts of a file, each of which costs time and memory however small it is; an array has four."""
+"""Largest number of parts of a file, as each takes time and memory even if small; an array has four."""
 
 
 class Opaque:
@@ -55,7 +55,7 @@ def read_variables(path: Path) -> dict[str, Any]:
 
     Returns:
         Real numbers as arrays of their dimensions; a struct as a mapping, structs and cells in rows as lists; `Opaque` for an
-        object; None for all else.
+        object; None for other types.
 
     Raises:
         InputError: It is of another version, breaks off, is damaged or too large.
@@ -210,13 +210,13 @@ def read_mat(path: Path, wanted: Mapping[str, str] | None = None) -> Table:
         wanted: The columns that a map asks for, by our names; None without a map.
 
     Raises:
-        InputError: It is of another version, damaged or too large, or it is not clear what in it is the log.
+        InputError: It is of another version, damaged or too large, or it is ambiguous which part is the log.
     """
     levels = list(_levels(read_variables(path), path.name))
     topics = [topic for topic in (_topic(*level) for level in levels) if topic is not None]
     fields = dict(levels).get("", {})
     timed = bool(topics)
-    if not timed:  # without any clock, a map may give a rate, or name one
+    if not timed:  # without any clock, a map may give a rate or name a clock
         counts = Counter(n for array in fields.values() for n in array.shape if n > 1)
         topics = [_clockless(fields, counts.most_common(1)[0][0])] if counts else []
     table = build_topic_table(path, compute_sha256(path), topics, wanted)
@@ -226,7 +226,7 @@ def read_mat(path: Path, wanted: Mapping[str, str] | None = None) -> Table:
 
 
 def _levels(variables: Mapping[str, Any], name: str) -> Iterator[tuple[str, dict[str, np.ndarray]]]:
-    """Yield every level that has numbers of its own, with all numbers below it: the file's, then each struct's."""
+    """Yield every level with numbers of its own, with all numbers below it: the file's level, then each struct's."""
     found = list(_list_levels(variables, "", 0))
     opaque = sorted(key for key, value in variables.items() if key and value is Opaque)
     if not found or not any(fields for _, fields in found):

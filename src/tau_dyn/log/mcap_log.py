@@ -42,7 +42,7 @@ def read_mcap(path: Path, wanted: Mapping[str, str] | None = None, files: Sequen
         files: The files, in order; by default `path` alone.
 
     Raises:
-        InputError: The extra is missing, the file is damaged, or it is not clear what in it is the log.
+        InputError: The extra is missing, the file is damaged, or it is ambiguous which part is the log.
     """
     _library()
     paths = tuple(files) or (path,)
@@ -64,7 +64,7 @@ def _library() -> None:
 
 
 def _messages(path: Path) -> Iterator[Recorded | str]:
-    """Yield a file's messages in its order, and a sentence where it breaks off."""
+    """Yield a file's messages in their order, and a sentence if the file breaks off."""
     schemas: dict[int, Any] = {}
     channels: dict[int, Any] = {}
     decoders = _Decoders(path.name)
@@ -131,7 +131,7 @@ def _read(opcode: int, data: bytes) -> Any:
 
 
 def _inside(plain: bytes) -> Iterator[tuple[int, Any]]:
-    """Yield a chunk's schemas, channels and messages one by one; as a list they take many times their bytes."""
+    """Yield a chunk's schemas, channels and messages one by one; a list would take many times their bytes."""
     at = 0
     while at < len(plain):
         opcode, length = _FRAME.unpack_from(plain, at)
@@ -188,7 +188,7 @@ class _Whole(bytes):
     """A message that refuses to be read beyond its end; for lists of bytes, the decoder does not check the length."""
 
     def __getitem__(self, key: Any) -> Any:
-        """Return a byte, or bytes that are all there."""
+        """Return a byte, or a slice that is complete."""
         if isinstance(key, slice) and (key.stop or 0) > len(self):
             raise ValueError("it is shorter than its definition")
         return super().__getitem__(key)
@@ -203,7 +203,7 @@ class _Decoders:
         self.name, self._ros2 = name, DecoderFactory()
 
     def of(self, channel: Any, schema: Any, data: bytes) -> Callable[[], Any]:
-        """Return what decodes a message when it is asked to."""
+        """Return a function that decodes a message when called."""
         return lambda: self._decoded(channel, schema, data)
 
     def _decoded(self, channel: Any, schema: Any, data: bytes) -> Any:
@@ -216,7 +216,7 @@ class _Decoders:
             decoder = self._ros2.decoder_for(encoding, schema)
             if decoder is not None:
                 return decoder(_Whole(data))
-        except Exception as fault:  # definitions and messages come from the file: whatever they break is its fault
+        except Exception as fault:  # definitions and messages come from the file: all errors are its fault
             raise InputError(
                 "damaged_file",
                 f"{self.name}: a message of {channel.topic} cannot be decoded ({describe_fault(fault)}).",

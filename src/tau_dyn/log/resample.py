@@ -3,7 +3,7 @@
 Uneven samples are interpolated. Gaps are not, unless the samples around determine the missing ones. Stamps that are even but
 rounded to few digits are recognised and replaced by the even clock without touching the channels.
 Truly uneven stamps (more than 1 % of a step off, or one or two
-samples lost) are resampled with one cubic spline a channel: its error falls with dt^4, where a straight line would cut the
+samples lost) are resampled with one cubic spline for each channel: its error falls with dt^4, where a straight line would cut the
 peaks of an acceleration by up to `a dt^2 / 8` and halve the noise between samples but not at them. All channels go through the
 same linear operation, so no fit sees `q` and `tau` treated differently. Three or more lost samples in a row are a gap, and
 `split_at_gaps` cuts the log there.
@@ -71,7 +71,7 @@ class Clock(NamedTuple):
 
     @property
     def even(self) -> bool:
-        """True where filters may take the samples as they are."""
+        """True if filters may use the samples without resampling."""
         return not self.gaps and self.n_missing == 0 and self.jitter <= MAX_RELATIVE_JITTER
 
 
@@ -81,7 +81,7 @@ def examine_clock(log: Log) -> Clock:
         return Clock(log.duration / (log.n_samples - 1), 0.0, 0, (), rounded=True)
     steps = np.diff(log.t)
     usual = steps[np.abs(steps / log.dt - 1) < 0.5]
-    dt = float(np.mean(usual)) if usual.size else log.dt  # two step lengths by turns: the median is neither
+    dt = float(np.mean(usual)) if usual.size else log.dt  # two step lengths in alternation: the median is neither
     ratio = steps / dt
     missing = np.maximum(np.round(ratio) - 1, 0)
     usual = np.abs(ratio[missing == 0] - 1)
@@ -107,7 +107,7 @@ def resample_segments(log: Log) -> list[Log]:
 
 
 def count_short_segments(log: Log) -> tuple[int, float]:
-    """Return how many parts between gaps `split_at_gaps` leaves out, and how long they are together [s]."""
+    """Return the number of parts between gaps that `split_at_gaps` leaves out, and their total length [s]."""
     clock = examine_clock(log)
     sizes = [b - a for a, b in _spans(log, clock) if b - a < MIN_SEGMENT_SAMPLES] if clock.gaps else []
     return len(sizes), sum(sizes) * clock.dt
@@ -120,7 +120,7 @@ def _spans(log: Log, clock: Clock) -> list[tuple[int, int]]:
 
 
 def ensure_even(log: Log) -> Log:
-    """Return the log on an even clock, untouched where it has one already.
+    """Return the log on an even clock, unchanged if it has one already.
 
     Args:
         log: A log without gaps.
@@ -159,7 +159,7 @@ def describe_gaps(log: Log, clock: Clock) -> str:
 
 
 _STEADY = 1e-4
-"""Share of a step by which steps vary, below which only missing samples make a clock uneven."""
+"""Relative variation of steps below which only missing samples make a clock uneven."""
 
 
 def _uneven_sentence(log: Log, clock: Clock) -> str:
@@ -199,7 +199,7 @@ _LOOK_S = 0.1  # [s] over which travel is measured
 def split_by_motion(log: Log, *, rest_s: float = 0.5, least_s: float = 1.0) -> list[Log]:
     """Return a log's motions: the stretches between rests, each with half of the rests around it.
 
-    The robot rests where, for `rest_s` or longer, no joint travels more in 0.1 s than six times its encoder's noise.
+    The robot rests if, for `rest_s` or longer, no joint travels more in 0.1 s than six times its encoder's noise.
 
     Args:
         log: Positions `q_J` of at least one joint, evenly sampled.
@@ -222,7 +222,7 @@ def split_by_motion(log: Log, *, rest_s: float = 0.5, least_s: float = 1.0) -> l
 
 
 def _moving(log: Log) -> NDArray[np.bool_]:
-    """Tell at which samples (N,) some joint moves, judged over windows long enough to see through its noise."""
+    """Return the samples (N,) at which some joint moves, over windows long enough compared with its noise."""
     q = log.joint("q", log.joints("q"))
     width = min(max(2, round(_LOOK_S / log.dt)), log.n_samples - 1)
     travel = np.abs(q[width:] - q[:-width])
@@ -232,7 +232,7 @@ def _moving(log: Log) -> NDArray[np.bool_]:
 
 
 MAX_INTERPOLATION_ERROR = 0.5
-"""Share of a signal's spread that its neighbours may miss of it at twice the step."""
+"""Largest error of predicting a signal from its neighbours at twice the step, as a share of its spread."""
 
 MIN_CLOCK_SAMPLES = 10  # fewer give no rate
 
@@ -247,7 +247,7 @@ def resample_to_clock(where: str, t: np.ndarray, x: np.ndarray, wanted: np.ndarr
         wanted: Times (M,) [s] within its first and last.
 
     Returns:
-        The samples (M,), and a sentence about how they were made; empty where every time wanted is one of its own.
+        The samples (M,), and a sentence about the method; empty if every wanted time is one of its own.
 
     Raises:
         InputError: It has gaps there, or changes too fast for its own clock.
@@ -285,7 +285,7 @@ def resample_to_clock(where: str, t: np.ndarray, x: np.ndarray, wanted: np.ndarr
 
 
 def estimate_interpolation_error(t: np.ndarray, x: np.ndarray) -> float:
-    """Return what every second sample differs from a spline through the others, as a share of the signal's spread."""
+    """Return the deviation of every second sample from a spline through the others, as a share of the signal's spread."""
     spread = float(np.std(x))
     if spread <= 1e-12 * max(1.0, float(np.max(np.abs(x)))):
         return 0.0
@@ -294,12 +294,12 @@ def estimate_interpolation_error(t: np.ndarray, x: np.ndarray) -> float:
 
 
 MAX_MISS = 3.0
-"""Largest median miss of a filled row over that of a single row that is left out."""
+"""Largest median error of a filled row over that of a single row that is left out."""
 
 MAX_FILLED_SHARE = 0.02
-"""Share of the rows that may be filled in: they are no measurements."""
+"""Largest share of the rows that may be filled, as these are no measurements."""
 
-_N_TRIALS = 200  # rows that are left out, one at a time; their median miss is known to a tenth
+_N_TRIALS = 200  # rows that are left out, one at a time; their median error is known to a tenth
 _AROUND = 8
 """Rows on each side of a gap through which the spline of a trial runs."""
 
@@ -345,7 +345,7 @@ def _find_longest(t: NDArray[np.float64], x: NDArray[np.float64], sizes: Sequenc
 
 
 def _measure_miss(t: NDArray[np.float64], x: NDArray[np.float64], size: int) -> NDArray[np.float64]:
-    """Return the median size (n,) by which splines miss rows (N, n) in the midst of those that a gap of `size` steps lacks."""
+    """Return the median error (n,) of splines at rows (N, n) in the middle of trial gaps of `size` steps."""
     row = np.concatenate([np.arange(1 - _AROUND, 1), np.arange(size, size + _AROUND)])
     middle = size // 2
     starts = np.linspace(_AROUND, len(t) - size - _AROUND, _N_TRIALS).astype(int)

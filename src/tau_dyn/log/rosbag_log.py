@@ -80,7 +80,7 @@ def check_profiles(profiles: Any) -> None:
 
 
 def check_definitions(definitions: Mapping[str, Any]) -> None:
-    """Refuse message definitions, as the library parsed them, that any message could make endless.
+    """Refuse parsed message definitions by which a message could be endless.
 
     Args:
         definitions: Constants and fields by the type's name.
@@ -122,7 +122,7 @@ def check_definitions(definitions: Mapping[str, Any]) -> None:
 
 
 def limit_decompression(decompress: Callable[[bytes], bytes], inflated: DecompressionLimit) -> Callable[[bytes], bytes]:
-    """Return what opens a chunk of a ROS 1 bag no further than bounds; opening one again counts again."""
+    """Return a function that opens a chunk of a ROS 1 bag up to a limit; opening a chunk again counts again."""
 
     def opened(data: bytes) -> bytes:
         if data[:3] == b"BZh":
@@ -177,7 +177,7 @@ def read_bag(path: Path, wanted: Mapping[str, str] | None = None) -> Table:
         wanted: The columns that a map asks for, by our names; None without a map.
 
     Raises:
-        InputError: The extra is missing, the bag is damaged, or it is not clear what in it is the log.
+        InputError: The extra is missing, the bag is damaged, or it is ambiguous which part is the log.
     """
     files, in_mcap = _files(path)
     if in_mcap:
@@ -206,13 +206,13 @@ def read_bag(path: Path, wanted: Mapping[str, str] | None = None) -> Table:
             check_definitions(reader.typestore.fielddefs)
             _bound(path, reader)
             kinds = _kinds(reader)
-        except Exception as fault:  # a bag that is damaged breaks its reader in many ways
+        except Exception as fault:  # a damaged bag makes its reader fail in many ways
             raise _damaged(path, fault) from None
         return build_message_table(path, files, _messages(path, reader), kinds, wanted)
 
 
 def _files(path: Path) -> tuple[tuple[Path, ...], bool]:
-    """Return the files of a bag's folder, as its metadata lists them, and whether they are MCAP; a file alone is its own."""
+    """Return the files of a bag's folder from its metadata, and whether they are MCAP; for a file, the file itself."""
     if not path.is_dir():
         return (path,), False
     content = read_yaml(path / METADATA)
@@ -279,7 +279,7 @@ def _messages(path: Path, reader: Any) -> Iterator[Recorded]:
             return
         except InputError:
             raise
-        except Exception as fault:  # as above: whatever a damaged bag breaks
+        except Exception as fault:  # as above: any failure of the reader
             raise _damaged(path, fault) from None
         yield Recorded(connection.topic, connection.msgtype, log, len(data), _decoder(path, reader, connection, data))
 
@@ -298,7 +298,7 @@ def _decoder(path: Path, reader: Any, connection: Any, data: bytes) -> Callable[
 
 
 def _bound(path: Path, reader: Any) -> None:
-    """Let the chunks of a ROS 1 bag not grow beyond bounds when they are decompressed."""
+    """Limit the decompressed size of a ROS 1 bag's chunks."""
     inflated = DecompressionLimit(path)
     for one in reader.readers:
         chunks = getattr(one, "chunks", {})

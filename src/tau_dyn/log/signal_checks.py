@@ -30,7 +30,7 @@ Severity = Literal["ok", "warning", "fault"]
 
 @dataclass(frozen=True)
 class CheckFinding:
-    """One thing that was looked at."""
+    """The result of one check."""
 
     severity: Severity
     topic: str
@@ -50,7 +50,7 @@ def choose_finding(topic: str, fine: str, *doubts: tuple[bool, str, str]) -> Che
 
 
 def build_fault(warning: str) -> CheckFinding:
-    """Return a coded warning as a fault of the log, or as a warning where it was repaired; its sentence holds the remedy."""
+    """Return a coded warning as a fault of the log, or as a warning if it was repaired; its sentence contains the remedy."""
     mended = isinstance(warning, RepairedWarning)
     still = "held" if mended else "frozen"
     topic = {"updated_less_often": "held", "held_channel": still}.get(get_code(warning), "integrity")
@@ -63,7 +63,7 @@ class LogCheck(Shown):
 
     Attributes:
         name: The log's name.
-        findings: Everything that was looked at, in a fixed order of topics.
+        findings: All results, in a fixed order of topics.
         numbers: The figures behind the sentences, plain numbers and lists for JSON; per-joint figures are mappings by
             joint.
     """
@@ -105,7 +105,7 @@ class LogCheck(Shown):
 
 
 _FURTHER = 10.0
-"""How much further than nine of ten steps a jump is."""
+"""Least size of a jump over the 90 % quantile of steps."""
 
 _OF_RANGE = 0.02
 """Least size of a jump, as a share of the joint's range."""
@@ -115,10 +115,10 @@ COARSEST_COUNT = {True: 0.02, False: 1e-3, None: 1e-3}
 a millimetre of a draw wire."""
 
 _ALONE = 0.25
-"""A change with a neighbour of this share of its size, the same way, is motion: a quick move seen by few samples."""
+"""A change with a neighbour of this share of its size in the same direction is motion: a quick move in few samples."""
 
 _TURN = 0.1
-"""How near a jump comes to whole turns, as a share of one, where the encoder wraps."""
+"""Largest distance of a jump from whole turns, as a share of one, if the encoder wraps."""
 
 
 def find_jumps(q: NDArray[np.float64], fastest: float = 0.0, count: float = 0.0) -> NDArray[np.intp]:
@@ -126,7 +126,7 @@ def find_jumps(q: NDArray[np.float64], fastest: float = 0.0, count: float = 0.0)
 
     Args:
         q: Positions [m or rad], evenly sampled or nearly so.
-        fastest: The joint's own limit [per sample]; slower steps are motion.
+        fastest: The joint's speed limit [per sample]; slower steps are motion.
         count: Largest count that its encoder may have [m or rad]; a joint at rest may step by one.
     """
     changes = np.flatnonzero(np.diff(q))  # a reading held over several samples is one
@@ -143,7 +143,7 @@ def find_jumps(q: NDArray[np.float64], fastest: float = 0.0, count: float = 0.0)
 
 
 def _are_counts(step: NDArray[np.float64], found: NDArray[np.intp], coarsest: float) -> bool:
-    """Return whether the largest changes are the counts of an encoder at rest: without them the joint stays within one."""
+    """Return whether the largest changes are counts of an encoder at rest: without them the joint moves less than one count."""
     count, least = float(np.abs(step[found]).max()), float(np.abs(step[found]).min())
     rest = step.copy()
     rest[found] = 0.0
@@ -188,7 +188,7 @@ def check_jumps(
 
 
 MIN_CLIPPED_SAMPLES = 5
-"""So many equal samples in a row at the largest or smallest value are a plateau."""
+"""Least number of equal consecutive samples at the largest or smallest value that are a plateau."""
 
 MIN_FROZEN_S = 0.1
 """A channel that does not change for so long [s] while its joint moves is frozen."""
@@ -261,7 +261,7 @@ def _constant(log: Log, column: str, runs: ConstantRuns) -> CheckFinding | None:
 
 
 def _frozen(log: Log, column: str, runs: ConstantRuns, moves: NDArray[np.bool_]) -> CheckFinding | None:
-    """Find a long stretch without a change during motion, away from the extremes, which would be clipping."""
+    """Find a long stretch without a change during motion, except at the extremes, which is clipping."""
     extreme = (runs.values == runs.values.max()) | (runs.values == runs.values.min())
     needed = max(MIN_FROZEN_S * log.rate_hz, 5 * float(np.median(runs.lengths)))
     inside = np.flatnonzero((runs.lengths >= needed) & ~(extreme & column.startswith("tau_")))
@@ -277,7 +277,7 @@ def _frozen(log: Log, column: str, runs: ConstantRuns, moves: NDArray[np.bool_])
 
 
 MIN_LONGER = 10.0
-"""How much longer a frozen stretch is than the sixth longest stretch without a change; an encoder dies a few times at most."""
+"""Least length of a frozen stretch over the sixth longest stretch without a change; an encoder fails a few times at most."""
 
 _SIXTH = 6
 """Rank of the stretch that represents the usual ones: up to five stretches of one log may be frozen."""
@@ -335,9 +335,9 @@ def find_frozen_positions(log: Log, joint: str) -> list[FrozenStretch]:
 
 
 def list_long_runs(x: NDArray[np.float64], rate_hz: float) -> tuple[list[tuple[int, int]], NDArray[np.bool_]]:
-    """Return first sample and end of the stretches of one value that are unusually long, and which samples are elsewhere (N,).
+    """Return first sample and end of unusually long stretches of one value, and a mask of the other samples (N,).
 
-    Unusual is a stretch of 0.1 s or more, ten times as long as the sixth longest of the channel (N,).
+    A stretch is unusual if it takes 0.1 s or more and is ten times as long as the sixth longest of the channel (N,).
     """
     runs, live = find_constant_runs(x), np.ones(len(x), bool)
     if len(runs.starts) < 10 * _SIXTH:
@@ -352,7 +352,7 @@ def list_long_runs(x: NDArray[np.float64], rate_hz: float) -> tuple[list[tuple[i
 def find_frozen_force(log: Log, joint: str, moves: NDArray[np.bool_]) -> list[FrozenStretch]:
     """Return the stretches in which a force keeps one value while its joint moves.
 
-    Zeros are a drive that is off, and extremes are its limit.
+    Stretches of zeros (a drive that is off) and of extremes (its limit) do not count.
     """
     column = f"tau_{joint}"
     runs = find_constant_runs(log.channels[column])
@@ -395,7 +395,7 @@ def _find_flicker(log: Log, joint: str, live: NDArray[np.bool_], start: int, sto
         return ""
     power = float(np.mean(rough[slow] ** 2))
     neighbours = float(np.mean((rough[1:] * rough[:-1])[pairs])) / max(power, 1e-300)
-    noise = np.sqrt(power / 70)  # fourth differences take the motion away and multiply white power by 70
+    noise = np.sqrt(power / 70)  # fourth differences remove the motion and multiply white power by 70
     fades = power < 0.25 * float(np.median(rough[alive] ** 2)) / 0.455  # the median of chi-square with one degree
     if fades or neighbours > MAX_NEIGHBOUR or noise < MIN_COUNTS * float(estimate_quantisation_step(x)):
         return ""

@@ -1,6 +1,6 @@
 """A file of columns with the place of every cell, without the meaning of the columns.
 
-`read_table` turns CSV or Parquet into a `Table`; cells become numbers only when a column is asked for, so that a fault is
+`read_table` turns CSV or Parquet into a `Table`; cells become numbers only when a column is requested, so that a fault is
 named with its line and column, while unused columns may hold anything. Lines are counted as in an editor: comments and header
 included, from 1. `delimited.py` splits text; `read.py` interprets the columns. A few bytes can expand to gigabytes, which
 recordings never do: this module limits how far a file may grow.
@@ -102,7 +102,7 @@ class Table:
 
         Args:
             column: Its name.
-            scale: What brings it to SI units, where its size is judged; the column itself is not scaled.
+            scale: Factor to SI units for the test of its size; the column itself is not scaled.
             gaps: Whether cells may be empty or `nan`; they come as NaN.
 
         Raises:
@@ -251,7 +251,7 @@ def _flatten_lists(cells: pa.ChunkedArray) -> NDArray[Any]:
 
 
 def _read_lists(cells: NDArray[Any]) -> NDArray[Any]:
-    """Return a text's cells as numbers (N, k) where all of them are lists `[1, 2]` of one length, else as they are."""
+    """Return a text's cells as numbers (N, k) if all of them are lists `[1, 2]` of one length, else unchanged."""
     if cells.dtype.kind in "fiub" or not all(isinstance(cell, str) and _LIST.fullmatch(cell.strip()) for cell in cells):
         return cells
     rows = [cell.strip(" []").replace(",", " ").split() for cell in cells]
@@ -274,10 +274,10 @@ def _spread_lists(name: str, cells: dict[str, NDArray[Any]]) -> dict[str, NDArra
 
 
 def read_parquet_column(name: str, column: str, cells: pa.ChunkedArray) -> NDArray[Any]:
-    """Return a Parquet file's column (N,) as numbers or text; bytes and what nests, such as lists, as their type's name.
+    """Return a Parquet file's column (N,) as numbers or text; bytes and nested types, such as lists, as their type's name.
 
     Raises:
-        InputError: Its values cannot be had, such as a date far from ours, or text that is no UTF-8.
+        InputError: Its values cannot be read, such as a date out of range, or text that is not UTF-8.
     """
     if pa.types.is_nested(cells.type) or "binary" in str(cells.type):
         return np.full(len(cells), str(cells.type), dtype=object)

@@ -21,12 +21,12 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log.column_names import is_contract_name
 
 OURS = {"position": "q", "velocity": "v", "effort": "tau"}
-"""A joint state's lists, and the signals that they are here."""
+"""A joint state's lists, and our signals for them."""
 
 LONGEST_LIST, MOST_COLUMNS, DEEPEST = 64, 500, 8
 
 MAX_CELLS = 50_000_000
-"""Numbers taken from one file (0.4 GB); more belongs into Parquet, which is read in windows."""
+"""Largest count of numbers from one file (0.4 GB); more should be in Parquet, which is read in windows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +234,7 @@ def _parts(message: Any) -> list[tuple[str, Any]]:
 
 
 def _numbers(value: Any, path: tuple[str | int, ...], depth: int) -> Iterator[tuple[tuple[str | int, ...], Any]]:
-    """Yield every number in a message with the path to it; headers and long lists are passed over."""
+    """Yield every number in a message with the path to it; headers and long lists are skipped."""
     if isinstance(value, Real | np.bool_):
         yield path, value
     elif isinstance(value, str | bytes | bytearray) or depth > DEEPEST:

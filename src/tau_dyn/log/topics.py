@@ -94,7 +94,7 @@ def _main(name: str, topics: Sequence[Topic], wanted: Mapping[str, str]) -> Topi
 
 
 def _others(name: str, topics: Sequence[Topic], main: Topic, wanted: Mapping[str, str]) -> list[tuple[Topic, str]]:
-    """Return the topics and columns that a map takes from elsewhere than the main topic."""
+    """Return the topics and columns that a map takes from other topics than the main one."""
     found = []
     for ours, column in wanted.items():
         if _field(main, column) is not None or column in main.ours or column in ("t", main.full(LOG_TIME)):
@@ -114,14 +114,14 @@ def _others(name: str, topics: Sequence[Topic], main: Topic, wanted: Mapping[str
 
 
 def _field(topic: Topic, column: str) -> str | None:
-    """Return the topic's field that a column of the file is, or None."""
+    """Return the topic's field of a column of the file, or None."""
     start = topic.full("")
     field = column.removeprefix(start)
     return field if column.startswith(start) and field in topic.columns else None
 
 
 def _own(main: Topic, chosen: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the main topic's columns, under our names and under its own, and when its messages were recorded."""
+    """Return the main topic's columns, under our names and under its own, and the times at which its messages were recorded."""
     cells = {ours: main.columns[field][chosen] for ours, field in main.ours.items() if ours != "t"}
     if main.name:
         cells |= {main.full(field): column[chosen] for field, column in main.columns.items()}
@@ -249,11 +249,11 @@ def _example(topics: Sequence[Topic]) -> str:
 
 
 MAX_MESSAGE_BYTES = 2**22
-"""A message larger than this [bytes] is a picture or a cloud, and is passed over."""
+"""A message larger than this [bytes] is a picture or a cloud, and is skipped."""
 
 
 class Recorded(NamedTuple):
-    """One message: its topic, when it was recorded [ns], its size [bytes], and what decodes it."""
+    """One message: its topic, time of recording [ns], size [bytes], and decoder."""
 
     topic: str
     kind: str

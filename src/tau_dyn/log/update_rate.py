@@ -13,13 +13,13 @@ A log whose slow channels share one clock is sampled at its updates, so that no 
 
 A controller measures at even ticks. A logger that polls it, or receives from a network, stamps each sample when it arrives, part
 of a step too late, and misses some. A speed of 1 rad/s turns 0.2 ms of scatter into 0.2 mrad, more than most encoders have of
-noise, and twice differentiated it hides the acceleration. All joints show it at once, which encoder noise does not:
+noise, and after two derivatives it hides the acceleration. It acts on all joints at once, unlike encoder noise:
 
     q_j(i) = p_j(t_i) - v_j(i) d_i + noise
 
 `p_j` is a cubic through six samples on each side of i, fitted without i, `v_j` its slope, and `d_i` how late the stamp is. Least
-squares over the joints gives `d_i`. Subtracting it and fitting again a few times leaves stamps whose steps are right, up to
-slow scatter that a cubic follows. Where the device has an even clock, these steps are whole ticks. This is the test, and only
+squares over the joints gives `d_i`. Subtracting it and fitting again a few times leaves stamps whose steps are right, except
+for slow scatter that a cubic follows. If the device has an even clock, these steps are whole ticks. This is the test, and only
 such a clock passes it: ripple of the motion, or samples that were truly taken at uneven times, give no whole numbers. A log
 whose stamps are accurate to a few hundredths of a tick keeps them.
 
@@ -67,7 +67,7 @@ MIN_HELD_SHARE = 0.35
 """Share of samples without a change from which a channel is held: half of them are in one that is updated every second sample."""
 
 HIGHEST_LINE = 0.35
-"""Lines above this share of the sampling rate fade where updates fall between samples."""
+"""Lines above this share of the sampling rate fade if updates fall between samples."""
 
 MIN_UPDATE_HZ = 5.0
 """Lowest update rate [Hz] whose samples show dynamics; see `identify/preparation.py`."""
@@ -103,7 +103,7 @@ class UpdateRate(NamedTuple):
 def find_update_rates(log: Log, columns: Sequence[str]) -> list[UpdateRate]:
     """Return the clocks of the channels that are updated less often than logged, channels of the same clock together.
 
-    A motion that is not smooth from update to update is believed only where all channels follow the same clock.
+    With a motion that is not smooth from update to update, a clock counts only if all channels follow it.
 
     Args:
         log: A log as read.
@@ -204,7 +204,7 @@ def sample_at_updates(log: Log, rates: Sequence[UpdateRate]) -> Log | None:
     """Return a log at the updates of its slowest clock: channels as they were updated, others interpolated.
 
     Returns:
-        The log; None where another clock has no update there, or updates are too rare to show dynamics.
+        The log; None if another clock has no update there, or updates are too rare to show dynamics.
     """
     slow = max(rates, key=lambda rate: rate.period)
     at = slow.list_updates(log.n_samples)
@@ -250,16 +250,16 @@ MAX_TICK_DISTANCE = 0.25
 """Distance of a step from whole ticks up to which it counts as whole."""
 
 MIN_WHOLE_SHARE = 0.97
-"""Share of the informed steps that have to be whole; of steps of any length half are."""
+"""Share of the informed steps that have to be whole; for steps of random length it is a half."""
 
 MIN_SCATTER = 0.03
 """Median distance of the stamped steps from whole ticks below which the stamps are kept."""
 
 MIN_RATIO = 2.0
-"""How many times nearer to whole ticks the steps have to be by the motion than by the stamps."""
+"""Least ratio of the steps' distances from whole ticks, by the stamps over by the motion."""
 
 MAX_STRAY_TICKS = 5.0
-"""Distance of a stamp from the device's clock [ticks] that no sound count leaves."""
+"""Distance of a stamp from the device's clock [ticks] that a correct count never reaches."""
 
 TRACKING = 0.02
 """Share of a stamp's distance by which the count of ticks follows the stamps."""
@@ -316,7 +316,7 @@ def find_device_clock(t: NDArray[np.float64], q: NDArray[np.float64]) -> DeviceC
 def _correct_stamps(
     t: NDArray[np.float64], q: NDArray[np.float64], step: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return stamps (N,) from which each row's own delay is taken, and their standard errors (N,) [steps]."""
+    """Return stamps (N,) without each row's own delay, and their standard errors (N,) [steps]."""
     inner = slice(HALF_WIDTH, len(t) - HALF_WIDTH)
     floor = np.maximum(estimate_quantisation_step(q) / np.sqrt(12), 1e-12 * np.ptp(q, axis=0))
     stderr = np.full(len(t), np.inf)
@@ -360,7 +360,7 @@ def _measure_distance(ticks: NDArray[np.float64]) -> NDArray[np.float64]:
 def _count_ticks(
     t: NDArray[np.float64], steps: NDArray[np.float64], informed: NDArray[np.bool_], tick: float
 ) -> NDArray[np.intp]:
-    """Return the tick (N,) of each row: the motion counts where it decides, and the stamps where it does not."""
+    """Return the tick (N,) of each row: from the motion if it is accurate enough, else from the stamps."""
     whole = np.round(steps / tick)
     sure = informed & (np.abs(steps / tick - whole) < MAX_TICK_DISTANCE) & (whole >= 0)
     ticks, late = np.zeros(len(t), np.intp), 0.0
