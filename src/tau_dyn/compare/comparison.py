@@ -268,7 +268,7 @@ def _joint(a: ComparedSide, b: ComparedSide, known: list[str]) -> tuple[list[Cha
 def _list_lacking(
     a: ComparedSide, b: ComparedSide, changes: list[Change], alone: list[str]
 ) -> tuple[ComparedSide, ...]:
-    """Return the sides without combinations of parameters, where the other values may change only in some."""
+    """Return the sides without combinations of parameters, if a change may show only in a combination."""
     given = {*a.combinations.fixed, *b.combinations.fixed}  # no member of any combination
     open_ = alone or any(c.determined_by == "neither" and c.name not in given for c in changes)
     if not open_ or not {a.kind, b.kind} <= {"model", "identify"}:
@@ -279,7 +279,7 @@ def _list_lacking(
 def _unmatched(
     a: ComparedSide, b: ComparedSide, changes: list[Change], alone: list[str], lacking: tuple[ComparedSide, ...]
 ) -> Iterator[str]:
-    """Yield which combinations of parameters were not compared, and why."""
+    """Yield the combinations of parameters that were not compared, and the reason."""
     if alone and a.combinations.rows and b.combinations.rows:
         yield (
             f"{a.place} and {b.place} determine different combinations of parameters; not compared, as only one of them "
@@ -318,7 +318,7 @@ def _holm(changes: list[Change]) -> list[Change]:
 
 
 def _matched(a: Mapping[str, MeasuredQuantity], b: Mapping[str, MeasuredQuantity]) -> dict[str, MeasuredQuantity]:
-    """Return the second's quantities with its resonances under the number of the first's nearest."""
+    """Return the second's quantities, with its resonances numbered as the nearest of the first."""
     mine, theirs = _frequencies(a), _frequencies(b)
     pairs = sorted(
         (abs(f - g) / f, i, j)

@@ -6,7 +6,7 @@ standard error. A value has a standard error, a flag whether data or only a prio
 combination.
 
 A combination `w' theta` is determined by a result whose base parameters are `beta = E theta` if and only if `w = E' c`; then it
-is `c' beta`. Each base parameter leads with a parameter that no other holds, so `c` is `w` at these. Thus two results are
+is `c' beta`. The leading parameter of each base parameter is in no other one, so `c` is `w` at these. Thus two results are
 compared for any choice of base: `a + b` of one is the same as `b + a`, twice `b/2 + a/2`, or the sum of `a` and `b` if the other
 determines both.
 """
@@ -30,7 +30,7 @@ from tau_dyn.files import read_bytes
 from tau_dyn.model import Model
 
 _LEFT = 0.01
-"""Relative distance of a standard error from its prior's below which the data added no information (2 % of it)."""
+"""Relative distance of a standard error from its prior's below which the data added less than 2 % of the information."""
 _STAYED = 0.2
 """Distance from the nominal value, in standard errors, within which a value without information from data counts as unchanged."""
 
@@ -66,7 +66,7 @@ def build_measured_quantity(
 
     Raises:
         TypeError: One of them is not a number.
-        ValueError: A text is no number.
+        ValueError: A text is not a number.
         OverflowError: An integer is too large for a float.
     """
     known = None if stderr is None or not isfinite(float(stderr)) or float(stderr) <= 0 else float(stderr)
@@ -85,7 +85,7 @@ class BaseParameterCombination:
     """One base parameter.
 
     Attributes:
-        expression: In words, such as `z3_link.mass + r4_link.mass`.
+        expression: The sum in words, such as `z3_link.mass + r4_link.mass`.
         weights: Coefficient of each parameter, by name.
         quantity: Its value and standard error.
     """
@@ -126,7 +126,7 @@ class Combinations:
     def quantity_of(self, wanted: BaseParameterCombination) -> MeasuredQuantity | None:
         """Return another result's combination as these data determine it; None if they do not.
 
-        The standard error of a sum of several base parameters follows from theirs and their correlation.
+        The standard error of a sum of several base parameters follows from their standard errors and correlation.
         """
         rest, size, value = dict(wanted.weights), {n: abs(x) for n, x in wanted.weights.items()}, 0.0
         factors = [wanted.weights[name] for name in wanted.weights if name in self.rows]
@@ -325,7 +325,7 @@ def _of_result(path: Path, digest: str, data: bytes, run: RecordedRun | None) ->
 
 
 def _findings(content: Mapping[str, Any]) -> Iterator[tuple[tuple[str, tuple[str, ...]], str]]:
-    """Yield causes with their status; of a check of a log, topics with their severity, the worst last."""
+    """Yield causes with their status; for a check of a log, topics with their severity, the worst last."""
     for row in pick_dicts(content.get("findings")):
         if "cause" in row:
             yield _key(row), str(row["status"])

@@ -102,11 +102,11 @@ def _text(value: Any) -> str:
 
 @dataclass(frozen=True)
 class InputChange:
-    """A file that went in.
+    """An input file of one or both runs.
 
     Attributes:
-        a: Its path in the first run, None where only the second read it.
-        b: Its path in the second.
+        a: Its path in the first run, None if only the second read it.
+        b: Its path in the second run, None if only the first read it.
         same: Whether the content is the same, by its hash.
     """
 
@@ -156,7 +156,7 @@ def list_input_changes(a: Mapping[str, str], b: Mapping[str, str]) -> tuple[Inpu
 
 
 def _matched(left: dict[str, str], right: dict[str, str]) -> Iterator[InputChange]:
-    """Take pairs out of both mappings, the surest first."""
+    """Remove matching pairs from both mappings, the surest first."""
     alike = (
         lambda p, q: p == q,
         lambda p, q: left[p] == right[q],

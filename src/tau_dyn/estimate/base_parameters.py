@@ -22,7 +22,7 @@ RANK_TOLERANCE = 1e-6
 """Part of a unit column that others must leave unexplained; closures are solved to 1e-12, so dependence shows to ~1e-10."""
 
 _CLEAR = 10.0
-"""Tolerances by which a column that was left out must be unexplained before the choice of the others is doubted."""
+"""Unexplained part of a dropped column, in tolerances, above which the kept columns are chosen again with a larger tolerance."""
 _COARSEST = 1e-2  # relative tolerance of the rank, at most
 _NEGLIGIBLE = 1e-6
 """Part of a dropped unit column below which a kept one has no share in it."""
@@ -95,7 +95,7 @@ class BaseParameters:
 def read_expression(text: str) -> dict[str, float]:
     """Return the coefficient of each parameter in a text from `BaseParameters.expression`, by name.
 
-    Names are not checked; one that itself reads like a sum comes out in pieces.
+    Names are not checked; a name that contains a sum is split.
     """
     first, *others = re.split(r" ([+-]) ", text)
     weights: dict[str, float] = {}
@@ -116,7 +116,7 @@ def find_base(
         W: Stacked columns (N, p), whitened or not.
         names: Column names.
         tolerance: Unexplained part of a unit column below which it is dependent.
-        units: The parameters' units; columns far smaller than the largest of their unit count as unseen.
+        units: The parameters' units; columns far smaller than the largest of their unit count as not excited.
     """
     norm = np.linalg.norm(W, axis=0)
     seen = _visible(norm, units)
@@ -125,9 +125,7 @@ def find_base(
     rank = _rank(R, tolerance)
     kept, small = _leftmost(R, seen, rank, tolerance), _NEGLIGIBLE
     while tolerance < _COARSEST and _left_out(R, seen, kept) > _CLEAR * tolerance:
-        tolerance *= (
-            2  # noise made columns on the left differ by little, and they took the places of those on the right
-        )
+        tolerance *= 2  # noise made dependent columns on the left look independent
         kept, small = _leftmost(R, seen, rank, tolerance), _CLEAR * tolerance
     dropped = [c for c in range(len(names)) if c not in kept]
     K = (
@@ -162,7 +160,7 @@ def find_contained(W: np.ndarray, kept: Sequence[int], fixed: Sequence[int]) -> 
         if np.linalg.norm(unit[:, column] - basis @ factors) < _CLEAR * RANK_TOLERANCE:
             scale = np.divide(
                 norm[column], norm[kept], out=np.zeros(len(kept)), where=norm[kept] > 0
-            )  # weighed ones have none
+            )  # zero norm: known only from a prior
             found[:, k] = np.where(np.abs(factors) > _CLEAR * RANK_TOLERANCE, factors * scale, 0.0)
     return found
 

@@ -61,7 +61,7 @@ class Estimate(Brief):
         noise: Noise model of each output's residual.
         sigma: Residual deviation of each output (m,), the weights.
         moved: Names of parameters that a constraint holds away from the plain estimate, with the plain value.
-        estimator: Name of the estimator that answered; see `identify/estimators.py`.
+        estimator: Name of the estimator that was used; see `identify/estimators.py`.
         warnings: Sentences about doubts in the estimation.
     """
 
@@ -105,9 +105,9 @@ class Estimate(Brief):
         return self.regression.residuals(self.theta)
 
     def refit(self, outputs: Sequence[np.ndarray]) -> np.ndarray:
-        """Return what these least squares make of further outputs (n, m) of each run: base parameters (r,).
+        """Return the least-squares base parameters (r,) for other outputs (n, m) of each run, with the same weights.
 
-        Parameters measured beforehand are held as they are in the estimate.
+        Parameters measured beforehand have the same weight as in the estimate, and the target zero.
         """
         rows = self.stack_rows()
         targets = [(x / self.sigma)[run.usable] for run, x in zip(self.regression.runs, outputs, strict=True)]
@@ -178,7 +178,7 @@ def attach_stderr(parameters: Parameters, base: BaseParameters, stderr: np.ndarr
 
 
 _TOLERANCE = 1e-6
-"""Relative part of a weight that may be off: base combinations are known to about 1e-9, published ones are often rounded."""
+"""Largest relative error of a weight: base combinations are known to about 1e-9, published ones are often rounded."""
 
 
 class ParameterSum(NamedTuple):
@@ -189,7 +189,7 @@ class ParameterSum(NamedTuple):
 
 
 def combine_parameters(estimate: Estimate, weights: Mapping[str, float]) -> ParameterSum:
-    """Return `sum of weight * parameter` as plain least squares sees it, before bounds and physics, which the error is for.
+    """Return `sum of weight * parameter` from plain least squares, without bounds and physics, and its standard error.
 
     Args:
         estimate: A solved regression.
@@ -285,7 +285,7 @@ def _sum_contained(estimate: Estimate, weights: np.ndarray) -> dict[str, float]:
 
 
 def _compute_prior_stderr(base: BaseParameters, stderr: np.ndarray, sizes: Mapping[str, float]) -> np.ndarray:
-    """Return how far each base parameter (r,) may be off before the data, the terms of its sum taken as independent."""
+    """Return each base parameter's standard deviation (r,) before the data, with independent terms of its sum."""
     own = np.array([sizes.get(name, np.nan) for name in base.names])
     terms = np.concatenate([own[base.kept][:, None] ** 2, (base.K * np.nan_to_num(own[base.dropped])) ** 2], axis=1)
     prior = np.sqrt(terms.sum(axis=1))

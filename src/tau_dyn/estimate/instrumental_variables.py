@@ -91,7 +91,7 @@ def estimate_of(
     """Return the estimate with its covariance, held within physics, on the regression of a first one.
 
     Args:
-        first: Weighted least squares; gives the regression to judge on, base parameters and bounds.
+        first: Weighted least squares, with the regression for residuals, base parameters and bounds.
         rows: Stretches.
         solution: Result of `solve_instrumental_variables`.
         physics: Bodies to keep physical.
@@ -126,7 +126,7 @@ def estimate_instrumental_covariance(
     gains: Mapping[str, float],
     factor: float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the covariance (r, r) by the residual's colour, and from the scatter of blocks; see `estimate_of`."""
+    """Return the covariances (r, r) from the residual's correlation and from the scatter of blocks; see `estimate_of`."""
     known, _ = _known(first)
     extra = [known]
     for k, output in enumerate(first.regression.outputs):

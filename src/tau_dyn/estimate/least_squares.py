@@ -2,12 +2,11 @@ r"""Weighted least squares on base parameters, each output weighted by its own n
 
     minimise  sum_j || (y_j - W_j theta) / sigma_j ||^2
 
-`sigma_j` is output j's residual deviation; estimate and weights take turns until they agree. A parameter known beforehand
+`sigma_j` is output j's residual deviation; estimate and weights are iterated until they converge. A parameter known beforehand
 with an uncertainty is one more row. Covariances hold under coloured noise (`covariance.py`), bounds and physics come after
 (`physical_consistency.py`). Reference: Gautier & Poignet 2001, Extended Kalman filtering and weighted least squares dynamic
-identification of robot. All of it works on the outputs' triangular factors (`regression.py`), so that the number of
-samples does not
-matter; only the covariance looks at the residuals themselves, run by run.
+identification of robot. The algorithm uses the outputs' triangular factors (`regression.py`), so that the number of samples
+does not matter; only the covariance needs the residuals themselves, run by run.
 """
 
 from __future__ import annotations

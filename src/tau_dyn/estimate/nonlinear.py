@@ -116,7 +116,7 @@ class LeastSquaresProblem(Protocol[State]):
         ...
 
     def gain(self, state: State, trial: State) -> float:
-        """Return by how much the cost falls from a state to another; minus infinity or nan for a forbidden state."""
+        """Return the decrease of the cost from a state to another; minus infinity or nan for a forbidden state."""
         ...
 
 
@@ -125,7 +125,7 @@ class DescentRules:
     """Rules for stopping and damping.
 
     Attributes:
-        max_steps: Most accepted steps.
+        max_steps: Largest number of accepted steps.
         small_step: Size below which a step is the last.
         small_gain: Gain below which a step counts as idle.
         patience: Idle steps in a row that end the descent.
@@ -147,7 +147,7 @@ class DescentRules:
 
 @dataclass(frozen=True, eq=False)
 class Descent(Generic[State]):
-    """Where a descent ended.
+    """Result of a descent.
 
     Attributes:
         state: The best state.

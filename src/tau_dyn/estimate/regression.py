@@ -1,13 +1,13 @@
 """A linear regression `y = W theta + noise` with named columns, named outputs, and runs that are never joined.
 
-Plain arrays that can be inspected before anybody trusts `theta`. A run is one stretch of one log, evenly sampled; each of
+The data are plain arrays that can be inspected. A run is one stretch of one log, evenly sampled; each of
 its outputs has its own mask of usable samples. Torque, pose and vibration measurements all end in this form.
 
-Least squares needs of any number of rows only the triangular factor of each output's columns and measurements: with
+Least squares needs only the triangular factor of each output's columns and measurements, for any number of rows: with
 `[W_k y_k] = Q_k R_k`, `R_k` (p + 1, p + 1) gives every weighted fit of these rows and every residual's size,
 `|y_k - W_k theta| = |R_k [-theta; 1]|`, whatever the outputs' weights. Factors of blocks of rows are stacked and factored again,
-so rows may come in any number and be forgotten; unlike the normal equations this keeps all digits. Rows that a covariance needs
-and memory does not hold lie in a temporary file that no name leads to. Reference: Golub & Van Loan 2013, 5.2 and 6.5 (updating);
+so rows may come in any number and be discarded; unlike the normal equations this keeps all digits. Rows that a covariance needs
+and that exceed memory are in an anonymous temporary file. Reference: Golub & Van Loan 2013, 5.2 and 6.5 (updating);
 Demmel et al. 2012 (tall-skinny QR).
 """
 
@@ -46,13 +46,13 @@ class SufficientStatistics:
 
     @classmethod
     def zero(cls, n_outputs: int, n_columns: int) -> SufficientStatistics:
-        """Return the totals of no rows."""
+        """Return totals without rows."""
         k = n_columns + 1
         return cls(np.zeros((n_outputs, k, k)), np.zeros((n_outputs, k)), np.zeros(n_outputs, int))
 
     @classmethod
     def of(cls, W: np.ndarray, y: np.ndarray, usable: np.ndarray | None = None) -> SufficientStatistics:
-        """Return the totals of columns (n, m, p) and measurements (n, m), of usable samples (n, m) where given."""
+        """Return the totals of columns (n, m, p) and measurements (n, m), of usable samples (n, m) if given."""
         n, m, p = W.shape
         found = cls.zero(m, p)
         for k in range(m):
@@ -216,7 +216,7 @@ class Regression(Brief):
         parameters: One per column, with nominal values, bounds and freedom.
         outputs: Names of the outputs (the actuated joints, for torques).
         units: Units of the outputs.
-        runs: The data; of a recording too large for memory, excerpts to look at.
+        runs: The data; for a recording too large for memory, excerpts for display.
         preparation: Filters and masks that the rows went through.
         everything: All data if `runs` are excerpts; else None. Estimates and errors are of all data.
     """
@@ -256,7 +256,7 @@ class Regression(Brief):
         return total
 
     def rows(self) -> Iterator[Iterator[RegressionRows]]:
-        """Yield every run as its rows in order, in one piece or, of a large recording, in several."""
+        """Yield every run as its rows in order, in one piece or, for a large recording, in several."""
         if self.everything is not None:
             yield from (iter(run) for run in self.everything.runs)
         else:

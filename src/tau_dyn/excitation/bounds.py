@@ -154,7 +154,7 @@ class Bounds:
         return q.astype(int), v.astype(int), middle, half
 
     def _passive(self, q: np.ndarray, slopes: bool) -> Excess:
-        """Return how far passive joints are from the ends of their ranges."""
+        """Return the bounds of passive joints by their ranges."""
         index_q, index_v, middle, half = self._limited
         solver, arrays = _build_closer(self.model.robot)
         if arrays is not None:
@@ -171,7 +171,7 @@ class Bounds:
 
 @lru_cache(maxsize=2)
 def _build_closer(robot: Robot) -> tuple[LoopSolver, LoopArrays | None]:
-    """Return what closes a robot's loops, one by one and many at once."""
+    """Return the solvers of a robot's loops, for one position and for many."""
     solver = LoopSolver(robot)
     joints = list_joints(solver.model)
     return solver, None if joints is None else LoopArrays(solver, joints)

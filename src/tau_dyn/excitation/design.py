@@ -2,7 +2,7 @@
 
 A design is a periodic Fourier series, repeated, then strokes at constant speeds in both directions if there is time for them;
 all of it starts and ends at rest at home. The search (`search.py`) optimises the series for the criterion over series and
-strokes together; at the end the standard errors are predicted at the log's full rate (`prediction.py`), for the design and for
+strokes together; at the end the standard errors are predicted at the log's full rate (`information.py`), for the design and for
 the best of the random motions that it started from.
 """
 
@@ -40,7 +40,7 @@ from tau_dyn.simulate import (
 
 PERIOD_S = 10.0
 """Length of a period, about [s]."""
-_STROKES_S = 6.0  # s per stroke; a joint that moves slower shows mostly friction
+_STROKES_S = 6.0  # s per stroke; a slower joint shows mostly friction
 _MIN_HARMONICS = 3  # of a Fourier series, to separate position, velocity and acceleration
 
 
@@ -77,7 +77,7 @@ def lay_out(bounds: Bounds, duration: float, fast_hz: float, share: float) -> Mo
 
 
 def _outside(bounds: Bounds, motion: Trajectory) -> bool:
-    """Return whether strokes break a bound that they do not know of: the tool's box, accelerations, passive joints."""
+    """Return whether strokes violate a bound that their design ignores: the tool's box, accelerations, passive joints."""
     few = motion.every(max(1, motion.n_samples // 600))
     path = MotionProfile(few.q, few.v, few.a)
     found = [*bounds.of_states(path, np.zeros_like(few.q), []), *bounds.of_places(few.q, slopes=False)]
@@ -116,9 +116,9 @@ class ExcitationDesign:
         before: Those of the best random motion that the search started from.
         criterion: Name of the criterion.
         values: The criterion at the start and at the end.
-        evaluations: How often the model was evaluated along a period.
-        seconds: How long the search took [s].
-        finished: Whether the search ended by itself, not by time or by hand.
+        evaluations: Number of evaluations of the model along a period.
+        seconds: Duration of the search [s].
+        finished: Whether the search converged, instead of being stopped by time or by the user.
         noise: The assumed noise.
         search: Summary of the search in a sentence.
     """
@@ -164,13 +164,13 @@ def design_motion(
         trials: Random motions to start from.
         fast_hz: Highest frequency of the periodic part [Hz].
         strokes: Share of the duration for strokes at constant speeds; they are omitted if it is below 6 s.
-        speed: Highest speeds, one or one a joint; by default 90 % of the limit, at most 1 m/s or 2 rad/s.
-        acceleration: Highest accelerations; by default 6 times the highest speed a second.
+        speed: Highest speeds, one for all joints or one for each; by default 90 % of the limit, at most 1 m/s or 2 rad/s.
+        acceleration: Highest accelerations; by default 6 times the highest speed per second.
         box: Lowest and highest corner of the tool's box (6,) [m].
         condition: Largest conditioning of the loops; by default five times home's, at least 20.
         seconds: Time for the search [s].
         rate_hz: Rate of the log to come [Hz], if no noise is given.
-        progress: Called with a sentence now and then.
+        progress: Callback that receives a sentence from time to time.
 
     Raises:
         InputError: An argument is invalid, or the limits permit no motion.
@@ -215,7 +215,7 @@ def design_motion(
             )
             for k, motion in enumerate(motions)
         )
-    except KeyboardInterrupt:  # who will not wait for the simulation
+    except KeyboardInterrupt:  # the user stopped the simulation
         told, before = (predict(model, motion, noise, seed) for motion in motions)
     return ExcitationDesign(
         motions[0] if finished else replace(motions[0], notes=(_STOPPED,)),
@@ -256,10 +256,10 @@ def _bounds(
 
 
 def _searched(search: MotionSearch, rng: np.random.Generator, trials: int) -> tuple[np.ndarray | None, float, bool]:
-    """Search until it settles, time is up or the user had enough.
+    """Search until it converges, the time is over or the user stops it.
 
     Returns:
-        Coefficients and criterion of the random motion that it started from, and whether it settled.
+        Coefficients and criterion of the random motion that it started from, and whether the search converged.
     """
     finished = True
     try:

@@ -86,7 +86,7 @@ CRITERIA: dict[str, Criterion] = {
     "condition": compute_condition_criterion,
     "worst": compute_largest_error,
 }
-"""Every criterion by the name that the command line takes."""
+"""Criteria by their names on the command line."""
 
 
 def _unit(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -142,7 +142,7 @@ class Information:
         """Find the base parameters on the states of a path (n, na).
 
         Raises:
-            CannotAnswer: No free parameter shows in the forces.
+            CannotAnswer: No free parameter affects the forces.
         """
         model = model.steady()
         free = [p for p in model.parameters if p.free]
@@ -181,7 +181,7 @@ class Information:
         return InformationRows(Y, columns @ self.model.parameters.values)
 
     def derivatives(self, path: MotionProfile, at: InformationRows) -> list[tuple[int, int, np.ndarray, np.ndarray]]:
-        """Return, for each of q, v, a (0, 1, 2) and each joint, how rows and forces change with it."""
+        """Return the derivatives of rows and forces by each of q, v, a (0, 1, 2) of each joint."""
         out = []
         for kind in range(3):
             for j in range(path.q.shape[1]):
@@ -229,7 +229,7 @@ class Noise:
         force: Standard deviation of forces (na,) [N or N m].
         encoder: Standard deviation of positions (na,) [m or rad].
         rate_hz: Rate of the log [Hz].
-        source: Where the numbers came from, in words.
+        source: Origin of the numbers, in words.
     """
 
     force: np.ndarray
@@ -246,10 +246,10 @@ class Noise:
         rate_hz: float = 1000.0,
         source: str = "given",
     ) -> Noise:
-        """Return noise of one number for all joints or one a joint each.
+        """Return noise from one number for all joints or one for each.
 
         Raises:
-            InputError: Another number of them, or a force noise that is not above zero.
+            InputError: Their number is wrong, or a force noise is not above zero.
         """
         na, found = robot.na, []
         for name, values in (("force", force), ("encoder", encoder)):
@@ -265,7 +265,7 @@ class Noise:
 
     @classmethod
     def typical(cls, model: Model, tau: np.ndarray, rate_hz: float = 1000.0) -> Noise:
-        """Return a good industrial drive's: 1 % of the rms of forces (n, na), and half an encoder step; see `Sensors`."""
+        """Return the noise of a good industrial drive: 1 % of the forces' rms (n, na), half an encoder step; see `Sensors`."""
         sensors = Sensors.typical(model.robot)
         rms = np.sqrt(np.mean(tau**2, axis=0))
         force = np.maximum(0.01 * rms, 1e-3 * float(rms.max(initial=0.0)))
@@ -274,7 +274,7 @@ class Noise:
         return cls(force, step.copy(), rate_hz, "typical of good drives: 1 % of the rms force, half an encoder step")
 
     def weighing(self, model: Model, band_hz: float) -> np.ndarray:
-        """Return the force noise (na,) that weighs as much as forces and encoders together, up to a frequency [Hz]."""
+        """Return the force noise (na,) equivalent to the noise of forces and encoders together, up to a frequency [Hz]."""
         inertia = np.diagonal(model.mechanism.inertia(model.robot.home[None])[0])
         return np.hypot(self.force, inertia * (2 * np.pi * band_hz) ** 2 * self.encoder / np.sqrt(5))
 
@@ -313,7 +313,7 @@ class InformationPrediction:
         return self.expressions[k], float(self.relative[k])
 
     def rows(self) -> list[Mapping[str, Any]]:
-        """Return one plain row a base parameter."""
+        """Return one plain row for each base parameter."""
         made = zip(self.names, self.expressions, self.units, self.values, self.stderr, strict=True)
         return [
             {
@@ -345,7 +345,7 @@ def predict(
         noise: Noise of forces and encoders, and the log's rate.
         seed: Seed of the noise.
         driven: Whether the robot is simulated with its controller, which takes seconds; else it follows the motion exactly, which
-            is enough to compare motions but misses what drives add (held forces, feedback of the encoders' noise).
+            is enough to compare motions but lacks effects of drives (held forces, feedback of the encoders' noise).
         progress: Callback that receives the finished share of the simulation.
 
     Raises:
@@ -410,6 +410,6 @@ def estimate_log_noise(model: Model, log: Log, rate_hz: float) -> Noise:
     model = model.steady()
     estimate = solve_least_squares(build_regression(model, [log]))
     cutoff = float(estimate.regression.preparation.force_cutoff_hz)
-    force = estimate.sigma * np.sqrt(rate_hz / (2 * cutoff))  # white, of the density that is left below the low-pass
+    force = estimate.sigma * np.sqrt(rate_hz / (2 * cutoff))  # white, with the residual's density below the low-pass
     encoder = estimate_encoder_noise(log.joint("q", model.robot.actuated))
     return Noise.given(model.robot, force, encoder, rate_hz, f"what a fit leaves of {log.name}")

@@ -36,11 +36,11 @@ class Series:
     """The family of motions that is searched.
 
     Attributes:
-        home: Where every period starts (na,) [m or rad].
-        reach: How far each joint may go (na,) [m or rad]; the size of a coefficient of one.
-        period: [s].
+        home: Positions at the start of every period (na,) [m or rad].
+        reach: Largest displacement of each joint (na,) [m or rad]; the size of a coefficient of one.
+        period: Length of a period [s].
         harmonics: Number of harmonics, at least 2.
-        periods: How often the period is repeated.
+        periods: Number of periods.
     """
 
     home: np.ndarray
@@ -89,9 +89,9 @@ class Series:
         return 0.3 * rng.standard_normal(self.shape)
 
 
-MAX_ITERATIONS = 6  # rounds of the augmented Lagrangian; bounds hold to 1 % after three to five
-ITERATIONS = 40  # of L-BFGS within a round; a round need not converge
-_SLACK = 0.01  # share by which a bound may be exceeded between rounds; the last step scales the motion
+MAX_ITERATIONS = 6  # iterations of the augmented Lagrangian; bounds hold to 1 % after three to five
+ITERATIONS = 40  # of L-BFGS within an iteration; it need not converge
+_SLACK = 0.01  # share by which a bound may be exceeded between iterations; the last step scales the motion
 _FIRST_MU, _GROWTH = 10.0, 5.0
 _UNREACHABLE = 1e6  # a cost above any that a motion within reach has
 _FINE = 4  # times finer than the samples bounds are checked at
@@ -116,8 +116,8 @@ class MotionSearch:
         rate_hz: Rate of the log to come [Hz].
         samples: Grid of one period.
         deadline: Time at which the search stops, on the monotonic clock [s].
-        progress: Called with a sentence now and then.
-        evaluations: How often the model was evaluated.
+        progress: Callback that receives a sentence from time to time.
+        evaluations: Number of evaluations of the model.
         best: Coefficients (na, k) of the best motion that keeps all bounds; None before there is one.
         value: Its criterion.
     """
@@ -282,7 +282,7 @@ def choose_by_exchange(merit: Callable[[np.ndarray], float], information: np.nda
     Args:
         merit: Function of an information matrix (r, r) to be maximised: determined parameters, or separated causes.
         information: Information of each piece (n, r, r).
-        number: How many pieces are chosen.
+        number: Number of pieces to choose.
     """
     merits = [merit(number * one) for one in information]
     chosen, best = [int(np.argmax(merits))] * number, max(merits)
